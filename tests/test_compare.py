@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from test_model_explains_foreign_runs import TRUE
 
 import dragrig
@@ -263,7 +264,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(tmp_path: Path) -> Non
 
 
 def texts(figure: Figure) -> str:
-    return " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
+    return " ".join(text.get_text() for text in figure.findobj(Text))
 
 
 def test_pictures_show_both_sides() -> None:

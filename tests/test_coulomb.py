@@ -99,7 +99,9 @@ def test_the_picture_shows_the_trace_from_zero_and_its_mean(travel_mm: float) ->
     levels = [np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2]
     means = [float(level[0]) for level in levels if level[0] == level[1]]
     assert any(mean == pytest.approx(np.copysign(result.force.value or 0, travel_mm), abs=0.05) for mean in means)
-    texts = [text.get_text() for text in axes.texts]
+    legend = axes.get_legend()
+    assert legend is not None
+    texts = [text.get_text() for text in legend.get_texts()]
     assert any("mean" in text and "μ = 0.08" in text for text in texts)
     assert any("40.07" in text for text in texts)
 

@@ -322,7 +322,7 @@ def test_runs_are_shown_at_low_middle_and_high_speed_and_one_of_each_other_kind(
     ]  # fmt: skip
     figure = before_after_figure(chosen, 1.4)
     assert len(figure.axes) == 2 * len(chosen)
-    assert len(figure.axes[0].lines) == len(before_after_figure(chosen, 1.4, named=False).axes[0].lines) + 2
+    assert len(figure.axes[0].lines) == len(before_after_figure(chosen, 1.4, named=False).axes[0].lines) + 1
     fast = figure.axes[4].get_xlim()
     assert fast[0] > 0.5
     assert fast[1] < 3.0

@@ -1,15 +1,17 @@
 """Figures of campaigns: overview of one, differences of two, and a pair of runs on one clock."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dragrig import Run
 from dragrig.analysis import (
     NORMAL_95,
     AlignedRuns,
@@ -27,39 +29,22 @@ from dragrig.present import (
     GREY,
     PURPLE,
     SMALL_PT,
-    TEXT_PT,
     VERMILLION,
     CurveLabel,
     LineStyle,
-    PanelBox,
-    add_panel,
     figure_style,
     fit_y_range,
-    header_height_in,
     label_curves,
     new_figure,
-    panel_height_in,
-    panel_width_in,
     sequential_colours,
     set_log_x,
     set_time_range,
-    set_y_label,
-    shortened_to_width,
-    text_width_in,
     value_with_error,
-    write_badge,
-    write_problem,
-    write_title,
 )
 from dragrig.present.model_figures import spread_selection
 from dragrig.present.run_figures import (
     CHANNEL_LABELS,
-    FOOT_IN,
-    LEFT_IN,
-    PANEL_SPACING_IN,
-    PHASE_NAMES_IN,
     RAW_FORCE,
-    RIGHT_IN,
     WIDTH_IN,
     TraceCurve,
     TracePanel,
@@ -67,7 +52,8 @@ from dragrig.present.run_figures import (
     gaps_after_samples,
     relaxation_ramp,
 )
-from dragrig.rig import AnyFloatArray, FloatArray, Phase, Run, RunStatus
+from dragrig.rig import AnyFloatArray, FloatArray, Phase
+from dragrig.rig.runfile import RunStatus
 
 STEADY_KINDS = ("drag", "coulomb", "blank")
 """Kinds of run with a steady force that stands in a campaign's picture."""
@@ -161,13 +147,6 @@ def _protocol_number(run: Run, name: str) -> float:
     return float(value) if isinstance(value, int | float) else 0.0
 
 
-OVERVIEW_WIDTH_IN, OVERVIEW_TALL_IN = 14.0, 7.0
-
-OVERVIEW_HEADING_IN = 0.5
-
-OVERVIEW_LABELS_IN = 1.25
-"""Room right of a panel for the names of its curves."""
-
 KIND_MARKERS = {"drag": (BLUE, "o"), "coulomb": (VERMILLION, "s"), "blank": (GREY, "^")}
 """Colour and marker of each kind."""
 
@@ -185,74 +164,72 @@ def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] =
         Files of runs that were marked bad; they are counted and not drawn, as are those that ended early.
     """
     digests = [summarise_run(run, bad) for run in runs]
+    title = " · ".join(part for part in ("Campaign", name) if part)
+    backends = ", ".join(sorted({run.backend for run in digests}))
+    chosen = [(draw, [run for run in digests if has(run)]) for draw, has in _OVERVIEW_PANELS]
+    drawn = [(draw, found) for draw, found in chosen if found]
     with figure_style():
-        figure = new_figure(
-            OVERVIEW_WIDTH_IN,
-            header_height_in(_overview_problem(digests)) + OVERVIEW_HEADING_IN + OVERVIEW_TALL_IN + FOOT_IN,
-        )
-        write_title(
-            figure, LEFT_IN, " · ".join(part for part in ("Campaign", name) if part), _overview_subtitle(digests)
-        )
-        write_problem(figure, LEFT_IN, _overview_problem(digests))
-        write_badge(figure, ", ".join(sorted({one.backend for one in digests})))
-        drawn = [
-            (draw, found) for draw, chosen in _OVERVIEW_PANELS if (found := [one for one in digests if chosen(one)])
-        ]
-        for (draw, found), place in zip(drawn, _panel_boxes(len(drawn)), strict=True):
-            draw(add_panel(figure, place), found)
+        figure = _overview_sheet(title, _overview_subtitle(digests), _overview_problem(digests), backends)
         if not drawn:
             figure.text(0.5, 0.45, "no complete drag, Coulomb, blank or relaxation run", ha="center", color=GREY)
+        for axes, (draw, found) in zip(_overview_panels(figure, len(drawn)), drawn, strict=True):
+            draw(axes, found)
         return figure
 
 
-def _panel_boxes(count: int) -> tuple[PanelBox, ...]:
-    room = OVERVIEW_WIDTH_IN - LEFT_IN - RIGHT_IN - OVERVIEW_LABELS_IN
-    if count <= 1:
-        return (PanelBox(LEFT_IN, FOOT_IN, room, OVERVIEW_TALL_IN),)[:count]
-    half = (room - OVERVIEW_LABELS_IN - LEFT_IN) / 2
-    right = LEFT_IN + half + OVERVIEW_LABELS_IN + LEFT_IN
-    low = (OVERVIEW_TALL_IN - FOOT_IN - OVERVIEW_HEADING_IN) / 2
-    left_place = PanelBox(LEFT_IN, FOOT_IN, half, OVERVIEW_TALL_IN)
-    if count == 2:
-        return left_place, PanelBox(right, FOOT_IN, half, OVERVIEW_TALL_IN)
-    return left_place, PanelBox(right, FOOT_IN + OVERVIEW_TALL_IN - low, half, low), PanelBox(right, FOOT_IN, half, low)
+def _overview_sheet(title: str, subtitle: str, problem: str, backends: str) -> Figure:
+    return new_figure(14.0, 8.2, title, subtitle, problem, backends)
+
+
+def _overview_panels(figure: Figure, count: int) -> list[Axes]:
+    """Return up to three panels, the first over the figure's whole height."""
+    if not count:
+        return []
+    panels = figure.subplot_mosaic(("A", "AB", "AB;AC")[count - 1])
+    return list(panels.values())
 
 
 def _draw_steady_forces(axes: Axes, digests: Sequence[RunSummary]) -> None:
     labels: list[CurveLabel] = []
-    shown: list[FloatArray] = []
+    shown: list[FloatArray] = [np.zeros(1)]
     for kind, (colour, marker) in KIND_MARKERS.items():
-        steady = [(one.speed_mm_s, one.steady) for one in digests if one.kind == kind and one.steady is not None]
+        steady = [(run.speed_mm_s, run.steady) for run in digests if run.kind == kind and run.steady is not None]
         for points, way in _split_by_direction(kind, steady):
-            speed = np.array([speed for speed, _ in points])
+            speed = np.array([_three_digit_speed(speed) for speed, _ in points])
             force = np.array([estimate.value for _, estimate in points], dtype=float)
+            force = np.abs(force) if way else force
             half = np.array([NORMAL_95 * (estimate.standard_error or 0.0) for _, estimate in points])
-            if way:
-                force = np.abs(force)
+            last = _draw_points(axes, speed, force, half, colour, marker, hollow=bool(way))
             shown += [force - half, force + half]
-            rounded = np.array([_three_digit_speed(one) for one in speed])
-            levels = np.unique(rounded)
-            means = [float(force[rounded == level].mean()) for level in levels]
-            axes.plot(levels, means, color=colour, linewidth=1.2, alpha=0.5, linestyle="--" if way else "-")
-            axes.errorbar(
-                speed,
-                force,
-                yerr=half,
-                fmt=marker,
-                color=colour,
-                markersize=8,
-                markerfacecolor="white" if way else colour,
-                markeredgecolor=colour if way else "white",
-                capsize=3,
-            )
-            labels.append(CurveLabel(means[-1], (kind if kind != "coulomb" else "Coulomb") + way, colour))
-    speeds = [one.speed_mm_s for one in digests]
-    set_log_x(axes, *_speed_limits(speeds))
-    fit_y_range(axes, [*shown, np.zeros(1)], 1.0)
-    axes.set_xlabel("Speed (mm/s)")
-    set_y_label(axes, "Force (mN)")
+            labels.append(CurveLabel(last, _kind_label(kind) + way, colour))
+    _finish_speed_panel(axes, [run.speed_mm_s for run in digests], shown, "Force (mN)")
     _write_panel_heading(axes, "Steady force", "zero offsets included, bars 95 %")
     label_curves(axes, labels)
+
+
+def _draw_points(
+    axes: Axes, speed: FloatArray, force: FloatArray, half: FloatArray, colour: str, marker: str, *,
+    hollow: bool, beside: float = 1.0,
+) -> float:  # fmt: skip
+    """Draw forces with their 95 % bars and a line through their means; return the mean at the highest speed."""
+    levels = np.unique(speed)
+    means = [float(force[speed == level].mean()) for level in levels]
+    axes.plot(levels, means, color=colour, linewidth=1.3, alpha=0.55, linestyle="--" if hollow else "-")
+    axes.errorbar(
+        speed * beside, force, yerr=half, fmt=marker, color=colour, markersize=8,
+        markerfacecolor="white" if hollow else colour, markeredgecolor=colour if hollow else "white",
+    )  # fmt: skip
+    return means[-1]
+
+
+def _finish_speed_panel(axes: Axes, speeds: Sequence[float], shown: Sequence[FloatArray], quantity: str) -> None:
+    """Make the speed axis logarithmic, around the speeds and at least a decade long."""
+    middle = float(np.sqrt(min(speeds) * max(speeds)))
+    half = max(1.3 * max(speeds) / middle, float(np.sqrt(10.0)))
+    set_log_x(axes, middle / half, middle * half)
+    fit_y_range(axes, shown, 1.0)
+    axes.set_xlabel("Speed (mm/s)")
+    axes.set_ylabel(quantity)
 
 
 def _split_by_direction(
@@ -278,7 +255,7 @@ def _draw_relaxations(axes: Axes, digests: Sequence[RunSummary]) -> None:
     set_log_x(axes, min(float(one.x[0]) for one in rising), max(float(one.x[-1]) for one in rising))
     fit_y_range(axes, [one.force_mN for one in rising], 1.0)
     axes.set_xlabel("Time since the end of the ramp (s)")
-    set_y_label(axes, "Force (mN)")
+    axes.set_ylabel("Force (mN)")
     _write_panel_heading(axes, "Relaxation", "at each shear strain")
     label_curves(axes, [CurveLabel(end, f"{100 * strain:g} %", colours[strain]) for strain, end in ends.items()])
 
@@ -296,23 +273,17 @@ def _draw_drags(axes: Axes, digests: Sequence[RunSummary]) -> None:
     set_time_range(axes, min(0.0, *(float(one.x.min()) for one in shown)), max(float(one.x.max()) for one in shown))
     fit_y_range(axes, [one.force_mN for one in shown], 1.0)
     axes.set_xlabel("Position (mm)")
-    set_y_label(axes, "Force (mN)")
+    axes.set_ylabel("Force (mN)")
     _write_panel_heading(axes, "Drag along the way", "first run at each speed")
     label_curves(axes, labels)
 
 
-def _write_panel_heading(axes: Axes, text: str, remark: str = "") -> None:
-    y = 1 + 0.13 / panel_height_in(axes)
-    axes.text(0.0, y, text, transform=axes.transAxes, fontsize=TEXT_PT, fontweight="bold")
-    after = 1.1 * text_width_in(text, TEXT_PT) + 0.25
-    axes.text(after / panel_width_in(axes), y, remark, transform=axes.transAxes, fontsize=SMALL_PT, color=GREY)
-
-
-def _speed_limits(speeds: Sequence[float]) -> tuple[float, float]:
-    """Range of a logarithmic axis around some speeds, at least a decade."""
-    middle = float(np.sqrt(min(speeds) * max(speeds)))
-    half = max(1.3 * max(speeds) / middle, float(np.sqrt(10.0)))
-    return middle / half, middle * half
+def _write_panel_heading(axes: Axes, text: str, remark: str) -> None:
+    title = axes.set_title(text, fontweight="bold")
+    axes.annotate(
+        remark, (1.0, 0.0), xycoords=title, xytext=(8, 0), textcoords="offset points", va="bottom", fontsize=SMALL_PT,
+        color=GREY,
+    )  # fmt: skip
 
 
 def _three_digit_speed(speed_mm_s: float) -> float:
@@ -345,10 +316,6 @@ _OVERVIEW_PANELS: tuple[tuple[Callable[[Axes, Sequence[RunSummary]], None], Call
 
 RAW_FORCE_B = "#F0B48C"
 
-PAIR_FORCE_IN, PAIR_DIFFERENCE_IN, PAIR_FOLLOWING_IN = 3.6, 2.0, 1.45
-
-PAIR_GUTTER_IN = 1.25
-
 
 def comparison_figure(pair: RunPair, names: tuple[str, str] = ("", "")) -> Figure:
     """Draw a pair of runs: forces raw and filtered, B − A below them with what equal runs may differ by, and position.
@@ -369,35 +336,25 @@ def comparison_figure(pair: RunPair, names: tuple[str, str] = ("", "")) -> Figur
     """
     overlay = pair.overlay()
     clocked = _shift_clock(overlay.a, overlay.start_a_s)
-    panels, heights = _pair_panels(pair, overlay)
-    trouble = "; ".join(pair.remarks)
+    panels = _pair_panels(pair, overlay)
     ramp = relaxation_ramp(clocked)
     with figure_style():
-        free = sum(heights) + PANEL_SPACING_IN * (len(heights) - 1)
-        figure = new_figure(WIDTH_IN, header_height_in(trouble) + PHASE_NAMES_IN + free + FOOT_IN)
-        _write_pair_header(figure, pair, names, trouble)
-        room = WIDTH_IN - LEFT_IN - RIGHT_IN
-        if ramp is None:
+        figure = _pair_sheet(pair, names, 1.0 + sum(panel.height_in + 0.25 for panel in panels))
+        grid = figure.add_gridspec(1, 1 if ramp is None else 2)
+        windows = [_overlay_range(overlay)]
+        if ramp is not None:
+            begin, end = ramp
+            windows.append((1.5 * begin - 0.5 * end, 3.5 * end - 2.5 * begin))
+        for number, window in enumerate(windows):
             axes = draw_panel_column(
-                figure, clocked, panels, heights, PanelBox(LEFT_IN, FOOT_IN, room, 0.0), _overlay_range(overlay)
+                grid[0, number], clocked, panels, window, name_ramp=ramp is not None and not number
             )
-            _mark_repeatability(axes, pair)
-            return figure
-        half = (room - PAIR_GUTTER_IN) / 2
-        left = PanelBox(LEFT_IN, FOOT_IN, half, 0.0)
-        _mark_repeatability(
-            draw_panel_column(figure, clocked, panels, heights, left, _overlay_range(overlay), name_ramp=True), pair
-        )
-        begin, end = ramp
-        window = 1.5 * begin - 0.5 * end, 3.5 * end - 2.5 * begin
-        right = PanelBox(LEFT_IN + half + PAIR_GUTTER_IN, FOOT_IN, half, 0.0)
-        magnified = draw_panel_column(figure, clocked, panels, heights, right, window)
-        _mark_repeatability(magnified, pair)
-        magnified[-1].set_xlabel("Time (s), the ramp magnified")
+            _mark_repeatability(axes[1], pair)
+            axes[-1].set_xlabel("Time (s), the ramp magnified" if number else "Time since the start of motion (s)")
         return figure
 
 
-def _write_pair_header(figure: Figure, pair: RunPair, names: tuple[str, str], trouble: str) -> None:
+def _pair_sheet(pair: RunPair, names: tuple[str, str], height_in: float) -> Figure:
     condition = str(pair.condition)
     a, b = (
         ", ".join(dict.fromkeys(part for part in (name, file) if part))
@@ -406,11 +363,10 @@ def _write_pair_header(figure: Figure, pair: RunPair, names: tuple[str, str], tr
     parts = [f"A: {a}", f"B: {names[1] or 'model'}, on the recorded motion" if pair.b_is_model else f"B: {b}"]
     if pair.shift_s is not None and not pair.b_is_model:
         parts.append(f"B shifted by {_shift_text(pair.shift_s)}")
-    subtitle = shortened_to_width("  ·  ".join(parts), SMALL_PT, WIDTH_IN - LEFT_IN - RIGHT_IN)
-    write_title(figure, LEFT_IN, f"{condition[:1].upper()}{condition[1:]}", subtitle)
-    write_problem(figure, LEFT_IN, trouble)
     other = "model" if pair.b_is_model else pair.b.info.header.backend
-    write_badge(figure, " / ".join(dict.fromkeys((pair.a.info.header.backend, other))))
+    backends = " / ".join(dict.fromkeys((pair.a.info.header.backend, other)))
+    title = f"{condition[:1].upper()}{condition[1:]}"
+    return new_figure(WIDTH_IN, height_in, title, "  ·  ".join(parts), "; ".join(pair.remarks), backends)
 
 
 def _shift_text(shift_s: float) -> str:
@@ -426,21 +382,15 @@ def _overlay_range(overlay: AlignedRuns) -> tuple[float, float]:
     return float(overlay.time_s[0]), float(overlay.time_s[-1])
 
 
-def _pair_panels(pair: RunPair, overlay: AlignedRuns) -> tuple[list[TracePanel], list[float]]:
+def _pair_panels(pair: RunPair, overlay: AlignedRuns) -> list[TracePanel]:
     a, b = _shift_clock(overlay.a, overlay.start_a_s), _shift_clock(overlay.b, overlay.start_b_s)
-    panels, heights = (
-        [_force_panel(pair, overlay, a, b), _difference_panel(pair, overlay)],
-        [PAIR_FORCE_IN, PAIR_DIFFERENCE_IN],
-    )
-    followed = [
+    panels = [_force_panel(pair, overlay, a, b), _difference_panel(pair, overlay)]
+    followed = tuple(
         _following_error_curve(name, run, colour)
         for name, run, colour, found in (("A", a, BLUE, pair.motion.a), ("B", b, VERMILLION, pair.motion.b))
         if found is not None
-    ]
-    if followed:
-        panels.append(TracePanel("Error (µm)", tuple(followed), 20.0, level=0.0))
-        heights.append(PAIR_FOLLOWING_IN)
-    return panels, heights
+    )
+    return [*panels, TracePanel("Error (µm)", followed, 20.0, level=0.0)] if followed else panels
 
 
 def _force_panel(pair: RunPair, overlay: AlignedRuns, a: Run, b: Run) -> TracePanel:
@@ -454,7 +404,7 @@ def _force_panel(pair: RunPair, overlay: AlignedRuns, a: Run, b: Run) -> TracePa
         _filtered_curve("B", overlay, overlay.force_b - zero_b, VERMILLION, _steady_level_text(main, main.b, zero_b)),
     ]
     label = CHANNEL_LABELS.get(a.trace.signal, a.trace.signal)
-    return TracePanel(label, tuple(curves), 1.0)
+    return TracePanel(label, tuple(curves), 1.0, height_in=3.6)
 
 
 def _difference_panel(pair: RunPair, overlay: AlignedRuns) -> TracePanel:
@@ -464,7 +414,7 @@ def _difference_panel(pair: RunPair, overlay: AlignedRuns) -> TracePanel:
     if main.error is not None:
         detail += f"; grey: {main.measure} of equal runs, ± {NORMAL_95 * main.error:.3g} mN"
     apart = _filtered_curve("B − A", overlay, (overlay.force_b - zero_b) - (overlay.force_a - zero_a), BLACK, detail)
-    return TracePanel("B − A (mN)", (apart,), 1.0, level=0.0)
+    return TracePanel("B − A (mN)", (apart,), 1.0, level=0.0, height_in=2.0)
 
 
 def _raw_curve(word: str, run: Run, zero_mN: float, colour: str) -> TraceCurve:
@@ -495,32 +445,24 @@ def _following_error_curve(name: str, run: Run, colour: str) -> TraceCurve:
     return TraceCurve(trace.time, off, gaps_after_samples(trace.time, trace.sample_rate_hz), pen)
 
 
-def _mark_repeatability(axes: Sequence[Axes], pair: RunPair) -> None:
-    """Mark what equal runs may differ by, and say what the time counts from."""
+def _mark_repeatability(difference: Axes, pair: RunPair) -> None:
+    """Mark what equal runs may differ by."""
     main = pair.main[-1]
-    apart = axes[1]
-    apart.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
+    difference.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
     if main.error is not None:
         half = NORMAL_95 * main.error
-        apart.axhspan(-half, half, facecolor=GREY, alpha=0.18, linewidth=0.0, zorder=0.6)
-        low, high = apart.get_ylim()
-        apart.set_ylim(min(low, -1.15 * half), max(high, 1.15 * half))
-    axes[-1].set_xlabel("Time since the start of motion (s)")
+        difference.axhspan(-half, half, facecolor=GREY, alpha=0.18, linewidth=0.0, zorder=0.6)
+        low, high = difference.get_ylim()
+        difference.set_ylim(min(low, -1.15 * half), max(high, 1.15 * half))
 
-
-DIFFERENCES_WIDTH_IN, DIFFERENCES_TALL_IN = 14.0, 7.0
-
-DIFFERENCES_HEADING_IN = 0.5
-
-DIFFERENCES_LABELS_IN = 1.3
 
 SIDE_COLOURS = (BLUE, VERMILLION)
 
 SPEED_OFFSET_FACTOR = 1.02
 """B's points stand this factor beside A's on the speed axis, so that neither hides the other."""
 
-RELAXATION_MEASURES = {"peak": ("v", PURPLE, -1.5), "hold": ("D", BLUE, 1.5)}
-"""Marker, colour and place beside the strain [%]."""
+RELAXATION_MEASURES = {"peak": ("peak", PURPLE, "v", -1.5), "hold": ("hold", BLUE, "D", 1.5)}
+"""Label, colour, marker and place beside the strain [%]."""
 
 
 def comparison_overview_figure(comparison: Comparison) -> Figure:
@@ -528,41 +470,17 @@ def comparison_overview_figure(comparison: Comparison) -> Figure:
 
     Bars hold 95 %: of noise in the left panel, of noise and run-to-run scatter in the others.
     """
+    drawn = [draw for draw, has in _DIFFERENCE_PANELS if has(comparison)]
+    title = f"A: {comparison.a.name}  ·  B: {comparison.b.name}"
     with figure_style():
-        trouble = _differences_problem(comparison)
-        figure = new_figure(
-            DIFFERENCES_WIDTH_IN, header_height_in(trouble) + DIFFERENCES_HEADING_IN + DIFFERENCES_TALL_IN + FOOT_IN
+        figure = _overview_sheet(
+            title, _differences_subtitle(comparison), _differences_problem(comparison), _backends_text(comparison)
         )
-        title = shortened_to_width(
-            f"A: {comparison.a.name}  ·  B: {comparison.b.name}", 1.6 * TEXT_PT, DIFFERENCES_WIDTH_IN - LEFT_IN - 2.5
-        )
-        write_title(
-            figure,
-            LEFT_IN,
-            title,
-            shortened_to_width(_differences_subtitle(comparison), SMALL_PT, DIFFERENCES_WIDTH_IN - LEFT_IN - RIGHT_IN),
-        )
-        write_problem(figure, LEFT_IN, trouble)
-        write_badge(figure, _backends_text(comparison))
-        drawn = [draw for draw, has in _DIFFERENCE_PANELS if has(comparison)]
-        for draw, place in zip(drawn, _difference_boxes(len(drawn)), strict=True):
-            draw(add_panel(figure, place), comparison)
         if not drawn:
             figure.text(0.5, 0.45, "no steady, peak or hold force to be compared", ha="center", color=GREY)
+        for axes, draw in zip(_overview_panels(figure, len(drawn)), drawn, strict=True):
+            draw(axes, comparison)
         return figure
-
-
-def _difference_boxes(count: int) -> tuple[PanelBox, ...]:
-    room = DIFFERENCES_WIDTH_IN - LEFT_IN - RIGHT_IN - DIFFERENCES_LABELS_IN
-    half = (room - DIFFERENCES_LABELS_IN - LEFT_IN) / 2
-    right = LEFT_IN + half + DIFFERENCES_LABELS_IN + LEFT_IN
-    low = (DIFFERENCES_TALL_IN - FOOT_IN - DIFFERENCES_HEADING_IN) / 2
-    if count <= 1:
-        return (PanelBox(LEFT_IN, FOOT_IN, room, DIFFERENCES_TALL_IN),)[:count]
-    left = PanelBox(LEFT_IN, FOOT_IN, half, DIFFERENCES_TALL_IN)
-    if count == 2:
-        return left, PanelBox(right, FOOT_IN, half, DIFFERENCES_TALL_IN)
-    return left, PanelBox(right, FOOT_IN + DIFFERENCES_TALL_IN - low, half, low), PanelBox(right, FOOT_IN, half, low)
 
 
 def _sliding_pairs(comparison: Comparison) -> list[RunPair]:
@@ -581,87 +499,74 @@ def _draw_steady_pairs(axes: Axes, comparison: Comparison) -> None:
     shown = [np.zeros(1)]
     pairs = _sliding_pairs(comparison)
     for kind, (_, marker) in KIND_MARKERS.items():
-        mine = [pair for pair in pairs if pair.condition.kind == kind]
-        for side, colour in enumerate(SIDE_COLOURS):
-            speed = np.array([pair.condition.speed_mm_s for pair in mine], dtype=float)
-            force = np.array([pair.main[0].compared[side] for pair in mine], dtype=float)
-            errors = [(pair.main[0].a, pair.main[0].b)[side].standard_error or 0.0 for pair in mine]
+        alike = [pair for pair in pairs if pair.condition.kind == kind]
+        for side, colour in enumerate(SIDE_COLOURS if alike else ()):
+            speed = np.array([pair.condition.speed_mm_s for pair in alike], dtype=float)
+            force = np.array([pair.main[0].compared[side] for pair in alike], dtype=float)
+            errors = [(pair.main[0].a, pair.main[0].b)[side].standard_error or 0.0 for pair in alike]
             half = NORMAL_95 * np.array(errors, dtype=float)
-            if not mine:
-                continue
-            levels = np.unique(speed)
-            means = [float(force[speed == level].mean()) for level in levels]
-            axes.plot(levels, means, color=colour, linewidth=1.4, alpha=0.6, linestyle="--" if side else "-")
-            axes.errorbar(
-                speed * SPEED_OFFSET_FACTOR ** (2 * side - 1), force, yerr=half,
-                fmt=marker, color=colour, markersize=8, capsize=3,
-                markerfacecolor="white" if side else colour, markeredgecolor=colour if side else "white",
-            )  # fmt: skip
+            beside = SPEED_OFFSET_FACTOR ** (2 * side - 1)
+            last = _draw_points(axes, speed, force, half, colour, marker, hollow=bool(side), beside=beside)
             shown += [force - half, force + half]
-            labels.append(CurveLabel(means[-1], f"{'AB'[side]} {_kind_label(kind)}", colour))
-    _set_speed_axis(axes, [pair.condition.speed_mm_s or 1.0 for pair in pairs])
-    fit_y_range(axes, shown, 1.0)
-    set_y_label(axes, "Force (mN)")
-    _write_difference_heading(axes, "Steady force", "A filled, B open; bars 95 %, noise")
+            labels.append(CurveLabel(last, f"{'AB'[side]} {_kind_label(kind)}", colour))
+    _finish_speed_panel(axes, [pair.condition.speed_mm_s or 1.0 for pair in pairs], shown, "Force (mN)")
+    _write_panel_heading(axes, "Steady force", "A filled, B open; bars 95 %, noise")
     label_curves(axes, labels)
 
 
 def _draw_steady_differences(axes: Axes, comparison: Comparison) -> None:
-    labels, shown = [], [np.zeros(1)]
-    groups = [one for one in comparison.groups if one.condition.kind in KIND_MARKERS and one.condition.speed_mm_s]
-    for kind, (colour, marker) in KIND_MARKERS.items():
-        mine = sorted(
-            (one for one in groups if one.condition.kind == kind), key=lambda one: one.condition.speed_mm_s or 0.0
-        )
-        if not mine:
-            continue
-        speed = np.array([one.condition.speed_mm_s for one in mine], dtype=float)
-        shown += _draw_differences(axes, speed, mine, colour, marker, percent=False)
-        labels.append(CurveLabel(mine[-1].value, _kind_label(kind), colour))
-    axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=1)
-    _set_speed_axis(axes, [one.condition.speed_mm_s or 1.0 for one in groups])
-    fit_y_range(axes, shown, 1.0)
-    set_y_label(axes, "B − A (mN)")
-    _write_difference_heading(axes, "Difference of steady forces", "filled: beyond scatter; bars 95 %")
-    label_curves(axes, labels)
+    groups = [
+        (group, group.condition.speed_mm_s, group.condition.kind)
+        for group in comparison.groups
+        if group.condition.kind in KIND_MARKERS and group.condition.speed_mm_s
+    ]
+    looks = {kind: (_kind_label(kind), *look, 0.0) for kind, look in KIND_MARKERS.items()}
+    shown = _draw_differences(axes, groups, looks, percent=False)
+    _finish_speed_panel(axes, [speed for _, speed, _ in groups], shown, "B − A (mN)")
+    _write_panel_heading(axes, "Difference of steady forces", "filled: beyond scatter; bars 95 %")
 
 
 def _draw_relaxation_differences(axes: Axes, comparison: Comparison) -> None:
-    labels, shown = [], [np.zeros(1)]
-    groups = [one for one in comparison.groups if one.condition.shear_strain is not None and one.relative is not None]
-    for quantity, (marker, colour, beside) in RELAXATION_MEASURES.items():
-        mine = sorted(
-            (one for one in groups if one.measure == quantity), key=lambda one: one.condition.shear_strain or 0.0
-        )
-        if not mine:
-            continue
-        strain = 100 * np.array([one.condition.shear_strain for one in mine], dtype=float)
-        shown += _draw_differences(axes, strain + beside, mine, colour, marker, percent=True)
-        labels.append(CurveLabel(100 * (mine[-1].relative or 0.0), quantity, colour))
-    axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=1)
+    groups = [
+        (group, 100 * group.condition.shear_strain, group.measure)
+        for group in comparison.groups
+        if group.condition.shear_strain is not None and group.relative is not None
+    ]
+    shown = _draw_differences(axes, groups, RELAXATION_MEASURES, percent=True)
     axes.margins(x=0.08)
     fit_y_range(axes, shown, 1.0)
     axes.set_xlabel("Shear strain (%)")
-    set_y_label(axes, "B over A (%)")
-    _write_difference_heading(axes, "Difference of relaxations", "filled: beyond scatter; bars 95 %")
-    label_curves(axes, labels)
+    axes.set_ylabel("B over A (%)")
+    _write_panel_heading(axes, "Difference of relaxations", "filled: beyond scatter; bars 95 %")
 
 
 def _draw_differences(
-    axes: Axes, x: np.ndarray, groups: Sequence[GroupDifference], colour: str, marker: str, *, percent: bool
-) -> list[np.ndarray]:
-    scale = np.array([100 / abs(one.a) if percent else 1.0 for one in groups])
-    value = scale * np.array([one.value for one in groups])
-    half = scale * NORMAL_95 * np.array([one.error for one in groups])
-    axes.plot(x, value, color=colour, linewidth=1.2, alpha=0.5)
-    axes.errorbar(x, value, yerr=half, fmt="none", color=colour, capsize=3)
-    for at, mean, one in zip(x, value, groups, strict=True):
-        beyond = one.verdict is DifferenceVerdict.BEYOND
-        axes.plot(
-            at, mean, marker, color=colour, markersize=8,
-            markerfacecolor=colour if beyond else "white", markeredgecolor="white" if beyond else colour,
-        )  # fmt: skip
-    return [value - half, value + half]
+    axes: Axes,
+    groups: Sequence[tuple[GroupDifference, float, str]],
+    looks: Mapping[str, tuple[str, str, str, float]],
+    *,
+    percent: bool,
+) -> list[FloatArray]:
+    """Draw groups at their places, each in its look: label, colour, marker and offset; return what is shown."""
+    shown, labels = [np.zeros(1)], []
+    for name, (label, colour, marker, offset) in looks.items():
+        alike = sorted(((group, place) for group, place, look in groups if look == name), key=itemgetter(1))
+        if not alike:
+            continue
+        x = np.array([place + offset for _, place in alike])
+        scale = np.array([100 / abs(group.a) if percent else 1.0 for group, _ in alike])
+        value = scale * np.array([group.value for group, _ in alike])
+        half = scale * NORMAL_95 * np.array([group.error for group, _ in alike])
+        axes.plot(x, value, color=colour, linewidth=1.2, alpha=0.5)
+        axes.errorbar(x, value, yerr=half, fmt="none", color=colour)
+        beyond = np.array([group.verdict is DifferenceVerdict.BEYOND for group, _ in alike])
+        axes.plot(x[beyond], value[beyond], marker, color=colour, markersize=8, markeredgecolor="white")
+        axes.plot(x[~beyond], value[~beyond], marker, color=colour, markersize=8, markerfacecolor="white")
+        shown += [value - half, value + half]
+        labels.append(CurveLabel(float(value[-1]), label, colour))
+    axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=1)
+    label_curves(axes, labels)
+    return shown
 
 
 _DIFFERENCE_PANELS: tuple[tuple[Callable[[Axes, Comparison], None], Callable[[Comparison], bool]], ...] = (
@@ -671,22 +576,8 @@ _DIFFERENCE_PANELS: tuple[tuple[Callable[[Axes, Comparison], None], Callable[[Co
 )
 
 
-def _set_speed_axis(axes: Axes, speeds: Sequence[float]) -> None:
-    middle = float(np.sqrt(min(speeds) * max(speeds)))
-    half = max(1.3 * max(speeds) / middle, float(np.sqrt(10.0)))
-    set_log_x(axes, middle / half, middle * half)
-    axes.set_xlabel("Speed (mm/s)")
-
-
 def _kind_label(kind: str) -> str:
     return "Coulomb" if kind == "coulomb" else kind
-
-
-def _write_difference_heading(axes: Axes, text: str, remark: str) -> None:
-    y = 1 + 0.13 / panel_height_in(axes)
-    axes.text(0.0, y, text, transform=axes.transAxes, fontsize=TEXT_PT, fontweight="bold")
-    after = 1.1 * text_width_in(text, TEXT_PT) + 0.25
-    axes.text(after / panel_width_in(axes), y, remark, transform=axes.transAxes, fontsize=SMALL_PT, color=GREY)
 
 
 def _differences_subtitle(comparison: Comparison) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
 
 from dragrig.analysis import capitalise
@@ -31,36 +31,25 @@ from dragrig.present import (
     BLACK,
     BLUE,
     GREY,
-    HEADER_IN,
     PALE,
     SKY,
     SMALL_PT,
     TEXT_PT,
     VERMILLION,
     LineStyle,
-    PanelBox,
-    add_panel,
     draw_line,
     figure_style,
     fit_y_range,
     new_figure,
-    panel_width_in,
+    panel_size_in,
     probability_text,
     set_time_range,
-    set_y_label,
     shortened_to_width,
     text_width_in,
     write_legend,
-    write_title,
 )
 from dragrig.present.diagnosis_sentences import is_stated_verdict, verdict_sentences
 from dragrig.rig import FloatArray
-
-LOCATION_WIDTH_IN, LOCATION_LEFT_IN, LOCATION_RIGHT_IN, LOCATION_FOOT_IN = 14.0, 0.45, 0.45, 0.75
-
-LOCATION_CELL_IN, LOCATION_DOMAINS_IN, LOCATION_GAP_IN, LOCATION_NAME_IN = 0.46, 3.3, 1.5, 4.5
-
-LOCATION_BARS_IN, LOCATION_BARS_GAP_IN, LOCATION_BETWEEN_IN, LOCATION_TITLES_IN = 1.9, 0.62, 1.25, 0.55
 
 DARKEST_SD = 30.0
 """From here on a cell of the map is as dark as it can be."""
@@ -99,47 +88,17 @@ def location_figure(where: GapLocation, name: str = "") -> Figure:
         What the campaign is called.
     """
     rows = _map_rows(where.cells)
-    map_in = LOCATION_CELL_IN * len(rows)
-    tall = (
-        HEADER_IN
-        + LOCATION_TITLES_IN
-        + max(map_in, 7 * 0.3)
-        + LOCATION_BETWEEN_IN
-        + LOCATION_BARS_IN
-        + LOCATION_FOOT_IN
-    )
-    labels_in = (
-        LOCATION_LEFT_IN + max((text_width_in(_map_row_label(row), TEXT_PT) for row in rows), default=0.0) + 0.15
-    )
+    map_in = max(0.46 * len(rows), 2.1) + 1.0
     with figure_style():
-        figure = new_figure(LOCATION_WIDTH_IN, tall)
-        subtitle = shortened_to_width(
-            _location_subtitle(where, name), SMALL_PT, LOCATION_WIDTH_IN - LOCATION_LEFT_IN - LOCATION_RIGHT_IN
-        )
-        write_title(figure, LOCATION_LEFT_IN, _location_title(where), subtitle)
-        top = tall - HEADER_IN - LOCATION_TITLES_IN
-        domains_at = LOCATION_WIDTH_IN - LOCATION_RIGHT_IN - LOCATION_DOMAINS_IN
-        wide = domains_at - LOCATION_GAP_IN - labels_in
-        _draw_excess_map(add_panel(figure, PanelBox(labels_in, top - map_in, wide, map_in)), where.cells, rows)
-        _draw_domain_scores(
-            add_panel(
-                figure, PanelBox(domains_at, top - max(map_in, 7 * 0.3), LOCATION_DOMAINS_IN, max(map_in, 7 * 0.3))
-            ),
-            where,
-        )
-        room = LOCATION_WIDTH_IN - LOCATION_LEFT_IN - 0.45 - LOCATION_RIGHT_IN
-        each = (room - (len(LOCATION_AXES) - 1) * LOCATION_BARS_GAP_IN) / len(LOCATION_AXES)
-        for number, (axis, (title, unit)) in enumerate(LOCATION_AXES.items()):
-            place = PanelBox(
-                LOCATION_LEFT_IN + 0.45 + number * (each + LOCATION_BARS_GAP_IN),
-                LOCATION_FOOT_IN,
-                each,
-                LOCATION_BARS_IN,
-            )
-            axes = add_panel(figure, place)
+        figure = new_figure(14.0, map_in + 3.0, _location_title(where), _location_subtitle(where, name))
+        above, below = figure.subfigures(2, 1, height_ratios=(map_in, 3.0), squeeze=False)[:, 0]
+        excess, domains = above.subplots(1, 2, width_ratios=(2.2, 1.0))
+        _draw_excess_map(excess, where.cells, rows)
+        _draw_domain_scores(domains, where)
+        panels = below.subplots(1, len(LOCATION_AXES))
+        for axes, (axis, (title, unit)) in zip(panels, LOCATION_AXES.items(), strict=True):
             _draw_axis_shares(axes, where.location(axis), title, unit)
-            if number == 0:
-                axes.set_ylabel("Share (%)")
+        panels[0].set_ylabel("Share (%)")
         return figure
 
 
@@ -158,7 +117,7 @@ def _location_subtitle(where: GapLocation, name: str) -> str:
     excess = (
         f"excess over what noise, repeatability and tolerance explain: {_sd_text(where.rms)} standard deviations, {p}"
     )
-    return "  ·  ".join(part for part in (shortened_to_width(name, SMALL_PT, LOCATION_NAME_IN), excess) if part)
+    return "  ·  ".join(part for part in (shortened_to_width(name, SMALL_PT, 4.5), excess) if part)
 
 
 def _map_rows(cells: Sequence[PhaseCell]) -> list[tuple[str, str]]:
@@ -192,7 +151,7 @@ def _draw_excess_map(axes: Axes, cells: Sequence[PhaseCell], rows: Sequence[tupl
     axes.set_yticks(range(len(rows)), [_map_row_label(row) for row in rows], fontsize=TEXT_PT)
     axes.tick_params(length=0)
     axes.grid(visible=False)
-    axes.set_title("Excess in standard deviations of what is expected", loc="left", fontsize=TEXT_PT)
+    axes.set_title("Excess in standard deviations of what is expected")
 
 
 def _sd_text(value: float) -> str:
@@ -203,7 +162,7 @@ def _sd_text(value: float) -> str:
 
 def _draw_domain_scores(axes: Axes, where: GapLocation) -> None:
     """Draw how much of the residual follows from other runs by each coordinate."""
-    axes.set_title("Follows from other runs by", loc="left", fontsize=TEXT_PT)
+    axes.set_title("Follows from other runs by")
     if not where.domain_scores:
         _write_empty_panel(axes, "no gap")
         return
@@ -221,7 +180,7 @@ def _draw_domain_scores(axes: Axes, where: GapLocation) -> None:
 
 def _draw_axis_shares(axes: Axes, location: AxisLocation, title: str, unit: float) -> None:
     """Draw shares along an axis; the narrowest bins that have most of the excess stand out."""
-    axes.set_title(title, loc="left", fontsize=TEXT_PT)
+    axes.set_title(title)
     if location.low is None or location.high is None:
         _write_empty_panel(axes, "no excess here")
         return
@@ -242,7 +201,7 @@ def _set_bin_ticks(axes: Axes, location: AxisLocation, unit: float) -> None:
     ends = [one.low for one in location.bins] + ([] if levels else [location.bins[-1].high])
     words = [_three_digits(unit * end) for end in ends if end is not None]
     places = np.arange(len(words)) - (0.0 if levels else 0.5)
-    room = panel_width_in(axes) / max(len(location.bins), 1)
+    room = panel_size_in(axes)[0] / max(len(location.bins), 1)
     step = max(1, int(np.ceil((max(text_width_in(word, SMALL_PT) for word in words) + 0.08) / room)))
     shown = sorted({*range(0, len(words) - step, step), len(words) - 1})
     axes.set_xticks(places[shown].tolist(), [words[one] for one in shown])
@@ -267,15 +226,6 @@ def _write_empty_panel(axes: Axes, words: str) -> None:
     axes.grid(visible=False)
 
 
-RANKING_WIDTH_IN, RANKING_ROW_IN, RANKING_HEAD_IN, RANKING_FOOT_IN, RANKING_LEFT_IN, RANKING_RIGHT_IN = (
-    13.0,
-    0.42,
-    1.75,
-    0.85,
-    0.4,
-    1.1,
-)
-
 RANKING_MAX_ROWS, RANKING_MIN_PROBABILITY = 10, 0.002
 
 
@@ -286,29 +236,24 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
     """
     rows = _ranking_rows(diagnosis.ranking)
     with figure_style():
-        names = [capitalise(display_name(one.hypothesis)) for one in rows]
-        left = RANKING_LEFT_IN + max((text_width_in(name, TEXT_PT) for name in names), default=1.0) + 0.2
-        tall = RANKING_HEAD_IN + RANKING_ROW_IN * len(rows) + RANKING_FOOT_IN
-        figure = new_figure(RANKING_WIDTH_IN, tall)
-        said = shortened_to_width(verdict_sentences(diagnosis)[0], SMALL_PT, RANKING_WIDTH_IN - 2 * RANKING_LEFT_IN)
-        write_title(figure, RANKING_LEFT_IN, "How probable each hypothesis is", said)
-        axes = add_panel(
-            figure,
-            PanelBox(left, RANKING_FOOT_IN, RANKING_WIDTH_IN - left - RANKING_RIGHT_IN, RANKING_ROW_IN * len(rows)),
+        figure = new_figure(
+            13.0, 0.42 * len(rows) + 1.5, "How probable each hypothesis is", verdict_sentences(diagnosis)[0]
         )
-        for row, one in enumerate(rows):
-            axes.barh(row, one.probability, height=0.62, color=_ranking_colour(one, diagnosis), linewidth=0)
-            text = probability_text(one.probability)
-            axes.annotate(
-                text, (one.probability, row), (6, 0), textcoords="offset points", va="center", fontsize=TEXT_PT
-            )
+        axes = figure.add_subplot()
+        names = [capitalise(display_name(ranked.hypothesis)) for ranked in rows]
+        colours = [_ranking_colour(ranked, diagnosis) for ranked in rows]
+        bars = axes.barh(range(len(rows)), [ranked.probability for ranked in rows], height=0.62, color=colours)
+        axes.bar_label(bars, [probability_text(ranked.probability) for ranked in rows], padding=6, fontsize=TEXT_PT)
         axes.set_yticks(range(len(rows)), names, fontsize=TEXT_PT)
         axes.set_ylim(len(rows) - 0.5, -0.5)
         axes.set_xlim(0.0, 1.0)
         axes.set_xlabel("Probability")
         axes.grid(visible=False, axis="y")
         axes.tick_params(axis="y", length=0)
-        _draw_ranking_legend(figure, diagnosis)
+        meanings = {BLUE: "the verdict", SKY: "cannot be told from it with these runs", PALE: "others"}
+        keys = [Patch(color=colour, label=words) for colour, words in meanings.items()
+                if colour != SKY or diagnosis.confusable_with]  # fmt: skip
+        axes.legend(handles=keys, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(keys))
         return figure
 
 
@@ -324,30 +269,6 @@ def _ranking_colour(one: RankedHypothesis, diagnosis: Diagnosis) -> str:
         return BLUE
     return SKY if set(one.hypothesis.split("+")) & set(diagnosis.confusable_with) else PALE
 
-
-def _draw_ranking_legend(figure: Figure, diagnosis: Diagnosis) -> None:
-    width, height = figure.get_size_inches()
-    words = [(BLUE, "the verdict")]
-    if diagnosis.confusable_with:
-        words.append((SKY, "cannot be told from it with these runs"))
-    words.append((PALE, "others"))
-    x, y = RANKING_LEFT_IN, height - 1.3
-    for colour, word in words:
-        figure.text(x / width, y / height, "■", color=colour, fontsize=TEXT_PT, va="center")
-        ink = GREY if colour == PALE else BLACK
-        figure.text((x + 0.22) / width, y / height, word, color=ink, fontsize=SMALL_PT, va="center")
-        x += 0.22 + text_width_in(word, SMALL_PT) + 0.35
-
-
-BEFORE_AFTER_WIDTH_IN, BEFORE_AFTER_ROW_IN, BEFORE_AFTER_HEAD_IN, BEFORE_AFTER_FOOT_IN, BEFORE_AFTER_BETWEEN_IN = (
-    13.0,
-    2.2,
-    1.75,
-    0.8,
-    0.8,
-)
-
-BEFORE_AFTER_LEFT_IN, BEFORE_AFTER_GUTTER_IN, BEFORE_AFTER_RIGHT_IN = 1.15, 1.15, 0.35
 
 MEASURED_LINE = LineStyle("measured", PALE, 4.0)
 
@@ -382,32 +303,18 @@ def before_after_figure(views: Sequence[RunTraces], floor_mN: float | None = Non
     named
         Whether an effect is named; only the model without one is drawn otherwise.
     """
-    rows = len(views)
+    title = "Before and after" if named else "The model beside the runs"
+    subtitle = "Left, what was measured and what the model says; right, measured − model"
     with figure_style():
-        tall = (
-            BEFORE_AFTER_HEAD_IN
-            + BEFORE_AFTER_ROW_IN * rows
-            + BEFORE_AFTER_BETWEEN_IN * (rows - 1)
-            + BEFORE_AFTER_FOOT_IN
-        )
-        figure = new_figure(BEFORE_AFTER_WIDTH_IN, tall)
-        told = "Left, what was measured and what the model says; right, measured − model"
-        write_title(figure, BEFORE_AFTER_LEFT_IN, "Before and after" if named else "The model beside the runs", told)
-        wide = (BEFORE_AFTER_WIDTH_IN - BEFORE_AFTER_LEFT_IN - BEFORE_AFTER_GUTTER_IN - BEFORE_AFTER_RIGHT_IN) / 2
-        for row, view in enumerate(views):
-            bottom = BEFORE_AFTER_FOOT_IN + (rows - 1 - row) * (BEFORE_AFTER_ROW_IN + BEFORE_AFTER_BETWEEN_IN)
-            left = add_panel(figure, PanelBox(BEFORE_AFTER_LEFT_IN, bottom, wide, BEFORE_AFTER_ROW_IN))
-            right = add_panel(
-                figure,
-                PanelBox(BEFORE_AFTER_LEFT_IN + wide + BEFORE_AFTER_GUTTER_IN, bottom, wide, BEFORE_AFTER_ROW_IN),
-                left,
-            )
+        figure = new_figure(13.0, 3.0 * len(views) + 0.4, title, subtitle)
+        grid = figure.subplots(len(views), 2, sharex="row", squeeze=False)
+        for (left, right), view in zip(grid, views, strict=True):
             _draw_run_row(left, right, view, floor_mN if view.unit == "mN" else None, named=named)
-            if row == 0 and floor_mN is not None:
-                right.set_title("grey: noise and scatter of repeats", loc="right", fontsize=SMALL_PT, color=GREY)
-            if row == rows - 1:
-                left.set_xlabel("Time (s)")
-                right.set_xlabel("Time (s)")
+        for axes in grid[-1]:
+            axes.set_xlabel("Time (s)")
+        if floor_mN is not None:
+            grid[0, 1].set_title("grey: noise and scatter of repeats", loc="right", fontsize=SMALL_PT, color=GREY)
+        figure.align_ylabels(grid)
         return figure
 
 
@@ -450,16 +357,12 @@ def _draw_run_row(left: Axes, right: Axes, view: RunTraces, floor_mN: float | No
     if floor_mN is not None and np.isfinite(floor_mN):
         right.axhspan(-floor_mN, floor_mN, facecolor=GREY, alpha=0.18, linewidth=0.0, zorder=0.6)
     quantity = f"{view.channel.replace('_', ' ').capitalize()} ({view.unit})"
-    set_y_label(left, quantity)
-    set_y_label(right, f"Left ({view.unit})")
+    left.set_ylabel(quantity)
+    right.set_ylabel(f"Left ({view.unit})")
     write_legend(left, (MEASURED_LINE, *(pen for _, pen, _ in models)))
     if named:
         write_legend(right, [pen for _, _, pen in models])
-    left.set_title(
-        shortened_to_width(f"{view.label}, {view.file}", TEXT_PT, BEFORE_AFTER_WIDTH_IN / 2 - 1),
-        loc="left",
-        fontsize=TEXT_PT,
-    )
+    left.set_title(shortened_to_width(f"{view.label}, {view.file}", TEXT_PT, panel_size_in(left)[0]))
     set_time_range(left, *shown)
 
 
@@ -499,8 +402,6 @@ def _min_span(view: RunTraces) -> float:
     return 4.0 if view.unit == "mN" else 0.004
 
 
-ISOLABILITY_CELL_IN, ISOLABILITY_HEAD_IN, ISOLABILITY_EDGE_IN, ISOLABILITY_FOOT_IN = 0.56, 1.25, 0.45, 0.9
-
 CELL_PT = 10.5
 
 FAINTEST_D_PRIME = 1000.0
@@ -519,24 +420,25 @@ def isolability_figure(found: Isolability) -> Figure:
 
     Dark cells are near; a thick frame marks what the runs hardly tell apart.
     """
-    names = [one.effect for one in found.visible_in("force")]
-    words = [display_name(one) for one in names]
+    names = [alone.effect for alone in found.visible_in("force")]
+    legend = (
+        f"Below the diagonal: 100 sin² of the angle, 0 for what cannot be told apart. Framed: below "
+        f"{100 * CONFUSED_SIN2:.0f}, or d′ below {DETECTABLE_D_PRIME:g}.\n"
+        "Above: d′ between the two at their usual sizes. Dark: near. The catalogue's effects of the force only."
+    )
     with figure_style():
-        label_in = max((text_width_in(one, TEXT_PT) for one in words), default=1.0) + 0.2
-        side = ISOLABILITY_CELL_IN * max(len(names), 1)
-        width = max(ISOLABILITY_EDGE_IN + label_in + side + ISOLABILITY_EDGE_IN, 9.0)
-        figure = new_figure(width, ISOLABILITY_HEAD_IN + label_in + side + ISOLABILITY_FOOT_IN)
-        said = shortened_to_width(isolability_sentences(found)[0], SMALL_PT, width - 2 * ISOLABILITY_EDGE_IN)
-        write_title(figure, ISOLABILITY_EDGE_IN, f"What {found.source} can tell apart", said)
-        axes = add_panel(figure, PanelBox(ISOLABILITY_EDGE_IN + label_in, ISOLABILITY_FOOT_IN, side, side))
-        for row, one in enumerate(names):
+        side = 0.56 * max(len(names), 1) + 3.2
+        title = f"What {found.source} can tell apart"
+        figure = new_figure(max(side, 10.0), side + 0.7, title, isolability_sentences(found)[0])
+        axes = figure.add_subplot(aspect="equal")
+        for row, effect in enumerate(names):
             axes.add_patch(Rectangle((row - 0.5, row - 0.5), 1, 1, facecolor="#F1F3F5", edgecolor=CELL_EDGE_COLOUR))
             for column, other in enumerate(names[:row]):
-                pair = found.pair(one, other)
+                pair = found.pair(effect, other)
                 if pair is not None:
                     _draw_pair_cells(axes, row, column, pair)
-        _set_effect_ticks(axes, words)
-        _draw_isolability_legend(figure)
+        _set_effect_ticks(axes, [display_name(effect) for effect in names])
+        figure.supxlabel(legend, x=0.03, ha="left", fontsize=SMALL_PT, color=GREY)
         return figure
 
 
@@ -569,14 +471,3 @@ def _set_effect_ticks(axes: Axes, words: list[str]) -> None:
     axes.grid(visible=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
-
-
-def _draw_isolability_legend(figure: Figure) -> None:
-    width, height = figure.get_size_inches()
-    lines = (
-        f"Below the diagonal: 100 sin² of the angle, 0 for what cannot be told apart. Framed: below "
-        f"{100 * CONFUSED_SIN2:.0f}, or d′ below {DETECTABLE_D_PRIME:g}.",
-        "Above: d′ between the two at their usual sizes. Dark: near. The catalogue's effects of the force only.",
-    )
-    for place, text in enumerate(lines):
-        figure.text(ISOLABILITY_EDGE_IN / width, (0.55 - 0.28 * place) / height, text, fontsize=SMALL_PT, color=GREY)

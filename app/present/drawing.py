@@ -1,4 +1,4 @@
-"""Matplotlib style of all figures, panels placed in inches, titles, curve labels that do not overlap."""
+"""Style and layout of all figures: header, y ranges, logarithmic axes, legends, labels that do not overlap."""
 
 import threading
 import warnings
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from matplotlib import colormaps, style
@@ -16,11 +16,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, fontManager
-from matplotlib.text import Text
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+from matplotlib.text import Annotation, Text
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from dragrig.present.palette import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
+from dragrig.present import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
 from dragrig.rig import AnyFloatArray, FloatArray
 
 TITLE_PT: Final = 19.0
@@ -58,6 +60,9 @@ _RC_PARAMS: Final = {
     "axes.facecolor": PAPER,
     "axes.formatter.useoffset": False,
     "axes.formatter.limits": (-5, 6),
+    "axes.titlelocation": "left",
+    "axes.titlesize": TEXT_PT,
+    "axes.titlepad": 8.0,
     "grid.color": GRID,
     "grid.linewidth": 0.8,
     "xtick.labelsize": SMALL_PT,
@@ -68,6 +73,18 @@ _RC_PARAMS: Final = {
     "ytick.labelcolor": BLACK,
     "lines.linewidth": 2.2,
     "lines.solid_capstyle": "round",
+    "errorbar.capsize": 3.0,
+    "legend.frameon": False,
+    "legend.fontsize": SMALL_PT,
+    "legend.loc": "upper left",
+    "legend.borderpad": 0.25,
+    "legend.borderaxespad": 0.2,
+    "legend.handlelength": 1.8,
+    "legend.columnspacing": 1.5,
+    "figure.constrained_layout.w_pad": 0.1,
+    "figure.constrained_layout.h_pad": 0.07,
+    "figure.subplot.left": 0.09,
+    "figure.subplot.right": 0.97,
     "figure.facecolor": PAPER,
     "savefig.facecolor": PAPER,
     "svg.hashsalt": "dragrig",
@@ -101,11 +118,71 @@ def _installed_fonts() -> tuple[str, ...]:
     return (_FONT, *(font for font in _FALLBACK_FONTS if font in installed))
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure on an Agg canvas of its own, known to no window system."""
-    figure = Figure(figsize=(width_in, height_in), dpi=DPI)
+MARGIN_IN: Final = 0.25
+_BADGES = {"simulated": PURPLE, "hardware": BLUE, "external": GREY}
+
+
+class LabelledLayout(ConstrainedLayoutEngine):
+    """Constrained layout, after which labels that stand along an axis are moved until none covers another."""
+
+    def __init__(self, rect: tuple[float, float, float, float]) -> None:
+        super().__init__(rect=rect)
+        self.rows: list[tuple[Axes, Literal["x", "y"], list[Annotation]]] = []
+
+    def execute(self, fig: Figure) -> None:
+        """Lay the axes out, then their labels."""
+        super().execute(fig)
+        for axes, along, labels in self.rows:
+            _spread_row(axes, 0 if along == "x" else 1, labels)
+
+
+def new_figure(
+    width_in: float, height_in: float, title: str = "", subtitle: str = "", problem: str = "", backend: str = ""
+) -> Figure:
+    """Return an empty figure on an Agg canvas of its own, known to no window system, with constrained layout.
+
+    Parameters
+    ----------
+    height_in
+        Height below the header.
+    title, subtitle
+        The header, cut off where they are wider than the figure.
+    problem
+        What is wrong with what is shown, below the subtitle.
+    backend
+        Whether simulated, measured or foreign data are shown, for the figure's corner.
+    """
+    header_in = 0.62 + 0.32 * bool(subtitle) + 0.32 * bool(problem) if title else 0.0
+    height = height_in + header_in
+    figure = Figure(figsize=(width_in, height), dpi=DPI)
     FigureCanvasAgg(figure)
+    edge_x, edge_y = MARGIN_IN / width_in, MARGIN_IN / height
+    figure.set_layout_engine(LabelledLayout((edge_x, edge_y, 1 - 2 * edge_x, 1 - (header_in + 0.1) / height - edge_y)))
+    left, room_in, title_in = 1.4 * edge_x, width_in - 2.8 * MARGIN_IN, width_in - 2.8 * MARGIN_IN
+    if backend:
+        badge = {"boxstyle": "round,pad=0.45", "facecolor": _BADGES.get(backend, BLACK), "edgecolor": "none"}
+        figure.text(1 - left, 1 - 0.43 / height, backend.upper(), fontsize=SMALL_PT, fontweight="bold", color="white",
+                    ha="right", va="center", bbox=badge)  # fmt: skip
+        title_in -= 1.15 * text_width_in(backend.upper(), SMALL_PT) + 0.4
+    y_in = 0.5
+    for text, size_pt, weight, colour, room in (
+        (title, TITLE_PT, "bold", BLACK, title_in),
+        (subtitle, SMALL_PT, "normal", GREY, room_in),
+        (problem, SMALL_PT, "bold", VERMILLION, room_in),
+    ):
+        if text:
+            shown = shortened_to_width(text, size_pt, room, bold=weight == "bold")
+            figure.text(left, 1 - y_in / height, shown, fontsize=size_pt, fontweight=weight, color=colour)
+            y_in += 0.32
     return figure
+
+
+def layout_of(figure: Figure | None) -> LabelledLayout:
+    """Return the layout of a figure that `new_figure` made."""
+    layout = figure.get_layout_engine() if figure is not None else None
+    if not isinstance(layout, LabelledLayout):
+        raise TypeError("a figure of new_figure() is needed")
+    return layout
 
 
 def sequential_colours(count: int) -> tuple[str, ...]:
@@ -126,21 +203,6 @@ LEGEND_IN = 0.36
 """Room that a row of words takes along the upper edge of a panel."""
 
 
-_SWATCH_IN, _LEGEND_SPACING_IN = 0.38, 0.3
-LABEL_IN = 0.8
-"""From the axes to the label of its y axis."""
-
-
-@dataclass(frozen=True, slots=True)
-class PanelBox:
-    """Where axes stand in a figure, in inches from its lower left corner."""
-
-    left: float
-    bottom: float
-    width: float
-    height: float
-
-
 @dataclass(frozen=True, slots=True)
 class LineStyle:
     """How a line is drawn, the word that names it, and more about it for where there is room."""
@@ -150,29 +212,6 @@ class LineStyle:
     width: float
     dashed: bool = False
     detail: str = ""
-
-
-def add_panel(figure: Figure, place: PanelBox, share_x: Axes | None = None, share_y: Axes | None = None) -> Axes:
-    """Add axes at a place."""
-    width, height = figure.get_size_inches()
-    rect = (place.left / width, place.bottom / height, place.width / width, place.height / height)
-    return figure.add_axes(rect, sharex=share_x, sharey=share_y)
-
-
-def panel_height_in(axes: Axes) -> float:
-    """Height of the axes [inch]."""
-    return float(axes.get_position().height * _figure_size_in(axes)[1])
-
-
-def panel_width_in(axes: Axes) -> float:
-    """Width of the axes [inch]."""
-    return float(axes.get_position().width * _figure_size_in(axes)[0])
-
-
-def _figure_size_in(axes: Axes) -> FloatArray:
-    figure = axes.get_figure(root=True)
-    assert figure is not None  # noqa: S101  # axes of this house are always in a figure; this tells the type checker
-    return np.asarray(figure.get_size_inches())
 
 
 def draw_line(axes: Axes, time: AnyFloatArray, value: AnyFloatArray, pen: LineStyle) -> None:
@@ -194,6 +233,11 @@ def draw_line(axes: Axes, time: AnyFloatArray, value: AnyFloatArray, pen: LineSt
         axes.plot(time[lone], value[lone], ".", color=pen.colour, markersize=3 + pen.width)
 
 
+def panel_size_in(axes: Axes) -> tuple[float, float]:
+    """Width and height of the axes [inch], before they are laid out only about."""
+    return float(axes.bbox.width) / DPI, float(axes.bbox.height) / DPI
+
+
 def fit_y_range(axes: Axes, values: Sequence[AnyFloatArray], smallest_span: float, below_in: float = 0.1) -> None:
     """Choose the y range so that all values are inside, below a row of words and `below_in` above the foot."""
     finite = [one[np.isfinite(one)] for one in values]
@@ -202,37 +246,23 @@ def fit_y_range(axes: Axes, values: Sequence[AnyFloatArray], smallest_span: floa
     if high - low < smallest_span:
         middle = (high + low) / 2
         low, high = middle - smallest_span / 2, middle + smallest_span / 2
-    tall = panel_height_in(axes)
+    _, tall = panel_size_in(axes)
     top, bottom = LEGEND_IN / tall, below_in / tall
     span = (high - low) / max(1 - top - bottom, 0.2)
     axes.set_ylim(low - bottom * span, low + (1 - bottom) * span)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=max(3, round(tall / 0.45)), steps=[1, 2, 5, 10]))
 
 
-def set_y_label(axes: Axes, text: str) -> None:
-    """Write the quantity and unit beside the axes, as far from them in every panel."""
-    axes.set_ylabel(text)
-    axes.yaxis.set_label_coords(-LABEL_IN / panel_width_in(axes), 0.5)
-
-
 def write_legend(axes: Axes, pens: Sequence[LineStyle]) -> None:
-    """Name the lines along the panel's upper edge, each beside a piece of it."""
-    wide, tall = panel_width_in(axes), panel_height_in(axes)
+    """Name the lines along the panel's upper edge; what else is known of them only where there is room."""
     words = [pen.word + pen.detail for pen in pens]
-    if sum(text_width_in(word, SMALL_PT) + _SWATCH_IN + _LEGEND_SPACING_IN for word in words) > wide:
+    if sum(text_width_in(word, SMALL_PT) + 0.6 for word in words) > panel_size_in(axes)[0]:
         words = [pen.word for pen in pens]
-    y, x = 1 - 0.19 / tall, 0.12
-    for pen, word in zip(pens, words, strict=True):
-        axes.plot(
-            [x / wide, (x + 0.3) / wide],
-            [y, y],
-            color=pen.colour,
-            linewidth=max(pen.width, 1.6),
-            linestyle=(0, (3, 1.5)) if pen.dashed else "-",
-            transform=axes.transAxes,
-        )
-        axes.text((x + _SWATCH_IN) / wide, y, word, transform=axes.transAxes, va="center", fontsize=SMALL_PT)
-        x += _SWATCH_IN + text_width_in(word, SMALL_PT) + _LEGEND_SPACING_IN
+    handles = [
+        Line2D([], [], color=pen.colour, linewidth=max(pen.width, 1.6), linestyle=(0, (3, 1.5)) if pen.dashed else "-")
+        for pen in pens
+    ]
+    axes.legend(handles, words, ncols=len(pens))
 
 
 def set_time_range(axes: Axes, low: float, high: float) -> None:
@@ -240,7 +270,7 @@ def set_time_range(axes: Axes, low: float, high: float) -> None:
     if not high > low:
         low, high = low - 0.5, high + 0.5
     axes.set_xlim(low, high)
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=max(4, round(panel_width_in(axes) / 0.8)), steps=[1, 2, 5, 10]))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=max(4, round(panel_size_in(axes)[0] / 0.8)), steps=[1, 2, 5, 10]))
 
 
 def set_log_x(axes: Axes, low: float, high: float) -> None:
@@ -257,11 +287,6 @@ def set_log_x(axes: Axes, low: float, high: float) -> None:
 def _tick_text(value: float, place: int | None = None) -> str:
     del place
     return f"{value:g}"
-
-
-def hide_time_labels(axes: Axes) -> None:
-    """Leave the tick labels to a panel below."""
-    axes.tick_params(labelbottom=False)
 
 
 def spread_labels(centres: Sequence[float], widths: Sequence[float], low: float, high: float) -> FloatArray:
@@ -290,9 +315,6 @@ def spread_labels(centres: Sequence[float], widths: Sequence[float], low: float,
     return np.asarray(np.clip(placed, first, max(first, last)) + row)
 
 
-_LABEL_LINE_IN = 0.24
-
-
 @dataclass(frozen=True, slots=True)
 class CurveLabel:
     """A name, the value that it stands beside, and its colour; `math` lets `$…$` be set as a formula."""
@@ -305,87 +327,66 @@ class CurveLabel:
 
 def label_curves(axes: Axes, labels: Sequence[CurveLabel], size_pt: float = TEXT_PT) -> None:
     """Write names along the right edge of the axes, each as near its value as the others let it be."""
-    low, high = axes.get_ylim()
-    wide, tall = panel_width_in(axes), panel_height_in(axes)
-    rising = sorted(labels, key=lambda label: label.value)
-    wanted = [(label.value - low) / (high - low) * tall for label in rising]
-    places = spread_labels(wanted, [_LABEL_LINE_IN] * len(rising), 0.0, tall)
-    for label, value, place in zip(rising, wanted, places, strict=True):
-        moved = abs(place - value) > 0.03
-        axes.annotate(
-            label.text,
-            xy=(1.0, value / tall),
-            xytext=(1 + (0.32 if moved else 0.12) / wide, place / tall),
-            xycoords="axes fraction",
-            va="center",
-            fontsize=size_pt,
-            color=label.colour,
-            annotation_clip=False,
-            parse_math=label.math,
-            arrowprops=_leader_line(label.colour) if moved else None,
-        )
-
-
-def _leader_line(colour: str) -> dict[str, object]:
-    """Return a line that begins at the left edge of its name, so that it crosses no other's."""
-    return {"arrowstyle": "-", "color": colour, "linewidth": 0.8, "relpos": (0, 0.5), "shrinkA": 1, "shrinkB": 2}
-
-
-HEADER_IN = 1.0
-"""Height of a header without trouble."""
-
-_BADGES = {"simulated": PURPLE, "hardware": BLUE, "external": GREY}
-_HEADER_LINE_IN = 0.3
-
-
-def header_height_in(trouble: str) -> float:
-    """Height of the header [inch]: trouble has a line of its own."""
-    return HEADER_IN + (_HEADER_LINE_IN if trouble else 0.0)
-
-
-def write_title(figure: Figure, left_in: float, title: str, subtitle: str) -> Text:
-    """Write title and subtitle at the figure's upper edge, and return the subtitle."""
-    width, height = figure.get_size_inches()
-    left = left_in / width
-    figure.text(left, 1 - 0.5 / height, title, fontsize=TITLE_PT, fontweight="bold", color=BLACK, va="baseline")
-    return figure.text(left, 1 - 0.84 / height, subtitle, fontsize=SMALL_PT, color=GREY, va="baseline")
-
-
-def write_problem(figure: Figure, left_in: float, trouble: str) -> None:
-    """Write what is wrong below the subtitle, as much of it as fits."""
-    width, height = figure.get_size_inches()
-    figure.text(
-        left_in / width,
-        1 - (0.84 + _HEADER_LINE_IN) / height,
-        shortened_to_width(trouble, SMALL_PT, width - left_in - 0.45),
-        fontsize=SMALL_PT,
-        fontweight="bold",
-        color=VERMILLION,
-        va="baseline",
+    add_label_row(
+        axes,
+        "y",
+        [
+            axes.annotate(
+                label.text,
+                xy=(1.0, label.value),
+                xycoords=("axes fraction", "data"),
+                xytext=(14, 0.5),
+                textcoords=("offset points", "axes fraction"),
+                va="center",
+                fontsize=size_pt,
+                color=label.colour,
+                annotation_clip=False,
+                parse_math=label.math,
+                arrowprops=leader_line(label.colour, (0, 0.5)),
+            )
+            for label in labels
+        ],
     )
 
 
-def write_badge(figure: Figure, backend: str) -> None:
-    """Say in the figure's corner whether it shows simulated, measured or foreign data."""
-    width, height = figure.get_size_inches()
-    figure.text(
-        1 - 0.45 / width,
-        1 - 0.43 / height,
-        backend.upper(),
-        fontsize=SMALL_PT,
-        fontweight="bold",
-        color="white",
-        ha="right",
-        va="center",
-        bbox={"boxstyle": "round,pad=0.45", "facecolor": _BADGES.get(backend, BLACK), "edgecolor": "none"},
-    )
+def add_label_row(axes: Axes, along: Literal["x", "y"], labels: Sequence[Annotation]) -> None:
+    """Have labels moved along an axis, once the axes are laid out, until none covers another.
+
+    Parameters
+    ----------
+    labels
+        The coordinate of their `xy` along the axis is in data, that of their text a fraction of the axes. A leader
+        line is shown only for those that are not beside their point.
+    """
+    layout_of(axes.get_figure(root=True)).rows.append((axes, along, list(labels)))
 
 
-def shortened_to_width(text: str, size_pt: float, room_in: float) -> str:
+def leader_line(colour: str, begins: tuple[float, float]) -> dict[str, object]:
+    """Return a thin line from a label to its point; `begins` is a place on the label, in shares of its box."""
+    return {"arrowstyle": "-", "color": colour, "linewidth": 0.8, "relpos": begins, "shrinkA": 1, "shrinkB": 1}
+
+
+def _spread_row(axes: Axes, index: int, labels: Sequence[Annotation]) -> None:
+    """Move labels along axis 0 or 1; the layout has measured them before."""
+    low, length = axes.bbox.min[index], axes.bbox.size[index]
+    rising = sorted(labels, key=lambda label: label.xy[index])
+    points = [axes.transData.transform(label.xy)[index] - low for label in rising]
+    wanted = np.clip(points, 0.0, length).tolist()
+    extents = [Text.get_window_extent(label) for label in rising]
+    sizes = [box.width + box.height if index == 0 else 1.1 * box.height for box in extents]
+    for label, point, place in zip(rising, wanted, spread_labels(wanted, sizes, 0.0, length), strict=True):
+        text = list(label.xyann)
+        text[index] = place / length
+        label.xyann = (text[0], text[1])
+        if label.arrow_patch is not None:
+            label.arrow_patch.set_visible(abs(place - point) > 2.0)
+
+
+def shortened_to_width(text: str, size_pt: float, room_in: float, *, bold: bool = False) -> str:
     """Return the text on one line, cut off with an ellipsis where it would be wider than the room for it."""
-    text = " ".join(text.split())
-    bold = 1.15
-    if bold * text_width_in(text, size_pt) <= room_in:
+    text = " ".join(text.splitlines())
+    room_in /= 1.15 if bold else 1.02
+    if text_width_in(text, size_pt) <= room_in:
         return text
-    kept = bisect_right(range(len(text)), room_in, key=lambda count: bold * text_width_in(text[:count] + "…", size_pt))
+    kept = bisect_right(range(len(text)), room_in, key=lambda count: text_width_in(text[:count] + "…", size_pt))
     return text[: kept - 1].rstrip() + "…"

@@ -2,13 +2,15 @@
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.ticker import MaxNLocator
 
+from dragrig import Run
 from dragrig.analysis import (
     ELEMENT_NAMES,
     NORMAL_95,
@@ -16,7 +18,6 @@ from dragrig.analysis import (
     DragResult,
     DragSetup,
     EstimatedQuantity,
-    Experiment,
     JointFit,
     ParameterEstimate,
     RelaxationFit,
@@ -32,6 +33,7 @@ from dragrig.analysis import (
     relaxation_residuals,
     steady_force_parts,
 )
+from dragrig.analysis.models import Experiment
 from dragrig.config import AnalysisError, Capsule, FrictionModelSettings
 from dragrig.present import (
     BLACK,
@@ -46,56 +48,30 @@ from dragrig.present import (
     VERMILLION,
     CurveLabel,
     LineStyle,
-    PanelBox,
-    add_panel,
     figure_style,
     fit_y_range,
-    header_height_in,
-    hide_time_labels,
     label_curves,
     new_figure,
-    run_problem,
     set_log_x,
-    set_y_label,
-    shortened_to_width,
-    text_width_in,
     value_with_error,
-    write_badge,
-    write_problem,
-    write_title,
 )
 from dragrig.present.model_figures import TABLE1_DASHES, model_text
 from dragrig.present.run_figures import (
-    FOOT_IN,
-    LEFT_IN,
-    PHASE_NAMES_IN,
-    RIGHT_IN,
-    WIDTH_IN,
     TraceCurve,
     draw_panel_column,
     filtered_trace,
     force_panel,
     gaps_after_samples,
     min_max_envelope,
+    run_sheet,
     steady_level,
-    write_run_header,
 )
-from dragrig.rig import FloatArray, Run
+from dragrig.rig import FloatArray
 from dragrig.sim_backend.friction import EQ14, TABLE1, TABLE1_STRAIN, SteadyFriction
 
-JOINT_ROW_IN, JOINT_TIGHT_ROW_IN = 0.36, 0.23
 JOINT_ROOMY_RUNS, JOINT_MAX_RUNS = 32, 60
-JOINT_PANEL_IN, JOINT_RUNS_IN, JOINT_BETWEEN_IN, JOINT_RIGHT_IN, JOINT_NUMBERS_IN, JOINT_ABOVE_IN = (
-    4.4,
-    3.7,
-    0.5,
-    0.4,
-    0.12,
-    0.3,
-)
-JOINT_HEAD_IN, JOINT_FOOT_IN, JOINT_COMBINED_HEAD_IN, JOINT_TROUBLE_IN = 1.55, 0.8, 1.25, 0.3
-JOINT_LONGEST_IN = 3.6
-"""Room for a name or a file; longer ones are cut off."""
+LONGEST_NAME = 32
+"""Characters of a name or a file; longer ones are cut in the middle."""
 JOINT_MIN_SD, JOINT_MAX_SD = 3.0, 10.0
 """How far the axis of the parameters goes at least and at most."""
 JOINT_MIN_PERCENT, JOINT_MAX_PERCENT = 2.0, 100.0
@@ -113,59 +89,40 @@ def joint_fit_figure(fit: JointFit) -> Figure:
     repeatability is left; of more than 60 runs those with the largest.
     """
     runs = _largest_chi2_runs(fit.runs)
-    sheet = _JointLayout.of(fit, runs)
+    left = [0.36 * len(rows) for rows in (fit.parameters, fit.combinations) if rows]
+    right = len(runs) * (0.36 if len(runs) <= JOINT_ROOMY_RUNS else 0.23)
+    # Title and label of a second panel are about 0.9 in high.
+    left_in = sum(left) + 0.9 * (len(left) - 1)
+    body_in = max(left_in, right)
     with figure_style():
-        figure = new_figure(sheet.wide, sheet.tall)
-        write_title(figure, JOINT_ABOVE_IN, f"Joint fit of the {fit.nominal} model", _joint_subtitle(fit, len(runs)))
-        write_problem(figure, JOINT_ABOVE_IN, _joint_problem(fit))
-        parameters, combined, left = sheet.places
-        _draw_joint_parameters(add_panel(figure, parameters), fit)
+        figure = new_figure(
+            16.0,
+            body_in + 1.3,
+            f"Joint fit of the {fit.nominal} model",
+            _joint_subtitle(fit, len(runs)),
+            _joint_problem(fit),
+        )
+        columns = figure.add_gridspec(1, 2, width_ratios=(1.2, 1.0))
+        panels = _rows_from_top(figure, columns[0], left, body_in - left_in)
+        _draw_joint_parameters(panels[0], fit)
         if fit.combinations:
-            _draw_combinations(add_panel(figure, combined), fit)
-        _draw_run_chi2(add_panel(figure, left), runs)
+            _draw_combinations(panels[1], fit)
+        (panel,) = _rows_from_top(figure, columns[1], [right], body_in - right)
+        _draw_run_chi2(panel, runs)
         return figure
 
 
-@dataclass(frozen=True, slots=True)
-class _JointLayout:
-    """Size of the picture and where its panels stand [inch]."""
-
-    wide: float
-    tall: float
-    places: tuple[PanelBox, PanelBox, PanelBox]
-
-    @classmethod
-    def of(cls, fit: JointFit, runs: Sequence[RunResidual]) -> "_JointLayout":
-        """Make room for names, numbers and rows."""
-        rows = [*fit.parameters, *fit.combinations]
-        names = JOINT_ABOVE_IN + max(_name_width_in(one.name, TEXT_PT) for one in rows) + 0.15
-        numbers = JOINT_NUMBERS_IN + max(text_width_in(_identified_text(one, fit), SMALL_PT) for one in rows)
-        files = max(_name_width_in(one, SMALL_PT) for one in _run_names(runs)) + 0.15
-        upper, lower = JOINT_ROW_IN * len(fit.parameters), JOINT_ROW_IN * len(fit.combinations)
-        right = len(runs) * (JOINT_ROW_IN if len(runs) <= JOINT_ROOMY_RUNS else JOINT_TIGHT_ROW_IN)
-        left = upper + (lower + JOINT_COMBINED_HEAD_IN if fit.combinations else 0.0)
-        top = JOINT_FOOT_IN + max(left, right)
-        runs_at = names + JOINT_PANEL_IN + numbers + JOINT_BETWEEN_IN + files
-        places = (
-            PanelBox(names, top - upper, JOINT_PANEL_IN, upper),
-            PanelBox(names, top - left, JOINT_PANEL_IN, lower),
-            PanelBox(runs_at, top - right, JOINT_RUNS_IN, right),
-        )
-        tall = top + JOINT_HEAD_IN + (JOINT_TROUBLE_IN if _joint_problem(fit) else 0.0)
-        return cls(runs_at + JOINT_RUNS_IN + JOINT_RIGHT_IN, tall, places)
+def _rows_from_top(figure: Figure, column: SubplotSpec, heights_in: Sequence[float], spare_in: float) -> list[Axes]:
+    """Return panels of these heights with what is left of the column empty, so that rows are as high in both."""
+    ratios = [*heights_in, spare_in] if spare_in > 0.5 else list(heights_in)
+    grid = column.subgridspec(len(ratios), 1, height_ratios=ratios)
+    return [figure.add_subplot(grid[row]) for row in range(len(heights_in))]
 
 
-def _name_width_in(text: str, size_pt: float) -> float:
-    return min(text_width_in(text, size_pt), JOINT_LONGEST_IN)
-
-
-def _cut_middle(text: str, size_pt: float) -> str:
+def _cut_middle(name: str) -> str:
     """Leave out the middle of a long name: what tells runs apart stands at its ends."""
-    wide = text_width_in(text, size_pt)
-    if wide <= JOINT_LONGEST_IN:
-        return text
-    half = int(0.47 * len(text) * JOINT_LONGEST_IN / wide)
-    return f"{text[:half]}…{text[-half:]}"
+    half = LONGEST_NAME // 2
+    return name if len(name) <= LONGEST_NAME else f"{name[:half]}…{name[-half:]}"
 
 
 def _largest_chi2_runs(runs: Sequence[RunResidual]) -> list[RunResidual]:
@@ -213,7 +170,7 @@ def _draw_joint_parameters(axes: Axes, fit: JointFit) -> None:
     axes.axvline(0.0, color=PALE, linewidth=1.0)
     _draw_intervals(axes, fit, fit.parameters, places, reach, BLUE)
     axes.set_xlabel("Standard deviations from what was known before")
-    axes.set_title("95 % intervals, before (grey) and after the runs", loc="left", fontsize=TEXT_PT)
+    axes.set_title("95 % intervals, before (grey) and after the runs")
 
 
 def _in_prior_sd(one: ParameterEstimate) -> tuple[float, float, float]:
@@ -235,7 +192,7 @@ def _draw_combinations(axes: Axes, fit: JointFit) -> None:
     axes.axvline(0.0, color=PALE, linewidth=1.0)
     _draw_intervals(axes, fit, fit.combinations, places, reach, PURPLE)
     axes.set_xlabel("Difference from the value (%)")
-    axes.set_title("95 % intervals of what they combine to", loc="left", fontsize=TEXT_PT)
+    axes.set_title("95 % intervals of what they combine to")
 
 
 def _percent_from_value(one: EstimatedQuantity, end: float) -> float:
@@ -258,15 +215,15 @@ def _draw_intervals(
     for row, (one, (low, value, high)) in enumerate(zip(rows, places, strict=True)):
         if one.determined:
             _draw_interval(axes, row, (low, value, high) if fit.converged else (value, value, value), reach, colour)
-    axes.set_yticks(range(len(rows)), [_cut_middle(one.name, TEXT_PT) for one in rows], fontsize=TEXT_PT)
+    axes.set_yticks(range(len(rows)), [_cut_middle(one.name) for one in rows], fontsize=TEXT_PT)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xlim(-reach, reach)
     axes.grid(visible=False, axis="y")
-    x = 1 + JOINT_NUMBERS_IN / JOINT_PANEL_IN
     for row, one in enumerate(rows):
-        words, colour = _identified_text(one, fit), BLACK if one.determined else GREY
-        place = axes.get_yaxis_transform()
-        axes.text(x, row, words, transform=place, va="center_baseline", fontsize=SMALL_PT, color=colour)
+        axes.annotate(
+            _identified_text(one, fit), (1.0, row), (10, 0), xycoords=("axes fraction", "data"),
+            textcoords="offset points", va="center", fontsize=SMALL_PT, color=BLACK if one.determined else GREY,
+        )  # fmt: skip
 
 
 def _draw_interval(axes: Axes, row: int, ends: tuple[float, float, float], reach: float, colour: str) -> None:
@@ -294,48 +251,45 @@ def _draw_run_chi2(axes: Axes, runs: Sequence[RunResidual]) -> None:
         axes.barh(row, high - low, left=low, height=0.5, color=PRIOR_COLOUR, linewidth=0)
         axes.plot(max(one.chi2, axes.get_xlim()[0]), row, "o", color=colour, markersize=6.5, clip_on=False)
     axes.axvline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
-    axes.set_yticks(range(len(runs)), [_cut_middle(one, SMALL_PT) for one in _run_names(runs)], fontsize=SMALL_PT)
+    axes.set_yticks(range(len(runs)), [_cut_middle(name) for name in _run_names(runs)], fontsize=SMALL_PT)
     axes.set_ylim(len(runs) - 0.5, -0.5)
     axes.set_xlabel("χ² per degree of freedom")
-    axes.set_title("What each run leaves (grey: noise)", loc="left", fontsize=TEXT_PT)
+    axes.set_title("What each run leaves (grey: noise)")
     axes.grid(visible=False, axis="y")
 
 
 ELEMENT_TITLES = ("E₁ (kPa)", "E₂ (kPa)", "E₃ (kPa)", "η₁ (kPa·s)", "η₂ (kPa·s)")
-LAWS_GAP_IN = 0.72
 
 
-def draw_strain_laws(figure: Figure, place: PanelBox, fits: Sequence[RelaxationFit], laws: Sequence[StrainLaw]) -> None:
-    """Draw the five elements side by side within a place."""
-    width = (place.width - (len(ELEMENT_NAMES) - 1) * LAWS_GAP_IN) / len(ELEMENT_NAMES)
+def draw_strain_laws(figure: SubFigure, fits: Sequence[RelaxationFit], laws: Sequence[StrainLaw]) -> None:
+    """Draw the five elements side by side."""
     usable = [fit for fit in fits if fit.elements]
     strain = np.array([fit.shear_strain for fit in usable])
     furthest = max([TABLE1_STRAIN[-1], *strain.tolist()])
-    for index, name in enumerate(ELEMENT_NAMES):
-        cell = PanelBox(place.left + index * (width + LAWS_GAP_IN), place.bottom, width, place.height)
-        axes = add_panel(figure, cell)
+    panels = figure.subplots(1, len(ELEMENT_NAMES))
+    for index, (axes, name) in enumerate(zip(panels, ELEMENT_NAMES, strict=True)):
         shown = [*_draw_published_walls(axes, index), np.zeros(1)]
-        shown += [_draw_strain_law(axes, law) for law in laws if law.element == name]
         points = [fit.elements[index] for fit in usable]
         if points:
             value = np.array([one.value for one in points])
             ends = np.abs(np.array([one.interval for one in points]).T - value)
-            axes.errorbar(
-                100 * strain, value, ends, fmt="s", color=VERMILLION, markersize=7, markeredgecolor="white", capsize=4
-            )
+            axes.errorbar(100 * strain, value, ends, fmt="s", color=VERMILLION, markersize=7, markeredgecolor="white",
+                          capsize=4, label="this specimen, each run")  # fmt: skip
             shown.append(value + ends[1])
+        shown += [_draw_strain_law(axes, law) for law in laws if law.element == name]
         fit_y_range(axes, shown, 0.01, 0.0)
         axes.set_xlim(0, 110 * furthest)
         axes.set_xlabel("Strain (%)")
-        axes.set_title(ELEMENT_TITLES[index], loc="left", fontsize=TEXT_PT)
-    _draw_laws_legend(figure, place, bool(usable), bool(laws))
+        axes.set_title(ELEMENT_TITLES[index])
+    handles, words = panels[0].get_legend_handles_labels()
+    figure.legend(handles, words, loc="outside upper left", ncols=len(words))
 
 
 def _draw_published_walls(axes: Axes, index: int) -> list[FloatArray]:
     strain = np.linspace(TABLE1_STRAIN[0], TABLE1_STRAIN[-1], 100)
     eq14, table1 = np.polyval(EQ14[index], strain), np.array(TABLE1[index])
-    axes.plot(100 * strain, eq14, color=BLUE, linestyle=TABLE1_DASHES, linewidth=1.8)
-    axes.plot(100 * np.array(TABLE1_STRAIN), table1, "o", color=BLACK, markersize=6.5, markerfacecolor="white")
+    axes.plot(100 * np.array(TABLE1_STRAIN), table1, "o", color=BLACK, markersize=6.5, mfc="white", label="Table 1")
+    axes.plot(100 * strain, eq14, color=BLUE, linestyle=TABLE1_DASHES, linewidth=1.8, label="Eq. 14, as printed")
     return [eq14, table1]
 
 
@@ -345,41 +299,12 @@ def _draw_strain_law(axes: Axes, law: StrainLaw) -> FloatArray:
     axes.fill_between(
         100 * strain, value - 1.96 * error, value + 1.96 * error, color=VERMILLION, alpha=0.18, linewidth=0
     )
-    axes.plot(100 * strain, value, color=VERMILLION)
+    axes.plot(100 * strain, value, color=VERMILLION, label="its law over strain, 95 % band")
     return np.concatenate((value - 1.96 * error, value + 1.96 * error))
 
 
-def _draw_laws_legend(figure: Figure, place: PanelBox, identified: bool, laws: bool) -> None:
-    """Name points and lines in one row above the panels."""
-    key = add_panel(figure, PanelBox(place.left, place.bottom + place.height + 0.42, place.width, 0.3))
-    key.set_axis_off()
-    key.set_xlim(0, place.width)
-    key.set_ylim(0, 1)
-    x = 0.0
-    rows = [("Table 1", BLACK, "o", "none", 1.15), ("Eq. 14, as printed", BLUE, "", TABLE1_DASHES, 2.1)]
-    if identified:
-        rows.append(("this specimen, each run", VERMILLION, "s", "none", 2.6))
-    if laws:
-        rows.append(("its law over strain, 95 % band", VERMILLION, "", "-", 3.2))
-    for text, colour, marker, dashes, room in rows:
-        face = "white" if marker == "o" else colour
-        key.plot([x, x + 0.3] if not marker else [x + 0.15], [0.5] * (1 if marker else 2), marker=marker,
-                 color=colour, markerfacecolor=face, markersize=7, linestyle=dashes)  # fmt: skip
-        key.text(x + 0.42, 0.5, text, va="center", fontsize=SMALL_PT, color=colour)
-        x += room + 0.35
-
-
 RELAXATION_FIT_MAX_COLUMNS = 4
-RELAXATION_FIT_LEFT_IN, RELAXATION_FIT_RIGHT_IN, RELAXATION_FIT_WIDTH_IN, RELAXATION_FIT_BETWEEN_IN = (
-    1.15,
-    0.45,
-    15.0,
-    0.3,
-)
-RELAXATION_FIT_LAWS_IN, RELAXATION_FIT_LAWS_FOOT_IN = 2.5, 0.85
-RELAXATION_FIT_RESIDUAL_IN, RELAXATION_FIT_FORCE_IN, RELAXATION_FIT_HEAD_IN = 1.6, 2.9, 1.55
 MIN_RESIDUAL_RANGE = 4.0
-RELAXATION_FIT_RUNS_FOOT_IN = RELAXATION_FIT_LAWS_FOOT_IN + RELAXATION_FIT_LAWS_IN + 1.75
 
 
 def relaxation_fit_figure(relaxation: RelaxationResult, selection: RunSelection) -> Figure:
@@ -398,55 +323,24 @@ def relaxation_fit_figure(relaxation: RelaxationResult, selection: RunSelection)
         raise AnalysisError("There is no relaxation run to draw; name a campaign that has some")
     experiments = {one.file: one for one in selection.of_kind("relaxation")}
     noise = estimate_noise(experiments.values(), "force")
+    title = f"Five elements from relaxation · {selection.specimen}"
     with figure_style():
-        figure = new_figure(
-            RELAXATION_FIT_WIDTH_IN,
-            RELAXATION_FIT_RUNS_FOOT_IN
-            + RELAXATION_FIT_RESIDUAL_IN
-            + 0.15
-            + RELAXATION_FIT_FORCE_IN
-            + RELAXATION_FIT_HEAD_IN,
+        figure = new_figure(15.0, 9.8, title, _relaxation_fit_subtitle(relaxation))
+        above, below = figure.subfigures(2, 1, height_ratios=(6.2, 3.6), squeeze=False)[:, 0]
+        forces, left_overs = above.subplots(
+            2, len(chosen), sharex="col", sharey="row", height_ratios=(2.9, 1.6), squeeze=False
         )
-        write_title(
-            figure,
-            RELAXATION_FIT_LEFT_IN,
-            f"Five elements from relaxation · {selection.specimen}",
-            _relaxation_fit_subtitle(relaxation),
-        )
-        width = (
-            RELAXATION_FIT_WIDTH_IN
-            - RELAXATION_FIT_LEFT_IN
-            - RELAXATION_FIT_RIGHT_IN
-            - (RELAXATION_FIT_MAX_COLUMNS - 1) * RELAXATION_FIT_BETWEEN_IN
-        ) / RELAXATION_FIT_MAX_COLUMNS
-        forces: list[Axes] = []
-        left_overs: list[Axes] = []
-        drawn: list[RelaxationResiduals] = []
-        for column, fit in enumerate(chosen):
-            left = RELAXATION_FIT_LEFT_IN + column * (width + RELAXATION_FIT_BETWEEN_IN)
-            above = PanelBox(
-                left, RELAXATION_FIT_RUNS_FOOT_IN + RELAXATION_FIT_RESIDUAL_IN + 0.15, width, RELAXATION_FIT_FORCE_IN
-            )
-            forces.append(add_panel(figure, above, share_y=forces[0] if forces else None))
-            below = PanelBox(left, RELAXATION_FIT_RUNS_FOOT_IN, width, RELAXATION_FIT_RESIDUAL_IN)
-            left_overs.append(add_panel(figure, below, forces[-1], left_overs[0] if left_overs else None))
-            found = relaxation_residuals(fit, experiments[fit.file], noise) if fit.elements else None
-            drawn += [found] if found else []
-            _draw_relaxation_fit(forces[-1], left_overs[-1], fit, experiments[fit.file], found)
-        for axes in (*forces[1:], *left_overs[1:]):
-            axes.tick_params(labelleft=False)
-        set_y_label(forces[0], "Force (mN)")
-        set_y_label(left_overs[0], "Residual (σ)")
+        found = [relaxation_residuals(fit, experiments[fit.file], noise) if fit.elements else None for fit in chosen]
+        for force, left_over, fit, residuals in zip(forces, left_overs, chosen, found, strict=True):
+            _draw_relaxation_fit(force, left_over, fit, experiments[fit.file], residuals)
+        forces[0].set_ylabel("Force (mN)")
+        left_overs[0].set_ylabel("Residual (σ)")
+        above.align_ylabels([forces[0], left_overs[0]])
+        drawn = [residuals for residuals in found if residuals is not None]
         _share_ranges(forces, left_overs[0], drawn)
         if not drawn:
             left_overs[0].set_yticks([])
-        laws = PanelBox(
-            RELAXATION_FIT_LEFT_IN,
-            RELAXATION_FIT_LAWS_FOOT_IN,
-            RELAXATION_FIT_WIDTH_IN - RELAXATION_FIT_LEFT_IN - RELAXATION_FIT_RIGHT_IN,
-            RELAXATION_FIT_LAWS_IN,
-        )
-        draw_strain_laws(figure, laws, relaxation.fits, relaxation.laws)
+        draw_strain_laws(below, relaxation.fits, relaxation.laws)
         return figure
 
 
@@ -476,8 +370,7 @@ def _draw_relaxation_fit(
     begin = found.ramp_s[0] if found else _first_motion_s(experiment)
     _draw_measured_force(force, experiment, begin)
     title = f"{100 * fit.shear_strain:g} % strain"
-    force.set_title(title, loc="left", fontsize=TEXT_PT, fontweight="bold", color=BLACK)
-    force.tick_params(labelbottom=False)
+    force.set_title(title, fontweight="bold")
     left_over.set_xlabel("Time since the ramp began (s)")
     if found is None:
         words = textwrap.fill(f"no numbers: {fit.remark}", 34)
@@ -535,9 +428,6 @@ def _fit_quality_text(fit: RelaxationFit) -> str:
     return f"{told} · five suffice" if fit.test.suffices else f"{told} · a third branch shows"
 
 
-COULOMB_FORCE_IN = 4.4
-
-
 def coulomb_figure(run: Run, found: CoulombRun | None, printed_mN: float | None = None) -> Figure:
     """Draw the force of a Coulomb test.
 
@@ -560,13 +450,9 @@ def coulomb_figure(run: Run, found: CoulombRun | None, printed_mN: float | None 
         ends, printed = shown.trace.time[[0, -1]], np.full(2, printed_mN)
         pen = LineStyle(f"the paper’s mean {printed_mN:g} mN", VERMILLION, 1.2, dashed=True)
         panel = replace(panel, curves=(*panel.curves, TraceCurve(ends, printed, np.zeros(1, dtype=np.bool_), pen)))
-    trouble = run_problem(run.info)
     with figure_style():
-        figure = new_figure(WIDTH_IN, header_height_in(trouble) + PHASE_NAMES_IN + COULOMB_FORCE_IN + FOOT_IN)
-        write_run_header(figure, LEFT_IN, run.info, trouble)
-        draw_panel_column(
-            figure, shown, [panel], [COULOMB_FORCE_IN], PanelBox(LEFT_IN, FOOT_IN, WIDTH_IN - LEFT_IN - RIGHT_IN, 0.0)
-        )
+        figure = run_sheet(run.info, 5.6)
+        draw_panel_column(figure.add_gridspec(1, 1)[0], shown, [panel])
         return figure
 
 
@@ -583,8 +469,6 @@ def _without_zero(run: Run, found: CoulombRun | None) -> Run:
     return replace(run, trace=replace(run.trace, channels=channels), filtered=None)
 
 
-DRAG_WIDTH_IN, DRAG_LEFT_IN, DRAG_FOOT_IN, DRAG_WIDE_IN = 12.4, 1.15, 0.85, 9.0
-DRAG_FORCE_IN, DRAG_LEFT_OVER_IN, DRAG_BETWEEN_IN = 4.9, 2.2, 0.2
 DRAG_MARGIN = 1.25
 """How far the speed axis goes beyond the measured speeds, as a factor."""
 DRAG_PART_TINTS = (("f_c", "$f_c$  Coulomb", VERMILLION, "#F8E0D3"), ("f_e", "$f_e$  environmental", BLUE, "#D8E8F3"),
@@ -625,18 +509,11 @@ def drag_figure(
     speed = np.geomspace(low, high, 400)
     curve = steady_force_parts(DragSetup(capsule, wall_thickness_mm), model, speed)
     with figure_style():
-        figure = new_figure(DRAG_WIDTH_IN, DRAG_FOOT_IN + DRAG_LEFT_OVER_IN + DRAG_BETWEEN_IN + DRAG_FORCE_IN + 1.15)
-        room = DRAG_WIDTH_IN - DRAG_LEFT_IN - 0.3
-        told = shortened_to_width(model_text(model, room), SMALL_PT, room)
-        write_title(figure, DRAG_LEFT_IN, "Drag against speed, measured and by the model", told)
-        if backend:
-            write_badge(figure, backend)
-        below = add_panel(figure, PanelBox(DRAG_LEFT_IN, DRAG_FOOT_IN, DRAG_WIDE_IN, DRAG_LEFT_OVER_IN))
-        above = add_panel(
-            figure,
-            PanelBox(DRAG_LEFT_IN, DRAG_FOOT_IN + DRAG_LEFT_OVER_IN + DRAG_BETWEEN_IN, DRAG_WIDE_IN, DRAG_FORCE_IN),
-            below,
+        figure = new_figure(
+            12.4, 8.2, "Drag against speed, measured and by the model", model_text(model), backend=backend
         )
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4.9, 2.2))
+        figure.align_ylabels()
         labels = _draw_model_parts(above, speed, curve)
         if drag.log_law is not None:
             law = drag.log_law.force_mN(speed)
@@ -683,7 +560,6 @@ def _draw_drag_points(axes: Axes, points: Sequence[SpeedPoint], taken_off: Seque
 
 def _finish_drag_axes(above: Axes, below: Axes, speeds: tuple[float, float], accuracy_mN: float | None) -> None:
     set_log_x(below, *speeds)
-    hide_time_labels(above)
     above.set_ylim(0, (1 + DRAG_MIN_NAME_SPACE) * above.dataLim.y1)
     if accuracy_mN is not None:
         below.axhspan(-accuracy_mN, accuracy_mN, color="#E8EBEE", linewidth=0, zorder=0)
@@ -693,8 +569,8 @@ def _finish_drag_axes(above: Axes, below: Axes, speeds: tuple[float, float], acc
     if accuracy_mN is not None:
         label_curves(below, [CurveLabel(0.0, f"± {accuracy_mN:g} mN,\nsensor accuracy", GREY)], SMALL_PT)
     below.set_xlabel("Speed (mm/s)")
-    set_y_label(above, "Force (mN)")
-    set_y_label(below, "Measured − model (mN)")
+    above.set_ylabel("Force (mN)")
+    below.set_ylabel("Measured − model (mN)")
 
 
 def _draw_boundaries(above: Axes, below: Axes, found: SpeedBoundary | None, printed_mm_s: float | None) -> None:

@@ -1,8 +1,6 @@
 """Figures of the friction model: forces against speed, skew resistance, wall parameters (the paper's Figs. 9 and 7)."""
 
 from collections.abc import Mapping, Sequence
-from math import inf
-from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,18 +18,14 @@ from dragrig.present import (
     TEXT_PT,
     VERMILLION,
     CurveLabel,
-    PanelBox,
-    add_panel,
     figure_style,
     fit_y_range,
     label_curves,
+    layout_of,
     new_figure,
     percent_difference,
     sequential_colours,
     set_log_x,
-    set_y_label,
-    text_width_in,
-    write_title,
 )
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.friction import (
@@ -46,8 +40,7 @@ from dragrig.sim_backend.friction import (
 MIN_SPEED_MM_S, MAX_SPEED_MM_S = 0.5, 100.0
 """Range of the speed axis, unless speeds beyond it are asked for."""
 MAX_CURVES = 7
-
-MODEL_LEFT_IN, MODEL_FOOT_IN = 1.15, 0.85
+MAX_SCALES = 3
 
 
 def forces_figure(
@@ -69,9 +62,8 @@ def forces_figure(
     speed = np.geomspace(low, high, 600)
     line = steady_forces(speed, model, capsule, wall_thickness_mm)
     with figure_style():
-        figure = new_figure(12.0, 7.6)
-        write_title(figure, MODEL_LEFT_IN, "Friction against speed", model_text(model))
-        axes = add_panel(figure, PanelBox(MODEL_LEFT_IN, MODEL_FOOT_IN, 8.6, 5.6))
+        figure = new_figure(12.0, 6.6, "Friction against speed", model_text(model))
+        axes = figure.add_subplot()
         labels = []
         for text, values, at_dots, colour, width in (
             ("total", line.total, dots.total, BLACK, 3.4),
@@ -88,7 +80,7 @@ def forces_figure(
         else:
             axes.set_xlim(0, high)
         axes.set_xlabel("Speed (mm/s)")
-        set_y_label(axes, "Force (mN)")
+        axes.set_ylabel("Force (mN)")
         label_curves(axes, labels)
         return figure
 
@@ -120,10 +112,9 @@ def skew_figure(
     front = np.linspace(0.0, equator, 800)
     side = np.array([equator, end - 1e-6, end + 1e-6, end + 3.0])
     with figure_style():
-        figure = new_figure(12.0, 7.6)
-        write_title(figure, MODEL_LEFT_IN, "Skew resistance along the capsule", model_text(model))
-        left = add_panel(figure, PanelBox(MODEL_LEFT_IN, MODEL_FOOT_IN, 5.9, 5.6))
-        right = add_panel(figure, PanelBox(MODEL_LEFT_IN + 5.9, MODEL_FOOT_IN, 3.2, 5.6), share_y=left)
+        figure = new_figure(12.0, 6.6, "Skew resistance along the capsule", model_text(model))
+        layout_of(figure).set(w_pad=0.0, wspace=0.0)
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.9, 1.0))
         labels = []
         for speed, top, at, colour in zip(
             speeds, steady.max_skew, steady.x_of_max_skew, sequential_colours(len(speeds)), strict=True
@@ -139,8 +130,8 @@ def skew_figure(
         return figure
 
 
-def model_text(model: FrictionModelSettings, room_in: float = inf) -> str:
-    """Say in a line which model a picture shows: its choices, and the scales that are not 1, at least how many."""
+def model_text(model: FrictionModelSettings) -> str:
+    """Say in a line which model a picture shows: its choices, and up to three scales that are not 1, or how many."""
     wall = {"eq14": "Eq. 14", "table1": "Table 1", "polynomial": "polynomials"}[model.wall]
     scales = [
         f"{name.removesuffix('_scale').replace('_', ' ')} × {value:.3g}"
@@ -149,10 +140,9 @@ def model_text(model: FrictionModelSettings, room_in: float = inf) -> str:
     ]
     friction = f"μ = {model.friction_coefficient:.3g}"
     choices = (f"model {model.name}", f"wall {wall}", f"viscous {model.viscous}", friction)
-    whole = "  ·  ".join((*choices, *scales))
-    if text_width_in(whole, SMALL_PT) <= room_in:
-        return whole
-    return "  ·  ".join((*choices, f"{len(scales)} scales that are not 1"))
+    return "  ·  ".join(
+        (*choices, *(scales if len(scales) <= MAX_SCALES else [f"{len(scales)} scales that are not 1"]))
+    )
 
 
 def spread_selection(speeds_mm_s: Sequence[float]) -> tuple[float, ...]:
@@ -167,11 +157,11 @@ def spread_selection(speeds_mm_s: Sequence[float]) -> tuple[float, ...]:
 def _label_skew_axes(left: Axes, right: Axes, equator_mm: float, end_mm: float) -> None:
     left.set_xlim(0, equator_mm)
     right.set_xlim(equator_mm, end_mm)
-    right.tick_params(labelleft=False, left=False)
+    right.tick_params(left=False)
     right.spines["left"].set_color(GREY)
     right.spines["left"].set_linestyle((0, (3, 2)))
     right.set_facecolor("#F5F6F7")
-    set_y_label(left, "Skew resistance P(x) S (mN)")
+    left.set_ylabel("Skew resistance P(x) S (mN)")
     left.set_xlabel("x on the hemisphere (mm)")
     right.set_xlabel("x beside the capsule (mm)")
     left.text(0.985, 0.03, "equator", transform=left.transAxes, ha="right", fontsize=SMALL_PT, color=GREY)
@@ -179,9 +169,6 @@ def _label_skew_axes(left: Axes, right: Axes, equator_mm: float, end_mm: float) 
 
 _WALL_SYMBOLS = {"E1": "$E_1$", "E2": "$E_2$", "E3": "$E_3$", "eta1": r"$\eta_1$", "eta2": r"$\eta_2$"}
 
-WALL_LEFT_IN, WALL_FOOT_IN = 1.15, 0.8
-WALL_WIDE_IN, WALL_TALL_IN = 2.7, 2.55
-WALL_STEP_X_IN, WALL_STEP_Y_IN = 3.85, 3.6
 TABLE1_DASHES = (0, (4, 2))
 
 
@@ -195,28 +182,22 @@ def wall_figure(identified: Mapping[str, Sequence[tuple[float, EstimatedQuantity
     """
     entries, found = parameter_set_differences(), identified or {}
     with figure_style():
-        figure = new_figure(12.0, 8.3)
-        write_title(
-            figure,
-            WALL_LEFT_IN,
+        figure = new_figure(
+            12.0,
+            7.2,
             "Wall parameters: Eq. 14 does not follow Table 1",
             "of the five-element wall; in each panel the largest differences from Table 1",
         )
-        for number, name in enumerate(WALL_UNITS):
-            place = _wall_box(number)
-            axes = add_panel(figure, place)
+        *panels, key = figure.subplots(2, 3).flat
+        for axes, name in zip(panels, WALL_UNITS, strict=True):
             _draw_wall_parameter(
                 axes, name, [entry for entry in entries if entry.parameter == name], found.get(name, ())
             )
-        _draw_wall_legend(add_panel(figure, _wall_box(len(WALL_UNITS))), with_identified=bool(found))
+        handles, words = panels[0].get_legend_handles_labels()
+        key.legend(handles, words, loc="center left", labelcolor="linecolor", fontsize=TEXT_PT, labelspacing=1.2)
+        key.set_title("Table 1 prints η in kPa; it is kPa·s.", fontsize=SMALL_PT, color=GREY)
+        key.set_axis_off()
         return figure
-
-
-def _wall_box(number: int) -> PanelBox:
-    column, row = number % 3, number // 3
-    return PanelBox(
-        WALL_LEFT_IN + WALL_STEP_X_IN * column, WALL_FOOT_IN + WALL_STEP_Y_IN * (1 - row), WALL_WIDE_IN, WALL_TALL_IN
-    )
 
 
 def _draw_wall_parameter(
@@ -225,49 +206,25 @@ def _draw_wall_parameter(
     strain = np.linspace(0.0, 2.2, 200)
     curves = {kind: _wall_values(kind, name, strain) for kind in ("eq14", "table1")}
     points = np.array([entry.table1 for entry in entries])
-    axes.plot(100 * strain, curves["eq14"], color=BLUE)
-    axes.plot(100 * strain, curves["table1"], color=VERMILLION, linestyle=TABLE1_DASHES)
-    axes.plot(
-        [100 * entry.strain for entry in entries], points, "o", color=BLACK, markersize=8, markeredgecolor="white"
-    )
-    for strain_of, one in identified:
+    at = [100 * entry.strain for entry in entries]
+    axes.plot(at, points, "o", color=BLACK, markersize=8, markeredgecolor="white", label="Table 1")
+    axes.plot(100 * strain, curves["eq14"], color=BLUE, label="Eq. 14, as printed")
+    fit = "least-squares fit\nof a quadratic"
+    axes.plot(100 * strain, curves["table1"], color=VERMILLION, linestyle=TABLE1_DASHES, label=fit)
+    for number, (strain_of, one) in enumerate(identified):
         axes.plot([100 * strain_of] * 2, one.interval, color=GREEN, linewidth=1.8)
-        axes.plot([100 * strain_of], [one.value], "D", color=GREEN, markersize=7, markeredgecolor="white")
+        label = "" if number else "identified,\nsimulated runs"
+        axes.plot([100 * strain_of], [one.value], "D", color=GREEN, markersize=7, markeredgecolor="white", label=label)
     ends = [np.array(one.interval) for _, one in identified]
     fit_y_range(axes, [np.zeros(1), points, *curves.values(), *ends], 0.01, 0.0)
     axes.set_xlim(0, 220)
     axes.set_xticks([0, 50, 100, 150, 200])
     axes.set_xlabel("Strain (%)")
-    set_y_label(axes, f"{_WALL_SYMBOLS[name]} ({WALL_UNITS[name]})")
-    axes.yaxis.label.set_parse_math(True)
+    axes.set_ylabel(f"{_WALL_SYMBOLS[name]} ({WALL_UNITS[name]})", parse_math=True)
     eq14 = max((entry.eq14_difference for entry in entries), key=abs)
     fitted = max((entry.quadratic_difference for entry in entries), key=abs)
-    _write_above(axes, 0.0, "left", f"Eq. 14 {percent_difference(eq14)}", BLUE)
-    _write_above(axes, 1.0, "right", f"fit {percent_difference(fitted)}", VERMILLION)
-
-
-def _write_above(axes: Axes, x: float, side: Literal["left", "right"], text: str, colour: str) -> None:
-    axes.text(x, 1.02, text, transform=axes.transAxes, fontsize=SMALL_PT, color=colour, ha=side, va="bottom")
-
-
-def _draw_wall_legend(axes: Axes, with_identified: bool) -> None:
-    axes.set_axis_off()
-    axes.set_xlim(0, 1)
-    axes.set_ylim(0, 1)
-    rows: list[tuple[str, str, str | tuple[int, tuple[int, int]]]] = [
-        ("Table 1", BLACK, "o"),
-        ("Eq. 14, as printed", BLUE, "-"),
-        ("least-squares fit\nof a quadratic", VERMILLION, TABLE1_DASHES),
-    ]
-    if with_identified:
-        rows.append(("identified,\nsimulated runs", GREEN, "D"))
-    for y, (text, colour, mark) in zip(np.linspace(0.92, 0.3, len(rows)), rows, strict=True):
-        if isinstance(mark, str) and mark != "-":
-            axes.plot([0.09], [y], mark, color=colour, markersize=8)
-        else:
-            axes.plot([0.0, 0.18], [y, y], color=colour, linestyle=mark)
-        axes.text(0.25, y, text, va="center", fontsize=TEXT_PT, color=colour)
-    axes.text(0.0, 0.05, "Table 1 prints η in kPa; it is kPa·s.", fontsize=SMALL_PT, color=GREY, va="center")
+    axes.set_title(f"Eq. 14 {percent_difference(eq14)}", fontsize=SMALL_PT, color=BLUE)
+    axes.set_title(f"fit {percent_difference(fitted)}", loc="right", fontsize=SMALL_PT, color=VERMILLION)
 
 
 def _wall_values(kind: WallKind, name: str, strain: FloatArray) -> FloatArray:

@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 
+from dragrig import Run
 from dragrig.analysis import filter_run, measure, steady_stretch
 from dragrig.config import AnalysisError
 from dragrig.present import (
@@ -20,44 +22,23 @@ from dragrig.present import (
     SMALL_PT,
     VERMILLION,
     LineStyle,
-    PanelBox,
-    add_panel,
+    add_label_row,
     draw_line,
     figure_style,
     fit_y_range,
-    header_height_in,
-    hide_time_labels,
+    leader_line,
     new_figure,
-    panel_height_in,
-    panel_width_in,
+    panel_size_in,
     run_problem,
     run_subtitle,
     run_title,
     set_log_x,
     set_time_range,
-    set_y_label,
-    spread_labels,
-    text_width_in,
     value_with_error,
-    write_badge,
     write_legend,
-    write_problem,
-    write_title,
 )
-from dragrig.rig import (
-    PHASE_NAMES,
-    AnyFloatArray,
-    Attribute,
-    BoolArray,
-    FilteredTrace,
-    FloatArray,
-    Phase,
-    PhaseArray,
-    Run,
-    RunEvent,
-    RunInfo,
-    RunStatus,
-)
+from dragrig.rig import PHASE_NAMES, AnyFloatArray, BoolArray, FilteredTrace, FloatArray, Phase, PhaseArray, RunInfo
+from dragrig.rig.runfile import Attribute, RunEvent, RunStatus
 
 ENVELOPE_COLUMNS = 2000
 """Columns that an envelope keeps; about the pixels that a picture is wide."""
@@ -240,31 +221,27 @@ def name_phases(axes: Axes, parts: Sequence[PhaseInterval]) -> None:
     Names that do not fit over their stretch move aside and keep a thin line to it. Of many
     stretches only the longest of each phase is named.
     """
-    wide, tall = panel_width_in(axes), panel_height_in(axes)
-    band = 0.07 / tall
+    band = 0.07 / panel_size_in(axes)[1]
     inside = axes.inset_axes((0.0, 1.0, 1.0, band), sharex=axes)
     inside.set_axis_off()
     shade_phases(inside, parts, PHASE_BAND_COLOURS)
-    named = _longest_phases(parts, axes.get_xlim())
     low, high = axes.get_xlim()
-    centres = [(_visible_middle(part, low, high) - low) / (high - low) * wide for part in named]
-    names = [part.name for part in named]
-    widths = [text_width_in(name, SMALL_PT) + 0.14 for name in names]
-    for name, centre, place in zip(names, centres, spread_labels(centres, widths, 0.0, wide), strict=True):
-        moved = abs(place - centre) > 0.02
+    names = [
         axes.annotate(
-            name,
-            xy=(centre / wide, 1.0 + band),
-            xytext=(place / wide, 1.0 + 0.27 / tall),
-            xycoords="axes fraction",
+            part.name,
+            xy=((max(part.start_s, low) + min(part.end_s, high)) / 2, 1.0 + band),
+            xycoords=("data", "axes fraction"),
+            xytext=(0.5, 15),
+            textcoords=("axes fraction", "offset points"),
             ha="center",
-            va="bottom",
             fontsize=SMALL_PT,
             color=GREY,
-            arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.7, "shrinkA": 0, "shrinkB": 0}
-            if moved
-            else None,
+            annotation_clip=False,
+            arrowprops=leader_line(GREY, (0.5, 0.0)),
         )
+        for part in _longest_phases(parts, (low, high))
+    ]
+    add_label_row(axes, "x", names)
 
 
 def _longest_phases(parts: Sequence[PhaseInterval], limits: tuple[float, float]) -> list[PhaseInterval]:
@@ -273,10 +250,6 @@ def _longest_phases(parts: Sequence[PhaseInterval], limits: tuple[float, float])
         return shown
     longest = {part.phase: part for part in sorted(shown, key=lambda part: part.end_s - part.start_s)}
     return sorted(longest.values(), key=lambda part: part.start_s)
-
-
-def _visible_middle(part: PhaseInterval, low: float, high: float) -> float:
-    return (max(part.start_s, low) + min(part.end_s, high)) / 2
 
 
 ORDINARY_EVENTS = frozenset({"start", "phase", "end", "import", "filter"})
@@ -379,23 +352,24 @@ def _shade_gaps(axes: Axes, marks: Sequence[EventMark], *, hatched: bool) -> Non
 
 
 def _write_mark_labels(axes: Axes, marks: Sequence[EventMark]) -> None:
-    low, high = axes.get_xlim()
-    wide, tall = panel_width_in(axes), panel_height_in(axes)
-    centres = [(mark.time_s + mark.lasted_s / 2 - low) / (high - low) * wide for mark in marks]
-    widths = [text_width_in(mark.word, SMALL_PT) + 0.24 for mark in marks]
-    for mark, place in zip(marks, spread_labels(centres, widths, 0.0, wide), strict=True):
-        axes.text(
-            place / wide,
-            0.16 / tall,
+    words = [
+        axes.annotate(
             mark.word,
-            transform=axes.transAxes,
+            xy=(mark.time_s + mark.lasted_s / 2, 0.0),
+            xycoords=("data", "axes fraction"),
+            xytext=(0.5, 12),
+            textcoords=("axes fraction", "offset points"),
             ha="center",
             va="center",
             fontsize=SMALL_PT,
             color="white",
+            annotation_clip=False,
             zorder=6,
             bbox={"boxstyle": "round,pad=0.22", "facecolor": mark.colour, "edgecolor": "none"},
         )
+        for mark in marks
+    ]
+    add_label_row(axes, "x", words)
 
 
 def _gap_duration_text(seconds: float) -> str:
@@ -427,6 +401,7 @@ class TracePanel:
     curves: tuple[TraceCurve, ...]
     smallest_span: float
     level: float = np.nan
+    height_in: float = 1.45
 
 
 def force_panel(
@@ -459,7 +434,7 @@ def force_panel(
         curves.append(
             TraceCurve(ends, level, np.zeros(1, dtype=np.bool_), LineStyle(steady.text, BLACK, 1.2, dashed=True))
         )
-    return TracePanel(CHANNEL_LABELS.get(name, name), tuple(curves), 1.0)
+    return TracePanel(CHANNEL_LABELS.get(name, name), tuple(curves), 1.0, height_in=1.45 if channel else 3.5)
 
 
 def position_panel(run: Run, gap: BoolArray) -> TracePanel:
@@ -498,7 +473,7 @@ def draw_trace_panel(
     fit_y_range(axes, [*shown, np.array([panel.level])], panel.smallest_span, below_in)
     if not any(np.isfinite(value).any() for value in shown):
         axes.text(0.5, 0.5, "no samples", transform=axes.transAxes, ha="center", va="center", color=GREY)
-    set_y_label(axes, panel.label)
+    axes.set_ylabel(panel.label)
     write_legend(axes, [curve.pen for curve in panel.curves])
 
 
@@ -529,29 +504,21 @@ def _set_speed(run: Run) -> float | None:
 
 WIDTH_IN = 12.0
 
-LEFT_IN, RIGHT_IN, FOOT_IN = 1.15, 0.35, 0.75
-
-PANEL_SPACING_IN, PHASE_NAMES_IN = 0.17, 0.55
-
 MARKS_IN = 0.34
 """Room for the names of marks at the foot of the first panel."""
 
 
 def draw_panel_column(
-    figure: Figure,
+    cell: SubplotSpec,
     run: Run,
     panels: Sequence[TracePanel],
-    heights: Sequence[float],
-    foot: PanelBox,
     window: tuple[float, float] | None = None,
     name_ramp: bool = False,
 ) -> list[Axes]:
-    """Stack panels that share their time axis, the first on top, and shade, name and mark them.
+    """Stack panels that share their time axis in a cell of a figure, the first on top, and shade, name and mark them.
 
     Parameters
     ----------
-    foot
-        Where the lowest panel stands; its height is not looked at.
     window
         The time shown [s]; the whole run unless given.
     name_ramp
@@ -560,36 +527,22 @@ def draw_panel_column(
     time = run.trace.time
     gap = gaps_after_samples(time, run.trace.sample_rate_hz)
     marks = event_marks(run.events, time, gap, run.trace.sample_rate_hz)
-    stack = _stack_panels(figure, heights, foot)
+    heights = [panel.height_in for panel in panels]
+    column = cell.subgridspec(len(panels), 1, height_ratios=heights).subplots(sharex=True, squeeze=False)
+    stack: list[Axes] = list(column[:, 0])
     for axes, panel in zip(stack, panels, strict=True):
         draw_trace_panel(axes, panel, MARKS_IN if marks and axes is stack[0] else 0.1, window)
     whole = (float(time[0]), float(time[-1])) if time.size else (0.0, 1.0)
     set_time_range(stack[0], *(window or whole))
-    for axes in stack[:-1]:
-        hide_time_labels(axes)
     stack[-1].set_xlabel("Time (s)")
     parts = phase_intervals(time, run.trace.phase)
     for axes in stack:
         shade_phases(axes, parts)
     name_phases(stack[0], merge_ramp(parts) if name_ramp else parts)
     draw_event_marks(stack, marks)
+    stack[0].figure.align_ylabels(stack)
     return stack
 
-
-def _stack_panels(figure: Figure, heights: Sequence[float], foot: PanelBox) -> list[Axes]:
-    stack: list[Axes] = []
-    top = foot.bottom + sum(heights) + PANEL_SPACING_IN * (len(heights) - 1)
-    for height in heights:
-        place = PanelBox(foot.left, top - height, foot.width, height)
-        stack.append(add_panel(figure, place, stack[0] if stack else None))
-        top -= height + PANEL_SPACING_IN
-    return stack
-
-
-RELAXATION_FREE_IN, RELAXATION_SMALL_IN = 6.7, 1.75
-"""Height of a column with two panels below the force, and of each of these."""
-
-RELAXATION_COLUMN_IN, RELAXATION_GUTTER_IN = 5.5, 1.25
 
 MIN_HOLD_IN_RAMPS = 4.0
 """In lengths of the ramp: a hold shorter than this needs no magnified ramp."""
@@ -610,29 +563,18 @@ def relaxation_ramp(run: Run) -> tuple[float, float] | None:
     return (begin, end) if time[-1] - end > MIN_HOLD_IN_RAMPS * (end - begin) else None
 
 
-def draw_relaxation(run: Run, panels: Sequence[TracePanel], ramp: tuple[float, float], trouble: str) -> Figure:
+def draw_relaxation(figure: Figure, run: Run, panels: Sequence[TracePanel], ramp: tuple[float, float]) -> None:
     """Draw a relaxation: the whole of it, the time since the ramp on a logarithmic axis, and the ramp magnified.
 
     The first panel is the force's; call it while `drawing`.
     """
-    force, time = panels[0], run.trace.time
-    right_in = LEFT_IN + RELAXATION_COLUMN_IN + RELAXATION_GUTTER_IN
-    below = len(panels) - 1
-    free = RELAXATION_FREE_IN + (below - 2) * (RELAXATION_SMALL_IN + PANEL_SPACING_IN)
-    half = (free - FOOT_IN) / 2
-    begin, end = ramp
+    time, (begin, end) = run.trace.time, ramp
     window = max(1.5 * begin - 0.5 * end, float(time[0])), min(2.5 * end - 1.5 * begin, float(time[-1]))
-
-    figure = new_figure(WIDTH_IN, header_height_in(trouble) + PHASE_NAMES_IN + free + FOOT_IN)
-    write_run_header(figure, LEFT_IN, run.info, trouble)
-    upper = PanelBox(LEFT_IN, FOOT_IN + half + FOOT_IN, RELAXATION_COLUMN_IN, 0.0)
-    (whole,) = draw_panel_column(figure, run, [force], [half], upper, name_ramp=True)
-    since = add_panel(figure, PanelBox(LEFT_IN, FOOT_IN, RELAXATION_COLUMN_IN, half), share_y=whole)
-    _draw_since_ramp(since, force, end)
-    heights = [free - below * (RELAXATION_SMALL_IN + PANEL_SPACING_IN), *[RELAXATION_SMALL_IN] * below]
-    right = PanelBox(right_in, FOOT_IN, WIDTH_IN - right_in - RIGHT_IN, 0.0)
-    draw_panel_column(figure, run, panels, heights, right, window)[-1].set_xlabel("Time (s), the ramp magnified")
-    return figure
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.4, 1.0])
+    (whole,) = draw_panel_column(grid[0, 0], run, panels[:1], name_ramp=True)
+    since = figure.add_subplot(grid[1, 0], sharey=whole)
+    _draw_since_ramp(since, panels[0], end)
+    draw_panel_column(grid[:, 1], run, panels, window)[-1].set_xlabel("Time (s), the ramp magnified")
 
 
 def _draw_since_ramp(axes: Axes, panel: TracePanel, end_s: float) -> None:
@@ -646,19 +588,15 @@ def _draw_since_ramp(axes: Axes, panel: TracePanel, end_s: float) -> None:
     set_log_x(axes, first, last)
     axes.axvspan(first, last, color=PHASE_TINTS[Phase.HOLD], linewidth=0, zorder=0)
     axes.set_xlabel("Time since the end of the ramp (s)")
-    set_y_label(axes, panel.label)
+    axes.set_ylabel(panel.label)
     write_legend(axes, [curve.pen for curve in panel.curves])
 
 
-RUN_FORCE_IN, RUN_SMALL_IN = 3.5, 1.45
-
-
-def write_run_header(figure: Figure, left_in: float, info: RunInfo, trouble: str) -> None:
-    """Write title, subtitle and trouble at the figure's upper edge, and a badge for the backend in its corner."""
+def run_sheet(info: RunInfo, height_in: float, bad_reason: str | None = None) -> Figure:
+    """Return an empty figure with a run's title, subtitle and problem as its header; call it while `drawing`."""
     complete = "  ·  complete" if info.status is RunStatus.COMPLETE else ""
-    write_title(figure, left_in, run_title(info), run_subtitle(info) + complete)
-    write_problem(figure, left_in, trouble)
-    write_badge(figure, info.header.backend)
+    problem = run_problem(info, bad_reason)
+    return new_figure(WIDTH_IN, height_in, run_title(info), run_subtitle(info) + complete, problem, info.header.backend)
 
 
 def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, bad_reason: str | None = None) -> Figure:
@@ -686,15 +624,11 @@ def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, ba
     ]
     if motor_force and run.trace.signal != "motor_force" and "motor_force" in run.trace.channels:
         panels.append(force_panel(run, smooth, gap, "motor_force"))
-    ramp, trouble = relaxation_ramp(run), run_problem(run.info, bad_reason)
+    ramp = relaxation_ramp(run)
     with figure_style():
+        figure = run_sheet(run.info, 1.0 + sum(panel.height_in for panel in panels) + 0.25 * len(panels), bad_reason)
         if ramp is not None:
-            return draw_relaxation(run, panels, ramp, trouble)
-        heights = [RUN_FORCE_IN, *[RUN_SMALL_IN] * (len(panels) - 1)]
-        height = (
-            header_height_in(trouble) + PHASE_NAMES_IN + sum(heights) + PANEL_SPACING_IN * (len(panels) - 1) + FOOT_IN
-        )
-        figure = new_figure(WIDTH_IN, height)
-        write_run_header(figure, LEFT_IN, run.info, trouble)
-        draw_panel_column(figure, run, panels, heights, PanelBox(LEFT_IN, FOOT_IN, WIDTH_IN - LEFT_IN - RIGHT_IN, 0.0))
+            draw_relaxation(figure, run, panels, ramp)
+        else:
+            draw_panel_column(figure.add_gridspec(1, 1)[0], run, panels)
         return figure
