@@ -185,6 +185,14 @@ def layout_of(figure: Figure | None) -> LabelledLayout:
     return layout
 
 
+def lay_out(figure: Figure) -> None:
+    """Lay a finished figure out for good, so that saving draws it once and not twice."""
+    layout = figure.get_layout_engine()
+    if layout is not None and figure.axes:
+        layout.execute(figure)
+        figure.set_layout_engine(None)
+
+
 def sequential_colours(count: int) -> tuple[str, ...]:
     """Return colours from dark to light for curves that follow one another, each dark enough for a line on white."""
     return tuple(to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.74, count)))
@@ -363,7 +371,15 @@ def add_label_row(axes: Axes, along: Literal["x", "y"], labels: Sequence[Annotat
 
 def leader_line(colour: str, begins: tuple[float, float]) -> dict[str, object]:
     """Return a thin line from a label to its point; `begins` is a place on the label, in shares of its box."""
-    return {"arrowstyle": "-", "color": colour, "linewidth": 0.8, "relpos": begins, "shrinkA": 1, "shrinkB": 1}
+    return {
+        "arrowstyle": "-",
+        "color": colour,
+        "linewidth": 0.8,
+        "relpos": begins,
+        "patchA": None,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
 
 
 def _spread_row(axes: Axes, index: int, labels: Sequence[Annotation]) -> None:

@@ -158,10 +158,11 @@ def drawn(document: "Document", progress: Progress = no_progress) -> "Document":
 
 
 def _figure_bytes(figure: "Figure", ending: str) -> bytes:
-    from dragrig.present.drawing import figure_style
+    from dragrig.present.drawing import figure_style, lay_out
 
     content = io.BytesIO()
     with figure_style():
+        lay_out(figure)
         figure.savefig(content, format=ending[1:], metadata=FIGURE_FORMATS[ending])
     return content.getvalue()
 
