@@ -153,14 +153,12 @@ def exam_reliability_figure(calibration: ProbabilityCalibration) -> Figure:
         )
         axes = _diagonal_panel(figure, 0.0, 1.03)
         for verdicts in calibration.reliability:
-            at = verdicts.probability
-            axes.vlines(at, *verdicts.band, PALE, linewidth=11, alpha=0.6)
-            axes.plot(at, verdicts.share, "o", color=BLUE, markersize=9, clip_on=False)
+            axes.vlines(verdicts.probability, *verdicts.band, PALE, linewidth=11, alpha=0.6)
+            axes.plot(verdicts.probability, verdicts.share, "o", color=BLUE, markersize=9, clip_on=False)
         counts = axes.secondary_xaxis("top")
+        at = [verdicts.probability for verdicts in calibration.reliability]
         words = [f"{verdicts.right} of {verdicts.count}" for verdicts in calibration.reliability]
-        counts.set_xticks(
-            [verdicts.probability for verdicts in calibration.reliability], words, rotation=90, color=GREY
-        )
+        counts.set_xticks(at, words, rotation=90, color=GREY)
         counts.tick_params(length=0)
         counts.spines["top"].set_visible(False)
         axes.set_xlabel("Stated probability of the verdict, mean of the bin")
