@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from threading import Condition, Thread
-from types import TracebackType
 from typing import Self
 
 import h5py
@@ -228,9 +227,7 @@ class Finisher:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         try:
             for result in self.wait() if error is None else ():
                 if result.error is not None:

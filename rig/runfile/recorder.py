@@ -17,7 +17,6 @@ from functools import cache
 from io import BytesIO
 from pathlib import Path
 from threading import Condition, Thread
-from types import TracebackType
 from typing import Self
 
 import h5py
@@ -425,9 +424,7 @@ class Recorder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, fault: BaseException | None, _trace: object) -> None:
         if not self._closed:
             status = RunStatus.ABORTED if isinstance(fault, KeyboardInterrupt) else RunStatus.FAILED
             self.close(status, str(fault) if fault else "the recorder was left before the run was closed")

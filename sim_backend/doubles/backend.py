@@ -44,16 +44,10 @@ class DoubleBackend(HardwareBackend):
             """The drive, as its maker sees it."""
             port = stack.enter_context(DoublePort(self.drive))
             stack.enter_context(installed(Card(self.bench, self.bench.put_out)))
-            wired = rig.model_copy(
-                update={
-                    "hardware": rig.hardware.model_copy(
-                        update={
-                            "card": rig.hardware.card.model_copy(update={"server": ""}),
-                            "drive": rig.hardware.drive.model_copy(update={"port": port.address}),
-                        }
-                    )
-                }
-            )
+            card = rig.hardware.card.model_copy(update={"server": ""})
+            drive = rig.hardware.drive.model_copy(update={"port": port.address})
+            hardware = rig.hardware.model_copy(update={"card": card, "drive": drive})
+            wired = rig.model_copy(update={"hardware": hardware})
             # What an acquisition meets is the one thing that no wire carries.
             super().__init__(replace(request, rig=wired), clock, self.bench.present)
             self._open.push(stack.pop_all())  # first, so that the doubles are closed last

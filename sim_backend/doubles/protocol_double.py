@@ -5,7 +5,6 @@ pyserial finds this module by its name: the scheme's, after `protocol_`, in one 
 
 import time
 from collections import deque
-from types import TracebackType
 from typing import Self
 
 import serial
@@ -31,7 +30,7 @@ class DoublePort:
         _DRIVES[self.address] = self._drive
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         del _DRIVES[self.address]
 
 
