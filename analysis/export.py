@@ -119,13 +119,6 @@ def _finite_attributes(attributes: Mapping[str, Attribute]) -> dict[str, Json]:
 class CsvStyle:
     """Decimal mark and delimiter of a CSV file.
 
-    Attributes
-    ----------
-    decimal
-        Decimal mark, `.` or `,`.
-    delimiter
-        Comma, semicolon, tab, bar or space; default: comma, or semicolon with decimal commas.
-
     Raises
     ------
     AnalysisError
@@ -133,7 +126,9 @@ class CsvStyle:
     """
 
     decimal: str = "."
+    """Decimal mark, `.` or `,`."""
     delimiter: str = ""
+    """Comma, semicolon, tab, bar or space; default: comma, or semicolon with decimal commas."""
 
     def __post_init__(self) -> None:
         if self.decimal not in {".", ","}:

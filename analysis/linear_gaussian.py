@@ -122,21 +122,17 @@ class Whitening:
 
     The covariance holds noise, the uncertainty of the measured motion, and the priors of the run's own effects: its
     zero and the factors of the model's variations.
-
-    Attributes
-    ----------
-    noise_root
-        Lower Cholesky factor of the covariance of noise and motion uncertainty, `(B, B)`.
-    run_effects
-        Whitened signatures of zero and factors times their prior standard deviations, `(B, 1 + V)` or `(B, V)`.
-    directions, shrinkage
-        Orthonormal directions of `run_effects`, `(B, k)`, and by how much residuals along them shrink.
     """
 
     noise_root: FloatArray
+    """Lower Cholesky factor of the covariance of noise and motion uncertainty, `(B, B)`."""
     run_effects: FloatArray
+    """Whitened signatures of zero and factors times their prior standard deviations, `(B, 1 + V)` or `(B, V)`."""
     directions: FloatArray
     shrinkage: FloatArray
+    """`directions`, `shrinkage`: orthonormal directions of `run_effects`, `(B, k)`, and by how much residuals along
+    them shrink.
+    """
 
     @classmethod
     def of(cls, noise_root: FloatArray, signatures: FloatArray) -> "Whitening":
@@ -351,32 +347,25 @@ def _zero_sd(channels: Sequence[ChannelBlocks], channel: str, nominal: NominalMo
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointSolution:
-    """The most probable parameters.
-
-    Attributes
-    ----------
-    z
-        Parameters in units of their priors, shape `(P,)`.
-    covariance
-        Of `z` given the runs, shape `(P, P)`.
-    whitenings, slopes
-        For each channel: its whitening, and the derivatives of its block means by `z`, shape `(B, P)`.
-    misfit
-        χ² per block where it exceeds what noise explains, else 1; the runs' weight was divided by it, so that the
-        priors keep theirs.
-    converged
-        Whether optimiser and passes did; `why` says why not.
-    steps
-        Evaluations of the derivatives.
-    """
+    """The most probable parameters."""
 
     z: FloatArray
+    """Parameters in units of their priors, shape `(P,)`."""
     covariance: FloatArray
+    """Of `z` given the runs, shape `(P, P)`."""
     whitenings: tuple[Whitening, ...]
     slopes: tuple[FloatArray, ...]
+    """`whitenings`, `slopes`: for each channel: its whitening, and the derivatives of its block means by `z`, shape
+    `(B, P)`.
+    """
     misfit: float
+    """χ² per block where it exceeds what noise explains, else 1; the runs' weight was divided by it, so that the priors
+    keep theirs.
+    """
     converged: bool
+    """Whether optimiser and passes did; `why` says why not."""
     steps: int
+    """Evaluations of the derivatives."""
     why: str = ""
 
 

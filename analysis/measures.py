@@ -32,35 +32,26 @@ STICKING_KINDS = frozenset({"relaxation"})
 
 @dataclass(frozen=True, slots=True)
 class RunMeasures:
-    """Measures of one run; forces in mN, those of the run's signal as recorded, never filtered or zeroed.
-
-    Attributes
-    ----------
-    steady_force
-        Mean over the steady sliding (see `phases.steady_stretch`), the rest offset included.
-    rest_offset
-        Mean while at rest before the motion. Zero offset of the sensor, and in a drag test also the
-        force of the relaxed wall on the resting capsule.
-    peak_force
-        Signed extreme of the lightly smoothed force. The error covers white noise only; being the
-        largest of many samples it lies, on average, about one to two such errors too far out.
-    peak_time_s
-        Time of the peak.
-    hold_force
-        Mean over the end of the hold.
-    speed
-        Slope of the position over the steady phase [mm/s], positive or negative.
-    steady_from
-        Stretch over which the steady force was averaged, in words.
-    """
+    """Measures of one run; forces in mN, those of the run's signal as recorded, never filtered or zeroed."""
 
     steady_force: Estimate
+    """Mean over the steady sliding (see `phases.steady_stretch`), the rest offset included."""
     rest_offset: Estimate
+    """Mean while at rest before the motion. Zero offset of the sensor, and in a drag test also the force of the relaxed
+    wall on the resting capsule.
+    """
     peak_force: Estimate
+    """Signed extreme of the lightly smoothed force. The error covers white noise only; being the largest of many
+    samples it lies, on average, about one to two such errors too far out.
+    """
     peak_time_s: float | None
+    """Time of the peak."""
     hold_force: Estimate
+    """Mean over the end of the hold."""
     speed: Estimate
+    """Slope of the position over the steady phase [mm/s], positive or negative."""
     steady_from: str
+    """Stretch over which the steady force was averaged, in words."""
 
 
 def measure(run: Run) -> RunMeasures:

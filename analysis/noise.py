@@ -43,26 +43,18 @@ LINE_FIT_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Noise of a channel, in its unit.
-
-    Attributes
-    ----------
-    white
-        Standard deviation of one sample's white noise.
-    slow, correlation_s
-        Standard deviation and correlation time of the slow noise.
-    degrees
-        Independent numbers of the estimate; 0 where the noise was assumed.
-    hum, hum_hz
-        Amplitude and frequency of a known line, 0 for none; its phase is not known.
-    """
+    """Noise of a channel, in its unit."""
 
     white: float
+    """Standard deviation of one sample's white noise."""
     slow: float
     correlation_s: float
+    """`slow`, `correlation_s`: standard deviation and correlation time of the slow noise."""
     degrees: int
+    """Independent numbers of the estimate; 0 where the noise was assumed."""
     hum: float = 0.0
     hum_hz: float = 0.0
+    """`hum`, `hum_hz`: amplitude and frequency of a known line, 0 for none; its phase is not known."""
 
     def covariance(self, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the covariance of means over successive stretches of time, shapes `(B,)` to `(B, B)`."""
@@ -253,26 +245,19 @@ COARSENING_FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockMeans:
-    """Means of a channel over `B` blocks.
-
-    Attributes
-    ----------
-    start_s, end_s
-        Start and end of each block, half a sample beyond its first and last valid sample.
-    samples
-        Valid samples of each block.
-    mean
-        Their mean.
-    nodes_s
-        Times at which a prediction is to be evaluated, two in each block, rising, shape `(2 B,)`. They have the mean
-        and the standard deviation of the times that the block covers.
-    """
+    """Means of a channel over `B` blocks."""
 
     start_s: FloatArray
     end_s: FloatArray
+    """`start_s`, `end_s`: start and end of each block, half a sample beyond its first and last valid sample."""
     samples: FloatArray
+    """Valid samples of each block."""
     mean: FloatArray
+    """Their mean."""
     nodes_s: FloatArray
+    """Times at which a prediction is to be evaluated, two in each block, rising, shape `(2 B,)`. They have the mean and
+    the standard deviation of the times that the block covers.
+    """
 
     @property
     def middle_s(self) -> FloatArray:

@@ -42,15 +42,6 @@ class SavgolKernel:
     `scipy.signal` fits the ends of a piece, and convolves. The weights of the middle are computed here, because
     `scipy.signal.savgol_coeffs` solves with unscaled powers of the sample number: at 12501 samples
     (0.05 s at 250 kHz) and order 4 or more its result is unrelated to the data.
-
-    Attributes
-    ----------
-    orthonormal
-        Polynomials on the window, orthonormal, shape `(window, order + 1)`.
-    derived
-        Their derivative at each sample, in 1/s^k.
-    weights
-        Weights of the samples in a window for its middle, in the order of a convolution.
     """
 
     window: int
@@ -58,8 +49,11 @@ class SavgolKernel:
     derivative: int
     sample_rate_hz: float
     orthonormal: FloatArray
+    """Polynomials on the window, orthonormal, shape `(window, order + 1)`."""
     derived: FloatArray
+    """Their derivative at each sample, in 1/s^k."""
     weights: FloatArray
+    """Weights of the samples in a window for its middle, in the order of a convolution."""
 
     @classmethod
     def of(cls, window: int, order: int, derivative: int, sample_rate_hz: float) -> "SavgolKernel":
@@ -107,17 +101,6 @@ class SavgolKernel:
 class SavgolSettings:
     """Window, order and derivative of a Savitzky–Golay filter.
 
-    Attributes
-    ----------
-    window_s
-        Length of the window [s]; the nearest odd number of samples is taken.
-    window_samples
-        The same as an odd number of samples. Give one of the two.
-    order
-        Order of the polynomial fitted inside the window, 0 to 8.
-    derivative
-        0 smooths; `k` gives the k-th derivative by time, in the values' unit per s^k.
-
     Raises
     ------
     AnalysisError
@@ -125,9 +108,13 @@ class SavgolSettings:
     """
 
     window_s: float | None = None
+    """Length of the window [s]; the nearest odd number of samples is taken."""
     window_samples: int | None = None
+    """The same as an odd number of samples. Give one of the two."""
     order: int = 3
+    """Order of the polynomial fitted inside the window, 0 to 8."""
     derivative: int = 0
+    """0 smooths; `k` gives the k-th derivative by time, in the values' unit per s^k."""
 
     def __post_init__(self) -> None:
         if (self.window_s is None) == (self.window_samples is None):

@@ -164,36 +164,25 @@ def _ignore_abort(abort: Callable[[str], None]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class SessionOptions:
-    """How a session is carried out.
-
-    Attributes
-    ----------
-    folder
-        The campaign's folder, whose free space is checked.
-    pace
-        Of a simulated rig, or of a double.
-    origin
-        Time of day at which a simulated session starts (default: now).
-    first_run_at
-        Start of the campaign's first run, in a resumed campaign.
-    begun
-        Called before anything moves with a function that ends the session in good order from any thread.
-    mirror
-        Folder for a second copy of each finished file.
-    tell
-        Called, from any thread, with a warning that does not stop the session.
-    """
+    """How a session is carried out."""
 
     folder: Path
+    """The campaign's folder, whose free space is checked."""
     operator: str = ""
     note: str = ""
     pace: Pace | None = None
+    """Of a simulated rig, or of a double."""
     origin: datetime | None = None
+    """Time of day at which a simulated session starts (default: now)."""
     first_run_at: datetime | None = None
+    """Start of the campaign's first run, in a resumed campaign."""
     progress: CampaignProgress = field(default_factory=CampaignProgress)
     begun: Callable[[Callable[[str], None]], None] = _ignore_abort
+    """Called before anything moves with a function that ends the session in good order from any thread."""
     mirror: Path | None = None
+    """Folder for a second copy of each finished file."""
     tell: Callable[[str], None] = discard_message
+    """Called, from any thread, with a warning that does not stop the session."""
 
 
 def run_session(

@@ -197,23 +197,16 @@ def with_effects(model: FrictionModelSettings, effects: Sequence[str | EffectSet
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigSetup:
-    """The rig in use.
-
-    Attributes
-    ----------
-    model
-        Friction model of a simulated rig or a double.
-    rig_folder
-        Folder of the rig file, with data root and calibration history; None for a shipped rig.
-    double
-        Whether the backend's double is used, in place of the hardware.
-    """
+    """The rig in use."""
 
     rig: RigSettings
     model: FrictionModelSettings
+    """Friction model of a simulated rig or a double."""
     rig_folder: Path | None
+    """Folder of the rig file, with data root and calibration history; None for a shipped rig."""
     backend: str
     double: bool = False
+    """Whether the backend's double is used, in place of the hardware."""
 
     @property
     def data_root(self) -> Path:
@@ -359,23 +352,16 @@ class SetupChoices(RigChoices, total=False):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup(RigSetup):
-    """All settings of a session.
-
-    Attributes
-    ----------
-    plan_source
-        Source of the plan, for error messages.
-    plan_folder
-        Folder that capsule files in the plan are relative to; None for a shipped plan.
-    contact_mm
-        Absolute position of the contact found by touch-off; None where it is not known.
-    """
+    """All settings of a session."""
 
     plan: Plan
     plan_source: str
+    """Source of the plan, for error messages."""
     plan_folder: Path | None
+    """Folder that capsule files in the plan are relative to; None for a shipped plan."""
     specimen: Specimen
     contact_mm: float | None = None
+    """Absolute position of the contact found by touch-off; None where it is not known."""
 
     def with_rig(self, assignments: Sequence[str]) -> "Setup":
         """Return this with assignments to the rig applied; raises `SettingsError` for any other."""

@@ -71,29 +71,21 @@ class FieldKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class FormField:
-    """A field of a form.
-
-    Attributes
-    ----------
-    name
-        Label without the unit.
-    limits
-        Allowed range as text; empty without one.
-    sweeps
-        Whether several values, separated by commas, make one run of each.
-    default
-        Default value as text; empty without one.
-    """
+    """A field of a form."""
 
     key: str
     name: str
+    """Label without the unit."""
     unit: str
     help: str
     limits: str
+    """Allowed range as text; empty without one."""
     kind: FieldKind
     default: str = ""
+    """Default value as text; empty without one."""
     choices: tuple[str, ...] = ()
     sweeps: bool = False
+    """Whether several values, separated by commas, make one run of each."""
     required: bool = False
 
 

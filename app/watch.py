@@ -32,15 +32,7 @@ RECENT_POINTS = 300
 
 @dataclass(frozen=True, slots=True)
 class RunInProgress:
-    """The run that is being recorded.
-
-    Attributes
-    ----------
-    time_s, run_s
-        Recorded time, and planned time; None where it is not known.
-    recent_s, recent_mN
-        Force of the last seconds, a few hundred points.
-    """
+    """The run that is being recorded."""
 
     file: str
     kind: str
@@ -48,11 +40,13 @@ class RunInProgress:
     phase: str
     time_s: float
     run_s: float | None
+    """`time_s`, `run_s`: recorded time, and planned time; None where it is not known."""
     samples: int
     force_mN: float | None
     position_mm: float | None
     recent_s: tuple[float, ...] = ()
     recent_mN: tuple[float, ...] = ()
+    """`recent_s`, `recent_mN`: force of the last seconds, a few hundred points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,34 +63,26 @@ class FinishedRun:
 
 @dataclass(frozen=True, slots=True)
 class CampaignState:
-    """The present state of a campaign.
-
-    Attributes
-    ----------
-    doing
-        `preparing`, `asking`, `waiting`, `recording`, `between`, `ended`; `died` where the process of the session
-        is gone without an end.
-    message
-        The open prompt, the reason of a wait, or why the session ended.
-    run, runs
-        Number of the current run of this session, and of how many; None where it is not known.
-    left_s
-        Time left by the plan without prompts; recorded time where time is simulated.
-    status
-        How the session ended.
-    """
+    """The present state of a campaign."""
 
     campaign: str
     folder: Path
     plan: str
     backend: str
     doing: str
+    """`preparing`, `asking`, `waiting`, `recording`, `between`, `ended`; `died` where the process of the session is
+    gone without an end.
+    """
     message: str
+    """The open prompt, the reason of a wait, or why the session ended."""
     since: datetime | None
     run: int | None
     runs: int | None
+    """`run`, `runs`: number of the current run of this session, and of how many; None where it is not known."""
     left_s: float | None
+    """Time left by the plan without prompts; recorded time where time is simulated."""
     status: str
+    """How the session ended."""
     recording: RunInProgress | None
     finished: tuple[FinishedRun, ...] = field(default=())
 

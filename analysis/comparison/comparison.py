@@ -111,41 +111,29 @@ def _finite_positions(run: Run) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignedRuns:
-    """Two runs on one clock, which counts from the start of A's motion.
-
-    Attributes
-    ----------
-    a, b
-        The runs as read.
-    start_a_s, start_b_s
-        Times in the files that are 0 on the clock.
-    shift_s
-        Added to the times of B; None where no motion shows, and the files' own times are used.
-    time_s
-        The clock at the samples of the slower run that both cover, shape `(N,)`.
-    force_a, force_b
-        Filtered signals [mN] as recorded, shape `(N,)`; NaN where samples are missing.
-    position_a, position_b
-        Recorded positions [mm], shape `(N,)`.
-    phase_a, phase_b
-        Phases of both, shape `(N,)`.
-    remarks
-        What was interpolated, and onto what.
-    """
+    """Two runs on one clock, which counts from the start of A's motion."""
 
     a: Run
     b: Run
+    """`a`, `b`: the runs as read."""
     start_a_s: float
     start_b_s: float
+    """`start_a_s`, `start_b_s`: times in the files that are 0 on the clock."""
     shift_s: float | None
+    """Added to the times of B; None where no motion shows, and the files' own times are used."""
     time_s: FloatArray
+    """The clock at the samples of the slower run that both cover, shape `(N,)`."""
     force_a: FloatArray
     force_b: FloatArray
+    """`force_a`, `force_b`: filtered signals [mN] as recorded, shape `(N,)`; NaN where samples are missing."""
     position_a: FloatArray
     position_b: FloatArray
+    """`position_a`, `position_b`: recorded positions [mm], shape `(N,)`."""
     phase_a: PhaseArray
     phase_b: PhaseArray
+    """`phase_a`, `phase_b`: phases of both, shape `(N,)`."""
     remarks: tuple[str, ...] = ()
+    """What was interpolated, and onto what."""
 
     @property
     def together(self) -> Mask:

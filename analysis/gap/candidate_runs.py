@@ -204,23 +204,16 @@ class SeparationModel(Protocol[SeenT_contra]):
 
 @dataclass(frozen=True, slots=True)
 class ExperimentBudget:
-    """Limits of an experiment: rig time, number of runs, and when a pair counts as decided.
-
-    Attributes
-    ----------
-    decided_log_odds
-        Log odds above which a pair counts as decided.
-    use_all_time
-        Whether to use remaining time for higher log odds once all pairs are decided.
-    limits
-        Limits of the rig; default: the range of the campaign's runs.
-    """
+    """Limits of an experiment: rig time, number of runs, and when a pair counts as decided."""
 
     minutes: float = float("inf")
     runs: int = 1
     decided_log_odds: float = DECIDED_LOG_ODDS
+    """Log odds above which a pair counts as decided."""
     use_all_time: bool = False
+    """Whether to use remaining time for higher log odds once all pairs are decided."""
     limits: RigLimits | None = None
+    """Limits of the rig; default: the range of the campaign's runs."""
 
 
 def greedy_search(

@@ -14,21 +14,14 @@ from dragrig.sim_backend.effects import ActiveEffect, Channel, Effect, EffectCha
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EffectVariant:
-    """An effect with one combination of its shape parameters, its size at the default.
-
-    Attributes
-    ----------
-    effect
-        The effect.
-    values
-        Values of all parameters.
-    is_quadrature
-        For a periodic effect: whether it is shifted by a quarter of a period.
-    """
+    """An effect with one combination of its shape parameters, its size at the default."""
 
     effect: Effect
+    """The effect."""
     values: Mapping[str, float]
+    """Values of all parameters."""
     is_quadrature: bool = False
+    """For a periodic effect: whether it is shifted by a quarter of a period."""
 
     @property
     def one_signed(self) -> bool:

@@ -289,22 +289,15 @@ NEGATIVE_FEATURES = ("known, in", "behind", "left", "nameless", "further: alike"
 
 @dataclass(frozen=True, slots=True)
 class TrainingCase:
-    """Decision inputs of a campaign, with the effects hidden in it.
-
-    Attributes
-    ----------
-    effects
-        Hidden effects of the catalogue.
-    outside
-        Whether an effect outside the catalogue was hidden.
-    size
-        Smallest size of the hidden effects; small ones do not train the gate.
-    """
+    """Decision inputs of a campaign, with the effects hidden in it."""
 
     inputs: DecisionInputs
     effects: frozenset[str]
+    """Hidden effects of the catalogue."""
     outside: bool = False
+    """Whether an effect outside the catalogue was hidden."""
     size: float = 1.0
+    """Smallest size of the hidden effects; small ones do not train the gate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,21 +33,14 @@ from dragrig.sim_backend.effects import Effect, EffectChain, Location, RunState
 
 @dataclass(frozen=True, eq=False)
 class Study(ABC):
-    """The force of a campaign's runs, prepared for a diagnosis; subclasses adapt a nominal model.
-
-    Attributes
-    ----------
-    problem
-        Block data, noise and priors.
-    runs
-        Data of each run.
-    effects
-        Candidate effects on the force channel.
-    """
+    """The force of a campaign's runs, prepared for a diagnosis; subclasses adapt a nominal model."""
 
     problem: JointProblem
+    """Block data, noise and priors."""
     runs: tuple[RunData, ...]
+    """Data of each run."""
     effects: tuple[Effect, ...]
+    """Candidate effects on the force channel."""
 
     @abstractmethod
     def scene(self, number: int, z: FloatArray) -> tuple[RunState, float]:
@@ -170,65 +163,47 @@ class ColumnKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunDesign:
-    """Rows of a design that belong to one run.
-
-    Attributes
-    ----------
-    residual
-        Measured minus predicted block means [mN], shape `(B,)`.
-    columns
-        Derivatives of the prediction, not whitened, shape `(B, C)`.
-    effect_force
-        Force of the candidates, without effects of the nominal model, shape `(B,)`.
-    predicted
-        Prediction of the nominal model, shape `(B,)`.
-    repeat_sd, motion_sd
-        Scatter between repeats, and uncertainty from motion and integration steps, one standard deviation, shape
-        `(B,)`.
-    whitening
-        Transformation that makes its blocks independent with unit variance.
-    """
+    """Rows of a design that belong to one run."""
 
     residual: FloatArray
+    """Measured minus predicted block means [mN], shape `(B,)`."""
     columns: FloatArray
+    """Derivatives of the prediction, not whitened, shape `(B, C)`."""
     effect_force: FloatArray
+    """Force of the candidates, without effects of the nominal model, shape `(B,)`."""
     predicted: FloatArray
+    """Prediction of the nominal model, shape `(B,)`."""
     repeat_sd: FloatArray
     motion_sd: FloatArray
+    """`repeat_sd`, `motion_sd`: scatter between repeats, and uncertainty from motion and integration steps, one
+    standard deviation, shape `(B,)`.
+    """
     whitening: Whitening
+    """Transformation that makes its blocks independent with unit variance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """A campaign, linearised around a point.
-
-    Attributes
-    ----------
-    z, candidates
-        The point: nominal parameters in prior standard deviations, and candidate effects.
-    runs
-        Rows of each run.
-    column_kinds
-        Kind of each of the `C` columns.
-    prior_mean, prior_precision
-        Prior of the columns' coefficients, shape `(C,)`; 0 for variants, which are tried one at a time.
-    grams
-        Gram matrix of residual (first) and columns, whitened, for each run, shape `(1 + C, 1 + C)`.
-    block_counts
-        Number of blocks of each run.
-    variants
-        The dictionary, in the order of the columns of kind `VARIANT`.
-    """
+    """A campaign, linearised around a point."""
 
     z: FloatArray
     candidates: tuple[Candidate, ...]
+    """`z`, `candidates`: the point: nominal parameters in prior standard deviations, and candidate effects."""
     runs: tuple[RunDesign, ...]
+    """Rows of each run."""
     column_kinds: tuple[ColumnKind, ...]
+    """Kind of each of the `C` columns."""
     prior_mean: FloatArray
     prior_precision: FloatArray
+    """`prior_mean`, `prior_precision`: prior of the columns' coefficients, shape `(C,)`; 0 for variants, which are
+    tried one at a time.
+    """
     grams: tuple[FloatArray, ...]
+    """Gram matrix of residual (first) and columns, whitened, for each run, shape `(1 + C, 1 + C)`."""
     block_counts: tuple[int, ...]
+    """Number of blocks of each run."""
     variants: tuple[EffectVariant, ...]
+    """The dictionary, in the order of the columns of kind `VARIANT`."""
 
     @property
     def log_det(self) -> float:
@@ -390,22 +365,15 @@ NUISANCES = (ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT, Colu
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeastSquaresFit:
-    """Posterior mode of the coefficients of some columns.
-
-    Attributes
-    ----------
-    columns
-        Indices of the columns.
-    coefficients, covariance
-        Coefficients and their posterior covariance, shapes `(c,)` and `(c, c)`.
-    chi2
-        Remaining chi-square, priors included.
-    """
+    """Posterior mode of the coefficients of some columns."""
 
     columns: IndexArray
+    """Indices of the columns."""
     coefficients: FloatArray
     covariance: FloatArray
+    """`coefficients`, `covariance`: coefficients and their posterior covariance, shapes `(c,)` and `(c, c)`."""
     chi2: float
+    """Remaining chi-square, priors included."""
 
     def coefficients_of(self, columns: IndexArray) -> FloatArray:
         """Return the coefficients of some of the columns."""
@@ -446,19 +414,13 @@ def fit_bounded(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProjectedDictionary:
-    """The dictionary with nuisances projected out.
-
-    Attributes
-    ----------
-    chi2
-        Chi-square that the nuisances leave.
-    moment, gram
-        Products of the variants with the residual and with each other, shapes `(S,)` and `(S, S)`.
-    """
+    """The dictionary with nuisances projected out."""
 
     chi2: float
+    """Chi-square that the nuisances leave."""
     moment: FloatArray
     gram: FloatArray
+    """`moment`, `gram`: products of the variants with the residual and with each other, shapes `(S,)` and `(S, S)`."""
 
     def without(self, variants: Sequence[int]) -> "ProjectedDictionary":
         """Project out some of the variants, too."""
@@ -583,25 +545,17 @@ def joint_fit(design: Design, variants: Sequence[int]) -> tuple[FloatArray, Floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedEffect:
-    """The best variant of an effect.
-
-    Attributes
-    ----------
-    llr
-        Log likelihood ratio: half the chi-square difference.
-    d_prime_per_unit
-        d′ of the effect at its default size: the norm of its signature with nuisances projected out.
-    variants
-        Indices in the dictionary; two for a periodic effect.
-    amplitude
-        Their coefficients, in default sizes.
-    """
+    """The best variant of an effect."""
 
     effect: str
     llr: float
+    """Log likelihood ratio: half the chi-square difference."""
     d_prime_per_unit: float
+    """d′ of the effect at its default size: the norm of its signature with nuisances projected out."""
     variants: tuple[int, ...]
+    """Indices in the dictionary; two for a periodic effect."""
     amplitude: FloatArray
+    """Their coefficients, in default sizes."""
 
     def candidate(self, dictionary: Sequence[EffectVariant], amplitude: FloatArray | None = None) -> Candidate:
         """Return the effect with the parameters of this variant and a size from the amplitude."""

@@ -288,24 +288,16 @@ the excess for an effect to be fitted."""
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
-    """Options of a diagnosis.
-
-    Attributes
-    ----------
-    excluded
-        Effects to leave out.
-    tolerance_mN
-        Smallest relevant rms force of an effect where it acts.
-    next_runs
-        Limits of the next experiment; default: one run of the short grid.
-    calibration
-        Gate and weights of the verdict; default: the shipped ones.
-    """
+    """Options of a diagnosis."""
 
     excluded: tuple[str, ...] = ()
+    """Effects to leave out."""
     tolerance_mN: float = DEFAULT_TOLERANCE_MN
+    """Smallest relevant rms force of an effect where it acts."""
     next_runs: ExperimentBudget = field(default_factory=ExperimentBudget)
+    """Limits of the next experiment; default: one run of the short grid."""
     calibration: Calibration | None = None
+    """Gate and weights of the verdict; default: the shipped ones."""
 
 
 @single_blas_thread()

@@ -17,80 +17,54 @@ from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray, Phase, Phase
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandPowers:
-    """Mean squares of a steady phase without its mean, by the bands of `BANDS_HZ`.
-
-    Attributes
-    ----------
-    residual
-        Of the residual [the channel's unit squared], shape `(bands,)`.
-    expected
-        Of noise.
-    """
+    """Mean squares of a steady phase without its mean, by the bands of `BANDS_HZ`."""
 
     residual: FloatArray
+    """Of the residual [the channel's unit squared], shape `(bands,)`."""
     expected: FloatArray
+    """Of noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualBlocks:
-    """Residuals of one channel of one run after the nominal fit: means over `B` blocks.
-
-    Attributes
-    ----------
-    run_id
-        Id of the run, shared by its channels.
-    channel
-        `force` or `position`.
-    kind
-        The run's protocol.
-    contact
-        Contact between capsule and gut.
-    speed_mm_s
-        Commanded top speed.
-    strain
-        Commanded shear strain; 0 for none.
-    session_s
-        Time of the first sample on the session clock.
-    residual
-        Measured minus model [the channel's unit], shape `(B,)`.
-    noise_sd
-        Expected standard deviation without a gap: noise, repeatability and tolerance.
-    duration_s
-        Durations of the blocks.
-    time_s
-        Middles of the blocks, from the first sample on.
-    phase
-        Phases of the blocks.
-    position_mm
-        Position of the stage, from the first sample on.
-    bands
-        Spectrum of the steady phase from the whole trace; default: from the blocks.
-    origin_mm
-        Where on the machine the run begins.
-    force_mN
-        Measured force, shape `(B,)`, where known.
-    explained
-        Contribution of a known effect [the channel's unit], shape `(B,)`: replaces the residual, and all of it counts
-        as excess.
-    """
+    """Residuals of one channel of one run after the nominal fit: means over `B` blocks."""
 
     run_id: str
+    """Id of the run, shared by its channels."""
     channel: str
+    """`force` or `position`."""
     kind: str
+    """The run's protocol."""
     contact: Contact
+    """Contact between capsule and gut."""
     speed_mm_s: float
+    """Commanded top speed."""
     strain: float
+    """Commanded shear strain; 0 for none."""
     session_s: float
+    """Time of the first sample on the session clock."""
     residual: FloatArray
+    """Measured minus model [the channel's unit], shape `(B,)`."""
     noise_sd: FloatArray
+    """Expected standard deviation without a gap: noise, repeatability and tolerance."""
     duration_s: FloatArray
+    """Durations of the blocks."""
     time_s: FloatArray
+    """Middles of the blocks, from the first sample on."""
     phase: PhaseArray
+    """Phases of the blocks."""
     position_mm: FloatArray
+    """Position of the stage, from the first sample on."""
     bands: BandPowers | None = None
+    """Spectrum of the steady phase from the whole trace; default: from the blocks."""
     force_mN: FloatArray | None = None
+    """Measured force, shape `(B,)`, where known."""
     explained: FloatArray | None = None
+    """Contribution of a known effect [the channel's unit], shape `(B,)`: replaces the residual, and all of it counts as
+    excess.
+    """
     origin_mm: float = 0.0
+    """Where on the machine the run begins."""
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for arrays of unequal lengths, and for noise or durations that are not positive."""
@@ -182,30 +156,20 @@ class ComparisonBasis(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExcessAxis:
-    """One division of the excess of `R` runs into `J` bins.
-
-    Attributes
-    ----------
-    name
-        Name in the report.
-    labels
-        Names of the bins; empty for numeric bins.
-    edges
-        Lower and upper end of each numeric bin, shape `(J, 2)`.
-    energy
-        Excess of each run in each bin, relative to the expected mean square, shape `(R, J)`.
-    duration
-        Share of each run's duration in each bin, shape `(R, J)`.
-    basis
-        What the excess in a bin is compared with.
-    """
+    """One division of the excess of `R` runs into `J` bins."""
 
     name: str
+    """Name in the report."""
     labels: tuple[str, ...]
+    """Names of the bins; empty for numeric bins."""
     edges: FloatArray
+    """Lower and upper end of each numeric bin, shape `(J, 2)`."""
     energy: FloatArray
+    """Excess of each run in each bin, relative to the expected mean square, shape `(R, J)`."""
     duration: FloatArray
+    """Share of each run's duration in each bin, shape `(R, J)`."""
     basis: ComparisonBasis
+    """What the excess in a bin is compared with."""
 
     @property
     def ordered(self) -> bool:
@@ -365,18 +329,12 @@ PERMUTATIONS = 999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Significance:
-    """Familywise p-values of windows of adjacent bins, or of single bins where they are not ordered.
-
-    Attributes
-    ----------
-    windows
-        First and last bin of each window, shape `(K, 2)`.
-    p
-        Probability of a statistic as large anywhere on the axis without a gap, shape `(K,)`.
-    """
+    """Familywise p-values of windows of adjacent bins, or of single bins where they are not ordered."""
 
     windows: npt.NDArray[np.intp]
+    """First and last bin of each window, shape `(K, 2)`."""
     p: FloatArray
+    """Probability of a statistic as large anywhere on the axis without a gap, shape `(K,)`."""
 
     def window_p(self, first: int, last: int) -> float:
         """Return the p-value of a window; 1 for the whole axis."""

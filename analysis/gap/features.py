@@ -138,22 +138,19 @@ CALIBRATION_FILE = Path(__file__).with_name("calibration.json")
 
 
 class GapGate(BaseModel):
-    """Probability that a gap exists at all, as logistic functions.
-
-    Attributes
-    ----------
-    least_gain, gain_width
-        Log likelihood ratio of the best hypothesis at probability 0.5, and width of the logistic.
-    least_left, left_width
-        The same for the excess over the number of blocks, for gaps that no effect explains.
-    """
+    """Probability that a gap exists at all, as logistic functions."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     least_gain: float = Field(gt=0)
     gain_width: float = Field(gt=0)
+    """`least_gain`, `gain_width`: log likelihood ratio of the best hypothesis at probability 0.5, and width of the
+    logistic.
+    """
     least_left: float = Field(gt=0)
     left_width: float = Field(gt=0)
+    """`least_left`, `left_width`: the same for the excess over the number of blocks, for gaps that no effect explains.
+    """
 
 
 class Calibration(BaseModel):

@@ -209,28 +209,19 @@ def _twice_log_evidence(complement: FloatArray, rows: slice) -> tuple[float, Flo
 
 @dataclass(frozen=True, eq=False)
 class ForceSearchResult:
-    """All hypotheses that were fitted to the force of a campaign.
-
-    Attributes
-    ----------
-    nominal
-        Fit of the nominal model, with the dictionary.
-    chi2
-        Chi-square of the nominal model.
-    ranked
-        Best variant of each effect beside the nominal model.
-    singles
-        Effects fitted alone, the best first; then effects of later steps fitted alone.
-    steps
-        Steps of the forward selection.
-    """
+    """All hypotheses that were fitted to the force of a campaign."""
 
     study: Study
     nominal: Design
+    """Fit of the nominal model, with the dictionary."""
     chi2: float
+    """Chi-square of the nominal model."""
     ranked: tuple[RankedEffect, ...]
+    """Best variant of each effect beside the nominal model."""
     singles: tuple[HypothesisFit, ...]
+    """Effects fitted alone, the best first; then effects of later steps fitted alone."""
     steps: tuple["SelectionStep", ...]
+    """Steps of the forward selection."""
 
     @property
     def block_count(self) -> int:
@@ -263,30 +254,20 @@ class ForceSearchResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SelectionStep:
-    """A further effect that was tried; all numbers allow for form error of the effects before it.
-
-    Attributes
-    ----------
-    effect
-        Id of the effect.
-    llr
-        Its log likelihood ratio beside the effects before it.
-    rival_llr
-        Log likelihood ratio of the best other effect.
-    chi2_without
-        Chi-square without it.
-    laws
-        Nonparametric laws in its place, the best first.
-    fit
-        Fit with it; None where its log likelihood ratio is too small.
-    """
+    """A further effect that was tried; all numbers allow for form error of the effects before it."""
 
     effect: str
+    """Id of the effect."""
     llr: float
+    """Its log likelihood ratio beside the effects before it."""
     rival_llr: float
+    """Log likelihood ratio of the best other effect."""
     chi2_without: float
+    """Chi-square without it."""
     laws: tuple[NonparametricLaw, ...]
+    """Nonparametric laws in its place, the best first."""
     fit: HypothesisFit | None
+    """Fit with it; None where its log likelihood ratio is too small."""
 
 
 FORM_ERROR_SD = 0.25

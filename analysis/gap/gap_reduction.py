@@ -48,27 +48,19 @@ MIN_POINTS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunGap:
-    """Residuals of one run before and after an explanation.
-
-    Attributes
-    ----------
-    before, after
-        Residuals of the block means without the run's zero offset [mN], shape `(B,)`.
-    steady
-        Measured steady force of a drag, and the forces modelled before and after; None for other runs.
-    duration_s
-        Duration of each block, 0 for blocks that do not count, shape `(B,)`.
-    floor_mean_square
-        Mean square of noise and of the uncertainty from the motion.
-    """
+    """Residuals of one run before and after an explanation."""
 
     run: RunData
     before: FloatArray
     after: FloatArray
+    """`before`, `after`: residuals of the block means without the run's zero offset [mN], shape `(B,)`."""
     floor_mean_square: float
+    """Mean square of noise and of the uncertainty from the motion."""
     within_block_sd: float
     steady: tuple[float, float, float] | None
+    """Measured steady force of a drag, and the forces modelled before and after; None for other runs."""
     duration_s: FloatArray
+    """Duration of each block, 0 for blocks that do not count, shape `(B,)`."""
 
     @property
     def sums(self) -> FloatArray:
@@ -290,16 +282,11 @@ MIN_RUNS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutResiduals:
-    """Residuals of each run when it was held out.
-
-    Attributes
-    ----------
-    before, after
-        Residual block means of each run [mN], without and with the effects.
-    """
+    """Residuals of each run when it was held out."""
 
     before: tuple[FloatArray, ...]
     after: tuple[FloatArray, ...]
+    """`before`, `after`: residual block means of each run [mN], without and with the effects."""
 
 
 def folds_by_condition(study: Study) -> tuple[tuple[int, ...], ...]:

@@ -70,18 +70,12 @@ def free_phase_llr(design: Design, nuisances: LeastSquaresFit, pair: Sequence[in
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonPhaseFit:
-    """An effect periodic in session time that keeps its phase through the session.
-
-    Attributes
-    ----------
-    candidate
-        The effect with the best period and phase.
-    llr
-        Log likelihood ratio of any waveform with this period, up to its first harmonics.
-    """
+    """An effect periodic in session time that keeps its phase through the session."""
 
     candidate: Candidate
+    """The effect with the best period and phase."""
     llr: float
+    """Log likelihood ratio of any waveform with this period, up to its first harmonics."""
 
 
 def fit_common_phase(study: Study, design: Design, variant: EffectVariant) -> CommonPhaseFit:
@@ -215,30 +209,20 @@ PERIOD_SEARCH_LLR = 26.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HypothesisFit:
-    """Effects fitted together with the nominal model.
-
-    Attributes
-    ----------
-    parameters
-        Nominal parameters and effects.
-    chi2
-        Chi-square plus the log determinant of the covariance relative to the nominal model's.
-    chi2_with_form_error
-        The same with form error: modulations, and further variants of the same effects.
-    change_mN
-        Rms change of the prediction, nominal parameters refitted, where it changes.
-    excess_elsewhere
-        Excess chi-square in runs without any force of the effects, in standard deviations of chance.
-    design
-        Design around the point, without modulations and further variants.
-    """
+    """Effects fitted together with the nominal model."""
 
     parameters: ParameterPoint
+    """Nominal parameters and effects."""
     chi2: float
+    """Chi-square plus the log determinant of the covariance relative to the nominal model's."""
     chi2_with_form_error: float
+    """The same with form error: modulations, and further variants of the same effects."""
     change_mN: float
+    """Rms change of the prediction, nominal parameters refitted, where it changes."""
     excess_elsewhere: float
+    """Excess chi-square in runs without any force of the effects, in standard deviations of chance."""
     design: Design
+    """Design around the point, without modulations and further variants."""
 
     @property
     def effects(self) -> tuple[str, ...]:

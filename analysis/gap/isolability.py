@@ -105,18 +105,12 @@ class VariantColumns:
 
 @dataclass(frozen=True, eq=False)
 class SignatureAngles:
-    """All visible variants of the effects, and the angles between them.
-
-    Attributes
-    ----------
-    variants
-        Variants with a signature beside the nuisances.
-    cos2
-        Share of each variant's squares that each other variant explains, averaged over phases, shape `(F, F)`.
-    """
+    """All visible variants of the effects, and the angles between them."""
 
     variants: tuple[VariantColumns, ...]
+    """Variants with a signature beside the nuisances."""
     cos2: FloatArray
+    """Share of each variant's squares that each other variant explains, averaged over phases, shape `(F, F)`."""
 
     @classmethod
     def of(cls, design: Design) -> "SignatureAngles":

@@ -64,21 +64,14 @@ class PairQuestion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Information:
-    """Information of runs on the variants of some effects.
-
-    Attributes
-    ----------
-    gram
-        Gram matrix of nuisances and variants, whitened and summed over runs.
-    prior_precision
-        Prior precision of the nuisances.
-    variants
-        Variants in the order of the last columns.
-    """
+    """Information of runs on the variants of some effects."""
 
     gram: FloatArray
+    """Gram matrix of nuisances and variants, whitened and summed over runs."""
     prior_precision: FloatArray
+    """Prior precision of the nuisances."""
     variants: tuple[EffectVariant, ...]
+    """Variants in the order of the last columns."""
 
     @classmethod
     def of(cls, design: Design, effects: Sequence[str]) -> "Information":

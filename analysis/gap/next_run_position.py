@@ -160,21 +160,14 @@ class AssumedPositionEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionSeparation:
-    """Separation of effects on the position by the motions of runs.
-
-    Attributes
-    ----------
-    runs
-        Runs with different motions; their errors are not used.
-    assumed_effects
-        Effects that may be present.
-    weights
-        Weight of each pair of assumed effect and rival.
-    """
+    """Separation of effects on the position by the motions of runs."""
 
     runs: tuple[PositionErrors, ...]
+    """Runs with different motions; their errors are not used."""
     assumed_effects: tuple[AssumedPositionEffect, ...]
+    """Effects that may be present."""
     weights: Mapping[tuple[str, str], float]
+    """Weight of each pair of assumed effect and rival."""
 
     def with_run(self, observation: Sequence[PositionErrors]) -> Self:
         """Add a run by its motion, repeats included."""

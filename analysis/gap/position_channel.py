@@ -29,43 +29,32 @@ MIN_ERROR_COUNTS = 0.7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionErrors:
-    """Position errors of one run, in `B` blocks.
-
-    Attributes
-    ----------
-    experiment
-        The run.
-    time_s, command_mm, velocity_mm_s
-        Middles of the blocks, commanded position and speed; shape `(B,)`.
-    error_mm
-        Recorded minus commanded position, minus its mean over the rest before the motion (over the whole record where
-        it begins in motion).
-    force_mN
-        Force minus its first value; zeros where none was recorded.
-    session_s
-        Time of the first sample on the session clock.
-    origin_mm
-        Where the run begins, relative to the first run.
-    initial_speed_mm_s
-        Commanded speed at the first sample; 0 for a record that begins at rest.
-    encoder_count_mm
-        Encoder count; smaller differences do not matter.
-    noise_mm
-        Standard deviation of the record at rest; 0 for wandering by one count. Dither of a servo does not average out
-        in blocks.
-    """
+    """Position errors of one run, in `B` blocks."""
 
     experiment: Experiment
+    """The run."""
     time_s: FloatArray
     command_mm: FloatArray
     velocity_mm_s: FloatArray
+    """`time_s`, `command_mm`, `velocity_mm_s`: middles of the blocks, commanded position and speed; shape `(B,)`."""
     error_mm: FloatArray
+    """Recorded minus commanded position, minus its mean over the rest before the motion (over the whole record where it
+    begins in motion).
+    """
     force_mN: FloatArray
+    """Force minus its first value; zeros where none was recorded."""
     session_s: float
+    """Time of the first sample on the session clock."""
     origin_mm: float = 0.0
+    """Where the run begins, relative to the first run."""
     initial_speed_mm_s: float = 0.0
+    """Commanded speed at the first sample; 0 for a record that begins at rest."""
     encoder_count_mm: float = MIN_COUNT_MM
+    """Encoder count; smaller differences do not matter."""
     noise_mm: float = 0.0
+    """Standard deviation of the record at rest; 0 for wandering by one count. Dither of a servo does not average out in
+    blocks.
+    """
 
     @property
     def rms_mm(self) -> float:
@@ -196,21 +185,14 @@ ColumnFunction = Callable[[PositionErrors], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class PositionModelClass:
-    """Held-out score of a free-form model class of the position error.
-
-    Attributes
-    ----------
-    effect
-        Effect that it stands for.
-    held_out_share
-        Share of the weighted squares that it explains in held-out runs.
-    shape_value
-        Wave number per mm, or latency in s; 0 for others.
-    """
+    """Held-out score of a free-form model class of the position error."""
 
     effect: str
+    """Effect that it stands for."""
     held_out_share: float
+    """Share of the weighted squares that it explains in held-out runs."""
     shape_value: float = 0.0
+    """Wave number per mm, or latency in s; 0 for others."""
 
 
 def score_model_classes(
@@ -393,27 +375,18 @@ MAX_EVALUATIONS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionAnalysis:
-    """Result of the position channel.
-
-    Attributes
-    ----------
-    runs
-        Errors of each run.
-    has_position_error
-        Whether any run deviates from its command by more than counts and noise.
-    model_classes
-        Model classes by decreasing held-out share; empty without errors.
-    candidate
-        Best effect of the catalogue with fitted parameters; None for none.
-    standard_errors
-        Standard errors of its fitted parameters.
-    """
+    """Result of the position channel."""
 
     runs: tuple[PositionErrors, ...]
+    """Errors of each run."""
     has_position_error: bool
+    """Whether any run deviates from its command by more than counts and noise."""
     model_classes: tuple[PositionModelClass, ...] = ()
+    """Model classes by decreasing held-out share; empty without errors."""
     candidate: Candidate | None = None
+    """Best effect of the catalogue with fitted parameters; None for none."""
     standard_errors: tuple[float, ...] = ()
+    """Standard errors of its fitted parameters."""
 
     @property
     def is_recording_error(self) -> bool:

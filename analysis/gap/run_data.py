@@ -193,18 +193,12 @@ MAX_BLOCK_MM = 0.4
 
 @dataclass(frozen=True, eq=False)
 class RunData:
-    """The force of one run, in `B` blocks.
-
-    Attributes
-    ----------
-    block_data
-        Block means with the model that predicts them.
-    session_start_s
-        Time of the first sample on the specimen's session clock.
-    """
+    """The force of one run, in `B` blocks."""
 
     block_data: ChannelBlocks
+    """Block means with the model that predicts them."""
     session_start_s: float
+    """Time of the first sample on the specimen's session clock."""
 
     @property
     def experiment(self) -> Experiment:

@@ -28,21 +28,14 @@ MAINS_TOLERANCE_HZ = 1.1
 
 @dataclass(frozen=True, slots=True)
 class SpectralLine:
-    """A line in the spectrum of a channel.
-
-    Attributes
-    ----------
-    frequency_hz
-        Its frequency.
-    amplitude
-        Its amplitude, in the channel's unit.
-    llr
-        Log likelihood ratio against noise alone, over all segments.
-    """
+    """A line in the spectrum of a channel."""
 
     frequency_hz: float
+    """Its frequency."""
     amplitude: float
+    """Its amplitude, in the channel's unit."""
     llr: float
+    """Log likelihood ratio against noise alone, over all segments."""
 
     @property
     def is_mains(self) -> bool:

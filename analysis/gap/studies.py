@@ -181,36 +181,24 @@ MIN_SIGNATURE_MN = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrictionParts:
-    """Friction split into its parts, at the times of a scene, shape `(n,)`.
-
-    Attributes
-    ----------
-    coulomb_mN
-        Coulomb friction at full speed.
-    coulomb, viscous
-        Both parts, signed [mN].
-    turning_mm_s
-        Speed over which the Coulomb part changes its sign.
-    """
+    """Friction split into its parts, at the times of a scene, shape `(n,)`."""
 
     coulomb_mN: float
+    """Coulomb friction at full speed."""
     coulomb: FloatArray
     viscous: FloatArray
+    """`coulomb`, `viscous`: both parts, signed [mN]."""
     turning_mm_s: float
+    """Speed over which the Coulomb part changes its sign."""
 
 
 @dataclass(frozen=True, eq=False)
 class PredictedScene(RunState):
-    """State of a run without wall or specimen, with a force predicted by any nominal model.
-
-    Attributes
-    ----------
-    predicted
-        Nominal force, shape `(n,)`.
-    """
+    """State of a run without wall or specimen, with a force predicted by any nominal model."""
 
     _: KW_ONLY
     predicted: FloatArray
+    """Nominal force, shape `(n,)`."""
 
     @property
     def nominal(self) -> FloatArray:
@@ -474,18 +462,12 @@ FORCE_UNIT = "mN"
 
 @dataclass(frozen=True, eq=False)
 class OwnModelStudy(Study):
-    """A user's nominal model, one channel, without knowledge of its parts: only sensor effects can act.
-
-    Attributes
-    ----------
-    other_channels
-        Other channels that the model predicts.
-    untried_effects
-        Number of effects at the sliding contact, whose force the model does not separate.
-    """
+    """A user's nominal model, one channel, without knowledge of its parts: only sensor effects can act."""
 
     other_channels: tuple[str, ...] = ()
+    """Other channels that the model predicts."""
     untried_effects: int = 0
+    """Number of effects at the sliding contact, whose force the model does not separate."""
 
     @classmethod
     def of(cls, selection: RunSelection, nominal: NominalModel, effects: Sequence[Effect]) -> "OwnModelStudy":

@@ -33,17 +33,14 @@ TREND_SIGMAS = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trend:
-    """Mean residuals along a coordinate.
-
-    Attributes
-    ----------
-    coordinate, mean, error
-        Coordinate, mean and its standard error over runs [the region's unit], shape `(J,)` each.
-    """
+    """Mean residuals along a coordinate."""
 
     coordinate: FloatArray
     mean: FloatArray
     error: FloatArray
+    """`coordinate`, `mean`, `error`: coordinate, mean and its standard error over runs [the region's unit], shape
+    `(J,)` each.
+    """
 
     @property
     def clear(self) -> bool:
@@ -152,29 +149,20 @@ MIN_SHARE_DIFFERENCE = 0.03
 
 @dataclass(frozen=True, slots=True)
 class ExponentialDecay:
-    """An exponential shared by all runs except for its amplitude.
-
-    Attributes
-    ----------
-    length, along_way
-        Decay length to 37 %: mm of travel, or s of time.
-    alternative_length
-        Decay length of the other coordinate where both fit equally well; otherwise None.
-    start
-        Amplitude at the begin of steady motion, median over runs [the region's unit].
-    share
-        Explained share of the squares beyond a straight line.
-    before, after
-        Rms beyond a straight line without and with the exponential [the region's unit].
-    """
+    """An exponential shared by all runs except for its amplitude."""
 
     length: float
     along_way: bool
+    """`length`, `along_way`: decay length to 37 %: mm of travel, or s of time."""
     alternative_length: float | None
+    """Decay length of the other coordinate where both fit equally well; otherwise None."""
     start: float
+    """Amplitude at the begin of steady motion, median over runs [the region's unit]."""
     share: float
+    """Explained share of the squares beyond a straight line."""
     before: float
     after: float
+    """`before`, `after`: rms beyond a straight line without and with the exponential [the region's unit]."""
 
     def text(self, unit: str) -> str:
         """Describe it in sentences."""

@@ -35,26 +35,18 @@ PHASE_SPANS: Mapping[str, frozenset[Phase]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GapRegion:
-    """The blocks in which a gap is.
-
-    Attributes
-    ----------
-    channel, kinds, phase_text
-        Its channel, kinds of run, and phases in words; empty for all phases.
-    blocks
-        Runs of these kinds, this channel alone.
-    masks
-        Which blocks of each run are in these phases.
-    excess
-        Excess of the whole campaign, other channels and kinds included.
-    """
+    """The blocks in which a gap is."""
 
     channel: str
     kinds: tuple[str, ...]
     phase_text: str
+    """`channel`, `kinds`, `phase_text`: its channel, kinds of run, and phases in words; empty for all phases."""
     blocks: tuple[ResidualBlocks, ...]
+    """Runs of these kinds, this channel alone."""
     masks: tuple[BoolArray, ...]
+    """Which blocks of each run are in these phases."""
     excess: float
+    """Excess of the whole campaign, other channels and kinds included."""
 
     @property
     def unit(self) -> str:
@@ -115,29 +107,21 @@ SYMBOL_UNITS: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TermLibrary:
-    """Terms at `N` blocks.
-
-    Attributes
-    ----------
-    names
-        Names of the `M` terms.
-    factors
-        Number of factors of each term, shape `(M,)`.
-    values
-        Values of the terms, shape `(N, M)`.
-    residual, weight
-        Residual [the region's unit], and the weight of its square, at most 1 over the expected mean square for all
-        blocks of a run together. Shape `(N,)`.
-    run
-        Index of the run, shape `(N,)`.
-    """
+    """Terms at `N` blocks."""
 
     names: tuple[str, ...]
+    """Names of the `M` terms."""
     factors: FloatArray
+    """Number of factors of each term, shape `(M,)`."""
     values: FloatArray
+    """Values of the terms, shape `(N, M)`."""
     residual: FloatArray
     weight: FloatArray
+    """`residual`, `weight`: residual [the region's unit], and the weight of its square, at most 1 over the expected
+    mean square for all blocks of a run together. Shape `(N,)`.
+    """
     run: IndexArray
+    """Index of the run, shape `(N,)`."""
 
 
 def term_library(region: GapRegion) -> TermLibrary:
@@ -225,17 +209,14 @@ TermIndices = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoldProducts:
-    """Weighted products of `M` terms and the residual in `K` folds, terms scaled to norm 1.
-
-    Attributes
-    ----------
-    gram, moment, squares
-        Terms with terms, terms with residual, residual with itself; shapes `(K, M, M)`, `(K, M)` and `(K,)`.
-    """
+    """Weighted products of `M` terms and the residual in `K` folds, terms scaled to norm 1."""
 
     gram: FloatArray
     moment: FloatArray
     squares: FloatArray
+    """`gram`, `moment`, `squares`: terms with terms, terms with residual, residual with itself; shapes `(K, M, M)`,
+    `(K, M)` and `(K,)`.
+    """
 
     def without(self, fold: int) -> "FoldProducts":
         """Leave a fold out."""
@@ -315,23 +296,18 @@ MIN_EXCESS_SIGMAS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class GapLaw:
-    """A sparse expression of a gap.
-
-    Attributes
-    ----------
-    terms, coefficients, sd
-        Names of the terms, and their coefficients with standard deviations robust to dependence within runs.
-    unit
-        Unit of the expression.
-    held_out_share
-        Share of the whole excess that it explains in held-out runs, terms and coefficients chosen without them.
-    """
+    """A sparse expression of a gap."""
 
     terms: tuple[str, ...]
     coefficients: tuple[float, ...]
     sd: tuple[float, ...]
+    """`terms`, `coefficients`, `sd`: names of the terms, and their coefficients with standard deviations robust to
+    dependence within runs.
+    """
     unit: str
+    """Unit of the expression."""
     held_out_share: float
+    """Share of the whole excess that it explains in held-out runs, terms and coefficients chosen without them."""
 
     @property
     def text(self) -> str:

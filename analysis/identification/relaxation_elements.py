@@ -66,19 +66,7 @@ MIN_INDEPENDENT_SHARE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShearRecord:
-    """A relaxation: measured motion, block means of the force, and the response of a branch of 1 kPa to that motion.
-
-    Attributes
-    ----------
-    ramp_s
-        Start and end of the ramp.
-    rested
-        Whether a rest before it shows the sensor's zero.
-    hold_s
-        Time from the ramp's end to the last valid sample.
-    noise_factor
-        Lower Cholesky factor of the covariance of the block means, which whitens them.
-    """
+    """A relaxation: measured motion, block means of the force, and the response of a branch of 1 kPa to that motion."""
 
     file: str
     shear_strain: float
@@ -87,10 +75,14 @@ class ShearRecord:
     pieces: Pieces
     blocks: BlockMeans
     ramp_s: tuple[float, float]
+    """Start and end of the ramp."""
     rested: bool
+    """Whether a rest before it shows the sensor's zero."""
     hold_s: float
+    """Time from the ramp's end to the last valid sample."""
     step_s: float
     noise_factor: FloatArray
+    """Lower Cholesky factor of the covariance of the block means, which whitens them."""
 
     @classmethod
     def of(cls, experiment: Experiment, noise: NoiseModel) -> "ShearRecord":
@@ -188,19 +180,14 @@ def _hold_duration(experiment: Experiment, ramp_s: tuple[float, float]) -> float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchFit:
-    """Spring and `B` branches, the fastest first.
-
-    Attributes
-    ----------
-    values
-        Zero [mN], then logarithms of E3, of the branches' moduli and of their time constants, shape `(2 + 2 B,)`.
-    residual, jacobian
-        Whitened residuals and their derivatives by the values, shapes `(N,)` and `(N, 2 + 2 B)`.
-    """
+    """Spring and `B` branches, the fastest first."""
 
     values: FloatArray
+    """Zero [mN], then logarithms of E3, of the branches' moduli and of their time constants, shape `(2 + 2 B,)`."""
     residual: FloatArray
     jacobian: FloatArray
+    """`residual`, `jacobian`: whitened residuals and their derivatives by the values, shapes `(N,)` and `(N, 2 + 2 B)`.
+    """
     converged: bool
 
     @property
@@ -377,23 +364,19 @@ def _significant_third(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelaxationResiduals:
-    """A run beside its fit.
-
-    Attributes
-    ----------
-    ramp_s
-        Start and end of the ramp.
-    middle_s, whitened
-        Middle of each block of the fit, and its residual, measured less predicted, shape `(n,)`.
-    time_s, predicted_mN
-        Times from the ramp's start on, evenly spread over their logarithm, and the predicted force, zero included.
-    """
+    """A run beside its fit."""
 
     ramp_s: tuple[float, float]
+    """Start and end of the ramp."""
     middle_s: FloatArray
     whitened: FloatArray
+    """`middle_s`, `whitened`: middle of each block of the fit, and its residual, measured less predicted, shape `(n,)`.
+    """
     time_s: FloatArray
     predicted_mN: FloatArray
+    """`time_s`, `predicted_mN`: times from the ramp's start on, evenly spread over their logarithm, and the predicted
+    force, zero included.
+    """
 
 
 def relaxation_residuals(

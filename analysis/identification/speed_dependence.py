@@ -40,20 +40,14 @@ SPEED_TOLERANCE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceDeviation:
-    """Measured minus expected force at `n` rising speeds.
-
-    Attributes
-    ----------
-    speed_mm_s, force_mN, error_mN
-        Speed, deviation, and its standard error, shape `(n,)`.
-    freedom_mN
-        Deviations that need no boundary, each one prior standard deviation large, shape `(K, n)`.
-    """
+    """Measured minus expected force at `n` rising speeds."""
 
     speed_mm_s: FloatArray
     force_mN: FloatArray
     error_mN: FloatArray
+    """`speed_mm_s`, `force_mN`, `error_mN`: speed, deviation, and its standard error, shape `(n,)`."""
     freedom_mN: FloatArray
+    """Deviations that need no boundary, each one prior standard deviation large, shape `(K, n)`."""
 
     @classmethod
     def of(
@@ -109,23 +103,16 @@ def fit_log_law(points: Sequence[SpeedPoint]) -> LogLaw | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HingeSearch:
-    """Hinges at the boundaries of a grid.
-
-    Attributes
-    ----------
-    hinge
-        Their deviations, shape `(G, n)`.
-    direction
-        The same, whitened, freed of level and trend, and of length 1.
-    whiten, project
-        Whiten deviations, and remove level and trend from whitened ones, shape `(n, n)`.
-    """
+    """Hinges at the boundaries of a grid."""
 
     at_mm_s: FloatArray
     hinge: FloatArray
+    """Their deviations, shape `(G, n)`."""
     direction: FloatArray
+    """The same, whitened, freed of level and trend, and of length 1."""
     whiten: FloatArray
     project: FloatArray
+    """`whiten`, `project`: whiten deviations, and remove level and trend from whitened ones, shape `(n, n)`."""
 
     @classmethod
     def of(cls, deviation: ForceDeviation) -> "_HingeSearch":

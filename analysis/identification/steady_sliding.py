@@ -62,21 +62,14 @@ from dragrig.sim_backend.friction import (
 
 @dataclass(frozen=True, slots=True)
 class SteadySliding:
-    """Steady sliding of a run.
-
-    Attributes
-    ----------
-    direction
-        1 forward, −1 backward, 0 unknown.
-    speed_mm_s
-        Measured over the steady stretch, positive; NaN where there is none.
-    steady
-        Mean force [mN] over it, the sensor's zero included.
-    """
+    """Steady sliding of a run."""
 
     direction: int
+    """1 forward, −1 backward, 0 unknown."""
     speed_mm_s: float
+    """Measured over the steady stretch, positive; NaN where there is none."""
     steady: Estimate
+    """Mean force [mN] over it, the sensor's zero included."""
 
 
 def measure_sliding(experiment: Experiment, *, filtered: bool = False) -> SteadySliding:
@@ -168,21 +161,14 @@ MAX_SCATTER_FACTOR = 1e3
 
 @dataclass(frozen=True, slots=True)
 class PooledMean:
-    """A weighted mean.
-
-    Attributes
-    ----------
-    mean
-        Its error includes the scatter between runs.
-    scatter
-        Standard deviation between runs that was assumed, in the unit of the values.
-    p_value
-        Probability that runs differ as much by errors and the usual scatter; None for one run.
-    """
+    """A weighted mean."""
 
     mean: Estimate
+    """Its error includes the scatter between runs."""
     scatter: float
+    """Standard deviation between runs that was assumed, in the unit of the values."""
     p_value: float | None
+    """Probability that runs differ as much by errors and the usual scatter; None for one run."""
 
 
 @single_blas_thread()
@@ -373,25 +359,18 @@ class DragSetup:
 
 @dataclass(frozen=True, slots=True)
 class DragRun:
-    """Steady drag of one run along its motion, the sensor's zero subtracted.
-
-    Attributes
-    ----------
-    force
-        With the error of this run's own force.
-    scatter_mN
-        Standard deviation between runs of these settings.
-    rest_age_s
-        Age of the contact at rest, where the zero was taken from the rest; None where it was given.
-    """
+    """Steady drag of one run along its motion, the sensor's zero subtracted."""
 
     file: str
     setup: DragSetup
     direction: int
     speed_mm_s: float
     force: Estimate
+    """With the error of this run's own force."""
     scatter_mN: float
+    """Standard deviation between runs of these settings."""
     rest_age_s: float | None
+    """Age of the contact at rest, where the zero was taken from the rest; None where it was given."""
 
     @property
     def variance(self) -> float:

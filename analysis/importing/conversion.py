@@ -62,15 +62,7 @@ MIN_PLATEAU_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConvertedMeasurement:
-    """Contents of a run file: `columns` by dataset, of which `channels` are the recorded quantities.
-
-    Attributes
-    ----------
-    origin_mm, time_origin_s
-        Position and time of the first row in the foreign file.
-    sources
-        For each quantity, its column, unit and factor, in words.
-    """
+    """Contents of a run file: `columns` by dataset, of which `channels` are the recorded quantities."""
 
     sample_rate_hz: float
     channels: tuple[RecordedChannel, ...]
@@ -78,7 +70,9 @@ class ConvertedMeasurement:
     events: tuple[RunEvent, ...]
     origin_mm: float = 0.0
     time_origin_s: float = 0.0
+    """`origin_mm`, `time_origin_s`: position and time of the first row in the foreign file."""
     sources: Mapping[str, str] = field(default_factory=dict)
+    """For each quantity, its column, unit and factor, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

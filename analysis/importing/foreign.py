@@ -137,24 +137,16 @@ class InvalidCell:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForeignColumn:
-    """One column.
-
-    Attributes
-    ----------
-    name
-        As in the file.
-    units
-        As in the file: a row of units, brackets after the name, or a property; empty when not stated.
-    values
-        Shape `(N,)`, NaN where a cell is empty or says NaN.
-    bad
-        First cell that is not a number; the values are then all NaN.
-    """
+    """One column."""
 
     name: str
+    """As in the file."""
     units: str
+    """As in the file: a row of units, brackets after the name, or a property; empty when not stated."""
     values: FloatArray
+    """Shape `(N,)`, NaN where a cell is empty or says NaN."""
     bad: InvalidCell | None = None
+    """First cell that is not a number; the values are then all NaN."""
 
     @property
     def label(self) -> str:
@@ -164,26 +156,18 @@ class ForeignColumn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForeignTable:
-    """All columns of a file, of the same length.
-
-    Attributes
-    ----------
-    lines
-        Line of the file for each row, counted from 1; None for binary files.
-    sample_rate_hz
-        Where the file states it.
-    preamble
-        Lines before the table.
-    export
-        Metadata of a run that this software exported.
-    """
+    """All columns of a file, of the same length."""
 
     path: Path
     columns: tuple[ForeignColumn, ...]
     lines: tuple[int, ...] | range | None = None
+    """Line of the file for each row, counted from 1; None for binary files."""
     sample_rate_hz: float | None = None
+    """Where the file states it."""
     preamble: tuple[str, ...] = ()
+    """Lines before the table."""
     export: Mapping[str, object] = field(default_factory=dict)
+    """Metadata of a run that this software exported."""
 
     @property
     def rows(self) -> int:

@@ -142,21 +142,14 @@ def _describe_error(error: Exception, file: Path | None) -> str:
 
 @dataclass(frozen=True)
 class CheckedModel(NominalModel):
-    """A user's model, whose declarations and answers are checked and whose errors become one sentence each.
-
-    Attributes
-    ----------
-    own
-        The model itself.
-    source
-        Its origin, for messages.
-    file
-        Its file, if it has one.
-    """
+    """A user's model, whose declarations and answers are checked and whose errors become one sentence each."""
 
     own: NominalModel
+    """The model itself."""
     source: str
+    """Its origin, for messages."""
     file: Path | None = None
+    """Its file, if it has one."""
 
     @classmethod
     def of(cls, candidate: object, source: str, file: Path | None = None) -> "CheckedModel":

@@ -511,24 +511,16 @@ MAX_JOINT_TIMING_S = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kinematics:
-    """A motion whose velocity is a chain of straight lines.
-
-    Attributes
-    ----------
-    joints_s
-        Times at which the lines join, from the first sample to the last, shape `(K,)`.
-    velocity_mm_s
-        Velocity at the joints, shape `(K,)`.
-    step_s
-        Time between samples.
-    wander_mm
-        Range of the recorded position at rest.
-    """
+    """A motion whose velocity is a chain of straight lines."""
 
     joints_s: FloatArray
+    """Times at which the lines join, from the first sample to the last, shape `(K,)`."""
     velocity_mm_s: FloatArray
+    """Velocity at the joints, shape `(K,)`."""
     step_s: float
+    """Time between samples."""
     wander_mm: float = ENCODER_JITTER_MM
+    """Range of the recorded position at rest."""
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
         """Velocity [mm/s] at times of shape `(n,)`."""

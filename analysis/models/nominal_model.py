@@ -78,18 +78,12 @@ class Combination:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """A channel at `n` times.
-
-    Attributes
-    ----------
-    total
-        The channel without the sensor's zero, shape `(n,)`.
-    varying
-        What each of the model's variations multiplies, shape `(V, n)`, in their order.
-    """
+    """A channel at `n` times."""
 
     total: FloatArray
+    """The channel without the sensor's zero, shape `(n,)`."""
     varying: FloatArray
+    """What each of the model's variations multiplies, shape `(V, n)`, in their order."""
 
 
 class Predictor(Protocol):
@@ -199,23 +193,18 @@ VALUE_STEP, PRIOR_STEP = 1e-4, 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionState:
-    """How the stage moves at times of a run, arrays of shape `(n,)`.
-
-    Attributes
-    ----------
-    time_s
-        Since the first sample; rising, not evenly.
-    position_mm, velocity_mm_s, acceleration_mm_s2
-        Measured motion, position since the first sample; exactly at rest where the stage rests.
-    experiment
-        The run: protocol, specimen, and everything recorded.
-    """
+    """How the stage moves at times of a run, arrays of shape `(n,)`."""
 
     time_s: FloatArray
+    """Since the first sample; rising, not evenly."""
     position_mm: FloatArray
     velocity_mm_s: FloatArray
     acceleration_mm_s2: FloatArray
+    """`position_mm`, `velocity_mm_s`, `acceleration_mm_s2`: measured motion, position since the first sample; exactly
+    at rest where the stage rests.
+    """
     experiment: Experiment
+    """The run: protocol, specimen, and everything recorded."""
 
     @property
     def speed_mm_s(self) -> FloatArray:
@@ -229,25 +218,18 @@ class MotionState:
 
 
 class ChannelModel(NominalModel):
-    """A model of one channel. A subclass gives `name`, `parameters` and the channel as a function of the motion.
-
-    Attributes
-    ----------
-    channel
-        The recorded quantity that is predicted.
-    zero_sd_mN
-        Standard deviation of the sensor's unknown zero in every run; 0 where the zero is known.
-    run_to_run
-        Relative standard deviation of the whole prediction between runs; 0 where it does not vary.
-    follows_s
-        Time over which the prediction is straight even in steady motion; set it below half a second only where it
-        changes quickly there, as cogging does.
-    """
+    """A model of one channel. A subclass gives `name`, `parameters` and the channel as a function of the motion."""
 
     channel: str = "force"
+    """The recorded quantity that is predicted."""
     zero_sd_mN: float = 5.0
+    """Standard deviation of the sensor's unknown zero in every run; 0 where the zero is known."""
     run_to_run: float = 0.0
+    """Relative standard deviation of the whole prediction between runs; 0 where it does not vary."""
     follows_s: float = inf
+    """Time over which the prediction is straight even in steady motion; set it below half a second only where it
+    changes quickly there, as cogging does.
+    """
 
     @abstractmethod
     def predict(self, values: Mapping[str, float], at: MotionState) -> FloatArray:

@@ -614,21 +614,14 @@ FINDINGS: Mapping[str, Callable[[], Values]] = {
 
 @dataclass(frozen=True, slots=True)
 class ElementRow:
-    """One element at one of Table 1's strains.
-
-    Attributes
-    ----------
-    published
-        Table 1's entry, the values of Eq. 14 and of the quadratic, and their differences from the entry.
-    identified
-        From a relaxation; None where there is none at that strain, or it supports none.
-    simulated
-        The element that the run was simulated with, its own variation included.
-    """
+    """One element at one of Table 1's strains."""
 
     published: ParameterSetDifference
+    """Table 1's entry, the values of Eq. 14 and of the quadratic, and their differences from the entry."""
     identified: EstimatedQuantity | None
+    """From a relaxation; None where there is none at that strain, or it supports none."""
     simulated: float
+    """The element that the run was simulated with, its own variation included."""
 
     @property
     def unit(self) -> str:

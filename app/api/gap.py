@@ -279,23 +279,16 @@ DEFAULT_MINUTES, MAX_RUNS = 20.0, 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunsToIsolate:
-    """The runs of a campaign, or those that a plan would make.
-
-    Attributes
-    ----------
-    nominal
-        The model that is expected.
-    planned
-        Whether the runs are yet to be made.
-    duration_s
-        Rig time, of a plan.
-    """
+    """The runs of a campaign, or those that a plan would make."""
 
     selection: RunSelection
     nominal: CapsuleModel
+    """The model that is expected."""
     source: str
     planned: bool
+    """Whether the runs are yet to be made."""
     duration_s: float | None
+    """Rig time, of a plan."""
 
 
 def isolability(

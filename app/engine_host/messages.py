@@ -50,26 +50,19 @@ class RigSelection:
 
 @dataclass(frozen=True, slots=True)
 class SessionJob:
-    """A session to carry out.
-
-    Attributes
-    ----------
-    number
-        Assigned by the client.
-    resume
-        Folder of a campaign to resume, in place of the plan.
-    mirror
-        Folder for a second copy of each finished file.
-    """
+    """A session to carry out."""
 
     number: int
+    """Assigned by the client."""
     plan: Plan | str
     operator: str = ""
     note: str = ""
     pace: Pace | None = None
     out: Path | None = None
     resume: Path | None = None
+    """Folder of a campaign to resume, in place of the plan."""
     mirror: Path | None = None
+    """Folder for a second copy of each finished file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,26 +262,18 @@ Phases = npt.NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveSamples:
-    """New samples, arrays of shape `(n,)`.
-
-    Attributes
-    ----------
-    serial
-        Differs from run to run.
-    first_index
-        Index of the first sample from the start of the run, lost samples included.
-    missed
-        Number of samples before these that were overwritten unread.
-    force, position
-        In mN and mm; NaN where the sampler lost samples.
-    """
+    """New samples, arrays of shape `(n,)`."""
 
     serial: int
+    """Differs from run to run."""
     rate_hz: float
     first_index: int
+    """Index of the first sample from the start of the run, lost samples included."""
     missed: int
+    """Number of samples before these that were overwritten unread."""
     force: Floats
     position: Floats
+    """`force`, `position`: in mN and mm; NaN where the sampler lost samples."""
     phase: Phases
 
 

@@ -34,23 +34,16 @@ MAX_DRAWN_RUNS = 100
 
 @dataclass(frozen=True, slots=True)
 class CampaignReportData:
-    """A campaign with what was measured of its runs.
-
-    Attributes
-    ----------
-    rows
-        Measures of its runs.
-    sessions
-        Records of its sessions that can be read, the earliest first.
-    damaged
-        Records that cannot be read, each with what is wrong.
-    """
+    """A campaign with what was measured of its runs."""
 
     name: str
     campaign: Campaign
     rows: tuple[TableRow, ...]
+    """Measures of its runs."""
     sessions: tuple[SessionRecord, ...] = ()
+    """Records of its sessions that can be read, the earliest first."""
     damaged: tuple[str, ...] = ()
+    """Records that cannot be read, each with what is wrong."""
 
     @property
     def readable(self) -> tuple[RunInfo, ...]:

@@ -67,32 +67,25 @@ def _empty_array() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunSummary:
-    """A run, much reduced.
-
-    Attributes
-    ----------
-    good
-        Whether it is complete and was not marked bad; only then the rest is filled in.
-    speed_mm_s
-        The speed that was set, or else measured, without sign; 0 where neither is known.
-    strain
-        Shear strain of a relaxation, 1 being 100 %.
-    steady
-        Steady force [mN] as recorded.
-    x, force_mN
-        A relaxation's force against the time since its ramp [s], or a drag's mean force against position [mm].
-    """
+    """A run, much reduced."""
 
     kind: str
     started: datetime
     backend: str
     specimen: str
     good: bool
+    """Whether it is complete and was not marked bad; only then the rest is filled in."""
     speed_mm_s: float = 0.0
+    """The speed that was set, or else measured, without sign; 0 where neither is known."""
     strain: float = 0.0
+    """Shear strain of a relaxation, 1 being 100 %."""
     steady: Estimate | None = None
+    """Steady force [mN] as recorded."""
     x: FloatArray = field(default_factory=_empty_array)
     force_mN: FloatArray = field(default_factory=_empty_array)
+    """`x`, `force_mN`: a relaxation's force against the time since its ramp [s], or a drag's mean force against
+    position [mm].
+    """
 
 
 def summarise_run(run: Run, bad: Collection[Path] = ()) -> RunSummary:

@@ -68,27 +68,19 @@ class RenderedCell:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table.
-
-    Attributes
-    ----------
-    name
-        Id in the document, and stem of its CSV file.
-    links
-        Ids of the document that the rows' first cells lead to, "" for none; or nothing at all.
-    brief_rows
-        How many rows a terminal or a window shows; the page and the CSV file have all.
-    file
-        The CSV file beside the page, where there is one.
-    """
+    """A table."""
 
     name: str
+    """Id in the document, and stem of its CSV file."""
     caption: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     links: tuple[str, ...] = ()
+    """Ids of the document that the rows' first cells lead to, "" for none; or nothing at all."""
     brief_rows: int | None = None
+    """How many rows a terminal or a window shows; the page and the CSV file have all."""
     file: str = ""
+    """The CSV file beside the page, where there is one."""
 
     @classmethod
     def of(
@@ -160,24 +152,16 @@ class Table:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Figure:
-    """A figure.
-
-    Attributes
-    ----------
-    name
-        Id in the document, and stem of its file.
-    shows
-        What is to be seen, for those who cannot see it.
-    caption
-        Stands below.
-    drawing
-        Draws it when a renderer asks, so that matplotlib loads only there; or the SVG that was drawn already.
-    """
+    """A figure."""
 
     name: str
+    """Id in the document, and stem of its file."""
     shows: str
+    """What is to be seen, for those who cannot see it."""
     caption: str
+    """Stands below."""
     drawing: "Callable[[], MatplotlibFigure] | str"
+    """Draws it when a renderer asks, so that matplotlib loads only there; or the SVG that was drawn already."""
 
 
 class TextKind(StrEnum):
@@ -237,23 +221,16 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """Blocks under a heading.
-
-    Attributes
-    ----------
-    name
-        Id in the document.
-    collapsed
-        Whether a page folds it away; a terminal leaves it out.
-    note
-        Stands in grey beside the heading of a collapsed section.
-    """
+    """Blocks under a heading."""
 
     name: str
+    """Id in the document."""
     heading: str
     blocks: "tuple[Block, ...]"
     collapsed: bool = False
+    """Whether a page folds it away; a terminal leaves it out."""
     note: str = ""
+    """Stands in grey beside the heading of a collapsed section."""
 
     @property
     def content(self) -> "tuple[Block, ...]":
@@ -274,34 +251,23 @@ Block: TypeAlias = Text | Items | Facts | Code | Table | Figure | Section
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Document:
-    """A result, laid out once.
-
-    Attributes
-    ----------
-    title
-        What this is: the page's title.
-    answer
-        The sentence that matters most; the title where there is none.
-    lead
-        Sentences that belong to the answer.
-    problem
-        What makes the result doubtful, such as a run marked bad.
-    source
-        The file or campaign, or what kind of document this is; stands above the answer.
-    badges
-        Backends that the data come from.
-    data
-        What `--json` prints, an object or a list, with exact numbers and keys that stay as they are.
-    """
+    """A result, laid out once."""
 
     title: str
+    """What this is: the page's title."""
     sections: tuple[Section, ...] = ()
     answer: str = ""
+    """The sentence that matters most; the title where there is none."""
     lead: tuple[str, ...] = ()
+    """Sentences that belong to the answer."""
     problem: str = ""
+    """What makes the result doubtful, such as a run marked bad."""
     source: str = ""
+    """The file or campaign, or what kind of document this is; stands above the answer."""
     badges: tuple[str, ...] = ()
+    """Backends that the data come from."""
     data: Mapping[str, object] | Sequence[object] = field(default_factory=dict)
+    """What `--json` prints, an object or a list, with exact numbers and keys that stay as they are."""
 
     @property
     def content(self) -> tuple[Section, ...]:

@@ -84,18 +84,12 @@ _NUMERIC_ATTRIBUTES = frozenset({"x", "y", "width", "height", "viewBox", "points
 
 @dataclass(frozen=True, slots=True)
 class InlineSvg:
-    """A figure as an element of a page, and the letters it is written with, which a page defines once.
-
-    Attributes
-    ----------
-    element
-        The `svg` element.
-    glyphs
-        Outlines of letters by their id; equal ids are equal letters in every figure.
-    """
+    """A figure as an element of a page, and the letters it is written with, which a page defines once."""
 
     element: str
+    """The `svg` element."""
     glyphs: Mapping[str, str]
+    """Outlines of letters by their id; equal ids are equal letters in every figure."""
 
 
 def inline_svg(text: str, shows: str) -> InlineSvg:

@@ -60,30 +60,22 @@ _VISCOUS_TEXTS = {"published": "δ v, as published", "newtonian": "δ (v/d) S, d
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperReportData:
-    """The simulated programme, what was identified from it, and what was found in the paper.
-
-    Attributes
-    ----------
-    model, capsule, wall_thickness_mm
-        What was simulated: the model, the drag test's capsule, the wall.
-    runs
-        Number of runs, return strokes included.
-    run_models
-        The model that each run was simulated with, its own variation included, by the file's name.
-    coulomb_trace
-        The Coulomb test's run; None when there is none.
-    """
+    """The simulated programme, what was identified from it, and what was found in the paper."""
 
     model: FrictionModelSettings
     capsule: Capsule
     wall_thickness_mm: float
+    """`model`, `capsule`, `wall_thickness_mm`: what was simulated: the model, the drag test's capsule, the wall."""
     rig: RigSettings
     runs: int
+    """Number of runs, return strokes included."""
     run_models: Mapping[str, FrictionModelSettings]
+    """The model that each run was simulated with, its own variation included, by the file's name."""
     identification: Identification
     elements: tuple[ElementRow, ...]
     findings: tuple[PaperFinding, ...]
     coulomb_trace: Run | None
+    """The Coulomb test's run; None when there is none."""
 
     @property
     def coulomb(self) -> CoulombRun | None:

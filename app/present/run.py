@@ -155,19 +155,13 @@ def run_document(run: Run, bad_reason: str | None = None) -> Document:
 
 @dataclass(frozen=True, slots=True)
 class InspectedFile:
-    """A run file without its samples.
-
-    Attributes
-    ----------
-    bad_reason
-        Why the run is marked bad; None for one that is not.
-    intact
-        Whether the samples match their checksum; None where that was not tested.
-    """
+    """A run file without its samples."""
 
     info: RunInfo
     bad_reason: str | None = None
+    """Why the run is marked bad; None for one that is not."""
     intact: bool | None = None
+    """Whether the samples match their checksum; None where that was not tested."""
 
 
 def files_document(files: Sequence[InspectedFile]) -> Document:

@@ -36,36 +36,27 @@ _STATE_OF_STATUS = {
 
 @dataclass(slots=True)
 class QueuedSession:
-    """A queued session.
-
-    Attributes
-    ----------
-    planned_s, run_count
-        Duration by the plan, with its waits, and number of runs.
-    runs, ended
-        Its runs once it has started, and the results of those that ended, by index.
-    current_run
-        The run in progress, `elapsed_s` after its start.
-    last_index
-        Index of the run that started last; runs before it were made or skipped.
-    mirror
-        Result of mirroring once the session has ended; None without a mirror.
-    """
+    """A queued session."""
 
     job: SessionJob
     title: str
     planned_s: float
     run_count: int
+    """`planned_s`, `run_count`: duration by the plan, with its waits, and number of runs."""
     stage: QueueState = QueueState.WAITING
     reason: str = ""
     folder: str = ""
     runs: tuple[QueuedRun, ...] = ()
     ended: dict[int, RunFinished] = field(default_factory=dict)
+    """`runs`, `ended`: its runs once it has started, and the results of those that ended, by index."""
     current_run: QueuedRun | None = None
+    """The run in progress, `elapsed_s` after its start."""
     last_index: int = -1
+    """Index of the run that started last; runs before it were made or skipped."""
     elapsed_s: float = 0.0
     real_time: bool = True
     mirror: MirrorStatus | None = None
+    """Result of mirroring once the session has ended; None without a mirror."""
 
     def time_of(self, run: QueuedRun) -> float:
         """Return the duration of a run, in real time with the wait before it."""
