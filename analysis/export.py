@@ -119,10 +119,7 @@ def _finite_attributes(attributes: Mapping[str, Attribute]) -> dict[str, Json]:
 class CsvStyle:
     """Decimal mark and delimiter of a CSV file.
 
-    Raises
-    ------
-    AnalysisError
-        When decimal mark and delimiter are the same, or not among these.
+    Raises `AnalysisError` when decimal mark and delimiter are the same, or not among these.
     """
 
     decimal: str = "."
@@ -203,10 +200,7 @@ def write_mat(part: Path, content: ExportContent) -> None:
 
     The metadata are stored twice, as the struct `metadata` and, for reading back, as JSON text.
 
-    Raises
-    ------
-    AnalysisError
-        When a column is too large for the format.
+    Raises `AnalysisError` when a column is too large for the format.
     """
     from scipy.io import savemat
 

@@ -193,10 +193,7 @@ class SpeedMean:
 def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow, ...]:
     """Measure every run of a campaign, in order; a file that cannot be read has a row with the reason.
 
-    Raises
-    ------
-    RunFileError
-        When there is no such folder.
+    Raises `RunFileError` when there is no such folder.
     """
     from dragrig.rig import read_campaign, read_run
 

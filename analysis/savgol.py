@@ -101,10 +101,7 @@ class SavgolKernel:
 class SavgolSettings:
     """Window, order and derivative of a Savitzky–Golay filter.
 
-    Raises
-    ------
-    AnalysisError
-        When the settings contradict themselves.
+    Raises `AnalysisError` when the settings contradict themselves.
     """
 
     window_s: float | None = None
@@ -134,10 +131,7 @@ class SavgolSettings:
     def samples(self, sample_rate_hz: float) -> int:
         """Return the window's length in samples, an odd number.
 
-        Raises
-        ------
-        AnalysisError
-            When the window is too short for the order at this rate.
+        Raises `AnalysisError` when the window is too short for the order at this rate.
         """
         if self.window_samples is not None:
             return self.window_samples

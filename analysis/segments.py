@@ -50,10 +50,7 @@ def gap_starts(time: FloatArray, sample_rate_hz: float) -> IndexArray:
 def unbroken_slices(values: FloatArray, gaps: npt.ArrayLike = ()) -> Iterator[slice]:
     """Yield the stretches of `values` without a gap and without NaN or infinity, in order.
 
-    Raises
-    ------
-    AnalysisError
-        When an index in `gaps` lies outside the values.
+    Raises `AnalysisError` when an index in `gaps` lies outside the values.
     """
     starts = np.unique(np.asarray(gaps, dtype=np.intp))
     if starts.size and (starts[0] < 0 or starts[-1] > len(values)):

@@ -130,13 +130,7 @@ def known_plans(lab: Path | None = None) -> tuple[str, ...]:
 
 
 def plan_form(name_or_path: str) -> PlanForm:
-    """Return a plan's form.
-
-    Raises
-    ------
-    SettingsError, PlanError
-        When there is no such plan, or it is invalid.
-    """
+    """Return a plan's form; raises `SettingsError` or `PlanError` when there is no such plan, or it is invalid."""
     data, source = find_table("plan", name_or_path)
     return form_from_plan(parse(Plan, data, source), source)
 

@@ -294,10 +294,7 @@ class _PageServer(ThreadingHTTPServer):
 def serve_state_page(port: int) -> Iterator[StatePage]:
     """Serve a page on the loopback address until the block ends.
 
-    Raises
-    ------
-    OutputError
-        When the port is not available.
+    Raises `OutputError` when the port is not available.
     """
     from dragrig.present import render_template
 

@@ -158,10 +158,7 @@ class Session:
     def run(self) -> SessionResult:
         """Make every pending run, or as many as possible.
 
-        Raises
-        ------
-        DragrigError
-            When a record cannot be opened or finished; the stage is stopped and disabled first.
+        Raises `DragrigError` when a record cannot be opened or finished; the stage is stopped and disabled first.
         """
         self._observer.begins(self._programme, self._programme.pending(self._done), real_time=self._real_time)
         status, reason = RunStatus.COMPLETE, ""

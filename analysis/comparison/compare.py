@@ -77,13 +77,7 @@ class _MeasuredRun(PairingCandidate):
 
 
 def compare_sides(a: ComparedSide, b: ComparedSide, progress: Progress = no_progress) -> Comparison:
-    """Compare two sides.
-
-    Raises
-    ------
-    AnalysisError
-        When no run of either side has a partner on the other.
-    """
+    """Compare two sides; raises `AnalysisError` when no run of either side has a partner on the other."""
     total = len(a.runs) + 2 * len(b.runs)
     runs_a, unusable_a = _measure_side(a, lambda done: progress(done, total))
     runs_b, unusable_b = _measure_side(b, lambda done: progress(len(a.runs) + done, total))

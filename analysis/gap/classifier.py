@@ -311,10 +311,7 @@ class _LabelledChoice:
 def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float) -> dict[str, float]:
     """Return the weights that maximise the penalised likelihood of the correct choices.
 
-    Raises
-    ------
-    ValueError
-        When no case is informative.
+    Raises `ValueError` when no case is informative.
     """
     from scipy.optimize import minimize
 

@@ -112,11 +112,8 @@ class _MappedColumn:
 def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMeasurement:
     """Map and convert columns, and put the rows onto an even grid.
 
-    Raises
-    ------
-    ImportDataError
-        When a column is missing, holds text or gaps where numbers are needed, its unit is not understood,
-        or rows are unevenly spaced and neither resampling nor a rate is set.
+    Raises `ImportDataError` when a column is missing, holds text or gaps where numbers are needed, its unit is not
+    understood, or rows are unevenly spaced and neither resampling nor a rate is set.
     """
     sources = settings.columns.mapped() or guess_columns(table).mapped()
     mapped = {quantity: _map_column(table, quantity, source) for quantity, source in sources.items()}
@@ -275,10 +272,7 @@ def _position_and_command(
 def counted_grid(path: Path, stamps: FloatArray | None, rows: int, sample_rate_hz: float) -> SampleGrid:
     """Grid of rows that are evenly spaced at a stated rate.
 
-    Raises
-    ------
-    ImportDataError
-        When the time stamps' span differs by more than 1 % and three periods.
+    Raises `ImportDataError` when the time stamps' span differs by more than 1 % and three periods.
     """
     span_s = (rows - 1) / sample_rate_hz
     if stamps is not None and rows > 1:

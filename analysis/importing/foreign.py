@@ -181,10 +181,7 @@ class ForeignTable:
     def column(self, wanted: str | int) -> ForeignColumn:
         """Find a column by its name, its label without the unit, or its number from 1.
 
-        Raises
-        ------
-        ImportDataError
-            When there is none, naming the nearest, or the name is ambiguous.
+        Raises `ImportDataError` when there is none, naming the nearest, or the name is ambiguous.
         """
         name = str(wanted).strip()
         exact = [column for column in self.columns if column.name == name]
@@ -325,10 +322,7 @@ def parse_map(assignments: Iterable[str]) -> ColumnMap:
     `force="Load (N)":N`, `force=3:mV*12.5`, `force=Friction:1*1000`, `position="Pos":rad*5`. A column name
     with a colon is put into quotes.
 
-    Raises
-    ------
-    ImportDataError
-        When a map is not of this form, or its quantity is unknown.
+    Raises `ImportDataError` when a map is not of this form, or its quantity is unknown.
     """
     sources: dict[str, object] = {}
     for text in assignments:

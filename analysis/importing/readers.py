@@ -61,10 +61,7 @@ _EXPORT_LINE = re.compile(r"# ([\w-]+): (.*)")
 def read_foreign(path: Path, settings: ImportSettings | None = None) -> ForeignTable:
     """Read a measurement by its ending: .mat, .parquet, .tdms, .npz, or text under any other.
 
-    Raises
-    ------
-    ImportDataError
-        When the file cannot be read, or holds no table.
+    Raises `ImportDataError` when the file cannot be read, or holds no table.
     """
     settings = settings or ImportSettings()
     if not path.is_file():
@@ -103,10 +100,7 @@ def read_text(
 ) -> ForeignTable:
     """Read a text table; parameters that are not given are detected.
 
-    Raises
-    ------
-    ImportDataError
-        When there is no table, its rows differ in width, or its decimal mark is ambiguous.
+    Raises `ImportDataError` when there is no table, its rows differ in width, or its decimal mark is ambiguous.
     """
     lines = read_lines(path, encoding)
     dialect = detect_dialect(path, lines, delimiter, header_lines)
@@ -128,10 +122,7 @@ def read_text(
 def read_lines(path: Path, encoding: str = "") -> list[str]:
     """Read a text file's lines, with line ends of any system; `encoding` overrides the detected one.
 
-    Raises
-    ------
-    ImportDataError
-        When the file cannot be read, is empty, or is not text of this encoding.
+    Raises `ImportDataError` when the file cannot be read, is empty, or is not text of this encoding.
     """
     try:
         data = path.read_bytes()
@@ -185,10 +176,7 @@ def detect_dialect(
 
     The delimiter is the one that gives the most columns of numbers, then the largest share of such columns.
 
-    Raises
-    ------
-    ImportDataError
-        When there is no table of numbers.
+    Raises `ImportDataError` when there is no table of numbers.
     """
     after_header = lines[header_lines or 0 :]
     spread = after_header[:: max(1, len(after_header) // SAMPLED_LINES)]

@@ -49,10 +49,7 @@ def existing_files(folder: Path, names: tuple[str, ...]) -> tuple[Path, ...]:
 def write_texts(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
     """Write texts under their names, replacing what is there; return the paths.
 
-    Raises
-    ------
-    OutputError
-        When the folder cannot be made or refuses.
+    Raises `OutputError` when the folder cannot be made or refuses.
     """
     paths = []
     try:
@@ -99,10 +96,8 @@ def unused_path(path: Path, suffix: str = "") -> Path:
 def save_figure(figure: "Figure", path: Path, overwrite: bool = False) -> Path:
     """Write a picture as PNG or SVG, by its name's ending, and return the path.
 
-    Raises
-    ------
-    OutputError
-        When the ending is another one, the file exists and may not be replaced, or the folder cannot be written to.
+    Raises `OutputError` when the ending is another one, the file exists and may not be replaced, or the folder cannot
+    be written to.
     """
     ending = path.suffix.lower()
     if ending not in FIGURE_FORMATS:

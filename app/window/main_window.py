@@ -342,10 +342,7 @@ def qt_application() -> QApplication:
 def show_window(rig: RigSelection, lab: Path | None) -> int:
     """Show the window until it is closed; return the exit code.
 
-    Raises
-    ------
-    SettingsError
-        When the rig's settings cannot be used.
+    Raises `SettingsError` when the rig's settings cannot be used.
     """
     application = qt_application()
     window = MainWindow(rig, lab)
