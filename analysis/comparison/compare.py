@@ -14,6 +14,7 @@ from dragrig.analysis import (
     Exclusion,
     Progress,
     RunMeasures,
+    count_text,
     in_phase,
     measure,
     no_progress,
@@ -43,7 +44,7 @@ from dragrig.analysis.comparison.comparison import (
     secondary_differences,
 )
 from dragrig.config import AnalysisError, DragrigError, Fixture, NoiseSettings, reason_of
-from dragrig.rig import PHASE_NAMES, Phase, Run, specimen_key
+from dragrig.rig import PHASE_NAMES, FloatArray, Phase, Run, specimen_key
 
 ZERO_FORCE_AT_REST_KINDS = frozenset({"blank", "coulomb", "relaxation"})
 """Kinds of run without force before the motion, so that the rest shows the sensor's zero."""
@@ -194,7 +195,7 @@ def _unpaired_reason(run: PairingCandidate, opposite: Sequence[PairingCandidate]
     differences = [(candidate, run.condition.differs_from(candidate.condition)) for candidate in opposite]
     same = sum(not differs for _, differs in differences)
     if same:
-        return f"{side} has only {same} run{_plural(same)} like it, paired with earlier runs"
+        return f"{side} has only {count_text(same, 'run')} like it, paired with earlier runs"
     kind = run.condition.kind
     nearest, differs = min(differences, key=lambda pair: (pair[0].condition.kind != kind, len(pair[1])))
     if nearest.condition.kind != kind:
@@ -325,10 +326,13 @@ def _phase_differences(overlay: AlignedRuns, zeros: tuple[float, float]) -> Iter
     for name, mask in (*masks, ("all", np.ones_like(finite))):
         value, time = difference[mask & finite], overlay.time_s[mask & finite]
         if value.size:
-            largest = int(np.abs(value).argmax())
-            rms = float(np.sqrt(np.mean(value**2)))
-            mean = float(value.mean())
-            yield PhaseDifference(name, value.size, mean, rms, float(value[largest]), float(time[largest]))
+            rms, largest = _rms_and_largest(value)
+            at_s = float(time[np.abs(value).argmax()])
+            yield PhaseDifference(name, value.size, float(value.mean()), rms, largest, at_s)
+
+
+def _rms_and_largest(values: FloatArray) -> tuple[float, float]:
+    return float(np.sqrt(np.mean(values**2))), float(values[np.abs(values).argmax()])
 
 
 def _motion_difference(a: Run, b: Run | None, overlay: AlignedRuns | None) -> MotionDifference:
@@ -339,10 +343,7 @@ def _motion_difference(a: Run, b: Run | None, overlay: AlignedRuns | None) -> Mo
     difference = difference[np.isfinite(difference)]
     if not difference.size:
         return MotionDifference(_following_error(a), _following_error(b))
-    difference = difference - difference[0]
-    largest = float(difference[np.abs(difference).argmax()])
-    rms = float(np.sqrt(np.mean(difference**2)))
-    return MotionDifference(_following_error(a), _following_error(b), rms, largest)
+    return MotionDifference(_following_error(a), _following_error(b), *_rms_and_largest(difference - difference[0]))
 
 
 def _following_error(run: Run) -> FollowingError | None:
@@ -353,7 +354,6 @@ def _following_error(run: Run) -> FollowingError | None:
     if np.array_equal(command, position) or not moving.any():
         return None
     error = position - command
-    largest = float(error[moving][np.abs(error[moving]).argmax()])
     lag_s = None
     steady = moving & in_phase(trace, Phase.STEADY)
     if np.count_nonzero(steady) >= 2:
@@ -361,7 +361,7 @@ def _following_error(run: Run) -> FollowingError | None:
         travel = float(trace.command[steady][-1] - trace.command[steady][0])
         speed = travel / duration_s if duration_s > 0 else 0.0
         lag_s = -float(np.mean(error[steady])) / speed if speed else None
-    return FollowingError(float(np.sqrt(np.mean(error[moving] ** 2))), largest, lag_s)
+    return FollowingError(*_rms_and_largest(error[moving]), lag_s)
 
 
 # Groups of pairs.
@@ -426,12 +426,12 @@ def comparison_sentences(comparison: Comparison) -> tuple[str, ...]:
 def _overview(comparison: Comparison) -> str:
     count = len(comparison.pairs)
     if comparison.b.is_model:
-        runs = f"{count} run{_plural(count)} of A ({comparison.a.name})"
+        runs = f"{count_text(count, 'run')} of A ({comparison.a.name})"
         return f"{runs} against the friction model, on the recorded motion (B)."
     alone = ((comparison.alone_a, "A"), (comparison.alone_b, "B"))
     counts = " and ".join(f"{len(runs)} of {name}" for runs, name in alone if runs)
     without = f"; without a partner: {counts}" if counts else ""
-    return f"{count} pair{_plural(count)} of runs, A from {comparison.a.name}, B from {comparison.b.name}{without}."
+    return f"{count_text(count, 'pair')} of runs, A from {comparison.a.name}, B from {comparison.b.name}{without}."
 
 
 def _overall_judgement(comparison: Comparison) -> str:
@@ -445,7 +445,7 @@ def _overall_judgement(comparison: Comparison) -> str:
         return "No pair has a known difference of forces, so that nothing can be concluded."
     beyond = sum(difference.verdict is DifferenceVerdict.BEYOND for difference in judged)
     names = dict.fromkeys(difference.measure.removesuffix(" force") for difference in judged)
-    forces = f"{len(judged)} {', '.join(names)} force{_plural(len(judged))}"
+    forces = count_text(len(judged), f"{', '.join(names)} force")
     if beyond == 0:
         return f"None of {forces} differs by more than noise and run-to-run scatter explain."
     by_chance = FALSE_POSITIVE_RATE * len(judged)
@@ -549,7 +549,3 @@ def _comparison_remarks(a: ComparedSide, b: ComparedSide, pairs: Sequence[RunPai
 
 def _percent(relative: float | None) -> str:
     return "" if relative is None else f" ({100 * relative:+.0f} %)"
-
-
-def _plural(count: int) -> str:
-    return "" if count == 1 else "s"

@@ -21,27 +21,8 @@ from dragrig.analysis import (
     significant_text,
     squared_correlation,
 )
-from dragrig.analysis.paper.published import (
-    BOUNDARY_MM_S,
-    COULOMB_DIAMETER_MM,
-    COULOMB_FORCE_MN,
-    COULOMB_MASS_G,
-    COULOMB_SPEED_MM_S,
-    ELEMENT_SYMBOLS,
-    FRICTION_COEFFICIENT,
-    HIGHEST_MM_S,
-    LOWEST_MM_S,
-    PAPER_CAPSULE,
-    PAPER_MODEL,
-    R2_ABOVE,
-    R2_BELOW,
-    SENSOR_ACCURACY_MN,
-    SPEEDS_MM_S,
-    WALL_THICKNESS_MM,
-    WALL_UNITS,
-    FindingNumber,
-    PaperFinding,
-)
+from dragrig.analysis.paper import published as printed
+from dragrig.analysis.paper.published import FindingNumber, PaperFinding
 from dragrig.config import Capsule, FrictionModelSettings
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.friction import (
@@ -60,7 +41,7 @@ from dragrig.sim_backend.friction import (
 )
 
 FINDINGS_FILE = Path(__file__).with_name("findings.toml")
-ENDS_MM_S = (LOWEST_MM_S, HIGHEST_MM_S)
+ENDS_MM_S = (printed.LOWEST_MM_S, printed.HIGHEST_MM_S)
 SPEED_MM_S = 20.0
 """Speed of the examples."""
 RAMP_MM_S = 20.0
@@ -74,15 +55,15 @@ SAME_STRAIN_TOLERANCE = 0.02
 """Largest difference of strains that count as equal."""
 
 CONSTANTS = {
-    "lowest": LOWEST_MM_S,
-    "highest": HIGHEST_MM_S,
-    "boundary": BOUNDARY_MM_S,
+    "lowest": printed.LOWEST_MM_S,
+    "highest": printed.HIGHEST_MM_S,
+    "boundary": printed.BOUNDARY_MM_S,
     "speed": SPEED_MM_S,
     "ramp": RAMP_MM_S,
     "least": 100 * MIN_STRESS_SHARE,
-    "accuracy": SENSOR_ACCURACY_MN,
-    "r2_below": R2_BELOW,
-    "r2_above": R2_ABOVE,
+    "accuracy": printed.SENSOR_ACCURACY_MN,
+    "r2_below": printed.R2_BELOW,
+    "r2_above": printed.R2_ABOVE,
 }
 """What every finding may name besides its own values."""
 
@@ -122,14 +103,16 @@ def _finding(values: Values, numbers: Sequence[Sequence[str]], key: str, **texts
 
 
 def _steady_forces(
-    *speeds_mm_s: float, viscous: str = PAPER_MODEL.viscous, capsule: Capsule = PAPER_CAPSULE
+    *speeds_mm_s: float, viscous: str = printed.PAPER_MODEL.viscous, capsule: Capsule = printed.PAPER_CAPSULE
 ) -> SteadyFriction:
-    model = PAPER_MODEL.model_copy(update={"viscous": viscous})
-    return steady_forces(speeds_mm_s, model, capsule, WALL_THICKNESS_MM)
+    model = printed.PAPER_MODEL.model_copy(update={"viscous": viscous})
+    return steady_forces(speeds_mm_s, model, capsule, printed.WALL_THICKNESS_MM)
 
 
-def _contact(capsule: Capsule = PAPER_CAPSULE, model: FrictionModelSettings = PAPER_MODEL) -> HemisphereContact:
-    return HemisphereContact.of(capsule, WALL_THICKNESS_MM, model)
+def _contact(
+    capsule: Capsule = printed.PAPER_CAPSULE, model: FrictionModelSettings = printed.PAPER_MODEL
+) -> HemisphereContact:
+    return HemisphereContact.of(capsule, printed.WALL_THICKNESS_MM, model)
 
 
 def _inner_radius() -> float:
@@ -143,7 +126,7 @@ def _inner_radius() -> float:
 def _eq14_against_table1() -> Values:
     eq14, quadratic = dict[str, float](), dict[str, float]()
     for row in parameter_set_differences():
-        name = ELEMENT_SYMBOLS[row.parameter]
+        name = printed.ELEMENT_SYMBOLS[row.parameter]
         for largest, miss in ((eq14, 100 * row.eq14_difference), (quadratic, 100 * row.quadratic_difference)):
             largest[name] = max(largest.get(name, 0.0), miss, key=abs)
     return {
@@ -198,7 +181,7 @@ def _ramp_as_step() -> Values:
     from scipy.optimize import brentq
 
     strain, table = np.array(TABLE1_STRAIN), np.array(TABLE1)
-    travel, time = strain * WALL_THICKNESS_MM, table[3] / table[0]
+    travel, time = strain * printed.WALL_THICKNESS_MM, table[3] / table[0]
     lengths = travel / RAMP_MM_S / time
     left = -100 * np.expm1(-lengths) / lengths
     short = float(brentq(lambda length: -np.expm1(-length) / length - MIN_STRESS_SHARE, 1e-6, 10.0))
@@ -217,10 +200,10 @@ def _ramp_as_step() -> Values:
 
 def _fixture_gap() -> Values:
     return {
-        "opened": COULOMB_DIAMETER_MM,
-        "dummy": PAPER_CAPSULE.diameter_mm,
-        "gap": 1e3 * 0.5 * (COULOMB_DIAMETER_MM - PAPER_CAPSULE.diameter_mm),
-        "stretch": 100 * (COULOMB_DIAMETER_MM / (2 * _inner_radius()) - 1),
+        "opened": printed.COULOMB_DIAMETER_MM,
+        "dummy": printed.PAPER_CAPSULE.diameter_mm,
+        "gap": 1e3 * 0.5 * (printed.COULOMB_DIAMETER_MM - printed.PAPER_CAPSULE.diameter_mm),
+        "stretch": 100 * (printed.COULOMB_DIAMETER_MM / (2 * _inner_radius()) - 1),
     }
 
 
@@ -229,32 +212,35 @@ def _fixture_gap() -> Values:
 
 def _thick_wall() -> Values:
     return {
-        "undisturbed": WALL_THICKNESS_MM / _inner_radius(),
-        "equator": WALL_THICKNESS_MM / _contact().radius_mm,
+        "undisturbed": printed.WALL_THICKNESS_MM / _inner_radius(),
+        "equator": printed.WALL_THICKNESS_MM / _contact().radius_mm,
     }
 
 
 def _constant_thickness() -> Values:
     inner, radius = _inner_radius(), _contact().radius_mm
-    section = (inner + WALL_THICKNESS_MM) ** 2 - inner**2
+    section = (inner + printed.WALL_THICKNESS_MM) ** 2 - inner**2
     thinned = float(np.sqrt(radius**2 + section)) - radius
-    difference = 100 * (thinned / WALL_THICKNESS_MM - 1)
-    return {"thickness": WALL_THICKNESS_MM, "thinned": thinned, "difference": difference}
+    difference = 100 * (thinned / printed.WALL_THICKNESS_MM - 1)
+    return {"thickness": printed.WALL_THICKNESS_MM, "thinned": thinned, "difference": difference}
 
 
 def _two_capsules() -> Values:
-    capsules = (PAPER_CAPSULE, PAPER_CAPSULE.model_copy(update={"diameter_mm": COULOMB_DIAMETER_MM}))
+    capsules = (
+        printed.PAPER_CAPSULE,
+        printed.PAPER_CAPSULE.model_copy(update={"diameter_mm": printed.COULOMB_DIAMETER_MM}),
+    )
     narrow, wide = (float(_steady_forces(SPEED_MM_S, capsule=capsule).total[0]) for capsule in capsules)
-    gut = [2 * _inner_radius() * capsule.diameter_mm / PAPER_CAPSULE.diameter_mm for capsule in capsules]
+    gut = [2 * _inner_radius() * capsule.diameter_mm / printed.PAPER_CAPSULE.diameter_mm for capsule in capsules]
     difference = 100 * (wide / narrow - 1)
     return {"narrow": narrow, "wide": wide, "narrow_gut": gut[0], "wide_gut": gut[1], "difference": difference}
 
 
 def _side_area() -> Values:
     contact = _contact()
-    strip = 2 * np.pi * contact.radius_mm * PAPER_MODEL.side_contact_mm
+    strip = 2 * np.pi * contact.radius_mm * printed.PAPER_MODEL.side_contact_mm
     side = float(_steady_forces(SPEED_MM_S).side_pressure_force[0])
-    weight, mu = PAPER_CAPSULE.mass_g * GRAVITY_M_S2, PAPER_MODEL.friction_coefficient
+    weight, mu = printed.PAPER_CAPSULE.mass_g * GRAVITY_M_S2, printed.PAPER_MODEL.friction_coefficient
     ratio = strip / contact.area_mm2
     return {
         "area": contact.area_mm2,
@@ -267,13 +253,13 @@ def _side_area() -> Values:
 
 def _side_length() -> Values:
     contact = _contact()
-    ends = np.array([contact.length_mm, contact.length_mm + PAPER_MODEL.side_contact_mm])
+    ends = np.array([contact.length_mm, contact.length_mm + printed.PAPER_MODEL.side_contact_mm])
     begin, end = contact.side_pressure().force(ends / SPEED_MM_S)
     return {
-        "dummy": PAPER_CAPSULE.length_mm,
+        "dummy": printed.PAPER_CAPSULE.length_mm,
         "contact": ends[1],
-        "slow": PAPER_MODEL.side_contact_mm / LOWEST_MM_S,
-        "quick": PAPER_MODEL.side_contact_mm / HIGHEST_MM_S,
+        "slow": printed.PAPER_MODEL.side_contact_mm / printed.LOWEST_MM_S,
+        "quick": printed.PAPER_MODEL.side_contact_mm / printed.HIGHEST_MM_S,
         "begin": begin,
         "end": end,
     }
@@ -295,19 +281,19 @@ def stress_by_superposition(speed_mm_s: float) -> float:
     """Hoop stress at the equator [kPa] when each branch is integrated along the growing strain, parameters of ε(L)."""
     x, strain = _strain_along_contact()
     age = (x[-1] - x) / speed_mm_s
-    wall = model_wall(PAPER_MODEL, float(strain[-1]))
+    wall = model_wall(printed.PAPER_MODEL, float(strain[-1]))
     return float(_relaxing_stress(wall, np.diff(strain), 0.5 * (age[:-1] + age[1:])).sum())
 
 
 def stress_by_eq4(speed_mm_s: float) -> float:
     """Hoop stress at the equator [kPa] by Eq. 4."""
     x, strain = _strain_along_contact()
-    return float(_relaxing_stress(model_wall(PAPER_MODEL, strain[-1]), strain[-1], x[-1] / speed_mm_s))
+    return float(_relaxing_stress(model_wall(printed.PAPER_MODEL, strain[-1]), strain[-1], x[-1] / speed_mm_s))
 
 
 def _strain_history() -> Values:
     stress, raised = dict[str, float](), list[str]()
-    for speed in (LOWEST_MM_S, SPEED_MM_S, HIGHEST_MM_S):
+    for speed in (printed.LOWEST_MM_S, SPEED_MM_S, printed.HIGHEST_MM_S):
         published, integrated = stress_by_eq4(speed), stress_by_superposition(speed)
         stress[f"stress at the equator by Eq. 4, {speed:g}"] = published
         stress[f"the same elements along the strain's history, {speed:g}"] = integrated
@@ -329,9 +315,9 @@ def _pointwise() -> Values:
 
 
 def _pressure_maximum() -> Values:
-    at = _steady_forces(*np.geomspace(LOWEST_MM_S, HIGHEST_MM_S, 200)).x_of_max_skew
+    at = _steady_forces(*np.geomspace(printed.LOWEST_MM_S, printed.HIGHEST_MM_S, 200)).x_of_max_skew
     x, strain = _strain_along_contact()
-    falling, constant = model_wall(PAPER_MODEL, strain), model_wall(PAPER_MODEL, 0.5)
+    falling, constant = model_wall(printed.PAPER_MODEL, strain), model_wall(printed.PAPER_MODEL, 0.5)
     fresh, relaxed, aged = np.zeros_like(x), np.full_like(x, np.inf), x / SPEED_MM_S
 
     def position(wall: WallParameters, age_s: FloatArray) -> float:
@@ -365,8 +351,8 @@ def _dimension() -> Values:
 
 
 def _lubrication() -> Values:
-    forces, mu = _steady_forces(SPEED_MM_S), PAPER_MODEL.friction_coefficient
-    film = float(forces.f_v[0]) / (PAPER_CAPSULE.mass_g * GRAVITY_M_S2 + float(forces.side_pressure_force[0]))
+    forces, mu = _steady_forces(SPEED_MM_S), printed.PAPER_MODEL.friction_coefficient
+    film = float(forces.f_v[0]) / (printed.PAPER_CAPSULE.mass_g * GRAVITY_M_S2 + float(forces.side_pressure_force[0]))
     return {"film": film, "mu": mu, "ratio": mu / film}
 
 
@@ -374,9 +360,9 @@ def _weight() -> Values:
     forces = _steady_forces(SPEED_MM_S)
     side = float(forces.side_pressure_force[0])
     return {
-        "weight": PAPER_CAPSULE.mass_g * GRAVITY_M_S2,
+        "weight": printed.PAPER_CAPSULE.mass_g * GRAVITY_M_S2,
         "side": side,
-        "without": PAPER_MODEL.friction_coefficient * side,
+        "without": printed.PAPER_MODEL.friction_coefficient * side,
         "f_c": forces.f_c[0],
     }
 
@@ -401,11 +387,11 @@ def _major_share() -> Values:
 
 
 def _logarithm() -> Values:
-    total, log_speed = model_forces(np.array(SPEEDS_MM_S)), np.log(SPEEDS_MM_S)
+    total, log_speed = model_forces(np.array(printed.SPEEDS_MM_S)), np.log(printed.SPEEDS_MM_S)
     slope, intercept = np.polyfit(log_speed, total, 1)
     miss = total - (intercept + slope * log_speed)
     slow, above_slow, below_quick, quick = _steady_forces(
-        LOWEST_MM_S, 1.01 * LOWEST_MM_S, HIGHEST_MM_S / 1.01, HIGHEST_MM_S
+        printed.LOWEST_MM_S, 1.01 * printed.LOWEST_MM_S, printed.HIGHEST_MM_S / 1.01, printed.HIGHEST_MM_S
     ).total
     return {
         "slope": slope,
@@ -419,19 +405,21 @@ def _logarithm() -> Values:
 
 def coulomb_weight_mN() -> float:
     """Weight of the Coulomb test's capsule."""
-    return COULOMB_MASS_G * GRAVITY_M_S2
+    return printed.COULOMB_MASS_G * GRAVITY_M_S2
 
 
 def coulomb_viscous_mN(reading: str = "published") -> float:
     """Viscous friction of the Coulomb test by Eqs. 10 and 11; `newtonian` is the other reading."""
-    model = PAPER_MODEL.model_copy(update={"viscous": reading})
-    area = _contact(PAPER_CAPSULE.model_copy(update={"diameter_mm": COULOMB_DIAMETER_MM}), model).area_mm2
-    return float(viscous_force(np.array(COULOMB_SPEED_MM_S), model, area))
+    model = printed.PAPER_MODEL.model_copy(update={"viscous": reading})
+    area = _contact(
+        printed.PAPER_CAPSULE.model_copy(update={"diameter_mm": printed.COULOMB_DIAMETER_MM}), model
+    ).area_mm2
+    return float(viscous_force(np.array(printed.COULOMB_SPEED_MM_S), model, area))
 
 
 def coulomb_coefficient(viscous_part_mN: float = 0.0) -> float:
     """Friction coefficient from the printed force with a viscous part taken off."""
-    return (COULOMB_FORCE_MN - viscous_part_mN) / coulomb_weight_mN()
+    return (printed.COULOMB_FORCE_MN - viscous_part_mN) / coulomb_weight_mN()
 
 
 def _coefficient() -> Values:
@@ -447,28 +435,28 @@ def _coefficient() -> Values:
 
 
 def _not_returned() -> Values:
-    f_c, f_v = FRICTION_COEFFICIENT * coulomb_weight_mN(), coulomb_viscous_mN()
-    excess = 100 * (f_c + f_v) / COULOMB_FORCE_MN - 100
-    return {"f_c": f_c, "f_v": f_v, "force": f_c + f_v, "printed": COULOMB_FORCE_MN, "excess": excess}
+    f_c, f_v = printed.FRICTION_COEFFICIENT * coulomb_weight_mN(), coulomb_viscous_mN()
+    excess = 100 * (f_c + f_v) / printed.COULOMB_FORCE_MN - 100
+    return {"f_c": f_c, "f_v": f_v, "force": f_c + f_v, "printed": printed.COULOMB_FORCE_MN, "excess": excess}
 
 
 def _accuracy() -> Values:
     from scipy.optimize import brentq
 
-    total = model_forces(np.array(SPEEDS_MM_S))
-    within = int(np.searchsorted(total - total[0], SENSOR_ACCURACY_MN))
-    spans = (f"{low:g} to {high:g}" for low, high in pairwise(SPEEDS_MM_S))
+    total = model_forces(np.array(printed.SPEEDS_MM_S))
+    within = int(np.searchsorted(total - total[0], printed.SENSOR_ACCURACY_MN))
+    spans = (f"{low:g} to {high:g}" for low, high in pairwise(printed.SPEEDS_MM_S))
 
     def lacking(speed: float) -> float:
-        return float(viscous_force(np.array(speed), PAPER_MODEL, 1.0)) - SENSOR_ACCURACY_MN
+        return float(viscous_force(np.array(speed), printed.PAPER_MODEL, 1.0)) - printed.SENSOR_ACCURACY_MN
 
     return {
-        "over_force": 100 * SENSOR_ACCURACY_MN / COULOMB_FORCE_MN,
-        "as_mu": SENSOR_ACCURACY_MN / coulomb_weight_mN(),
+        "over_force": 100 * printed.SENSOR_ACCURACY_MN / printed.COULOMB_FORCE_MN,
+        "as_mu": printed.SENSOR_ACCURACY_MN / coulomb_weight_mN(),
         "f_v": coulomb_viscous_mN(),
         "enough": float(brentq(lacking, 1e-3, 1e3)),
         "steps": dict(zip(spans, np.diff(total), strict=True)),
-        "slowest": " and ".join(f"{speed:g}" for speed in SPEEDS_MM_S[:within]),
+        "slowest": " and ".join(f"{speed:g}" for speed in printed.SPEEDS_MM_S[:within]),
     }
 
 
@@ -477,18 +465,17 @@ def _accuracy() -> Values:
 
 @dataclass(frozen=True, slots=True)
 class DeterminationExample:
-    """Made-up measurements beside the model's forces [mN] at the same speeds, and what both forms of R² say of them."""
+    """What both forms of R² say of made-up measurements beside the model's forces at the same speeds."""
 
     name: str
-    measured_mN: tuple[float, ...]
     eq15: float
     correlation: float
 
 
 def band_speeds(above: bool) -> FloatArray:
     """Return the programme's speeds above the paper's boundary, or up to it [mm/s]."""
-    speeds = np.array(SPEEDS_MM_S)
-    return np.asarray(speeds[(speeds > BOUNDARY_MM_S) == above])
+    speeds = np.array(printed.SPEEDS_MM_S)
+    return np.asarray(speeds[(speeds > printed.BOUNDARY_MM_S) == above])
 
 
 def model_forces(speeds_mm_s: FloatArray) -> FloatArray:
@@ -503,13 +490,11 @@ def determination_examples() -> tuple[DeterminationExample, ...]:
     made_up = {
         "half as steep": mean + (model - mean) / 2,
         "mirrored: falls where the model rises": 2 * mean - model,
-        "shifted by 5 mN": model + SENSOR_ACCURACY_MN,
-        f"shifted so far that Eq. 15 gives {R2_ABOVE:g}": model + offset_for_r2(R2_ABOVE, model),
+        "shifted by 5 mN": model + printed.SENSOR_ACCURACY_MN,
+        f"shifted so far that Eq. 15 gives {printed.R2_ABOVE:g}": model + offset_for_r2(printed.R2_ABOVE, model),
     }
     return tuple(
-        DeterminationExample(
-            name, tuple(map(float, forces)), r2_eq15(model, forces) or 0.0, squared_correlation(model, forces) or 0.0
-        )
+        DeterminationExample(name, r2_eq15(model, forces) or 0.0, squared_correlation(model, forces) or 0.0)
         for name, forces in made_up.items()
     )
 
@@ -531,7 +516,7 @@ def _no_correlation() -> Values:
 
 def _offset() -> Values:
     below, above = (model_forces(band_speeds(above=is_above)) for is_above in (False, True))
-    low, high = offset_for_r2(R2_BELOW, below), offset_for_r2(R2_ABOVE, above)
+    low, high = offset_for_r2(printed.R2_BELOW, below), offset_for_r2(printed.R2_ABOVE, above)
     return {
         "spread_below": below.std(),
         "spread_above": above.std(),
@@ -554,15 +539,15 @@ def inertial_pressure(x_mm: FloatArray, speed_mm_s: float) -> FloatArray:
     contact = _contact()
     curvature = contact.radius_mm**2 / contact.local_radius(x_mm) ** 3
     # g/mm³ · mm · mm/s² is 1e-6 N/mm², and a kPa is 1e-3 N/mm².
-    return np.asarray(1e-3 * DENSITY_G_MM3 * WALL_THICKNESS_MM * speed_mm_s**2 * curvature)
+    return np.asarray(1e-3 * DENSITY_G_MM3 * printed.WALL_THICKNESS_MM * speed_mm_s**2 * curvature)
 
 
 def _inertia() -> Values:
     x = np.linspace(0.0, _contact().length_mm, 200_001)
-    pressure, inertial = _contact().pressure(x, x / HIGHEST_MM_S), inertial_pressure(x, HIGHEST_MM_S)
+    pressure, inertial = _contact().pressure(x, x / printed.HIGHEST_MM_S), inertial_pressure(x, printed.HIGHEST_MM_S)
     most, contact = 1e3 * float(inertial.max()), 1e3 * float(pressure.max())
     return {
-        "slower": 1e3 * inertial_pressure(x, BOUNDARY_MM_S).max(),
+        "slower": 1e3 * inertial_pressure(x, printed.BOUNDARY_MM_S).max(),
         "most": most,
         "contact": contact,
         "ratio": 100 * most / contact,
@@ -572,7 +557,7 @@ def _inertia() -> Values:
 
 def _model_speeds() -> Values:
     contact = _contact()
-    fast, slow = model_wall(PAPER_MODEL, contact.strain_at_equator).rates
+    fast, slow = model_wall(printed.PAPER_MODEL, contact.strain_at_equator).rates
     return {"slow": float(slow) * contact.length_mm, "fast": float(fast) * contact.length_mm}
 
 
@@ -626,7 +611,7 @@ class ElementRow:
     @property
     def unit(self) -> str:
         """Unit of the element."""
-        return WALL_UNITS[self.published.parameter]
+        return printed.WALL_UNITS[self.published.parameter]
 
     @property
     def difference(self) -> float | None:
@@ -660,7 +645,7 @@ def element_rows(
         The model of each run, by its file's name.
     """
     fits = () if relaxation is None else [fit for fit in relaxation.fits if fit.elements]
-    order, rows = list(WALL_UNITS), []
+    order, rows = list(printed.WALL_UNITS), []
     for published in parameter_set_differences():
         near = (fit for fit in fits if abs(fit.shear_strain - published.strain) <= SAME_STRAIN_TOLERANCE)
         fit = next(near, None)
