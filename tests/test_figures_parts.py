@@ -1,6 +1,7 @@
 """What pictures are built of: envelopes, labels kept apart, phases, files."""
 
 import threading
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import matplotlib as mpl
@@ -10,9 +11,10 @@ import scipy.optimize  # noqa: F401  # loaded here, so that no example pays for 
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from matplotlib.text import Text
 
 from dragrig.config.errors import OutputError
-from dragrig.present.drawing import figure_style, new_figure, spread_labels, text_width_in
+from dragrig.present.drawing import CurveLabel, figure_style, label_curves, new_figure, spread_labels, text_width_in
 from dragrig.present.files import save_figure, save_figure_in
 from dragrig.present.run_figures import (
     ENVELOPE_COLUMNS,
@@ -86,6 +88,21 @@ def test_spread_labels_never_overlap_and_stay_inside(wanted: list[tuple[float, f
 
 def test_labels_that_have_room_stay_where_they_are() -> None:
     assert spread_labels([1.0, 5.0, 9.0], [1.0, 1.0, 1.0], 0.0, 10.0).tolist() == [1.0, 5.0, 9.0]
+
+
+def test_names_of_curves_that_lie_close_stay_apart_beside_the_axes() -> None:
+    with figure_style():
+        figure = new_figure(5, 3, "a title longer than the figure is wide " * 3, "subtitle", "problem", "simulated")
+        axes = figure.add_subplot(ylim=(0, 1))
+        label_curves(axes, [CurveLabel(value, f"{value} mm/s", "black") for value in (0.50, 0.51, 0.02, 0.52)])
+        figure.draw_without_rendering()
+        names = {text.get_text(): Text.get_window_extent(text) for text in axes.texts}
+        header = [Text.get_window_extent(text) for text in figure.texts]
+    boxes = [names[f"{value} mm/s"] for value in (0.02, 0.5, 0.51, 0.52)]
+    assert all(upper.y0 >= lower.y1 for lower, upper in pairwise(boxes))
+    assert all(axes.bbox.x1 < box.x0 and box.x1 < figure.bbox.x1 for box in boxes)
+    assert max(box.y1 for box in boxes) < min(box.y0 for box in header)
+    assert not any(upper.overlaps(lower) for upper, lower in combinations(header, 2))
 
 
 def test_phases_end_where_the_next_begins_and_a_ramp_is_one() -> None:

@@ -389,7 +389,10 @@ def _spread_row(axes: Axes, index: int, labels: Sequence[Annotation]) -> None:
     points = [axes.transData.transform(label.xy)[index] - low for label in rising]
     wanted = np.clip(points, 0.0, length).tolist()
     extents = [Text.get_window_extent(label) for label in rising]
-    sizes = [box.width + box.height if index == 0 else 1.1 * box.height for box in extents]
+    gaps = [0.5 if label.get_bbox_patch() is None else 1.0 for label in rising]
+    sizes = [
+        box.width + gap * box.height if index == 0 else 1.1 * box.height for box, gap in zip(extents, gaps, strict=True)
+    ]
     for label, point, place in zip(rising, wanted, spread_labels(wanted, sizes, 0.0, length), strict=True):
         text = list(label.xyann)
         text[index] = place / length

@@ -570,7 +570,7 @@ def draw_relaxation(figure: Figure, run: Run, panels: Sequence[TracePanel], ramp
     """
     time, (begin, end) = run.trace.time, ramp
     window = max(1.5 * begin - 0.5 * end, float(time[0])), min(2.5 * end - 1.5 * begin, float(time[-1]))
-    grid = figure.add_gridspec(2, 2, width_ratios=[1.4, 1.0])
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.2, 1.0])
     (whole,) = draw_panel_column(grid[0, 0], run, panels[:1], name_ramp=True)
     since = figure.add_subplot(grid[1, 0], sharey=whole)
     _draw_since_ramp(since, panels[0], end)
