@@ -85,7 +85,7 @@ def timed(spent: dict[str, float]) -> Iterator[None]:
             setattr(module, name, call)
 
 
-def one(folder: Path, *, stages: bool) -> None:
+def diagnose_once(folder: Path, *, stages: bool) -> None:
     """Diagnose a folder and print what it took as JSON."""
     import psutil
 
@@ -177,7 +177,7 @@ def main() -> None:
     parser.add_argument("--stages", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.one is not None:
-        one(options.one, stages=options.stages)
+        diagnose_once(options.one, stages=options.stages)
         return
     sys.exit(0 if report(options.seed, options.effects, options.rounds, options.runs) else 1)
 

@@ -27,7 +27,7 @@ from dragrig.sim_backend.effects.base import Coordinate, Effect, find_effect
 
 NEAR, FAR = 0.10, 0.40
 """Share of the signature that the best fit should leave at least and at most."""
-MOST_STEPS = 6
+MAX_STEPS = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,9 @@ class Bench:
         filled = [residuals.get(entry.index, np.zeros_like(entry.bare.time)) for entry in self.usual]
         return float(np.sqrt(max(residual_chi2(self.nominal, filled), 0.0)))
 
-    def least_seen(self, effect: Effect, acting: list[Seen], marks: list[Floats], values: dict[str, float]) -> float:
+    def smallest_detected(
+        self, effect: Effect, acting: list[Seen], marks: list[Floats], values: dict[str, float]
+    ) -> float:
         """Return d′ of what the effect leaves, moved on from a fit by steps that count nominal directions as free."""
         names = list(values)
         low, high = bounds(effect)
@@ -70,7 +72,7 @@ class Bench:
         at = np.array(list(values.values()))
         left, minimum = rest(at), np.inf
         step = np.ones(0)
-        for _ in range(MOST_STEPS):
+        for _ in range(MAX_STEPS):
             now = self.seen(left)
             if now < minimum:
                 minimum, best = now, at
@@ -111,7 +113,7 @@ class Bench:
         seen = f"{'':9s}"
         if effect.channel == "force" and not by_run:
             whole = self.seen({entry.index: mark for entry, mark in zip(acting, marks, strict=True)})
-            seen = f"{whole:4.0f} {self.least_seen(effect, acting, marks, values) / whole:4.0%}"
+            seen = f"{whole:4.0f} {self.smallest_detected(effect, acting, marks, values) / whole:4.0%}"
         return share, f"{seen}  " + " ".join(f"{key}={value:.3g}" for key, value in values.items())
 
 

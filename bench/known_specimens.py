@@ -95,7 +95,7 @@ class Known:
         """Return a run's place in the session, which its random numbers hang on."""
         return next(run.info.header.order for run in self.runs if run.info.path.name == file)
 
-    def of_run(self, file: str) -> FrictionModelSettings:
+    def model_of(self, file: str) -> FrictionModelSettings:
         """Return the true model of one run."""
         simulated = self.rig.simulated
         return draw_run_model(self.specimen, simulated.variation, simulated.seed, self.order(file))
@@ -148,32 +148,32 @@ def examine(kind: Kind, seed: int, parts: bool) -> Outcome:
     joint = fit_jointly(selection, nominal) if result is None else result.joint
     assert joint is not None
     done = time.perf_counter()
-    scores = [*of_joint(known, joint), *(of_parts(known, selection, result) if result else ())]
+    scores = [*joint_scores(known, joint), *(part_scores(known, selection, result) if result else ())]
     return Outcome(
         seed, known.rig.simulated.noise.white_mN, joint.converged, joint.chi2 / joint.degrees, joint.p_value,
         made - begin, done - made, tuple(scores), joint.remarks,
     )  # fmt: skip
 
 
-def of_joint(known: Known, joint: JointFit) -> Iterator[Score]:
+def joint_scores(known: Known, joint: JointFit) -> Iterator[Score]:
     """Compare parameters, combinations, and each run's own zero and factors."""
     true = {parameter.name: float(getattr(known.specimen, parameter.name)) for parameter in joint.parameters}
     for element in joint.parameters:
-        yield _of_quantity("parameter", element, true[element.name], element.learnt)
+        yield _quantity_score("parameter", element, true[element.name], element.learnt)
     for combination, quantity in zip(CAPSULE_COMBINATIONS, joint.combinations, strict=True):
-        yield _of_quantity("combination", quantity, prod(true[name] ** n for name, n in combination.powers.items()))
+        yield _quantity_score("combination", quantity, prod(true[name] ** n for name, n in combination.powers.items()))
     for run in joint.runs:
-        drawn = known.of_run(run.file)
-        yield _of_estimate("run", f"zero {run.kind}", run.zero, known.zero_mN(run.file))
+        drawn = known.model_of(run.file)
+        yield _estimate_score("run", f"zero {run.kind}", run.zero, known.zero_mN(run.file))
         if run.kind in {"relaxation", "drag"}:
             stiffness = drawn.stiffness_scale / known.specimen.stiffness_scale
-            yield _of_estimate("run", f"stiffness {run.kind}", run.factors["stiffness"], stiffness)
+            yield _estimate_score("run", f"stiffness {run.kind}", run.factors["stiffness"], stiffness)
         if run.kind in {"coulomb", "drag"}:
             friction = drawn.friction_coefficient / known.specimen.friction_coefficient
-            yield _of_estimate("run", f"friction {run.kind}", run.factors["friction"], friction)
+            yield _estimate_score("run", f"friction {run.kind}", run.factors["friction"], friction)
 
 
-def of_parts(known: Known, selection: RunSelection, result: Identification) -> Iterator[Score]:
+def part_scores(known: Known, selection: RunSelection, result: Identification) -> Iterator[Score]:
     """Compare what is derived from relaxations, Coulomb runs and drags on their own."""
     if result.relaxation:
         yield from _of_relaxation(known, result.relaxation)
@@ -185,43 +185,43 @@ def of_parts(known: Known, selection: RunSelection, result: Identification) -> I
 
 def _of_relaxation(known: Known, result: RelaxationResult) -> Iterator[Score]:
     for fit in result.fits:
-        wall = model_wall(known.of_run(fit.file), fit.shear_strain)
+        wall = model_wall(known.model_of(fit.file), fit.shear_strain)
         # Nobody knows the true gain: the elements are those that the force channel shows.
         true = {element: known.specimen.force_gain * float(getattr(wall, element)) for element in ELEMENTS}
         true |= {"tau1": true["eta1"] / true["E1"], "tau2": true["eta2"] / true["E2"]}
         for one in (*fit.elements, *fit.times):
-            yield _of_quantity("relaxation", one, true[one.name])
+            yield _quantity_score("relaxation", one, true[one.name])
 
 
 def _of_coulomb(known: Known, selection: RunSelection, result: CoulombResult) -> Iterator[Score]:
     mu = known.specimen.friction_coefficient
-    yield _of_estimate("coulomb", "mu_without_viscous", result.mu_without_viscous, mu)
+    yield _estimate_score("coulomb", "mu_without_viscous", result.mu_without_viscous, mu)
     slowest = _steady(known, selection.of_kind("coulomb")[0], SPEEDS_MM_S[0])
     weight = selection.of_kind("coulomb")[0].capsule.mass_g * GRAVITY_M_S2
-    yield _of_estimate("coulomb", "mu", result.mu, mu + float(slowest.f_v[0]) / weight)
+    yield _estimate_score("coulomb", "mu", result.mu, mu + float(slowest.f_v[0]) / weight)
 
 
 def _of_drag(known: Known, selection: RunSelection, result: DragResult) -> Iterator[Score]:
     for point in result.points:
         steady = _steady(known, selection.of_kind("drag")[0], point.speed_mm_s)
         true = known.specimen.force_gain * float(steady.total[0])
-        yield _of_estimate("drag", f"{point.speed_mm_s:4.1f} mm/s", point.force, true)
+        yield _estimate_score("drag", f"{point.speed_mm_s:4.1f} mm/s", point.force, true)
 
 
 def _steady(known: Known, experiment: Experiment, speed_mm_s: float) -> SteadyFriction:
     return steady_forces([speed_mm_s], known.specimen, experiment.capsule, experiment.wall_thickness_mm)
 
 
-def _of_quantity(group: str, first: EstimatedQuantity, true: float, learnt: float = 1.0) -> Score:
+def _quantity_score(group: str, quantity: EstimatedQuantity, true: float, learnt: float = 1.0) -> Score:
     # A positive quantity is lognormal.
-    of = log if first.interval[0] > 0 else float
-    low, value, high = map(of, (first.interval[0], first.value, first.interval[1]))
-    deviation = 2 * NORMAL_95 * (value - of(true)) / (high - low)
-    return Score(group, first.name, first.value, true, deviation, first.half_width, learnt)
+    scale = log if quantity.interval[0] > 0 else float
+    low, value, high = map(scale, (quantity.interval[0], quantity.value, quantity.interval[1]))
+    deviation = 2 * NORMAL_95 * (value - scale(true)) / (high - low)
+    return Score(group, quantity.name, quantity.value, true, deviation, quantity.half_width, learnt)
 
 
-def _of_estimate(group: str, name: str, first: Estimate, true: float) -> Score:
-    if first.value is None or not first.standard_error:
+def _estimate_score(group: str, name: str, estimate: Estimate, true: float) -> Score:
+    if estimate.value is None or not estimate.standard_error:
         return Score(group, name, float("nan"), true, float("nan"), float("nan"))
-    half = NORMAL_95 * first.standard_error / abs(first.value or inf)
-    return Score(group, name, first.value, true, (first.value - true) / first.standard_error, half)
+    half = NORMAL_95 * estimate.standard_error / abs(estimate.value or inf)
+    return Score(group, name, estimate.value, true, (estimate.value - true) / estimate.standard_error, half)

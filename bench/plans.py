@@ -69,7 +69,7 @@ def tables(plan: PlanLike, begin_s: float = 0.0) -> tuple[list[Mapping[str, str 
     return result, time_s
 
 
-def told(secret: BlindCampaign, listed: RunList, budget: ExperimentBudget | None = None) -> Diagnosis:
+def diagnosed(secret: BlindCampaign, listed: RunList, budget: ExperimentBudget | None = None) -> Diagnosis:
     """Write a campaign of the plant and diagnose it from its files alone."""
     with tempfile.TemporaryDirectory() as folder:
         write_campaign(secret, folder, runs=listed)
@@ -109,7 +109,7 @@ def compared(case: Case) -> dict[str, object]:
     secret = draw_campaign(case.seed, effects=[case.effect] if case.effect else None, size=case.size or 1.0)
     truth = [case.effect] if case.effect in CATALOGUE else ["unknown" if case.effect else "no_gap"]
     plans = {name: RunList.of(name, tables(name)[0]) for name in ("paper", "diagnose")}
-    return {name: entry(told(secret, listed), truth) for name, listed in plans.items()}
+    return {name: entry(diagnosed(secret, listed), truth) for name, listed in plans.items()}
 
 
 def advised(case: Case) -> dict[str, object]:
@@ -118,13 +118,13 @@ def advised(case: Case) -> dict[str, object]:
     again, _ = tables(FIRST, ends_s + LATER_S)
     budget = ExperimentBudget(ends_s / 60, 30, limits=RigLimits(kinds=KINDS))
     secret = draw_campaign(case.seed, effects=[case.effect], size=case.size)
-    before = told(secret, RunList.of("first", first), budget)
+    before = diagnosed(secret, RunList.of("first", first), budget)
     advice = before.next_experiment
     more = [] if advice is None else tables(plan_of_next_runs(advice), ends_s + LATER_S)[0]
     return {
         "first": entry(before, [case.effect]),
-        "repeated": entry(told(secret, RunList.of("first", [*first, *again])), [case.effect]),
-        "advised": entry(told(secret, RunList.of("first", [*first, *more])), [case.effect]),
+        "repeated": entry(diagnosed(secret, RunList.of("first", [*first, *again])), [case.effect]),
+        "advised": entry(diagnosed(secret, RunList.of("first", [*first, *more])), [case.effect]),
         "minutes": 0.0 if advice is None else round(advice.minutes, 2),
         "runs": [] if advice is None else [f"{run.step.kind} {dict(run.settings)}" for run in advice.runs],
     }
@@ -180,7 +180,7 @@ class Way:
     """A question: what is done with a case, and which answers are set beside each other."""
 
     work: Callable[[Case], dict[str, object]]
-    told: tuple[str, ...]
+    conclusions: tuple[str, ...]
 
 
 WAYS = {"compare": Way(compared, ("paper", "diagnose")), "advice": Way(advised, ("first", "repeated", "advised"))}
@@ -204,7 +204,7 @@ def main() -> None:
         arguments.out,
         arguments.workers,
     )
-    summarise(arguments.out, WAYS[arguments.what].told)
+    summarise(arguments.out, WAYS[arguments.what].conclusions)
 
 
 if __name__ == "__main__":

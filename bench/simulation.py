@@ -120,20 +120,20 @@ def main() -> None:
     recorded_s = samples / RATE_HZ
 
     total = best_of(lambda: whole(backend, programme))
-    of_signals = best_of(lambda: signals(programme))
-    of_friction = best_of(lambda: friction(programme))
-    of_noise = best_of(lambda: noise(programme))
+    signals_s = best_of(lambda: signals(programme))
+    friction_s = best_of(lambda: friction(programme))
+    noise_s = best_of(lambda: noise(programme))
 
     print(f"{len(programme)} runs, {recorded_s:.0f} s at {RATE_HZ:g} Hz, {samples} samples in {blocks} blocks")
     print(f"whole     {total * 1e3:8.1f} ms  {total / samples * 1e6:6.3f} µs a sample")
     for name, part in (
-        ("friction", of_friction),
-        ("noise", of_noise),
-        ("devices", of_signals - of_friction - of_noise),
-        ("blocks", total - of_signals),
+        ("friction", friction_s),
+        ("noise", noise_s),
+        ("devices", signals_s - friction_s - noise_s),
+        ("blocks", total - signals_s),
     ):
         print(f"  {name:8}{part * 1e3:8.1f} ms  {part / samples * 1e6:6.3f} µs a sample  {part / total:4.0%}")
-    print(f"          {(total - of_signals) / blocks * 1e6:8.1f} µs a block")
+    print(f"          {(total - signals_s) / blocks * 1e6:8.1f} µs a block")
     print(f"{recorded_s / total:.0f} × real time (at least 2000 asked for)")
 
 

@@ -61,7 +61,7 @@ def frames(draw: Callable[[int], None], *plots: TimePlot) -> np.ndarray:
     return np.array(took)
 
 
-def told(name: str, took: np.ndarray) -> None:
+def print_frame_times(name: str, took: np.ndarray) -> None:
     """Print what was measured."""
     median, worst = float(np.median(took)), float(took.max())
     passed = "ok" if 1 / median >= WANTED_HZ else "TOO SLOW"
@@ -91,8 +91,8 @@ def still() -> None:
     def panned(number: int) -> None:
         panel.show_times(-0.01 * number, length - 0.01 * number)
 
-    told("10 million points, all of them shown, panned", frames(panned, panel))
-    told("10 million points, zoomed from all to 40 samples", frames(zoomed, panel))
+    print_frame_times("10 million points, all of them shown, panned", frames(panned, panel))
+    print_frame_times("10 million points, zoomed from all to 40 samples", frames(zoomed, panel))
 
 
 def live() -> None:
@@ -112,14 +112,16 @@ def live() -> None:
 
     plots = (view.force, view.position, view.speed)
     first = frames(draw, *plots)
-    told("250 kS/s live, three plots, filter and speed, first 2 s", first[10:])
+    print_frame_times("250 kS/s live, three plots, filter and speed, first 2 s", first[10:])
     assert view.run is not None
     # A quarter of an hour later: as many points as that, and the next frames.
     fill = rng.normal(100.0, 3.0, 1_000_000).astype(np.float32)
     for pyramid in (view.run.force, view.run.filtered, view.run.position, view.run.speed):
         for _ in range(100):
             pyramid.append(fill)
-    told("250 kS/s live, 100 million samples later", frames(lambda number: draw(FRAMES + number), *plots)[10:])
+    print_frame_times(
+        "250 kS/s live, 100 million samples later", frames(lambda number: draw(FRAMES + number), *plots)[10:]
+    )
 
 
 @contextmanager

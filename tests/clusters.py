@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-ASKED_EVERY_S = 0.05
+POLL_INTERVAL_S = 0.05
 PATIENCE_S = 600
 
 
@@ -104,7 +104,7 @@ def worker_killed_at_its_second(
         def wait_and_kill() -> None:
             seen: dict[str, set[str]] = {worker: set() for worker in pids}
             deadline = time.monotonic() + PATIENCE_S
-            while time.monotonic() < deadline and not over.wait(ASKED_EVERY_S):
+            while time.monotonic() < deadline and not over.wait(POLL_INTERVAL_S):
                 now = {
                     worker: key
                     for worker, stacks in client.call_stack().items()

@@ -155,7 +155,7 @@ class Ended:
     status: RunStatus
     reason: str
     exit_code: int
-    told: str
+    message: str
     stage: StageStatus
 
 
@@ -175,9 +175,9 @@ class Running:
         return self._thread.is_alive()
 
     def until_under_way(self) -> StageStatus:
-        return self.bench.until_under_way(lambda: self.alive or self.told())
+        return self.bench.until_under_way(lambda: self.alive or self.reported())
 
-    def told(self) -> bool:
+    def reported(self) -> bool:
         raise AssertionError(self.end())
 
     def inject(self, **faults: Any) -> StageStatus:
@@ -240,9 +240,9 @@ class Program:
         return self.process.poll() is None
 
     def until_under_way(self, from_mm: float = STRUCK_FROM_MM) -> StageStatus:
-        return self.bench.until_under_way(lambda: self.alive or self.told(), from_mm)
+        return self.bench.until_under_way(lambda: self.alive or self.reported(), from_mm)
 
-    def told(self) -> bool:
+    def reported(self) -> bool:
         raise AssertionError(self.process.communicate())
 
     def end(self) -> tuple[int, Any, str]:
@@ -289,16 +289,16 @@ def assert_goes_on(bench: Bench, folder: Path) -> None:
     """With the fault repaired, the campaign goes on to its end."""
     bench.repair()
     ended = resume(bench, folder).end()
-    assert (ended.status, ended.exit_code) == (RunStatus.COMPLETE, 0), ended.told
+    assert (ended.status, ended.exit_code) == (RunStatus.COMPLETE, 0), ended.message
     (made,) = (info for info in read_campaign(folder).runs if info.status is RunStatus.COMPLETE)
     assert made.header.order == len(read_campaign(folder).runs) - 1
     assert made.checks["lost_samples"] == 0
 
 
-def assert_told(fault: str, ended: Ended, run: Run) -> None:
+def assert_reported(fault: str, ended: Ended, run: Run) -> None:
     """The person and the file hear the same one sentence, the one that the docs show."""
-    assert sentence(fault).fullmatch(ended.told), ended.told
+    assert sentence(fault).fullmatch(ended.message), ended.message
     assert ended.reason.startswith(run.info.reason)
-    assert ended.told.count("\n") == 0
+    assert ended.message.count("\n") == 0
     kinds = {event.kind: event.message for event in run.events}
     assert run.info.reason.startswith(kinds["trip" if ended.status is RunStatus.TRIPPED else "stop"].rstrip("…"))

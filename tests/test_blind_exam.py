@@ -110,7 +110,7 @@ class StoppedError(Exception):
     pass
 
 
-def told_of(exam: BlindExam) -> str:
+def report_text(exam: BlindExam) -> str:
     document = dict(exam.document())
     document.pop("timings_s")
     return json.dumps(document)
@@ -132,7 +132,7 @@ def test_two_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(tmp_
     assert not (tmp_path / "stopped" / "answers.json").exists()
     again = gap_blind(2, 5, tmp_path / "stopped", workers=1, sizes=False)
     assert path.stat().st_mtime_ns == before
-    assert told_of(again) == told_of(whole)
+    assert report_text(again) == report_text(whole)
     text = (tmp_path / "whole" / "answers.json").read_bytes()
     assert (tmp_path / "whole" / "answers.sha256").read_text("utf-8").split()[0] == sha256(text).hexdigest()
     assert whole.answers_sha256 == sha256(text).hexdigest()

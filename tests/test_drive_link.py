@@ -144,7 +144,7 @@ def test_a_signal_handler_may_stop_whatever_it_interrupts() -> None:
         assert drive.requests.count(STOP) >= 100
 
 
-def until_told(link: DriveLink) -> str:
+def first_error(link: DriveLink) -> str:
     for _ in range(100):
         try:
             link.exchange(STATUS)
@@ -159,7 +159,7 @@ def test_a_pulled_cable_is_told_in_words_at_once_and_from_then_on(kind: type[Dri
         link.exchange(STATUS)
         drive.bench.faults.inject(drive_unplugged=True)
         # The double hangs up from a thread of its own.
-        answer = until_told(link)
+        answer = first_error(link)
         assert re.search(r"failed \(.*check the cable.*hardware\.drive\.port", answer)
         assert link.port in answer
         with pytest.raises(DeviceError, match=re.escape(answer)):

@@ -13,8 +13,8 @@ from rig_faults import (
     Bench,
     assert_goes_on,
     assert_kept,
+    assert_reported,
     assert_stopped,
-    assert_told,
     begin,
     only_run,
     sentence,
@@ -36,7 +36,7 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert not ended.stage.enabled
     assert_kept(run, seen)
-    assert_told("card unplugged in motion", ended, run)
+    assert_reported("card unplugged in motion", ended, run)
     assert_goes_on(faulty_rig, ended.folder)
 
 
@@ -61,7 +61,7 @@ def test_what_the_samples_show_stops_the_stage(
     assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert_kept(run, seen)
-    assert_told(fault, ended, run)
+    assert_reported(fault, ended, run)
     if then is not None:
         then(faulty_rig, ended.folder)
 
@@ -73,7 +73,7 @@ def test_an_overrun_trips_with_its_gap_recorded(faulty_rig: Bench) -> None:
     run = only_run(ended.folder)
     assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
     assert_stopped(struck, ended.stage, Halt.STOP)
-    assert_told("overrun", ended, run)
+    assert_reported("overrun", ended, run)
     steps = np.rint(np.diff(run.trace.time) * 1000.0).astype(int)
     (gap,) = steps[steps != 1]
     assert gap > 200
@@ -86,7 +86,7 @@ def test_a_timeout_with_partial_data_costs_nothing(faulty_rig: Bench) -> None:
     running = begin(faulty_rig)
     running.inject(short_reads=3)
     ended = running.end()
-    assert (ended.status, ended.exit_code, ended.told) == (RunStatus.COMPLETE, 0, "")
+    assert (ended.status, ended.exit_code, ended.message) == (RunStatus.COMPLETE, 0, "")
     run = only_run(ended.folder)
     assert run.info.checks["lost_samples"] == 0
     assert_kept(run, round(run.trace.time[-1] * 1000) + 1)
@@ -101,7 +101,7 @@ def test_a_card_that_another_program_has_is_left_to_it(faulty_rig: Bench) -> Non
         task.control(TaskMode.TASK_RESERVE)
         ended = begin(faulty_rig).end()
         assert ended.exit_code == 5
-        assert sentence("card taken by another program").fullmatch(ended.told), ended.told
+        assert sentence("card taken by another program").fullmatch(ended.message), ended.message
         assert not ended.stage.moving
         assert not ended.stage.enabled
         assert task.name
@@ -114,7 +114,7 @@ def test_without_ni_driver_nothing_moves_and_one_sentence_says_what_to_install(f
     before = faulty_rig.look()
     ended = begin(faulty_rig, assignments=["rig.hardware.card.server=''"]).end()
     assert ended.exit_code == 5
-    assert sentence("driver missing").fullmatch(ended.told), ended.told
+    assert sentence("driver missing").fullmatch(ended.message), ended.message
     assert faulty_rig.look() == before
     assert not ended.folder.exists()
     again = begin(faulty_rig).end()

@@ -11,8 +11,8 @@ from rig_faults import (
     Bench,
     assert_goes_on,
     assert_kept,
+    assert_reported,
     assert_stopped,
-    assert_told,
     begin,
     only_run,
     sentence,
@@ -53,7 +53,7 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
     assert_stopped(struck, ended.stage, halt)
     assert not ended.stage.enabled
     assert_kept(run, seen)
-    assert_told(fault, ended, run)
+    assert_reported(fault, ended, run)
     if then is not None:
         then(faulty_rig, ended.folder)
 
@@ -72,7 +72,7 @@ def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(faulty_rig: B
     (info,) = read_campaign(ended.folder).runs
     assert info.status is RunStatus.COMPLETE
     assert (ended.status, ended.exit_code) == (RunStatus.FAILED, 5)
-    assert sentence(row).fullmatch(ended.told), ended.told
+    assert sentence(row).fullmatch(ended.message), ended.message
     assert not ended.stage.moving
     assert not ended.stage.enabled
     assert_goes_on(faulty_rig, ended.folder)

@@ -22,8 +22,8 @@ from rig_faults import (
     Program,
     assert_goes_on,
     assert_kept,
+    assert_reported,
     assert_stopped,
-    assert_told,
     begin,
     only_run,
     sentence,
@@ -68,8 +68,8 @@ def test_a_second_program_is_refused_and_the_first_never_notices(faulty_rig: Ben
     first.until_under_way()
     second = begin(faulty_rig).end()
     assert second.exit_code == 5
-    assert sentence("two programs on one rig").fullmatch(second.told), second.told
-    assert str(first.process.pid) in second.told
+    assert sentence("two programs on one rig").fullmatch(second.message), second.message
+    assert str(first.process.pid) in second.message
     assert not second.folder.exists()
     assert faulty_rig.look().moving
     first.process.send_signal(signal.SIGTERM)
@@ -147,7 +147,7 @@ def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(f
     run = only_run(ended.folder)
     assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
     assert_stopped(struck, ended.stage, Halt.STOP)
-    assert_told("program hangs", ended, run)
+    assert_reported("program hangs", ended, run)
     assert_kept(run, 1)
     assert_goes_on(faulty_rig, ended.folder)
 
@@ -171,7 +171,7 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Benc
     filler = fill(small_disk)
     ended = running.end()
     assert ended.exit_code == 5
-    assert any(sentence(fault).fullmatch(ended.told) for fault in ("disk full", "disk refuses data")), ended.told
+    assert any(sentence(fault).fullmatch(ended.message) for fault in ("disk full", "disk refuses data")), ended.message
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert not ended.stage.enabled
     filler.unlink()

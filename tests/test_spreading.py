@@ -19,7 +19,7 @@ from dragrig.parallel import SerialExecutor, available_cores, open_executor, par
 SEEDS = range(6)
 
 
-def kill_when_begun(folder: Path, answer: list[int], told_before: list[int]) -> threading.Thread:
+def kill_when_begun(folder: Path, answer: list[int], done_before: list[int]) -> threading.Thread:
     """Kill the process that works on number 3 as soon as it does, and note what had been told by then."""
 
     def wait_and_kill() -> None:
@@ -27,7 +27,7 @@ def kill_when_begun(folder: Path, answer: list[int], told_before: list[int]) -> 
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             if trace.exists() and (pid := trace.read_text("utf-8")):
-                told_before.extend(answer)
+                done_before.extend(answer)
                 os.kill(int(pid), signal.SIGKILL)
                 return
             time.sleep(0.01)
@@ -126,15 +126,15 @@ def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
 ) -> None:
     # On a busy machine its processes take long to start.
     monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 100)
-    answer, told_before = list[int](), list[int]()
+    answer, done_before = list[int](), list[int]()
     with dask_cluster() as address:
-        killer = kill_when_begun(tmp_path, answer, told_before)
+        killer = kill_when_begun(tmp_path, answer, done_before)
         with open_executor(scheduler=address) as workers:
             pieces = [(tmp_path, seed) for seed in SEEDS]
             result = parallel_map(workers, traced, pieces, lambda piece, _: answer.append(piece[1]))
         killer.join()
     # What a worker had done but not yet handed over when it was killed is done anew by another.
-    require_nothing_lost_or_twice(tmp_path, result, answer, told_before)
+    require_nothing_lost_or_twice(tmp_path, result, answer, done_before)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "abc://x:1"])

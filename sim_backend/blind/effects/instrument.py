@@ -125,8 +125,8 @@ def compliance_two_modes(effect: HiddenEffect, force: Floats, run: RunConditions
     """An arm that rings in two modes, bending and twisting."""
     a, t = run.motion.a, run.motion.t
     first = resonance(a, effect.hertz, effect.damping, t)
-    other = resonance(a, effect.hertz * effect.ratio, effect.damping, t)
-    return force + effect.amplitude / 1000 * ((1 - effect.second) * first + effect.second * other)
+    second_mode = resonance(a, effect.hertz * effect.ratio, effect.damping, t)
+    return force + effect.amplitude / 1000 * ((1 - effect.second) * first + effect.second * second_mode)
 
 
 @drawn(amplitude=in_log(0.030, 0.110), damping=(0.9, 1.3), integral_s=in_log(0.5, 1.5), share=(0.45, 0.7))
@@ -152,7 +152,9 @@ def lag_dead_time(effect: HiddenEffect, motion: SampledMotion, run: RunCondition
         return motion
     lag = effect.amplitude * (run.plan.peak_mm_s / 40.0) ** effect.grows
     late, time_s = effect.dead * lag, (1 - effect.dead) * lag / 2
-    p, v, a = (low_pass(delayed(one, late, motion.t), time_s, 1.0, motion.t) for one in (motion.p, motion.v, motion.a))
+    p, v, a = (
+        low_pass(delayed(signal, late, motion.t), time_s, 1.0, motion.t) for signal in (motion.p, motion.v, motion.a)
+    )
     return SampledMotion(motion.t, p, v, a)
 
 
