@@ -25,7 +25,7 @@ def chromium() -> Iterator[Browser]:
             pytest.fail(answer)
         pytest.skip(answer)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=result, args=["--no-sandbox"], timeout=120_000)
+        browser = playwright.chromium.launch(executable_path=result, args=["--no-sandbox"], timeout=600_000)
         yield browser
         browser.close()
 
@@ -41,7 +41,7 @@ class Heard:
 @contextmanager
 def opened(browser: Browser, url: str, width: int = DESK_PX, scheme: Scheme = "light") -> Iterator[tuple[Page, Heard]]:
     context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
-    context.set_default_timeout(120_000)
+    context.set_default_timeout(600_000)
     page, heard = context.new_page(), Heard()
     page.on("console", lambda message: heard.messages.append(f"{message.type}: {message.text}"))
     page.on("pageerror", lambda error: heard.messages.append(f"error: {error}"))

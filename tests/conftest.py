@@ -44,9 +44,12 @@ def mounted(*options: str) -> bool:
     return subprocess.run(["mount", *options], capture_output=True, check=False).returncode == 0
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def faulty_bench(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Bench]":
-    """The real rig's devices, doubled in another process for all tests of a worker, with a lab folder."""
+    """The real rig's devices, doubled in another process for a module's tests, with a lab folder.
+
+    No longer than that, for the doubles of a stage that stands take a tenth of a processor all the same.
+    """
     from rig_faults import bench
 
     with bench(tmp_path_factory.mktemp("lab")) as entry:

@@ -31,6 +31,11 @@ class RigUnderTest:
     creep_counts: int = 1
     """How many counts a stage at rest may move in 0.2 s."""
 
+    @property
+    def stops_within_s(self) -> float:
+        """How long after a stop it may sample; a busy machine is late to ask a rig whose clock is the wall's."""
+        return 5.0 if self.paced else 0.3
+
     def follows(self, position: AnyFloatArray, profile: MotionProfile, time_s: FloatArray) -> None:
         """Positions are the profile's, but for the lag."""
         bounds = [profile.position(time_s + lag) for lag in np.linspace(-self.lag_s, self.lag_s, 21)]
@@ -232,7 +237,7 @@ def test_motion_beyond_the_limits_is_refused(backend: Backend, profile: MotionPr
 
 
 def test_stop_from_another_thread_ends_the_run_at_a_standstill(rig: RigUnderTest, backend: Backend) -> None:
-    profile = stroke(travel_mm=100.0, speed_mm_s=50.0)
+    profile = stroke(travel_mm=100.0, speed_mm_s=10.0)
     begin(backend, acquire(profile))
     got = []
     stopper = threading.Thread(target=backend.stage.stop)
@@ -246,8 +251,7 @@ def test_stop_from_another_thread_ends_the_run_at_a_standstill(rig: RigUnderTest
     assert [block.first_index for block in got[1:]] == [block.end_index for block in got[:-1]]
     handed_out = got[2].end_index
     rig.follows(position[:handed_out], profile, np.arange(handed_out) / rate)
-    braking_s = 50.0 / 3000.0
-    assert handed_out < len(position) <= handed_out + (braking_s + 0.5) * rate
+    assert handed_out < len(position) <= handed_out + rig.stops_within_s * rate
     # Positions are whole counts, and their difference in mm is off by rounding.
     assert position[-1] - position[-2] <= 2 * rig.position_tolerance_mm + 1e-9
     assert backend.stage.state().position_mm == pytest.approx(position[-1], abs=2 * rig.position_tolerance_mm)
@@ -262,13 +266,13 @@ def test_stop_is_allowed_at_any_time_and_twice(rig: RigUnderTest, cold: Backend)
     cold.stage.stop()
     cold.stage.home()
     cold.stage.stop()
-    begin(cold, acquire(stroke(travel_mm=50.0)))
+    begin(cold, acquire(stroke(travel_mm=100.0, speed_mm_s=10.0)))
     cold.sampler.read(NEVER)
     cold.stage.stop()
     cold.clock.sleep(0.4, NEVER)
     cold.stage.stop()
     ended = sum(block.samples for block in blocks(cold))
-    assert ended <= (0.3 + rig.lag_s) * cold.sampler.sample_rate_hz
+    assert ended <= rig.stops_within_s * cold.sampler.sample_rate_hz
     cold.stage.stop()
     assert cold.sampler.read(NEVER) is None
     cold.sampler.stop()
@@ -290,11 +294,11 @@ def test_stop_before_the_first_sample_cancels_the_motion(rig: RigUnderTest, back
 
 
 def test_switching_off_stops(rig: RigUnderTest, backend: Backend) -> None:
-    begin(backend, acquire(stroke(travel_mm=50.0)))
+    begin(backend, acquire(stroke(travel_mm=100.0, speed_mm_s=10.0)))
     backend.sampler.read(NEVER)
     backend.stage.disable()
     ended = sum(block.samples for block in blocks(backend))
-    assert ended <= (0.3 + rig.lag_s) * backend.sampler.sample_rate_hz
+    assert ended <= rig.stops_within_s * backend.sampler.sample_rate_hz
 
 
 def test_cancel_ends_any_wait_long_before_it_is_over(rig: RigUnderTest, backend: Backend) -> None:

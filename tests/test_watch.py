@@ -242,12 +242,12 @@ def test_the_page_shows_the_run_and_its_end(seen: Onlooker, browser: "Browser") 
         server.show(seen.recorded[0])
         address = f"http://127.0.0.1:{server.port}/"
         with opened(browser, address, PHONE_PX) as (page, heard):
-            expect(page.locator("#run")).to_have_text("1 of 4", timeout=60_000)
+            expect(page.locator("#run")).to_have_text("1 of 4", timeout=600_000)
             assert page.locator("#force").inner_text().endswith(" mN")
             assert page.locator("#line").get_attribute("points")
             assert page.evaluate("document.documentElement.scrollWidth") <= PHONE_PX
             server.show(CampaignWatch(seen.asked[0].folder).look())
-            expect(page.locator("#state")).to_have_text("Over, complete", timeout=60_000)
+            expect(page.locator("#state")).to_have_text("Over, complete", timeout=600_000)
             assert page.locator("#runs tbody tr").count() == 4
             assert heard.messages == []
             assert {line.split("?")[0] for line in heard.requests} == {address, f"{address}state.json"}
