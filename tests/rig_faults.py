@@ -57,16 +57,16 @@ RIG = settings(
     backend="hardware",
     name="rig under test",
     stage={"start_mm": START_MM},
-    guard={"stale_data_s": 2.0, "following_error_mm": 3.0, "encoder_silent_s": 0.3},
-    hardware={"drive": {"homing_speed_mm_s": 50.0, "reply_s": 0.4, "silence_s": 1.0}, "hang_s": 2.0},
+    guard={"stale_data_s": 5.0, "following_error_mm": 3.0, "encoder_silent_s": 0.3},
+    hardware={"drive": {"homing_speed_mm_s": 50.0, "reply_s": 2.0, "silence_s": 5.0}, "hang_s": 5.0},
 )
 
 
 PATIENT = (
-    "guard.stale_data_s=2.0",
-    "hardware.hang_s=2.0",
-    "hardware.drive.silence_s=1.0",
-    "hardware.drive.reply_s=0.4",
+    "guard.stale_data_s=5.0",
+    "hardware.hang_s=5.0",
+    "hardware.drive.silence_s=5.0",
+    "hardware.drive.reply_s=2.0",
 )
 # The rig above is patient, so that a busy machine is no fault; a test that waits for it to lose patience says for what.
 SOON_STALE = "rig.guard.stale_data_s=0.4"

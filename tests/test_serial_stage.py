@@ -149,9 +149,9 @@ def test_homing_can_be_stopped_and_is_then_unknown() -> None:
             rig.stage.move(stroke())
 
 
-@pytest.mark.parametrize("trouble", [{"drive_garbled": True}, {"drive_silent": True}, {"drive_reply_late_s": 0.9}])
+@pytest.mark.parametrize("trouble", [{"drive_garbled": True}, {"drive_silent": True}, {"drive_reply_late_s": 2.5}])
 def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float]) -> None:
-    with driven(reply_s=0.2, silence_s=0.6) as rig:
+    with driven(reply_s=0.6, silence_s=2.0) as rig:
         rig.ready().sample(stroke(travel_mm=140.0, speed_mm_s=20.0))
         until(lambda: is_under_way(rig))
         rig.bench.faults.inject(**trouble)

@@ -336,7 +336,7 @@ sys.stdin.read()
 
 def test_a_program_that_is_killed_loses_the_drives_power() -> None:
     # Far ahead, for nothing stalls the clock of another process when this one starves.
-    rig = velocity_rig(heartbeat_s=0.6, update_s=0.1, ahead=10, gain_per_s=0.5)
+    rig = velocity_rig(heartbeat_s=0.6, update_s=0.1, ahead=20, gain_per_s=0.25)
     with RemoteDoubles(rig) as doubles:
         arguments = [sys.executable, "-c", PROGRAM, doubles.rig().model_dump_json()]
         with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
