@@ -71,7 +71,7 @@ PATIENT = (
 # The rig above is patient, so that a busy machine is no fault; a test that waits for it to lose patience says for what.
 SOON_STALE = "rig.guard.stale_data_s=0.4"
 SOON_HUNG = "rig.hardware.hang_s=0.5"
-SOON_UNANSWERED = "rig.hardware.drive.reply_s=0.1"
+SOON_UNANSWERED = ("rig.hardware.drive.reply_s=0.1", "rig.hardware.drive.silence_s=1.0")
 SOON_SILENT = "rig.hardware.drive.silence_s=0.5"
 
 

@@ -1,6 +1,6 @@
 """Faults of the drive, its cable and its switches, in motion: real pyserial before the drive's double."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,8 @@ from dragrig.rig.runfile.model import RunStatus
 @pytest.mark.parametrize(
     ("fault", "faults", "halt", "assignments", "then"),
     [
-        ("serial replies late", {"drive_reply_late_s": 1.0}, Halt.STOP, [SOON_UNANSWERED], assert_goes_on),
-        ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, [SOON_UNANSWERED], None),
+        ("serial replies late", {"drive_reply_late_s": 1.0}, Halt.STOP, SOON_UNANSWERED, assert_goes_on),
+        ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, SOON_UNANSWERED, None),
         ("serial unplugged in motion", {"drive_unplugged": True}, Halt.SILENCE, [SOON_SILENT], assert_goes_on),
         ("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, [], assert_goes_on),
         ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, [], assert_goes_on),
@@ -41,7 +41,7 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
     fault: str,
     faults: dict[str, Any],
     halt: Halt,
-    assignments: list[str],
+    assignments: Sequence[str],
     then: Callable[[Bench, Path], None] | None,
 ) -> None:
     running = begin(faulty_rig, assignments=assignments)
