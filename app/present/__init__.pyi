@@ -28,14 +28,13 @@ from .drawing import SMALL_PT as SMALL_PT
 from .drawing import TEXT_PT as TEXT_PT
 from .drawing import CurveLabel as CurveLabel
 from .drawing import LineStyle as LineStyle
-from .drawing import add_label_row as add_label_row
 from .drawing import draw_line as draw_line
 from .drawing import figure_style as figure_style
 from .drawing import fit_y_range as fit_y_range
 from .drawing import label_curves as label_curves
+from .drawing import label_times as label_times
 from .drawing import lay_out as lay_out
 from .drawing import layout_of as layout_of
-from .drawing import leader_line as leader_line
 from .drawing import new_figure as new_figure
 from .drawing import panel_size_in as panel_size_in
 from .drawing import sequential_colours as sequential_colours

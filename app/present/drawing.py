@@ -335,51 +335,52 @@ class CurveLabel:
 
 def label_curves(axes: Axes, labels: Sequence[CurveLabel], size_pt: float = TEXT_PT) -> None:
     """Write names along the right edge of the axes, each as near its value as the others let it be."""
-    add_label_row(
-        axes,
-        "y",
-        [
-            axes.annotate(
-                label.text,
-                xy=(1.0, label.value),
-                xycoords=("axes fraction", "data"),
-                xytext=(14, 0.5),
-                textcoords=("offset points", "axes fraction"),
-                va="center",
-                fontsize=size_pt,
-                color=label.colour,
-                annotation_clip=False,
-                parse_math=label.math,
-                arrowprops=leader_line(label.colour, (0, 0.5)),
-            )
-            for label in labels
-        ],
-    )
+    _add_label_row(axes, "y", labels, 1.0, 14, size_pt)
 
 
-def add_label_row(axes: Axes, along: Literal["x", "y"], labels: Sequence[Annotation]) -> None:
-    """Have labels moved along an axis, once the axes are laid out, until none covers another.
-
-    Parameters
-    ----------
-    labels
-        The coordinate of their `xy` along the axis is in data, that of their text a fraction of the axes. A leader
-        line is shown only for those that are not beside their point.
-    """
-    layout_of(axes.get_figure(root=True)).rows.append((axes, along, list(labels)))
+def label_times(axes: Axes, labels: Sequence[CurveLabel], edge: float, above_pt: float, *, boxed: bool = False) -> None:
+    """Write names above a height of the axes [share of it], each as near its time as the others let it be."""
+    _add_label_row(axes, "x", labels, edge, above_pt, SMALL_PT, boxed=boxed)
 
 
-def leader_line(colour: str, begins: tuple[float, float]) -> dict[str, object]:
+def _add_label_row(
+    axes: Axes,
+    along: Literal["x", "y"],
+    labels: Sequence[CurveLabel],
+    edge: float,
+    offset_pt: float,
+    size_pt: float,
+    *,
+    boxed: bool = False,
+) -> None:
+    """Write labels in the middle of a row; the layout moves them, and hides the leader lines that are not needed."""
+    above = along == "x"
+    row = [
+        axes.annotate(
+            label.text,
+            xy=(label.value, edge) if above else (edge, label.value),
+            xycoords=("data", "axes fraction") if above else ("axes fraction", "data"),
+            xytext=(0.5, offset_pt) if above else (offset_pt, 0.5),
+            textcoords=("axes fraction", "offset points") if above else ("offset points", "axes fraction"),
+            ha="center" if above else "left",
+            va="center",
+            fontsize=size_pt,
+            color="white" if boxed else label.colour,
+            annotation_clip=False,
+            parse_math=label.math,
+            zorder=6,
+            bbox={"boxstyle": "round,pad=0.22", "facecolor": label.colour, "edgecolor": "none"} if boxed else None,
+            arrowprops=None if boxed else _leader_line(label.colour, (0.5, 0.0) if above else (0.0, 0.5)),
+        )
+        for label in labels
+    ]
+    layout_of(axes.get_figure(root=True)).rows.append((axes, along, row))
+
+
+def _leader_line(colour: str, begins: tuple[float, float]) -> dict[str, object]:
     """Return a thin line from a label to its point; `begins` is a place on the label, in shares of its box."""
-    return {
-        "arrowstyle": "-",
-        "color": colour,
-        "linewidth": 0.8,
-        "relpos": begins,
-        "patchA": None,
-        "shrinkA": 0,
-        "shrinkB": 0,
-    }
+    line = {"arrowstyle": "-", "color": colour, "linewidth": 0.8}
+    return {**line, "relpos": begins, "patchA": None, "shrinkA": 0, "shrinkB": 0}
 
 
 def _spread_row(axes: Axes, index: int, labels: Sequence[Annotation]) -> None:

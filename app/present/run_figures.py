@@ -19,14 +19,13 @@ from dragrig.present import (
     PALE,
     PAPER,
     PURPLE,
-    SMALL_PT,
     VERMILLION,
+    CurveLabel,
     LineStyle,
-    add_label_row,
     draw_line,
     figure_style,
     fit_y_range,
-    leader_line,
+    label_times,
     new_figure,
     panel_size_in,
     run_problem,
@@ -226,22 +225,10 @@ def name_phases(axes: Axes, parts: Sequence[PhaseInterval]) -> None:
     inside.set_axis_off()
     shade_phases(inside, parts, PHASE_BAND_COLOURS)
     low, high = axes.get_xlim()
-    names = [
-        axes.annotate(
-            part.name,
-            xy=((max(part.start_s, low) + min(part.end_s, high)) / 2, 1.0 + band),
-            xycoords=("data", "axes fraction"),
-            xytext=(0.5, 15),
-            textcoords=("axes fraction", "offset points"),
-            ha="center",
-            fontsize=SMALL_PT,
-            color=GREY,
-            annotation_clip=False,
-            arrowprops=leader_line(GREY, (0.5, 0.0)),
-        )
-        for part in _longest_phases(parts, (low, high))
-    ]
-    add_label_row(axes, "x", names)
+    named = _longest_phases(parts, (low, high))
+    middles = [(max(part.start_s, low) + min(part.end_s, high)) / 2 for part in named]
+    names = [CurveLabel(middle, part.name, GREY) for middle, part in zip(middles, named, strict=True)]
+    label_times(axes, names, 1.0 + band, 19)
 
 
 def _longest_phases(parts: Sequence[PhaseInterval], limits: tuple[float, float]) -> list[PhaseInterval]:
@@ -320,7 +307,8 @@ def draw_event_marks(panels: Sequence[Axes], marks: Sequence[EventMark]) -> None
     if crowded:
         missing = _gap_duration_text(sum(gap.lasted_s for gap in gaps))
         named = sorted([EventMark(gaps[0].time_s, f"{len(gaps)} gaps, {missing} missing", gaps[0].lasted_s), *named])
-    _write_mark_labels(panels[0], named)
+    names = [CurveLabel(mark.time_s + mark.lasted_s / 2, mark.word, mark.colour) for mark in named]
+    label_times(panels[0], names, 0.0, 12, boxed=True)
 
 
 def _draw_mark_lines(axes: Axes, marks: Sequence[EventMark]) -> None:
@@ -349,27 +337,6 @@ def _shade_gaps(axes: Axes, marks: Sequence[EventMark], *, hatched: bool) -> Non
             linewidth=0.0,
             zorder=0.5,
         )
-
-
-def _write_mark_labels(axes: Axes, marks: Sequence[EventMark]) -> None:
-    words = [
-        axes.annotate(
-            mark.word,
-            xy=(mark.time_s + mark.lasted_s / 2, 0.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0.5, 12),
-            textcoords=("axes fraction", "offset points"),
-            ha="center",
-            va="center",
-            fontsize=SMALL_PT,
-            color="white",
-            annotation_clip=False,
-            zorder=6,
-            bbox={"boxstyle": "round,pad=0.22", "facecolor": mark.colour, "edgecolor": "none"},
-        )
-        for mark in marks
-    ]
-    add_label_row(axes, "x", words)
 
 
 def _gap_duration_text(seconds: float) -> str:
