@@ -250,7 +250,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(tmp_path: Path) -> Non
         dragrig.compare(PRACTICE, tmp_path / "nowhere")
     with pytest.raises(AnalysisError, match="B has no drag run"):
         dragrig.compare(PRACTICE / "010-drag.h5", PRACTICE / "005-blank.h5")
-    with pytest.raises(AnalysisError, match="one of the two"):
+    with pytest.raises(AnalysisError, match="either a second campaign"):
         dragrig.compare(PRACTICE)
     both = tmp_path / "both"
     for name in ("one", "two"):
@@ -307,7 +307,7 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
     assert answer["pairs"][0]["verdict"] == "differs"
     assert answer["conditions"][0]["b_minus_a_mN"] < 0
     assert main(["compare", "a", "b", "--model", "paper"]) == 2
-    assert "one of the two" in capsys.readouterr().err
+    assert "either a second campaign" in capsys.readouterr().err
     assert main(["compare", "a", "--model", "papr"]) == 2
     assert "did you mean paper?" in capsys.readouterr().err
 

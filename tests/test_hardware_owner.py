@@ -48,7 +48,7 @@ def holder(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
 def test_a_second_program_is_refused_and_told_who_holds_the_rig(
     holder: "subprocess.Popen[str]", tmp_path: Path
 ) -> None:
-    with pytest.raises(DeviceError, match=rf"Dev1 and COM1: process {holder.pid} is at this rig") as refused:
+    with pytest.raises(DeviceError, match=rf"Dev1 and COM1: process {holder.pid} uses this rig") as refused:
         RigLock(rig(), tmp_path)
     assert str(refused.value).count(".") == 1
     RigLock(rig(port="COM2"), tmp_path).close()

@@ -396,7 +396,7 @@ def compare(
     if model is None and effects:
         raise AnalysisError("Effects belong to a model; name the model too.")
     if (b is None) == (model is None):
-        raise AnalysisError("A comparison takes a second campaign or a model; give one of the two.")
+        raise AnalysisError("A comparison takes either a second campaign or a model.")
     first = _comparison_side(a, specimen, "A")
     if b is not None:
         return compare_sides(first, _comparison_side(b, specimen, "B"), progress)

@@ -197,9 +197,7 @@ def compare_command(
     an overview, and a picture of each pair. The exit code is 0 even where they differ.
     """
     if (b is None) == (model is None):
-        raise click.UsageError(
-            "name a second campaign or run, or a --model, one of the two", click.get_current_context()
-        )
+        raise click.UsageError("name either a second campaign or run, or a --model", click.get_current_context())
     from dragrig.api import compare, comparison_folder, write_comparison
     from dragrig.present import comparison_document, comparison_json, unused_path
 

@@ -63,7 +63,7 @@ class RigLock:
             self._lock.acquire()
         except Timeout:
             raise DeviceError(
-                f"{rig}: {_describe_holder(self._note)} is at this rig; end it, or wait until it is done."
+                f"{rig}: {_describe_holder(self._note)} uses this rig; end it, or wait until it is done."
             ) from None
         except OSError as error:
             raise DeviceError(
@@ -155,7 +155,7 @@ def check_card(
     yield _check_force(rig, scaling, reading)
     moved = abs(reading.counts_end - reading.counts_begin)
     jitter = f"counted {moved} in {CHECK_DURATION_S:g} s while nothing moved: check line receiver and shield"
-    still = "reads and stands still; a jog shows whether it counts"
+    still = "steady at rest; a jog shows whether it counts"
     yield RigCheck("encoder", moved <= _MAX_JITTER_COUNTS, still if moved <= _MAX_JITTER_COUNTS else jitter)
 
 
@@ -368,7 +368,7 @@ class HardwareBackend:
 
     def _check_owner(self) -> Iterator[RigCheck]:
         self._take_rig()
-        yield RigCheck("owner", True, "no other program is at this rig")
+        yield RigCheck("owner", True, "no other program uses this rig")
 
     def _check_card(self) -> Iterator[RigCheck]:
         lines = self._open_card()

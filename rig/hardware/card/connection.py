@@ -130,7 +130,7 @@ _RESERVED = (
     "card {device} is taken by another program while {doing}: close whatever uses it (another dragrig, LabVIEW, \
 test panels of NI MAX) and try again (NI-DAQmx {code})."
 )
-_TOO_SLOW = "card {device} lost samples while {doing}, because this computer did not fetch them in time: end other \
+_TOO_SLOW = "card {device} lost samples while {doing}, because this computer did not read them in time: end other \
 programs, or lower sampling.rate_hz (NI-DAQmx {code})."
 _TOO_FAST = "card {device} cannot sample so fast while {doing}: lower sampling.rate_hz, or leave out some of \
 hardware.card.inputs (NI-DAQmx {code})."

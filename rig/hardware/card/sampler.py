@@ -242,7 +242,7 @@ class ReaderThread:
             if wanted <= 0:
                 if lost := self._fetcher.lost:
                     raise DeviceError(
-                        f"the last {lost} samples are lost, because this computer did not fetch them in time: end "
+                        f"the last {lost} samples are lost, because this computer did not read them in time: end "
                         "other programs, or lower sampling.rate_hz."
                     )
                 return None
@@ -269,7 +269,7 @@ class ReaderThread:
             at_s = (batch.first_index - batch.lost) / self._settings.rate_hz
             fault = Trip(
                 TripCause.OVERRUN,
-                f"{batch.lost} samples from {at_s:.3f} s on are lost, because this computer did not fetch them in time",
+                f"{batch.lost} samples from {at_s:.3f} s on are lost, because this computer did not read them in time",
             )
         return Block(batch.first_index, self._scaling.scale(batch.volts, batch.counts, self._origin_counts), fault)
 
