@@ -1,4 +1,7 @@
 from .comparison.compare import compare_sides as compare_sides
+from .comparison.compare import model_side as model_side
+from .comparison.compare import side_from_path as side_from_path
+from .comparison.compare import side_from_runs as side_from_runs
 from .comparison.comparison import AlignedRuns as AlignedRuns
 from .comparison.comparison import ComparedSide as ComparedSide
 from .comparison.comparison import Comparison as Comparison
@@ -8,9 +11,6 @@ from .comparison.comparison import MeasureDifference as MeasureDifference
 from .comparison.comparison import RunPair as RunPair
 from .comparison.comparison import comparison_frame as comparison_frame
 from .comparison.comparison import comparison_rows as comparison_rows
-from .comparison.sides import model_side as model_side
-from .comparison.sides import side_from_path as side_from_path
-from .comparison.sides import side_from_runs as side_from_runs
 from .computation import Progress as Progress
 from .computation import no_progress as no_progress
 from .computation import single_blas_thread as single_blas_thread

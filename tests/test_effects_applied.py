@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dragrig
-from dragrig.analysis.comparison.sides import resimulate
+from dragrig.analysis.comparison.compare import resimulate
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import EffectSettings, FrictionModelSettings, parse_effects

@@ -3,6 +3,5 @@
 | module | content |
 |---|---|
 | `comparison` | two runs aligned on one clock; everything that a comparison says, as values and as a data frame |
-| `sides` | the runs of either side, recorded or computed by the friction model |
-| `compare` | measures, pairs and compares the runs of two sides |
+| `compare` | the runs of either side, recorded or computed by the friction model; measured, paired and compared |
 """
