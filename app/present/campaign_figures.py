@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dragrig import Run
 from dragrig.analysis import (
     NORMAL_95,
     AlignedRuns,
@@ -52,8 +51,7 @@ from dragrig.present.run_figures import (
     gaps_after_samples,
     relaxation_ramp,
 )
-from dragrig.rig import AnyFloatArray, FloatArray, Phase
-from dragrig.rig.runfile import RunStatus
+from dragrig.rig import AnyFloatArray, FloatArray, Phase, Run, RunStatus
 
 STEADY_KINDS = ("drag", "coulomb", "blank")
 """Kinds of run with a steady force that stands in a campaign's picture."""

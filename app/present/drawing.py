@@ -22,7 +22,7 @@ from matplotlib.text import Annotation, Text
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from dragrig.present import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
+from dragrig.present.palette import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
 from dragrig.rig import AnyFloatArray, FloatArray
 
 TITLE_PT: Final = 19.0

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.ticker import MaxNLocator
 
-from dragrig import Run
 from dragrig.analysis import (
     ELEMENT_NAMES,
     NORMAL_95,
@@ -18,6 +17,7 @@ from dragrig.analysis import (
     DragResult,
     DragSetup,
     EstimatedQuantity,
+    Experiment,
     JointFit,
     ParameterEstimate,
     RelaxationFit,
@@ -33,7 +33,6 @@ from dragrig.analysis import (
     relaxation_residuals,
     steady_force_parts,
 )
-from dragrig.analysis.models import Experiment
 from dragrig.config import AnalysisError, Capsule, FrictionModelSettings
 from dragrig.present import (
     BLACK,
@@ -66,7 +65,7 @@ from dragrig.present.run_figures import (
     run_sheet,
     steady_level,
 )
-from dragrig.rig import FloatArray
+from dragrig.rig import FloatArray, Run
 from dragrig.sim_backend.friction import EQ14, TABLE1, TABLE1_STRAIN, SteadyFriction
 
 JOINT_ROOMY_RUNS, JOINT_MAX_RUNS = 32, 60

@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
-from dragrig import Run
 from dragrig.analysis import filter_run, measure, steady_stretch
 from dragrig.config import AnalysisError
 from dragrig.present import (
@@ -36,8 +35,20 @@ from dragrig.present import (
     value_with_error,
     write_legend,
 )
-from dragrig.rig import PHASE_NAMES, AnyFloatArray, BoolArray, FilteredTrace, FloatArray, Phase, PhaseArray, RunInfo
-from dragrig.rig.runfile import Attribute, RunEvent, RunStatus
+from dragrig.rig import (
+    PHASE_NAMES,
+    AnyFloatArray,
+    Attribute,
+    BoolArray,
+    FilteredTrace,
+    FloatArray,
+    Phase,
+    PhaseArray,
+    Run,
+    RunEvent,
+    RunInfo,
+    RunStatus,
+)
 
 ENVELOPE_COLUMNS = 2000
 """Columns that an envelope keeps; about the pixels that a picture is wide."""
