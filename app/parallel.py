@@ -85,13 +85,14 @@ def parallel_map(
             running[executor.submit(_call_single_threaded, function, task)] = number, task
             if any(future.done() for future in running):
                 break
-        # No future is kept: a cluster repeats what its workers lose for as long as a future refers to it.
-        done = wait(running, return_when=FIRST_COMPLETED).done
-        for future in sorted(done, key=lambda future: running[future][0]):
+        # No name refers to a future while the next ones are awaited: a cluster repeats what a lost worker had finished
+        # for as long as something does.
+        for future in sorted(wait(running, return_when=FIRST_COMPLETED).done, key=lambda future: running[future][0]):
             number, task = running.pop(future)
             results[number] = future.result()
             if finished is not None:
                 finished(task, results[number])
+        del future
     return [results[number] for number in range(len(results))]
 
 

@@ -86,13 +86,13 @@ def worker_killed_at_its_second(
 ) -> Iterator[Watched]:
     """Watch a cluster, and kill the first worker that is seen in a function for the second time.
 
-    The workers' own stacks say who is in it. The worker is killed once all that had been finished there was kept, so
-    that none of it may be done again.
+    The workers' own stacks say who is in it. The worker is killed once it holds no result that was not fetched and a
+    result was kept, so that nothing that was finished may be done again.
 
     Parameters
     ----------
-    kept
-        Returns how many results of the function have been kept.
+    stored
+        Returns how many results of the function have been stored.
     """
     from distributed import Client, get_task_stream
 
@@ -115,7 +115,7 @@ def worker_killed_at_its_second(
                     seen[worker].add(key)
                 finished = set().union(*seen.values()) - set(now.values())
                 at = next((worker for worker in now if len(seen[worker]) == 2), "")
-                if at and stored() >= len(finished):
+                if at and stored() >= len(finished) and not client.has_what([at])[at]:
                     watched.killed, watched.kept = at, stored()
                     os.kill(pids[at], signal.SIGKILL)
                     return

@@ -60,6 +60,7 @@ def test_a_value_does_not_depend_on_what_else_is_asked_for(profile: MotionProfil
 
 @settings(max_examples=25, deadline=None, derandomize=True)
 @example(profile=moves((-7.0, 17.482548145009005)))  # the last piece seems to turn round just before its end
+@example(profile=moves((-1.0, 1.0), (0.5, 1.0), rest=0.1, hold=0.2))  # a reversal as long as the shortest that counts
 @given(profile=profiles.filter(lambda profile: bool(profile.velocity_mm_s.any())))
 def test_a_mirrored_motion_gives_the_mirrored_force(profile: MotionProfile) -> None:
     time = np.linspace(0.0, profile.duration_s, 500)

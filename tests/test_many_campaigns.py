@@ -59,7 +59,7 @@ def test_a_file_for_one_campaign_is_not_made_of_several(
     option: str, three: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["gap", "diagnose", "first", "second", option, "mine"]) == 2
-    assert "holds one campaign, and 2 were given" in capsys.readouterr().err
+    assert "takes a single campaign, not 2" in capsys.readouterr().err
 
 
 def test_identifications_are_those_of_each_campaign_by_itself(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -83,7 +83,7 @@ def test_identifying_several_writes_each_its_own_files(three: Path, capsys: pyte
     assert (three / "made" / "first" / "model.toml").is_file()
     assert (three / "made" / "first-2" / "joint-fit.png").is_file()
     assert main(["identify", "first", "other/first", "--save-model", "x.toml"]) == 2
-    assert "holds one campaign" in capsys.readouterr().err
+    assert "takes a single campaign" in capsys.readouterr().err
     assert main(["identify", "first", "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert "one was given; leave it out" in capsys.readouterr().err
 

@@ -132,8 +132,11 @@ def _one_way_spans(motion: Motion) -> Iterator[tuple[int, int, int]]:
         yield (-1 if (signs < 0).any() else 1), first, end - 1
 
 
-REVERSAL_SLACK_MM = 0.5
-"""A reversal shorter than this does not bring the other hemisphere to the front (a tenth of the contact)."""
+REVERSAL_SLACK_MM = 0.5 - 1e-9
+"""A shorter reversal does not bring the other hemisphere to the front (a tenth of the contact).
+
+Less than the round number by rounding, so that a reversal of 0.5 mm is the same in both directions.
+"""
 
 
 def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motion:
