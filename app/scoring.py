@@ -269,7 +269,7 @@ class ConfusionMatrix:
     """Names of the rows: effects, then `several`, `unknown` (an effect that the catalogue does not have) and `no_gap`,
     as far as they occur.
     """
-    said: tuple[str, ...]
+    predicted: tuple[str, ...]
     """Names of the columns, the diagnoses, likewise."""
     counts: tuple[tuple[int, ...], ...]
     """A row for each of `hidden`."""
@@ -279,8 +279,10 @@ def confusion_matrix(cases: Sequence[ScoredCase]) -> ConfusionMatrix:
     """Count the diagnoses of each answer."""
     counts = Counter((_class_name(case.answer), _class_name(case.diagnosis)) for case in cases)
     hidden = _effects_first({row for row, _ in counts})
-    said = _effects_first({column for _, column in counts} | set(hidden))
-    return ConfusionMatrix(hidden, said, tuple(tuple(counts[row, column] for column in said) for row in hidden))
+    predicted = _effects_first({column for _, column in counts} | set(hidden))
+    return ConfusionMatrix(
+        hidden, predicted, tuple(tuple(counts[row, column] for column in predicted) for row in hidden)
+    )
 
 
 def _class_name(record: AnswerKey | ScoredDiagnosis) -> str:

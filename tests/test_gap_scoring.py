@@ -111,12 +111,12 @@ def test_without_its_effect_a_diagnosis_is_right_with_unknown_or_with_a_doubted_
     }
 
 
-def test_what_was_said_is_counted_by_what_was_hidden() -> None:
+def test_diagnoses_are_counted_by_hidden_effect() -> None:
     confusion = score_exam(PAIRS).confusion
     counts = {
         (row, column): count
         for row, answer in zip(confusion.hidden, confusion.counts, strict=True)
-        for column, count in zip(confusion.said, answer, strict=True)
+        for column, count in zip(confusion.predicted, answer, strict=True)
         if count
     }
     assert sum(counts.values()) == len(PAIRS)

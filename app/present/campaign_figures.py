@@ -1,4 +1,4 @@
-"""Figures of campaigns: overview of one, differences of two, and a pair of runs on one clock."""
+"""Figures of campaigns: overview of a campaign, differences of two, and a pair of runs on a common clock."""
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -65,14 +65,14 @@ def _empty_array() -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunSummary:
-    """A run, much reduced."""
+    """What the overview of a campaign needs of a run."""
 
     kind: str
     started: datetime
     backend: str
     specimen: str
     good: bool
-    """Whether it is complete and was not marked bad; only then the rest is filled in."""
+    """Whether it is complete and not marked bad; only then are the other fields filled in."""
     speed_mm_s: float = 0.0
     """The speed that was set, or else measured, without sign; 0 where neither is known."""
     strain: float = 0.0
@@ -128,7 +128,7 @@ def _bin_means(x: AnyFloatArray, force: AnyFloatArray) -> tuple[FloatArray, Floa
     place, weight = np.asarray(x[finite], dtype=np.float64), force[finite]
     edges = np.linspace(place.min(), place.max(), POSITION_BINS + 1)
     count, _ = np.histogram(place, edges)
-    sums = [np.histogram(place, edges, weights=one)[0] for one in (place, weight)]
+    sums = [np.histogram(place, edges, weights=values)[0] for values in (place, weight)]
     filled = count > 0
     return np.asarray(sums[0][filled] / count[filled]), np.asarray(sums[1][filled] / count[filled])
 
@@ -148,9 +148,9 @@ def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] =
     Parameters
     ----------
     runs
-        Read one after the other and not kept.
+        Read in turn; only a summary of each stays in memory.
     name
-        What to call the campaign.
+        Name of the campaign.
     bad
         Files of runs that were marked bad; they are counted and not drawn, as are those that ended early.
     """
@@ -158,13 +158,13 @@ def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] =
     title = " · ".join(part for part in ("Campaign", name) if part)
     backends = ", ".join(sorted({run.backend for run in digests}))
     chosen = [(draw, [run for run in digests if has(run)]) for draw, has in _OVERVIEW_PANELS]
-    drawn = [(draw, found) for draw, found in chosen if found]
+    drawn = [(draw, panel_runs) for draw, panel_runs in chosen if panel_runs]
     with figure_style():
         figure = _overview_sheet(title, _overview_subtitle(digests), _overview_problem(digests), backends)
         if not drawn:
             figure.text(0.5, 0.45, "no complete drag, Coulomb, blank or relaxation run", ha="center", color=GREY)
-        for axes, (draw, found) in zip(_overview_panels(figure, len(drawn)), drawn, strict=True):
-            draw(axes, found)
+        for axes, (draw, panel_runs) in zip(_overview_panels(figure, len(drawn)), drawn, strict=True):
+            draw(axes, panel_runs)
         return figure
 
 
@@ -214,7 +214,7 @@ def _draw_points(
 
 
 def _finish_speed_panel(axes: Axes, speeds: Sequence[float], shown: Sequence[FloatArray], quantity: str) -> None:
-    """Make the speed axis logarithmic, around the speeds and at least a decade long."""
+    """Make the speed axis logarithmic, centred on the speeds and at least a decade long."""
     middle = float(np.sqrt(min(speeds) * max(speeds)))
     half = max(1.3 * max(speeds) / middle, float(np.sqrt(10.0)))
     set_log_x(axes, middle / half, middle * half)
@@ -226,9 +226,9 @@ def _finish_speed_panel(axes: Axes, speeds: Sequence[float], shown: Sequence[Flo
 def _split_by_direction(
     kind: str, points: Sequence[tuple[float, Estimate]]
 ) -> Iterator[tuple[Sequence[tuple[float, Estimate]], str]]:
-    """Keep the two ways of a capsule apart: a force of the other sign is that of a run backward."""
-    backward = [one for one in points if kind != "blank" and (one[1].value or 0.0) < 0]
-    forward = [one for one in points if one not in backward]
+    """Separate runs forward and backward by the sign of their force."""
+    backward = [point for point in points if kind != "blank" and (point[1].value or 0.0) < 0]
+    forward = [point for point in points if point not in backward]
     if forward:
         yield forward, ""
     if backward:
@@ -236,15 +236,15 @@ def _split_by_direction(
 
 
 def _draw_relaxations(axes: Axes, digests: Sequence[RunSummary]) -> None:
-    rising = sorted(digests, key=lambda one: one.strain)
-    strains = sorted({one.strain for one in rising})
+    rising = sorted(digests, key=lambda run: run.strain)
+    strains = sorted({run.strain for run in rising})
     colours = dict(zip(strains, sequential_colours(len(strains)), strict=True))
     ends: dict[float, float] = {}
-    for one in rising:
-        axes.plot(one.x, one.force_mN, color=colours[one.strain], linewidth=1.8)
-        ends[one.strain] = float(one.force_mN[np.isfinite(one.force_mN)][-1])
-    set_log_x(axes, min(float(one.x[0]) for one in rising), max(float(one.x[-1]) for one in rising))
-    fit_y_range(axes, [one.force_mN for one in rising], 1.0)
+    for run in rising:
+        axes.plot(run.x, run.force_mN, color=colours[run.strain], linewidth=1.8)
+        ends[run.strain] = float(run.force_mN[np.isfinite(run.force_mN)][-1])
+    set_log_x(axes, min(float(run.x[0]) for run in rising), max(float(run.x[-1]) for run in rising))
+    fit_y_range(axes, [run.force_mN for run in rising], 1.0)
     axes.set_xlabel("Time since the end of the ramp (s)")
     axes.set_ylabel("Force (mN)")
     _write_panel_heading(axes, "Relaxation", "at each shear strain")
@@ -252,17 +252,17 @@ def _draw_relaxations(axes: Axes, digests: Sequence[RunSummary]) -> None:
 
 
 def _draw_drags(axes: Axes, digests: Sequence[RunSummary]) -> None:
-    first_of = {_three_digit_speed(one.speed_mm_s): one for one in reversed(digests)}
+    first_of = {_three_digit_speed(run.speed_mm_s): run for run in reversed(digests)}
     speeds = spread_selection(list(first_of))
     labels = []
     for speed, colour in zip(speeds, sequential_colours(len(speeds)), strict=True):
-        one = first_of[speed]
-        axes.plot(one.x, one.force_mN, color=colour, linewidth=1.8)
-        middle = one.force_mN[one.force_mN.size // 2 :]
+        run = first_of[speed]
+        axes.plot(run.x, run.force_mN, color=colour, linewidth=1.8)
+        middle = run.force_mN[run.force_mN.size // 2 :]
         labels.append(CurveLabel(float(np.median(middle)), f"{speed:g} mm/s", colour))
     shown = [first_of[speed] for speed in speeds]
-    set_time_range(axes, min(0.0, *(float(one.x.min()) for one in shown)), max(float(one.x.max()) for one in shown))
-    fit_y_range(axes, [one.force_mN for one in shown], 1.0)
+    set_time_range(axes, min(0.0, *(float(run.x.min()) for run in shown)), max(float(run.x.max()) for run in shown))
+    fit_y_range(axes, [run.force_mN for run in shown], 1.0)
     axes.set_xlabel("Position (mm)")
     axes.set_ylabel("Force (mN)")
     _write_panel_heading(axes, "Drag along the way", "first run at each speed")
@@ -285,23 +285,23 @@ def _three_digit_speed(speed_mm_s: float) -> float:
 def _overview_subtitle(digests: Sequence[RunSummary]) -> str:
     if not digests:
         return "no runs"
-    counts = Counter(one.kind for one in digests)
+    counts = Counter(run.kind for run in digests)
     kinds = ", ".join(f"{count} {kind}" for kind, count in counts.most_common())
-    begin, end = min(one.started for one in digests), max(one.started for one in digests)
-    specimens = ", ".join(sorted({one.specimen for one in digests}))
+    begin, end = min(run.started for run in digests), max(run.started for run in digests)
+    specimens = ", ".join(sorted({run.specimen for run in digests}))
     until = f"{end:%H:%M}" if end.date() == begin.date() else f"{end:%Y-%m-%d %H:%M}"
     return f"{len(digests)} runs ({kinds})  ·  {specimens}  ·  {begin:%Y-%m-%d %H:%M} – {until}"
 
 
 def _overview_problem(digests: Sequence[RunSummary]) -> str:
-    left_out = sum(not one.good for one in digests)
+    left_out = sum(not run.good for run in digests)
     return f"{left_out} of them ended early or are marked bad, and are not drawn" if left_out else ""
 
 
 _OVERVIEW_PANELS: tuple[tuple[Callable[[Axes, Sequence[RunSummary]], None], Callable[[RunSummary], bool]], ...] = (
-    (_draw_steady_forces, lambda one: one.steady is not None and one.speed_mm_s > 0),
-    (_draw_relaxations, lambda one: one.kind == "relaxation" and one.x.size > 1),
-    (_draw_drags, lambda one: one.kind == "drag" and one.x.size > 1),
+    (_draw_steady_forces, lambda run: run.steady is not None and run.speed_mm_s > 0),
+    (_draw_relaxations, lambda run: run.kind == "relaxation" and run.x.size > 1),
+    (_draw_drags, lambda run: run.kind == "drag" and run.x.size > 1),
 )
 """What draws a panel, and which runs it draws."""
 
@@ -316,7 +316,7 @@ def comparison_figure(pair: RunPair, names: tuple[str, str] = ("", "")) -> Figur
     Parameters
     ----------
     names
-        What the two sides are called; nothing for runs that are told apart by their files alone.
+        Names of the two sides; empty where the file names suffice.
 
     Raises
     ------
@@ -354,8 +354,8 @@ def _pair_sheet(pair: RunPair, names: tuple[str, str], height_in: float) -> Figu
     parts = [f"A: {a}", f"B: {names[1] or 'model'}, on the recorded motion" if pair.b_is_model else f"B: {b}"]
     if pair.shift_s is not None and not pair.b_is_model:
         parts.append(f"B shifted by {_shift_text(pair.shift_s)}")
-    other = "model" if pair.b_is_model else pair.b.info.header.backend
-    backends = " / ".join(dict.fromkeys((pair.a.info.header.backend, other)))
+    backend_b = "model" if pair.b_is_model else pair.b.info.header.backend
+    backends = " / ".join(dict.fromkeys((pair.a.info.header.backend, backend_b)))
     title = f"{condition[:1].upper()}{condition[1:]}"
     return new_figure(WIDTH_IN, height_in, title, "  ·  ".join(parts), "; ".join(pair.remarks), backends)
 
@@ -378,8 +378,8 @@ def _pair_panels(pair: RunPair, overlay: AlignedRuns) -> list[TracePanel]:
     panels = [_force_panel(pair, overlay, a, b), _difference_panel(pair, overlay)]
     followed = tuple(
         _following_error_curve(name, run, colour)
-        for name, run, colour, found in (("A", a, BLUE, pair.motion.a), ("B", b, VERMILLION, pair.motion.b))
-        if found is not None
+        for name, run, colour, motion in (("A", a, BLUE, pair.motion.a), ("B", b, VERMILLION, pair.motion.b))
+        if motion is not None
     )
     return [*panels, TracePanel("Error (µm)", followed, 20.0, level=0.0)] if followed else panels
 
@@ -450,7 +450,7 @@ def _mark_repeatability(difference: Axes, pair: RunPair) -> None:
 SIDE_COLOURS = (BLUE, VERMILLION)
 
 SPEED_OFFSET_FACTOR = 1.02
-"""B's points stand this factor beside A's on the speed axis, so that neither hides the other."""
+"""Factor on the speed axis between B's points and A's, so that neither hides the other."""
 
 RELAXATION_MEASURES = {"peak": ("peak", PURPLE, "v", -1.5), "hold": ("hold", BLUE, "D", 1.5)}
 """Label, colour, marker and place beside the strain [%]."""
@@ -481,7 +481,7 @@ def _sliding_pairs(comparison: Comparison) -> list[RunPair]:
         for pair in comparison.pairs
         if pair.condition.kind in KIND_MARKERS
         and pair.condition.speed_mm_s
-        and any(None not in one.compared for one in pair.main)
+        and any(None not in difference.compared for difference in pair.main)
     ]
 
 
@@ -538,7 +538,7 @@ def _draw_differences(
     *,
     percent: bool,
 ) -> list[FloatArray]:
-    """Draw groups at their places, each in its look: label, colour, marker and offset; return what is shown."""
+    """Draw groups at their places, with label, colour, marker and offset of their kind; return all that is shown."""
     shown, labels = [np.zeros(1)], []
     for name, (label, colour, marker, offset) in looks.items():
         alike = sorted(((group, place) for group, place, look in groups if look == name), key=itemgetter(1))
@@ -561,9 +561,12 @@ def _draw_differences(
 
 
 _DIFFERENCE_PANELS: tuple[tuple[Callable[[Axes, Comparison], None], Callable[[Comparison], bool]], ...] = (
-    (_draw_steady_pairs, lambda one: bool(_sliding_pairs(one))),
-    (_draw_steady_differences, lambda one: bool(_sliding_pairs(one))),
-    (_draw_relaxation_differences, lambda one: any(group.condition.shear_strain is not None for group in one.groups)),
+    (_draw_steady_pairs, lambda comparison: bool(_sliding_pairs(comparison))),
+    (_draw_steady_differences, lambda comparison: bool(_sliding_pairs(comparison))),
+    (
+        _draw_relaxation_differences,
+        lambda comparison: any(group.condition.shear_strain is not None for group in comparison.groups),
+    ),
 )
 
 
@@ -580,12 +583,12 @@ def _differences_subtitle(comparison: Comparison) -> str:
 def _differences_problem(comparison: Comparison) -> str:
     alone = len(comparison.alone_a) + len(comparison.alone_b)
     left_out = len(comparison.a.left_out) + len(comparison.b.left_out)
-    said = [f"{alone} runs have no partner"] if alone else []
-    said += [f"{left_out} runs are left out"] if left_out else []
-    return "; ".join((*said, *comparison.remarks))
+    problems = [f"{alone} runs have no partner"] if alone else []
+    problems += [f"{left_out} runs are left out"] if left_out else []
+    return "; ".join((*problems, *comparison.remarks))
 
 
 def _backends_text(comparison: Comparison) -> str:
-    found = [pair.a.info.header.backend for pair in comparison.pairs]
-    found += ["model" if pair.b_is_model else pair.b.info.header.backend for pair in comparison.pairs]
-    return " / ".join(dict.fromkeys(found))
+    backends = [pair.a.info.header.backend for pair in comparison.pairs]
+    backends += ["model" if pair.b_is_model else pair.b.info.header.backend for pair in comparison.pairs]
+    return " / ".join(dict.fromkeys(backends))

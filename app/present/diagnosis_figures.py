@@ -1,6 +1,7 @@
 """Figures of a gap diagnosis: location map, ranking, runs before and after, and the isolability matrix."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -52,13 +53,13 @@ from dragrig.present.diagnosis_sentences import is_stated_verdict, verdict_sente
 from dragrig.rig import FloatArray
 
 DARKEST_SD = 30.0
-"""From here on a cell of the map is as dark as it can be."""
+"""Excess at which a cell of the map is darkest."""
 
 FAINT_SD = 0.5
-"""Less than this is written faintly."""
+"""Smaller excesses are written in grey."""
 
 WHITE_TEXT_SD = 6.0
-"""From here on what is written in a cell is white."""
+"""Excess from which the text of a cell is white."""
 
 LOCATION_AXES = {
     "speed_mm_s": ("Speed (mm/s)", 1.0),
@@ -67,7 +68,7 @@ LOCATION_AXES = {
     "strain": ("Shear strain (%)", 100.0),
     "band_hz": ("Frequency (Hz)", 1.0),
 }
-"""Titles, and what ends of bins are multiplied by."""
+"""Titles, and factors to the displayed unit."""
 
 _EXCESS_COLOURS = LinearSegmentedColormap.from_list("excess", ["#FFFFFF", "#F6C9A8", VERMILLION, "#7A2E00"])
 
@@ -83,9 +84,9 @@ def location_figure(where: GapLocation, name: str = "") -> Figure:
     Parameters
     ----------
     where
-        What `locate` found.
+        Result of `locate`.
     name
-        What the campaign is called.
+        Name of the campaign.
     """
     rows = _map_rows(where.cells)
     map_in = max(0.46 * len(rows), 2.1) + 1.0
@@ -106,7 +107,7 @@ def _location_title(where: GapLocation) -> str:
     if not where.present:
         return "No gap beyond noise and repeatability"
     channel, protocol = (where.location(axis).shares for axis in ("channel", "protocol"))
-    in_channel, in_runs = (max(shares, key=lambda one: shares[one]) for shares in (channel, protocol))
+    in_channel, in_runs = (max(shares, key=lambda name: shares[name]) for shares in (channel, protocol))
     share = f"{100 * protocol[in_runs]:.0f} %"
     matter = f", above all a matter of {where.domain}" if where.domain else ""
     return f"Gap in {in_channel}, {share} of it in {in_runs} runs{matter}"
@@ -121,10 +122,10 @@ def _location_subtitle(where: GapLocation, name: str) -> str:
 
 
 def _map_rows(cells: Sequence[PhaseCell]) -> list[tuple[str, str]]:
-    """Return protocols and channels as a report lists them, those of one's own last."""
-    known = [*PROTOCOLS, *(one.protocol for one in cells)], [*CHANNELS, *(one.channel for one in cells)]
-    found = {(one.protocol, one.channel) for one in cells}
-    return sorted(found, key=lambda row: (known[0].index(row[0]), known[1].index(row[1])))
+    """Return protocols and channels in the order of a report, user-defined ones last."""
+    known = [*PROTOCOLS, *(cell.protocol for cell in cells)], [*CHANNELS, *(cell.channel for cell in cells)]
+    rows = {(cell.protocol, cell.channel) for cell in cells}
+    return sorted(rows, key=lambda row: (known[0].index(row[0]), known[1].index(row[1])))
 
 
 def _map_row_label(row: tuple[str, str]) -> str:
@@ -132,18 +133,18 @@ def _map_row_label(row: tuple[str, str]) -> str:
 
 
 def _draw_excess_map(axes: Axes, cells: Sequence[PhaseCell], rows: Sequence[tuple[str, str]]) -> None:
-    """Draw a cell for each phase of each protocol and channel, its excess in words; hatched where nothing was seen."""
-    phases = list(dict.fromkeys(one.phase for one in cells))
+    """Draw a cell for each phase of each protocol and channel with its excess; hatched where there is no data."""
+    phases = list(dict.fromkeys(cell.phase for cell in cells))
     shade = Normalize(0.0, np.log1p(DARKEST_SD), clip=True)
-    for one in cells:
-        row, column = rows.index((one.protocol, one.channel)), phases.index(one.phase)
-        seen = one.rms is not None
-        colour = _EXCESS_COLOURS(shade(np.log1p(one.rms))) if one.rms is not None else "#FFFFFF"
+    for cell in cells:
+        row, column = rows.index((cell.protocol, cell.channel)), phases.index(cell.phase)
+        seen = cell.rms is not None
+        colour = _EXCESS_COLOURS(shade(np.log1p(cell.rms))) if cell.rms is not None else "#FFFFFF"
         axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, facecolor=colour, edgecolor="#D3D9DF",
                                  hatch=None if seen else "///"))  # fmt: skip
-        if one.rms is not None:
-            faint, dark = one.rms < FAINT_SD, one.rms >= WHITE_TEXT_SD
-            axes.text(column, row, _sd_text(one.rms), ha="center", va="center", fontsize=SMALL_PT,
+        if cell.rms is not None:
+            faint, dark = cell.rms < FAINT_SD, cell.rms >= WHITE_TEXT_SD
+            axes.text(column, row, _sd_text(cell.rms), ha="center", va="center", fontsize=SMALL_PT,
                       color="white" if dark else GREY if faint else BLACK)  # fmt: skip
     axes.set_xlim(-0.5, len(phases) - 0.5)
     axes.set_ylim(len(rows) - 0.5, -0.5)
@@ -161,50 +162,50 @@ def _sd_text(value: float) -> str:
 
 
 def _draw_domain_scores(axes: Axes, where: GapLocation) -> None:
-    """Draw how much of the residual follows from other runs by each coordinate."""
-    axes.set_title("Follows from other runs by")
+    """Draw the share of the residual that each coordinate predicts from the other runs."""
+    axes.set_title("Predictable from other runs by")
     if not where.domain_scores:
         _write_empty_panel(axes, "no gap")
         return
-    names = sorted(where.domain_scores, key=lambda one: where.domain_scores[one])
-    scores = [100 * where.domain_scores[one] for one in names]
-    colours = [VERMILLION if one == where.domain else PALE for one in names]
+    names = sorted(where.domain_scores, key=lambda domain: where.domain_scores[domain])
+    scores = [100 * where.domain_scores[domain] for domain in names]
+    colours = [VERMILLION if domain == where.domain else PALE for domain in names]
     axes.barh(range(len(names)), scores, color=colours, height=0.7)
     axes.set_yticks(range(len(names)), names)
     axes.set_xlim(0, 100)
     axes.xaxis.set_major_locator(MultipleLocator(25))
-    axes.set_xlabel("of the residual's squares (%)", fontsize=SMALL_PT)
+    axes.set_xlabel("Share of the squared residual (%)", fontsize=SMALL_PT)
     axes.grid(visible=False, axis="y")
     axes.tick_params(axis="y", length=0)
 
 
 def _draw_axis_shares(axes: Axes, location: AxisLocation, title: str, unit: float) -> None:
-    """Draw shares along an axis; the narrowest bins that have most of the excess stand out."""
+    """Draw shares along an axis, and highlight the narrowest range of bins that has most of the excess."""
     axes.set_title(title)
     if location.low is None or location.high is None:
         _write_empty_panel(axes, "no excess here")
         return
     low, high = location.low, location.high
-    inside = [one.low is not None and one.high is not None and one.low >= low and one.high <= high
-              for one in location.bins]  # fmt: skip
-    colours = [VERMILLION if most and location.p < ALPHA else PALE for most in inside]
-    axes.bar(range(len(location.bins)), [100 * one.share for one in location.bins], color=colours, width=0.86)
+    inside = [axis_bin.low is not None and axis_bin.high is not None and axis_bin.low >= low and axis_bin.high <= high
+              for axis_bin in location.bins]  # fmt: skip
+    colours = [VERMILLION if marked and location.p < ALPHA else PALE for marked in inside]
+    axes.bar(range(len(location.bins)), [100 * axis_bin.share for axis_bin in location.bins], color=colours, width=0.86)
     _set_bin_ticks(axes, location, unit)
-    axes.set_ylim(0, 118 * max(one.share for one in location.bins))
+    axes.set_ylim(0, 118 * max(axis_bin.share for axis_bin in location.bins))
     axes.grid(visible=False, axis="x")
     axes.set_xlabel(_location_text(location, unit), fontsize=SMALL_PT, color=VERMILLION if location.p < ALPHA else GREY)
 
 
 def _set_bin_ticks(axes: Axes, location: AxisLocation, unit: float) -> None:
-    """Name levels below their bars, and ends of bins between them, as many as there is room for."""
-    levels = all(one.low == one.high for one in location.bins)
-    ends = [one.low for one in location.bins] + ([] if levels else [location.bins[-1].high])
+    """Label levels below their bars, and bin edges between them, as many as there is room for."""
+    levels = all(axis_bin.low == axis_bin.high for axis_bin in location.bins)
+    ends = [axis_bin.low for axis_bin in location.bins] + ([] if levels else [location.bins[-1].high])
     words = [_three_digits(unit * end) for end in ends if end is not None]
     places = np.arange(len(words)) - (0.0 if levels else 0.5)
     room = panel_size_in(axes)[0] / max(len(location.bins), 1)
     step = max(1, int(np.ceil((max(text_width_in(word, SMALL_PT) for word in words) + 0.08) / room)))
     shown = sorted({*range(0, len(words) - step, step), len(words) - 1})
-    axes.set_xticks(places[shown].tolist(), [words[one] for one in shown])
+    axes.set_xticks(places[shown].tolist(), [words[index] for index in shown])
     axes.set_xlim(-0.6, len(location.bins) - 0.4)
 
 
@@ -226,13 +227,13 @@ def _write_empty_panel(axes: Axes, words: str) -> None:
     axes.grid(visible=False)
 
 
-RANKING_MAX_ROWS, RANKING_MIN_PROBABILITY = 10, 0.002
+RANKING_MIN_ROWS, RANKING_MAX_ROWS, RANKING_MIN_PROBABILITY = 3, 10, 0.002
 
 
 def ranking_figure(diagnosis: Diagnosis) -> Figure:
-    """Draw the hypotheses of a diagnosis that are not next to impossible, the most probable first.
+    """Draw the hypotheses of a diagnosis that have at least 0.2 % probability, or else the first three.
 
-    Dark: what the verdict names; light blue: what these runs cannot tell from it; grey: the others.
+    Dark: the verdict; light blue: what these runs cannot distinguish from it; grey: the others.
     """
     rows = _ranking_rows(diagnosis.ranking)
     with figure_style():
@@ -250,7 +251,7 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
         axes.set_xlabel("Probability")
         axes.grid(visible=False, axis="y")
         axes.tick_params(axis="y", length=0)
-        meanings = {BLUE: "the verdict", SKY: "cannot be told from it with these runs", PALE: "others"}
+        meanings = {BLUE: "the verdict", SKY: "not distinguishable from it with these runs", PALE: "others"}
         keys = [Patch(color=colour, label=words) for colour, words in meanings.items()
                 if colour != SKY or diagnosis.confusable_with]  # fmt: skip
         axes.legend(handles=keys, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(keys))
@@ -258,16 +259,15 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def _ranking_rows(ranking: Sequence[RankedHypothesis]) -> list[RankedHypothesis]:
-    ordered = sorted(ranking, key=lambda one: -one.probability)
-    return [one for at, one in enumerate(ordered) if at < 3 or one.probability >= RANKING_MIN_PROBABILITY][
-        :RANKING_MAX_ROWS
-    ]
+    ordered = sorted(ranking, key=lambda ranked: -ranked.probability)
+    probable = [ranked for ranked in ordered if ranked.probability >= RANKING_MIN_PROBABILITY]
+    return ordered[: min(max(len(probable), RANKING_MIN_ROWS), RANKING_MAX_ROWS)]
 
 
-def _ranking_colour(one: RankedHypothesis, diagnosis: Diagnosis) -> str:
-    if is_stated_verdict(one, diagnosis):
+def _ranking_colour(ranked: RankedHypothesis, diagnosis: Diagnosis) -> str:
+    if is_stated_verdict(ranked, diagnosis):
         return BLUE
-    return SKY if set(one.hypothesis.split("+")) & set(diagnosis.confusable_with) else PALE
+    return SKY if set(ranked.hypothesis.split("+")) & set(diagnosis.confusable_with) else PALE
 
 
 MEASURED_LINE = LineStyle("measured", PALE, 4.0)
@@ -276,16 +276,16 @@ BEFORE_LINE = LineStyle("model before", VERMILLION, 1.9, dashed=True)
 
 AFTER_LINE = LineStyle("model after", BLUE, 1.6)
 
-RESIDUAL_BEFORE_LINE = LineStyle("left before", VERMILLION, 2.2)
+RESIDUAL_BEFORE_LINE = LineStyle("residual before", VERMILLION, 2.2)
 
-RESIDUAL_AFTER_LINE = LineStyle("left after", BLUE, 1.2)
+RESIDUAL_AFTER_LINE = LineStyle("residual after", BLUE, 1.2)
 
 MODEL_LINE = LineStyle("model", BLUE, 1.6)
 
-RESIDUAL_LINE = LineStyle("left", BLUE, 1.4)
+RESIDUAL_LINE = LineStyle("residual", BLUE, 1.4)
 
 MOTION_SHARE = 0.01
-"""Part of the travel by which motion has begun, and that is missing while it has not ended."""
+"""Share of the travel at which motion begins, and short of its end at which motion ends."""
 
 SLIDING_RUN_KINDS = frozenset({"drag", "coulomb", "blank"})
 
@@ -296,15 +296,15 @@ def before_after_figure(views: Sequence[RunTraces], floor_mN: float | None = Non
     Parameters
     ----------
     views
-        One row each: left what was measured and both predictions, right what each of them leaves. Of a run that
-        slides, as much rest and hold is shown as it takes to slide.
+        A row for each run: left the measurement and both predictions, right the residual of each. Of a sliding run,
+        rest and hold are shown in proportion to the time of sliding.
     floor_mN
         Noise and scatter of repeats, marked in grey beside forces.
     named
-        Whether an effect is named; only the model without one is drawn otherwise.
+        Whether an effect is named; otherwise only the model without effects is drawn.
     """
     title = "Before and after" if named else "The model beside the runs"
-    subtitle = "Left, what was measured and what the model says; right, measured − model"
+    subtitle = "Left: measurement and model; right: measured − model"
     with figure_style():
         figure = new_figure(13.0, 3.0 * len(views) + 0.4, title, subtitle)
         grid = figure.subplots(len(views), 2, sharex="row", squeeze=False)
@@ -318,12 +318,12 @@ def before_after_figure(views: Sequence[RunTraces], floor_mN: float | None = Non
         return figure
 
 
-def representative_runs(views: Sequence[RunTraces], most: int = 7) -> tuple[RunTraces, ...]:
-    """Choose runs to show: drags at the lowest, a middle and the highest speed, and of each other kind the worst left.
+def representative_runs(views: Sequence[RunTraces], limit: int = 7) -> tuple[RunTraces, ...]:
+    """Choose drags at the lowest, a middle and the highest speed, and the largest residual of each other kind.
 
     Returns
     -------
-    At most `most` views, drags first; of each channel that views were made of.
+    At most `limit` views, drags first, of each channel.
     """
     chosen: list[RunTraces] = []
     for channel in dict.fromkeys(view.channel for view in views):
@@ -333,7 +333,7 @@ def representative_runs(views: Sequence[RunTraces], most: int = 7) -> tuple[RunT
         chosen += [drags[at] for at in dict.fromkeys((0, middle, len(drags) - 1)) if drags]
         for kind in dict.fromkeys(view.kind for view in here if view.kind != "drag"):
             chosen.append(max((view for view in here if view.kind == kind), key=_rms_before))
-    return tuple(chosen[:most])
+    return tuple(chosen[:limit])
 
 
 def _draw_run_row(left: Axes, right: Axes, view: RunTraces, floor_mN: float | None, *, named: bool) -> None:
@@ -358,7 +358,7 @@ def _draw_run_row(left: Axes, right: Axes, view: RunTraces, floor_mN: float | No
         right.axhspan(-floor_mN, floor_mN, facecolor=GREY, alpha=0.18, linewidth=0.0, zorder=0.6)
     quantity = f"{view.channel.replace('_', ' ').capitalize()} ({view.unit})"
     left.set_ylabel(quantity)
-    right.set_ylabel(f"Left ({view.unit})")
+    right.set_ylabel(f"Residual ({view.unit})")
     write_legend(left, (MEASURED_LINE, *(pen for _, pen, _ in models)))
     if named:
         write_legend(right, [pen for _, _, pen in models])
@@ -405,36 +405,36 @@ def _min_span(view: RunTraces) -> float:
 CELL_PT = 10.5
 
 FAINTEST_D_PRIME = 1000.0
-"""From here on d′ is as faint as it can be."""
+"""d′ at which a cell is white."""
 
 WHITE_TEXT_SHADE = 0.55
-"""Shades beyond this bear white words."""
+"""Shades darker than this have white text."""
 
 CELL_EDGE_COLOUR = "#D3D9DF"
 
 _SIMILARITY_COLOURS = LinearSegmentedColormap.from_list("near", ["#FFFFFF", "#BFD9EA", BLUE, "#002B45"])
 
 
-def isolability_figure(found: Isolability) -> Figure:
-    """Draw every two effects of the force against each other: sin² below the diagonal, d′ above it.
+def isolability_figure(isolability: Isolability) -> Figure:
+    """Draw every pair of effects of the force: sin² below the diagonal, d′ above it.
 
-    Dark cells are near; a thick frame marks what the runs hardly tell apart.
+    Dark cells are similar; a thick frame marks pairs that the runs hardly distinguish.
     """
-    names = [alone.effect for alone in found.visible_in("force")]
+    names = [visibility.effect for visibility in isolability.visible_in("force")]
     legend = (
-        f"Below the diagonal: 100 sin² of the angle, 0 for what cannot be told apart. Framed: below "
+        f"Below the diagonal: 100 sin² of the angle, 0 for indistinguishable effects. Framed: below "
         f"{100 * CONFUSED_SIN2:.0f}, or d′ below {DETECTABLE_D_PRIME:g}.\n"
-        "Above: d′ between the two at their usual sizes. Dark: near. The catalogue's effects of the force only."
+        "Above: d′ between the two at their default sizes. Dark: similar. The catalogue's effects of the force only."
     )
     with figure_style():
         side = 0.56 * max(len(names), 1) + 3.2
-        title = f"What {found.source} can tell apart"
-        figure = new_figure(max(side, 10.0), side + 0.7, title, isolability_sentences(found)[0])
+        title = f"Effects that {Path(isolability.source).absolute().name} can distinguish"
+        figure = new_figure(max(side, 10.0), side + 0.7, title, isolability_sentences(isolability)[0])
         axes = figure.add_subplot(aspect="equal")
         for row, effect in enumerate(names):
             axes.add_patch(Rectangle((row - 0.5, row - 0.5), 1, 1, facecolor="#F1F3F5", edgecolor=CELL_EDGE_COLOUR))
-            for column, other in enumerate(names[:row]):
-                pair = found.pair(effect, other)
+            for column, column_effect in enumerate(names[:row]):
+                pair = isolability.pair(effect, column_effect)
                 if pair is not None:
                     _draw_pair_cells(axes, row, column, pair)
         _set_effect_ticks(axes, [display_name(effect) for effect in names])

@@ -98,10 +98,10 @@ _RC_LOCK = threading.RLock()
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """Hold matplotlib's settings at this house's for as long as something is drawn or saved.
+    """Apply the style of all figures to matplotlib while something is drawn or saved.
 
-    The settings are one per process: whoever draws holds a lock, and the caller's own are put back. A
-    character that no font has is drawn as a box, without a word.
+    The settings are shared by all threads of a process, so a lock is held, and the caller's own are restored. A
+    character that no font has is drawn as a box, without a warning.
     """
     with (
         _RC_LOCK,
@@ -148,7 +148,7 @@ def new_figure(
     title, subtitle
         The header, cut off where they are wider than the figure.
     problem
-        What is wrong with what is shown, below the subtitle.
+        What is wrong with the data shown, below the subtitle.
     backend
         Whether simulated, measured or foreign data are shown, for the figure's corner.
     """
@@ -178,7 +178,7 @@ def new_figure(
 
 
 def layout_of(figure: Figure | None) -> LabelledLayout:
-    """Return the layout of a figure that `new_figure` made."""
+    """Return the layout of a figure made by `new_figure`."""
     layout = figure.get_layout_engine() if figure is not None else None
     if not isinstance(layout, LabelledLayout):
         raise TypeError("a figure of new_figure() is needed")
@@ -186,7 +186,7 @@ def layout_of(figure: Figure | None) -> LabelledLayout:
 
 
 def lay_out(figure: Figure) -> None:
-    """Lay a finished figure out for good, so that saving draws it once and not twice."""
+    """Apply a finished figure's layout, so that saving draws it once and not twice."""
     layout = figure.get_layout_engine()
     if layout is not None and figure.axes:
         layout.execute(figure)
@@ -194,7 +194,7 @@ def lay_out(figure: Figure) -> None:
 
 
 def sequential_colours(count: int) -> tuple[str, ...]:
-    """Return colours from dark to light for curves that follow one another, each dark enough for a line on white."""
+    """Return colours from dark to light for a sequence of curves, all dark enough for a line on white."""
     return tuple(to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.74, count)))
 
 
@@ -213,7 +213,7 @@ LEGEND_IN = 0.36
 
 @dataclass(frozen=True, slots=True)
 class LineStyle:
-    """How a line is drawn, the word that names it, and more about it for where there is room."""
+    """Style of a line, its name, and a detail that is shown where there is room."""
 
     word: str
     colour: str
@@ -248,9 +248,9 @@ def panel_size_in(axes: Axes) -> tuple[float, float]:
 
 def fit_y_range(axes: Axes, values: Sequence[AnyFloatArray], smallest_span: float, below_in: float = 0.1) -> None:
     """Choose the y range so that all values are inside, below a row of words and `below_in` above the foot."""
-    finite = [one[np.isfinite(one)] for one in values]
-    low = min((float(one.min()) for one in finite if one.size), default=0.0)
-    high = max((float(one.max()) for one in finite if one.size), default=0.0)
+    finite = [curve[np.isfinite(curve)] for curve in values]
+    low = min((float(curve.min()) for curve in finite if curve.size), default=0.0)
+    high = max((float(curve.max()) for curve in finite if curve.size), default=0.0)
     if high - low < smallest_span:
         middle = (high + low) / 2
         low, high = middle - smallest_span / 2, middle + smallest_span / 2
@@ -262,7 +262,7 @@ def fit_y_range(axes: Axes, values: Sequence[AnyFloatArray], smallest_span: floa
 
 
 def write_legend(axes: Axes, pens: Sequence[LineStyle]) -> None:
-    """Name the lines along the panel's upper edge; what else is known of them only where there is room."""
+    """Name the lines along the panel's upper edge, with their details where there is room."""
     words = [pen.word + pen.detail for pen in pens]
     if sum(text_width_in(word, SMALL_PT) + 0.6 for word in words) > panel_size_in(axes)[0]:
         words = [pen.word for pen in pens]
@@ -303,7 +303,7 @@ def spread_labels(centres: Sequence[float], widths: Sequence[float], low: float,
     Parameters
     ----------
     centres, widths
-        Where each label would like to be, in rising order, and the room it takes.
+        Wanted place of each label, in rising order, and its width.
     low, high
         Ends of the line. Where the labels do not fit between them all, they run over `high`.
 
@@ -316,7 +316,7 @@ def spread_labels(centres: Sequence[float], widths: Sequence[float], low: float,
     wanted, width = np.asarray(centres, dtype=float), np.asarray(widths, dtype=float)
     if wanted.size == 0:
         return wanted
-    # Measured from where each would stand in a closed row, "no overlap" reads "never falling".
+    # Relative to labels packed without gaps, "no overlap" means "not decreasing".
     row = np.concatenate(([0.0], np.cumsum((width[:-1] + width[1:]) / 2)))
     placed = np.asarray(isotonic_regression(wanted - row).x)
     first, last = low + width[0] / 2, high - width[-1] / 2 - row[-1]
@@ -325,7 +325,7 @@ def spread_labels(centres: Sequence[float], widths: Sequence[float], low: float,
 
 @dataclass(frozen=True, slots=True)
 class CurveLabel:
-    """A name, the value that it stands beside, and its colour; `math` lets `$…$` be set as a formula."""
+    """A name, the value it labels, and its colour; with `math`, `$…$` is typeset as a formula."""
 
     value: float
     text: str
@@ -334,12 +334,12 @@ class CurveLabel:
 
 
 def label_curves(axes: Axes, labels: Sequence[CurveLabel], size_pt: float = TEXT_PT) -> None:
-    """Write names along the right edge of the axes, each as near its value as the others let it be."""
+    """Write names along the right edge of the axes, each as near its value as possible without overlap."""
     _add_label_row(axes, "y", labels, 1.0, 14, size_pt)
 
 
 def label_times(axes: Axes, labels: Sequence[CurveLabel], edge: float, above_pt: float, *, boxed: bool = False) -> None:
-    """Write names above a height of the axes [share of it], each as near its time as the others let it be."""
+    """Write names above a height of the axes [share of it], each as near its time as possible without overlap."""
     _add_label_row(axes, "x", labels, edge, above_pt, SMALL_PT, boxed=boxed)
 
 
@@ -377,10 +377,10 @@ def _add_label_row(
     layout_of(axes.get_figure(root=True)).rows.append((axes, along, row))
 
 
-def _leader_line(colour: str, begins: tuple[float, float]) -> dict[str, object]:
-    """Return a thin line from a label to its point; `begins` is a place on the label, in shares of its box."""
+def _leader_line(colour: str, anchor: tuple[float, float]) -> dict[str, object]:
+    """Return a thin line from a label to its point; `anchor` is its start, in shares of the label's box."""
     line = {"arrowstyle": "-", "color": colour, "linewidth": 0.8}
-    return {**line, "relpos": begins, "patchA": None, "shrinkA": 0, "shrinkB": 0}
+    return {**line, "relpos": anchor, "patchA": None, "shrinkA": 0, "shrinkB": 0}
 
 
 def _spread_row(axes: Axes, index: int, labels: Sequence[Annotation]) -> None:
@@ -408,5 +408,5 @@ def shortened_to_width(text: str, size_pt: float, room_in: float, *, bold: bool 
     room_in /= 1.15 if bold else 1.02
     if text_width_in(text, size_pt) <= room_in:
         return text
-    kept = bisect_right(range(len(text)), room_in, key=lambda count: text_width_in(text[:count] + "…", size_pt))
-    return text[: kept - 1].rstrip() + "…"
+    length = bisect_right(range(len(text)), room_in, key=lambda count: text_width_in(text[:count] + "…", size_pt))
+    return text[: length - 1].rstrip() + "…"

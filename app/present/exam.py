@@ -286,7 +286,11 @@ def score_json(score: ExamScore) -> Mapping[str, object]:
             "rates": [rate_json(rate) for rate in score.rates],
             "withheld": [rate_json(rate) for rate in score.withheld],
             "detection": [_detection_json(size) for size in score.detection],
-            "confusion": score.confusion,
+            "confusion": {
+                "hidden": score.confusion.hidden,
+                "said": score.confusion.predicted,
+                "counts": score.confusion.counts,
+            },
             "calibration": score.calibration,
             "promises": {
                 "median_absolute_difference": promises.difference,

@@ -54,21 +54,23 @@ def exam_rates_figure(rates: Sequence[Rate]) -> Figure:
 
 
 WHITE_TEXT_SHARE = 0.6
-"""Shades beyond this share of a row bear white numbers."""
+"""Cells with more than this share of a row have white numbers."""
 
 _SHARE_COLOURS = LinearSegmentedColormap.from_list("shares", [PAPER, BLUE])
 
 
 def exam_confusion_figure(confusion: ConfusionMatrix) -> Figure:
-    """Draw counts of campaigns: a row for what was hidden, a column for what was said, framed where they agree."""
-    hidden, said = ([_hypothesis_text(name) for name in names] for names in (confusion.hidden, confusion.said))
-    counts = np.array(confusion.counts, dtype=np.float64).reshape(len(hidden), len(said))
+    """Draw counts of campaigns: a row for each hidden effect, a column for each diagnosis, framed where they agree."""
+    hidden, predicted = (
+        [_hypothesis_text(name) for name in names] for names in (confusion.hidden, confusion.predicted)
+    )
+    counts = np.array(confusion.counts, dtype=np.float64).reshape(len(hidden), len(predicted))
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
     with figure_style():
         figure = new_figure(
-            max(0.4 * len(said) + 4.0, 9.0),
+            max(0.4 * len(predicted) + 4.0, 9.0),
             0.4 * len(hidden) + 2.6,
-            "What was said of what was hidden",
+            "Diagnosis against hidden effect",
             "Campaigns of all sizes; shaded by the share of the row, framed where both agree",
         )
         axes = figure.add_subplot()
@@ -77,17 +79,17 @@ def exam_confusion_figure(confusion: ConfusionMatrix) -> Figure:
             ink = PAPER if shares[row, column] > WHITE_TEXT_SHARE else BLACK
             axes.text(column, row, f"{counts[row, column]:.0f}", ha="center", va="center", color=ink, fontsize=SMALL_PT)
         for row, name in enumerate(confusion.hidden):
-            if name in confusion.said:
-                corner = confusion.said.index(name) - 0.5, row - 0.5
+            if name in confusion.predicted:
+                corner = confusion.predicted.index(name) - 0.5, row - 0.5
                 axes.add_patch(Rectangle(corner, 1.0, 1.0, fill=False, edgecolor=GREY, linewidth=1.6))
-        axes.set_xticks(range(len(said)), said, rotation=90)
+        axes.set_xticks(range(len(predicted)), predicted, rotation=90)
         axes.set_yticks(range(len(hidden)), hidden)
-        axes.set_xticks(np.arange(-0.5, len(said)), minor=True)
+        axes.set_xticks(np.arange(-0.5, len(predicted)), minor=True)
         axes.set_yticks(np.arange(-0.5, len(hidden)), minor=True)
         axes.xaxis.tick_top()
         axes.xaxis.set_label_position("top")
-        axes.set_xlabel("said")
-        axes.set_ylabel("hidden")
+        axes.set_xlabel("diagnosis")
+        axes.set_ylabel("hidden effect")
         axes.grid(visible=False)
         axes.grid(visible=True, which="minor", linewidth=0.6)
         axes.tick_params(which="both", length=0)
@@ -99,7 +101,7 @@ def _hypothesis_text(name: str) -> str:
 
 
 MIN_D_PRIME, RATE_OFFSET = 1.0, 0.035
-"""d′ where the picture begins, and how far the three rates of a bin stand apart, as a power of ten."""
+"""Lower end of the d′ axis, and distance of a bin's three rates on it, as a power of ten."""
 
 INVISIBLE_D_PRIME = 3.0
 
@@ -111,7 +113,7 @@ def exam_detection_figure(bins: Sequence[DetectionBin]) -> Figure:
             13.0,
             4.6,
             "Detection against size",
-            "Single effects by d′: what they change beyond what specimens and runs may differ in, over the noise",
+            "Single effects by d′: their change beyond the differences of specimens and runs, over the noise",
         )
         axes = figure.add_subplot()
         middles = [_bin_middle(size) for size in bins]
@@ -130,7 +132,7 @@ def exam_detection_figure(bins: Sequence[DetectionBin]) -> Figure:
         axes.set_yticks([0.0, 0.25, 0.5, 0.75, 1.0])
         axes.set_ylabel("Share of campaigns")
         set_log_x(axes, MIN_D_PRIME, max([1000.0, *(3 * middle for middle in middles)]))
-        axes.set_xlabel("d′ of the hidden effect (below 3 nobody can see it)")
+        axes.set_xlabel("d′ of the hidden effect (below 3 not detectable)")
         for size, middle in zip(bins, middles, strict=True):
             axes.annotate(str(size.seen.count), (middle, 1.08), ha="center", fontsize=SMALL_PT, color=GREY)
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
@@ -143,12 +145,12 @@ def _bin_middle(size: DetectionBin) -> float:
 
 
 def exam_reliability_figure(calibration: ProbabilityCalibration) -> Figure:
-    """Draw the share of right verdicts against their stated probability, with what chance alone would do to it."""
+    """Draw the share of right verdicts against their stated probability, with its scatter by chance."""
     with figure_style():
         figure = new_figure(
             9.0,
             6.4,
-            "What a probability is worth",
+            "Calibration of the stated probability",
             "Verdicts by their probability; bands hold 95 % if every probability were true (binomial)",
         )
         axes = _diagonal_panel(figure, 0.0, 1.03)
@@ -167,14 +169,14 @@ def exam_reliability_figure(calibration: ProbabilityCalibration) -> Figure:
 
 
 def exam_promises_figure(promises: PromiseScore) -> Figure:
-    """Draw the share of the gap that closes on fresh runs against the one that was promised."""
+    """Draw the share of the gap that closes on fresh runs against the predicted one."""
     outcomes = promises.outcomes
-    low = max(min([0.6, *(min(one.promised, one.achieved) for one in outcomes)]) - 0.05, -1.0)
+    low = max(min([0.6, *(min(outcome.promised, outcome.achieved) for outcome in outcomes)]) - 0.05, -1.0)
     with figure_style():
         figure = new_figure(
             9.0,
             6.4,
-            "What was promised, and what fresh runs show",
+            "Predicted closure of the gap against fresh runs",
             "Share of the gap that closes; fresh runs: the same specimen at other speeds and strains",
         )
         axes = _diagonal_panel(figure, low, 1.05)
@@ -188,7 +190,7 @@ def exam_promises_figure(promises: PromiseScore) -> Figure:
                     axes.hlines(achieved, *ends, colour, linewidth=1.4, alpha=0.4)
             words = f"{word} ({len(alike)})"
             axes.plot(x, y, marker, color=colour, markersize=7, alpha=0.75, label=words, clip_on=False)
-        axes.set_xlabel("Promised, on runs held out (with 95 % interval)")
+        axes.set_xlabel("Predicted, on held-out runs (with 95 % interval)")
         axes.set_ylabel("Achieved on fresh runs")
         axes.legend(fontsize=TEXT_PT)
         return figure

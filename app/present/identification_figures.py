@@ -72,20 +72,19 @@ JOINT_ROOMY_RUNS, JOINT_MAX_RUNS = 32, 60
 LONGEST_NAME = 32
 """Characters of a name or a file; longer ones are cut in the middle."""
 JOINT_MIN_SD, JOINT_MAX_SD = 3.0, 10.0
-"""How far the axis of the parameters goes at least and at most."""
+"""Shortest and longest axis of the parameters, in standard deviations."""
 JOINT_MIN_PERCENT, JOINT_MAX_PERCENT = 2.0, 100.0
 LOG_AXIS_CHI2 = 5.0
-"""From here on the axis of the runs is logarithmic."""
-CHI2_MARK_SD = 4.0
+"""χ² above which the axis of the runs is logarithmic."""
 PRIOR_COLOUR = "#E3E7EC"
 
 
 def joint_fit_figure(fit: JointFit) -> Figure:
     """Draw a joint fit.
 
-    Left, each parameter with its 95 % interval, on a scale on which what was known before is the same for all; below,
-    the intervals of what they combine to. Right, χ² per degree of freedom of each run, 1 where nothing but noise and
-    repeatability is left; of more than 60 runs those with the largest.
+    Left, each parameter with its 95 % interval, in standard deviations of its prior; below, the intervals of products
+    of parameters. Right, χ² per degree of freedom of each run, 1 where only noise and repeatability remain; of more
+    than 60 runs those with the largest.
     """
     runs = _largest_chi2_runs(fit.runs)
     left = [0.36 * len(rows) for rows in (fit.parameters, fit.combinations) if rows]
@@ -112,14 +111,14 @@ def joint_fit_figure(fit: JointFit) -> Figure:
 
 
 def _rows_from_top(figure: Figure, column: SubplotSpec, heights_in: Sequence[float], spare_in: float) -> list[Axes]:
-    """Return panels of these heights with what is left of the column empty, so that rows are as high in both."""
+    """Return panels of these heights above an empty rest, so that rows are equally high in both columns."""
     ratios = [*heights_in, spare_in] if spare_in > 0.5 else list(heights_in)
     grid = column.subgridspec(len(ratios), 1, height_ratios=ratios)
     return [figure.add_subplot(grid[row]) for row in range(len(heights_in))]
 
 
 def _cut_middle(name: str) -> str:
-    """Leave out the middle of a long name: what tells runs apart stands at its ends."""
+    """Cut the middle out of a long name: runs differ at its ends."""
     half = LONGEST_NAME // 2
     return name if len(name) <= LONGEST_NAME else f"{name[:half]}…{name[-half:]}"
 
@@ -127,54 +126,54 @@ def _cut_middle(name: str) -> str:
 def _largest_chi2_runs(runs: Sequence[RunResidual]) -> list[RunResidual]:
     if len(runs) <= JOINT_MAX_RUNS:
         return list(runs)
-    least = sorted((one.chi2 for one in runs), reverse=True)[JOINT_MAX_RUNS - 1]
-    return [one for one in runs if one.chi2 >= least][:JOINT_MAX_RUNS]
+    threshold = sorted((run.chi2 for run in runs), reverse=True)[JOINT_MAX_RUNS - 1]
+    return [run for run in runs if run.chi2 >= threshold][:JOINT_MAX_RUNS]
 
 
 def _joint_subtitle(fit: JointFit, shown: int) -> str:
-    total = len({one.file for one in fit.runs})
+    total = len({run.file for run in fit.runs})
     runs = f"{total} run{'' if total == 1 else 's'}"
     if shown < len(fit.runs):
-        runs += f", the {shown} that are left worst shown"
+        runs += f", the {shown} with the largest χ² shown"
     return f"χ² {_chi2_text(fit.chi2 / max(fit.degrees, 1))} per degree of freedom ({fit.degrees})  ·  {runs}"
 
 
 def _joint_problem(fit: JointFit) -> str:
     if not fit.converged:
-        return "did not converge: no interval holds"
-    return "the model leaves more than noise: the intervals need not hold" if not fit.holds else ""
+        return "did not converge: no interval is valid"
+    return "the residuals exceed the noise: the intervals may be too narrow" if not fit.holds else ""
 
 
 def _chi2_text(value: float) -> str:
     return f"{value:.2f}" if value < 100 else f"{value:.0f}"
 
 
-def _identified_text(one: ParameterEstimate, fit: JointFit) -> str:
-    """Spell a value: none that the runs do not determine, no error of a fit that did not converge."""
-    if not one.determined:
+def _identified_text(parameter: ParameterEstimate, fit: JointFit) -> str:
+    """Return a value as text: none that the runs do not determine, no error of a fit that did not converge."""
+    if not parameter.determined:
         return "not determined"
-    error = one.standard_error if fit.converged else None
-    return value_with_error(one.value, error) + ("" if one.unit == "1" else f" {one.unit}")
+    error = parameter.standard_error if fit.converged else None
+    return value_with_error(parameter.value, error) + ("" if parameter.unit == "1" else f" {parameter.unit}")
 
 
 def _run_names(runs: Sequence[RunResidual]) -> list[str]:
-    several = len({one.channel for one in runs}) > 1
-    return [f"{one.file} {one.channel}" if several else one.file for one in runs]
+    several = len({run.channel for run in runs}) > 1
+    return [f"{run.file} {run.channel}" if several else run.file for run in runs]
 
 
 def _draw_joint_parameters(axes: Axes, fit: JointFit) -> None:
-    places = [_in_prior_sd(one) for one in fit.parameters]
+    places = [_in_prior_sd(parameter) for parameter in fit.parameters]
     reach = _axis_reach(places, JOINT_MIN_SD, JOINT_MAX_SD)
     axes.axvspan(-NORMAL_95, NORMAL_95, color=PRIOR_COLOUR, linewidth=0)
     axes.axvline(0.0, color=PALE, linewidth=1.0)
     _draw_intervals(axes, fit, fit.parameters, places, reach, BLUE)
-    axes.set_xlabel("Standard deviations from what was known before")
-    axes.set_title("95 % intervals, before (grey) and after the runs")
+    axes.set_xlabel("Difference from the prior mean (standard deviations)")
+    axes.set_title("95 % intervals: prior (grey) and after the runs")
 
 
-def _in_prior_sd(one: ParameterEstimate) -> tuple[float, float, float]:
+def _in_prior_sd(parameter: ParameterEstimate) -> tuple[float, float, float]:
     """Return low end, value and high end in standard deviations of the prior, logarithmically where it is positive."""
-    ends = np.array([*one.prior, one.interval[0], one.value, one.interval[1]])
+    ends = np.array([*parameter.prior, parameter.interval[0], parameter.value, parameter.interval[1]])
     known = np.log(ends) if (ends > 0).all() else ends
     middle, half = (known[0] + known[1]) / 2, (known[1] - known[0]) / 2
     low, value, high = (NORMAL_95 * (known[2:] - middle) / half).tolist() if half > 0 else (0.0, 0.0, 0.0)
@@ -183,23 +182,23 @@ def _in_prior_sd(one: ParameterEstimate) -> tuple[float, float, float]:
 
 def _draw_combinations(axes: Axes, fit: JointFit) -> None:
     places = [
-        (_percent_from_value(one, one.interval[0]), 0.0, _percent_from_value(one, one.interval[1]))
-        for one in fit.combinations
+        (_percent_from_value(product, product.interval[0]), 0.0, _percent_from_value(product, product.interval[1]))
+        for product in fit.combinations
     ]
-    reach = _axis_reach([place for place, one in zip(places, fit.combinations, strict=True) if one.determined],
-                   JOINT_MIN_PERCENT, JOINT_MAX_PERCENT)  # fmt: skip
+    determined = [place for place, product in zip(places, fit.combinations, strict=True) if product.determined]
+    reach = _axis_reach(determined, JOINT_MIN_PERCENT, JOINT_MAX_PERCENT)
     axes.axvline(0.0, color=PALE, linewidth=1.0)
     _draw_intervals(axes, fit, fit.combinations, places, reach, PURPLE)
     axes.set_xlabel("Difference from the value (%)")
-    axes.set_title("95 % intervals of what they combine to")
+    axes.set_title("95 % intervals of products of parameters")
 
 
-def _percent_from_value(one: EstimatedQuantity, end: float) -> float:
-    return 100 * (end - one.value) / (abs(one.value) or 1.0)
+def _percent_from_value(quantity: EstimatedQuantity, end: float) -> float:
+    return 100 * (end - quantity.value) / (abs(quantity.value) or 1.0)
 
 
-def _axis_reach(places: Sequence[tuple[float, float, float]], least: float, most: float) -> float:
-    return min(max([least, *(1.08 * abs(end) for ends in places for end in ends)]), most)
+def _axis_reach(places: Sequence[tuple[float, float, float]], minimum: float, maximum: float) -> float:
+    return min(max([minimum, *(1.08 * abs(end) for ends in places for end in ends)]), maximum)
 
 
 def _draw_intervals(
@@ -210,23 +209,23 @@ def _draw_intervals(
     reach: float,
     colour: str,
 ) -> None:
-    """Draw what is determined, name the rows at the left, and write their numbers at the right."""
-    for row, (one, (low, value, high)) in enumerate(zip(rows, places, strict=True)):
-        if one.determined:
+    """Draw the intervals of determined parameters, with names at the left and numbers at the right."""
+    for row, (parameter, (low, value, high)) in enumerate(zip(rows, places, strict=True)):
+        if parameter.determined:
             _draw_interval(axes, row, (low, value, high) if fit.converged else (value, value, value), reach, colour)
-    axes.set_yticks(range(len(rows)), [_cut_middle(one.name) for one in rows], fontsize=TEXT_PT)
+    axes.set_yticks(range(len(rows)), [_cut_middle(parameter.name) for parameter in rows], fontsize=TEXT_PT)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xlim(-reach, reach)
     axes.grid(visible=False, axis="y")
-    for row, one in enumerate(rows):
+    for row, parameter in enumerate(rows):
         axes.annotate(
-            _identified_text(one, fit), (1.0, row), (10, 0), xycoords=("axes fraction", "data"),
-            textcoords="offset points", va="center", fontsize=SMALL_PT, color=BLACK if one.determined else GREY,
+            _identified_text(parameter, fit), (1.0, row), (10, 0), xycoords=("axes fraction", "data"),
+            textcoords="offset points", va="center", fontsize=SMALL_PT, color=BLACK if parameter.determined else GREY,
         )  # fmt: skip
 
 
 def _draw_interval(axes: Axes, row: int, ends: tuple[float, float, float], reach: float, colour: str) -> None:
-    """Draw value and interval; an arrow points to what lies beyond the axis."""
+    """Draw value and interval; an arrow points to ends beyond the axis."""
     low, value, high = (min(max(end, -reach), reach) for end in ends)
     axes.plot([low, high], [row, row], color=colour, linewidth=3.0, solid_capstyle="butt")
     for end, edge, marker in ((ends[0], -reach, "<"), (ends[2], reach, ">")):
@@ -237,23 +236,23 @@ def _draw_interval(axes: Axes, row: int, ends: tuple[float, float, float], reach
 
 
 def _draw_run_chi2(axes: Axes, runs: Sequence[RunResidual]) -> None:
-    most = max(one.chi2 for one in runs)
-    if most > LOG_AXIS_CHI2:
-        set_log_x(axes, 0.3, 1.3 * most)
+    largest = max(run.chi2 for run in runs)
+    if largest > LOG_AXIS_CHI2:
+        set_log_x(axes, 0.3, 1.3 * largest)
     else:
-        axes.set_xlim(0.0, max(2.0, 1.08 * most))
+        axes.set_xlim(0.0, max(2.0, 1.08 * largest))
         axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
-    for row, one in enumerate(runs):
-        error = float(np.sqrt(2 / max(one.blocks, 1)))
+    for row, run in enumerate(runs):
+        error = float(np.sqrt(2 / max(run.blocks, 1)))
         low, high = max(1 - NORMAL_95 * error, 0.0), 1 + NORMAL_95 * error
-        colour = VERMILLION if one.chi2 > 1 + CHI2_MARK_SD * error else BLACK
+        colour = VERMILLION if run.exceeds_noise else BLACK
         axes.barh(row, high - low, left=low, height=0.5, color=PRIOR_COLOUR, linewidth=0)
-        axes.plot(max(one.chi2, axes.get_xlim()[0]), row, "o", color=colour, markersize=6.5, clip_on=False)
+        axes.plot(max(run.chi2, axes.get_xlim()[0]), row, "o", color=colour, markersize=6.5, clip_on=False)
     axes.axvline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
     axes.set_yticks(range(len(runs)), [_cut_middle(name) for name in _run_names(runs)], fontsize=SMALL_PT)
     axes.set_ylim(len(runs) - 0.5, -0.5)
     axes.set_xlabel("χ² per degree of freedom")
-    axes.set_title("What each run leaves (grey: noise)")
+    axes.set_title("Residual of each run (grey: noise)")
     axes.grid(visible=False, axis="y")
 
 
@@ -270,8 +269,8 @@ def draw_strain_laws(figure: SubFigure, fits: Sequence[RelaxationFit], laws: Seq
         shown = [*_draw_published_walls(axes, index), np.zeros(1)]
         points = [fit.elements[index] for fit in usable]
         if points:
-            value = np.array([one.value for one in points])
-            ends = np.abs(np.array([one.interval for one in points]).T - value)
+            value = np.array([point.value for point in points])
+            ends = np.abs(np.array([point.interval for point in points]).T - value)
             axes.errorbar(100 * strain, value, ends, fmt="s", color=VERMILLION, markersize=7, markeredgecolor="white",
                           capsize=4, label="this specimen, each run")  # fmt: skip
             shown.append(value + ends[1])
@@ -298,7 +297,7 @@ def _draw_strain_law(axes: Axes, law: StrainLaw) -> FloatArray:
     axes.fill_between(
         100 * strain, value - 1.96 * error, value + 1.96 * error, color=VERMILLION, alpha=0.18, linewidth=0
     )
-    axes.plot(100 * strain, value, color=VERMILLION, label="its law over strain, 95 % band")
+    axes.plot(100 * strain, value, color=VERMILLION, label="law over strain, 95 % band")
     return np.concatenate((value - 1.96 * error, value + 1.96 * error))
 
 
@@ -320,7 +319,7 @@ def relaxation_fit_figure(relaxation: RelaxationResult, selection: RunSelection)
     chosen = _fits_to_draw(relaxation)
     if not chosen:
         raise AnalysisError("There is no relaxation run to draw; name a campaign that has some")
-    experiments = {one.file: one for one in selection.of_kind("relaxation")}
+    experiments = {experiment.file: experiment for experiment in selection.of_kind("relaxation")}
     noise = estimate_noise(experiments.values(), "force")
     title = f"Five elements from relaxation · {selection.specimen}"
     with figure_style():
@@ -329,13 +328,15 @@ def relaxation_fit_figure(relaxation: RelaxationResult, selection: RunSelection)
         forces, left_overs = above.subplots(
             2, len(chosen), sharex="col", sharey="row", height_ratios=(2.9, 1.6), squeeze=False
         )
-        found = [relaxation_residuals(fit, experiments[fit.file], noise) if fit.elements else None for fit in chosen]
-        for force, left_over, fit, residuals in zip(forces, left_overs, chosen, found, strict=True):
+        fit_residuals = [
+            relaxation_residuals(fit, experiments[fit.file], noise) if fit.elements else None for fit in chosen
+        ]
+        for force, left_over, fit, residuals in zip(forces, left_overs, chosen, fit_residuals, strict=True):
             _draw_relaxation_fit(force, left_over, fit, experiments[fit.file], residuals)
         forces[0].set_ylabel("Force (mN)")
         left_overs[0].set_ylabel("Residual (σ)")
         above.align_ylabels([forces[0], left_overs[0]])
-        drawn = [residuals for residuals in found if residuals is not None]
+        drawn = [residuals for residuals in fit_residuals if residuals is not None]
         _share_ranges(forces, left_overs[0], drawn)
         if not drawn:
             left_overs[0].set_yticks([])
@@ -344,7 +345,7 @@ def relaxation_fit_figure(relaxation: RelaxationResult, selection: RunSelection)
 
 
 def _fits_to_draw(relaxation: RelaxationResult) -> list[RelaxationFit]:
-    """Return the fits to draw, one for each strain where there are enough, spread over the strains."""
+    """Return a fit for each strain, or a selection spread over the strains where there are too many."""
     rising = sorted(relaxation.fits, key=lambda fit: (not fit.elements, fit.shear_strain))
     by_strain = {round(fit.shear_strain, 2): fit for fit in reversed(rising)}
     fits = sorted(by_strain.values(), key=lambda fit: fit.shear_strain)
@@ -357,32 +358,32 @@ def _relaxation_fit_subtitle(relaxation: RelaxationResult) -> str:
     identified = sum(bool(fit.elements) for fit in relaxation.fits)
     total = len(relaxation.fits)
     runs = f"{total} run{'' if total == 1 else 's'}"
-    told = runs if identified == total else f"{identified} of {runs} identified"
+    summary = runs if identified == total else f"{identified} of {runs} identified"
     if not identified:
-        return f"{told}  ·  grey: measured"
-    return f"{told}  ·  grey: measured  ·  orange: spring and two Maxwell branches, driven through the measured ramp"
+        return f"{summary}  ·  grey: measured"
+    return f"{summary}  ·  grey: measured  ·  orange: spring and two Maxwell branches, driven through the measured ramp"
 
 
 def _draw_relaxation_fit(
-    force: Axes, left_over: Axes, fit: RelaxationFit, experiment: Experiment, found: RelaxationResiduals | None
+    force: Axes, left_over: Axes, fit: RelaxationFit, experiment: Experiment, residuals: RelaxationResiduals | None
 ) -> None:
-    begin = found.ramp_s[0] if found else _first_motion_s(experiment)
+    begin = residuals.ramp_s[0] if residuals else _first_motion_s(experiment)
     _draw_measured_force(force, experiment, begin)
     title = f"{100 * fit.shear_strain:g} % strain"
     force.set_title(title, fontweight="bold")
     left_over.set_xlabel("Time since the ramp began (s)")
-    if found is None:
-        words = textwrap.fill(f"no numbers: {fit.remark}", 34)
+    if residuals is None:
+        words = textwrap.fill(f"not identified: {fit.remark}", 34)
         left_over.grid(visible=False)
         left_over.text(0.5, 0.5, words, transform=left_over.transAxes, ha="center", va="center", fontsize=SMALL_PT)
         return
-    force.plot(found.time_s - begin, found.predicted_mN, color=VERMILLION, linewidth=1.8)
+    force.plot(residuals.time_s - begin, residuals.predicted_mN, color=VERMILLION, linewidth=1.8)
     force.text(
         0.97, 0.98, _time_constants_text(fit), transform=force.transAxes, ha="right", va="top", fontsize=SMALL_PT
     )
-    shown = found.middle_s > begin
+    shown = residuals.middle_s > begin
     left_over.axhspan(-2, 2, color=PALE, alpha=0.35, linewidth=0, zorder=0)
-    left_over.plot(found.middle_s[shown] - begin, found.whitened[shown], ".", color=BLACK, markersize=4)
+    left_over.plot(residuals.middle_s[shown] - begin, residuals.whitened[shown], ".", color=BLACK, markersize=4)
     left_over.text(
         0.03, 0.97, _fit_quality_text(fit), transform=left_over.transAxes, va="top", fontsize=SMALL_PT, color=GREY
     )
@@ -399,12 +400,12 @@ def _draw_measured_force(force: Axes, experiment: Experiment, begin_s: float) ->
     force.plot(10**log_time, value, color=PALE, linewidth=5.0)
 
 
-def _share_ranges(forces: Sequence[Axes], left_over: Axes, found: Sequence[RelaxationResiduals]) -> None:
-    """Give all columns one range, with room for words along the upper edges."""
+def _share_ranges(forces: Sequence[Axes], left_over: Axes, fit_residuals: Sequence[RelaxationResiduals]) -> None:
+    """Give all columns a common range, with room for text along the upper edges."""
     low = min(axes.dataLim.ymin for axes in forces)
     high = max(axes.dataLim.ymax for axes in forces)
     forces[0].set_ylim(low - 0.04 * (high - low), high + 0.16 * (high - low))
-    largest = max((float(np.abs(one.whitened).max()) for one in found), default=0.0)
+    largest = max((float(np.abs(residuals.whitened).max()) for residuals in fit_residuals), default=0.0)
     furthest = max(MIN_RESIDUAL_RANGE, 1.05 * largest)
     left_over.set_ylim(-furthest, 1.45 * furthest)
 
@@ -415,35 +416,34 @@ def _first_motion_s(experiment: Experiment) -> float:
 
 
 def _time_constants_text(fit: RelaxationFit) -> str:
-    fast, slow = (f"{1e3 * one.value:.3g} ms" if one.value < 0.1 else f"{one.value:.3g} s" for one in fit.times)
+    fast, slow = (f"{1e3 * tau.value:.3g} ms" if tau.value < 0.1 else f"{tau.value:.3g} s" for tau in fit.times)
     return f"τ₁ {fast}\nτ₂ {slow}"
 
 
 def _fit_quality_text(fit: RelaxationFit) -> str:
     per_degree = (fit.chi2 or 0.0) / max(fit.degrees, 1)
-    told = f"χ²/ν {per_degree:.3g}" if per_degree < 1000 else f"χ²/ν {per_degree:.0f}"
+    quality = f"χ²/ν {per_degree:.3g}" if per_degree < 1000 else f"χ²/ν {per_degree:.0f}"
     if fit.test is None or fit.test.suffices is None:
-        return told
-    return f"{told} · five suffice" if fit.test.suffices else f"{told} · a third branch shows"
+        return quality
+    return f"{quality} · five suffice" if fit.test.suffices else f"{quality} · a third branch shows"
 
 
-def coulomb_figure(run: Run, found: CoulombRun | None, printed_mN: float | None = None) -> Figure:
+def coulomb_figure(run: Run, coulomb: CoulombRun | None, printed_mN: float | None = None) -> Figure:
     """Draw the force of a Coulomb test.
 
     Parameters
     ----------
-    found
-        What was identified from it, for the sensor's zero; without it the force is drawn as recorded.
+    coulomb
+        Its identification, for the sensor's zero; without it the force is drawn as recorded.
     printed_mN
         A mean to compare with, drawn as a line.
     """
-    shown = _without_zero(run, found)
+    shown = _without_zero(run, coulomb)
     gap = gaps_after_samples(shown.trace.time, shown.trace.sample_rate_hz)
     level = steady_level(shown)
-    if level is not None and found is not None and found.force.value is not None:
-        level = replace(
-            level, text=f"mean {value_with_error(found.force.value, found.force.standard_error)} mN{_mu_text(found)}"
-        )
+    if level is not None and coulomb is not None and coulomb.force.value is not None:
+        mean = value_with_error(coulomb.force.value, coulomb.force.standard_error)
+        level = replace(level, text=f"mean {mean} mN{_mu_text(coulomb)}")
     panel = force_panel(shown, filtered_trace(shown), gap, steady=level)
     if printed_mN is not None:
         ends, printed = shown.trace.time[[0, -1]], np.full(2, printed_mN)
@@ -455,15 +455,15 @@ def coulomb_figure(run: Run, found: CoulombRun | None, printed_mN: float | None 
         return figure
 
 
-def _mu_text(found: CoulombRun) -> str:
-    return "" if found.mu.value is None else f", μ = {value_with_error(found.mu.value, found.mu.standard_error)}"
+def _mu_text(coulomb: CoulombRun) -> str:
+    return "" if coulomb.mu.value is None else f", μ = {value_with_error(coulomb.mu.value, coulomb.mu.standard_error)}"
 
 
-def _without_zero(run: Run, found: CoulombRun | None) -> Run:
+def _without_zero(run: Run, coulomb: CoulombRun | None) -> Run:
     level = steady_level(run)
-    if found is None or found.force.value is None or level is None:
+    if coulomb is None or coulomb.force.value is None or level is None:
         return run
-    zero = level.force_mN - float(np.copysign(found.force.value, found.speed_mm_s))
+    zero = level.force_mN - float(np.copysign(coulomb.force.value, coulomb.speed_mm_s))
     channels = {**run.trace.channels, run.trace.signal: np.asarray(run.trace.force, dtype=np.float64) - zero}
     return replace(run, trace=replace(run.trace, channels=channels), filtered=None)
 
@@ -487,23 +487,23 @@ def drag_figure(
     backend: str = "",
     simulated: FrictionModelSettings | None = None,
 ) -> Figure:
-    """Draw the measured drag with its 95 % intervals over the model's parts, and the law of ln v; below, what differs.
+    """Draw the measured drag with its 95 % intervals over the model's parts, and the law of ln v; below, the residuals.
 
     An estimated boundary is marked with its interval. Backward speeds are drawn hollow.
 
     Parameters
     ----------
     boundary_mm_s
-        A speed to mark besides, the paper's.
+        The paper's boundary speed, to mark as well.
     accuracy_mN
         The sensor's accuracy, drawn as a band around no difference.
     backend
-        Where the runs come from, said in the corner.
+        Origin of the runs, shown in the corner.
     simulated
         The model that the runs were simulated with, drawn as a line beside the one that was identified.
     """
-    points = [one for one in drag.points if one.force.value is not None]
-    speeds = [abs(one.speed_mm_s) for one in points] or [0.5, 60.0]
+    points = [point for point in drag.points if point.force.value is not None]
+    speeds = [abs(point.speed_mm_s) for point in points] or [0.5, 60.0]
     low, high = min(speeds) / DRAG_MARGIN, max(speeds) * DRAG_MARGIN
     speed = np.geomspace(low, high, 400)
     curve = steady_force_parts(DragSetup(capsule, wall_thickness_mm), model, speed)
@@ -525,10 +525,10 @@ def drag_figure(
             below.plot(speed, truth - curve.total, color=GREY, linewidth=1.6, linestyle=(0, (2, 2)))
             labels.append(CurveLabel(float(truth[-1]), "as simulated", GREY))
         _draw_drag_points(above, points, [0.0] * len(points))
-        _draw_drag_points(below, points, [one.model_mN for one in points])
+        _draw_drag_points(below, points, [point.model_mN for point in points])
         if points:
-            nearest = max(points, key=lambda one: abs(one.speed_mm_s))
-            labels.append(CurveLabel(float(nearest.force.value or 0.0), "measured", BLACK))
+            fastest = max(points, key=lambda point: abs(point.speed_mm_s))
+            labels.append(CurveLabel(float(fastest.force.value or 0.0), "measured", BLACK))
         _finish_drag_axes(above, below, (low, high), accuracy_mN)
         _draw_boundaries(above, below, drag.boundary, boundary_mm_s)
         label_curves(above, labels)
@@ -536,7 +536,7 @@ def drag_figure(
 
 
 def _draw_model_parts(axes: Axes, speed: FloatArray, curve: SteadyFriction) -> list[CurveLabel]:
-    """Fill the areas of the model's parts on one another under the line of their sum, and say where to name them."""
+    """Stack the areas of the model's parts under the line of their sum, and return their labels."""
     foot, labels = np.zeros_like(speed), list[CurveLabel]()
     for name, words, colour, tint in DRAG_PART_TINTS:
         top = foot + getattr(curve, name)
@@ -548,12 +548,12 @@ def _draw_model_parts(axes: Axes, speed: FloatArray, curve: SteadyFriction) -> l
     return labels
 
 
-def _draw_drag_points(axes: Axes, points: Sequence[SpeedPoint], taken_off: Sequence[float]) -> None:
-    for one, less in zip(points, taken_off, strict=True):
-        speed, value, interval = abs(one.speed_mm_s), (one.force.value or 0.0) - less, one.force.interval
+def _draw_drag_points(axes: Axes, points: Sequence[SpeedPoint], offsets_mN: Sequence[float]) -> None:
+    for point, offset in zip(points, offsets_mN, strict=True):
+        speed, value, interval = abs(point.speed_mm_s), (point.force.value or 0.0) - offset, point.force.interval
         if interval is not None:
-            axes.plot([speed] * 2, [interval[0] - less, interval[1] - less], color=BLACK, linewidth=2.0, zorder=4)
-        fill = BLACK if one.speed_mm_s > 0 else "white"
+            axes.plot([speed] * 2, [interval[0] - offset, interval[1] - offset], color=BLACK, linewidth=2.0, zorder=4)
+        fill = BLACK if point.speed_mm_s > 0 else "white"
         axes.plot([speed], [value], "o", color=BLACK, markerfacecolor=fill, markersize=7, zorder=5)
 
 
@@ -563,8 +563,8 @@ def _finish_drag_axes(above: Axes, below: Axes, speeds: tuple[float, float], acc
     if accuracy_mN is not None:
         below.axhspan(-accuracy_mN, accuracy_mN, color="#E8EBEE", linewidth=0, zorder=0)
     below.axhline(0.0, color=BLACK, linewidth=1.2)
-    most = max(abs(one) for one in below.get_ylim())
-    below.set_ylim(-most, most)
+    half_range = max(abs(limit) for limit in below.get_ylim())
+    below.set_ylim(-half_range, half_range)
     if accuracy_mN is not None:
         label_curves(below, [CurveLabel(0.0, f"± {accuracy_mN:g} mN,\nsensor accuracy", GREY)], SMALL_PT)
     below.set_xlabel("Speed (mm/s)")
@@ -572,16 +572,16 @@ def _finish_drag_axes(above: Axes, below: Axes, speeds: tuple[float, float], acc
     below.set_ylabel("Measured − model (mN)")
 
 
-def _draw_boundaries(above: Axes, below: Axes, found: SpeedBoundary | None, printed_mm_s: float | None) -> None:
-    if found is not None and found.speed_mm_s is not None:
+def _draw_boundaries(above: Axes, below: Axes, boundary: SpeedBoundary | None, printed_mm_s: float | None) -> None:
+    if boundary is not None and boundary.speed_mm_s is not None:
         for axes in (above, below):
-            if found.interval is not None:
-                axes.axvspan(*found.interval, color=ORANGE, alpha=0.22, linewidth=0, zorder=1)
-            axes.axvline(found.speed_mm_s, color=ORANGE, linewidth=2.0, zorder=2)
-        words = f"estimated boundary\n{found.speed_mm_s:.3g} mm/s"
-        if found.interval is not None:
-            words += f" ({found.interval[0]:.3g} to {found.interval[1]:.3g})"
-        _name_boundary(above, found.speed_mm_s, words, 0.94, 0.3)
+            if boundary.interval is not None:
+                axes.axvspan(*boundary.interval, color=ORANGE, alpha=0.22, linewidth=0, zorder=1)
+            axes.axvline(boundary.speed_mm_s, color=ORANGE, linewidth=2.0, zorder=2)
+        words = f"estimated boundary\n{boundary.speed_mm_s:.3g} mm/s"
+        if boundary.interval is not None:
+            words += f" ({boundary.interval[0]:.3g} to {boundary.interval[1]:.3g})"
+        _name_boundary(above, boundary.speed_mm_s, words, 0.94, 0.3)
     if printed_mm_s is not None:
         for axes in (above, below):
             axes.axvline(printed_mm_s, color=GREY, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)

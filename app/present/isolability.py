@@ -1,5 +1,7 @@
 """Isolability laid out for a reader: which effects a set of runs can distinguish, and how small a one they show."""
 
+from pathlib import Path
+
 from dragrig.analysis import as_sentence, capitalise
 from dragrig.analysis.gap import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, display_name, isolability_sentences
 from dragrig.present import (
@@ -47,7 +49,7 @@ def isolability_document(isolability: Isolability) -> Document:
         lambda: figures.isolability_figure(isolability),
     )
     return Document(
-        title=f"What {isolability.source} can distinguish",
+        title=f"Effects that {Path(isolability.source).absolute().name} can distinguish",
         answer=answer,
         lead=tuple(lead),
         sections=(

@@ -38,7 +38,7 @@ from dragrig.sim_backend.friction import (
 )
 
 MIN_SPEED_MM_S, MAX_SPEED_MM_S = 0.5, 100.0
-"""Range of the speed axis, unless speeds beyond it are asked for."""
+"""Range of the speed axis, extended to any speed beyond it."""
 MAX_CURVES = 7
 MAX_SCALES = 3
 
@@ -50,7 +50,7 @@ def forces_figure(
     speeds_mm_s: Sequence[float] = (),
     log_speed: bool = True,
 ) -> Figure:
-    """Draw f_e, f_v, f_c and their sum against speed (the paper's Fig. 9), with dots at the speeds given.
+    """Draw f_e, f_v, f_c and their sum against speed (the paper's Fig. 9), with dots at `speeds_mm_s`.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def skew_figure(
 
 
 def model_text(model: FrictionModelSettings) -> str:
-    """Say in a line which model a picture shows: its choices, and up to three scales that are not 1, or how many."""
+    """Describe a model on a line: its choices, and up to three scales that are not 1, or their number."""
     wall = {"eq14": "Eq. 14", "table1": "Table 1", "polynomial": "polynomials"}[model.wall]
     scales = [
         f"{name.removesuffix('_scale').replace('_', ' ')} × {value:.3g}"
@@ -146,7 +146,7 @@ def model_text(model: FrictionModelSettings) -> str:
 
 
 def spread_selection(speeds_mm_s: Sequence[float]) -> tuple[float, ...]:
-    """Return the speeds, rising and each once, or seven of them spread over all when there are more."""
+    """Return the distinct speeds, rising; of more than seven, seven spread over all."""
     speeds = sorted(set(speeds_mm_s))
     if len(speeds) <= MAX_CURVES:
         return tuple(speeds)
@@ -178,9 +178,9 @@ def wall_figure(identified: Mapping[str, Sequence[tuple[float, EstimatedQuantity
     Parameters
     ----------
     identified
-        What relaxations gave, by parameter: strain and value, drawn with its interval.
+        Results of relaxations by parameter: strain and value, drawn with its interval.
     """
-    entries, found = parameter_set_differences(), identified or {}
+    entries, estimates = parameter_set_differences(), identified or {}
     with figure_style():
         figure = new_figure(
             12.0,
@@ -191,7 +191,7 @@ def wall_figure(identified: Mapping[str, Sequence[tuple[float, EstimatedQuantity
         *panels, key = figure.subplots(2, 3).flat
         for axes, name in zip(panels, WALL_UNITS, strict=True):
             _draw_wall_parameter(
-                axes, name, [entry for entry in entries if entry.parameter == name], found.get(name, ())
+                axes, name, [entry for entry in entries if entry.parameter == name], estimates.get(name, ())
             )
         handles, words = panels[0].get_legend_handles_labels()
         key.legend(handles, words, loc="center left", labelcolor="linecolor", fontsize=TEXT_PT, labelspacing=1.2)
@@ -211,11 +211,13 @@ def _draw_wall_parameter(
     axes.plot(100 * strain, curves["eq14"], color=BLUE, label="Eq. 14, as printed")
     fit = "least-squares fit\nof a quadratic"
     axes.plot(100 * strain, curves["table1"], color=VERMILLION, linestyle=TABLE1_DASHES, label=fit)
-    for number, (strain_of, one) in enumerate(identified):
-        axes.plot([100 * strain_of] * 2, one.interval, color=GREEN, linewidth=1.8)
+    for number, (strain_of, estimate) in enumerate(identified):
+        axes.plot([100 * strain_of] * 2, estimate.interval, color=GREEN, linewidth=1.8)
         label = "" if number else "identified,\nsimulated runs"
-        axes.plot([100 * strain_of], [one.value], "D", color=GREEN, markersize=7, markeredgecolor="white", label=label)
-    ends = [np.array(one.interval) for _, one in identified]
+        axes.plot(
+            [100 * strain_of], [estimate.value], "D", color=GREEN, markersize=7, markeredgecolor="white", label=label
+        )
+    ends = [np.array(estimate.interval) for _, estimate in identified]
     fit_y_range(axes, [np.zeros(1), points, *curves.values(), *ends], 0.01, 0.0)
     axes.set_xlim(0, 220)
     axes.set_xticks([0, 50, 100, 150, 200])

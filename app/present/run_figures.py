@@ -54,11 +54,11 @@ ENVELOPE_COLUMNS = 2000
 """Columns that an envelope keeps; about the pixels that a picture is wide."""
 
 GAP_PERIODS = 1.5
-"""A sample that comes so many periods after the one before it comes after a gap."""
+"""Time between samples, in sample periods, beyond which there is a gap."""
 
 
 def gaps_after_samples(time: FloatArray, sample_rate_hz: float) -> BoolArray:
-    """Tell after which samples others are missing.
+    """Return after which samples others are missing.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ def gaps_after_samples(time: FloatArray, sample_rate_hz: float) -> BoolArray:
 
     Returns
     -------
-    Shape `(N - 1,)`. What comes later than one and a half periods, by the rate or by the time
-    between samples that is usual in this trace, comes after a gap.
+    Shape `(N - 1,)`: where the next sample is more than one and a half periods later, by the rate or by the median
+    time between samples, whichever is longer.
     """
     if time.size < 2:
         return np.zeros(0, dtype=np.bool_)
@@ -149,14 +149,14 @@ def filtered_trace(run: Run) -> FilteredTrace | None:
 
 
 def measured_speed(run: Run, filtered: FilteredTrace | None) -> FloatArray:
-    """Speed [mm/s] from the encoder's position, shape `(N,)`; NaN for a run that is too short for one."""
+    """Speed [mm/s] from the encoder's position, shape `(N,)`; NaN for a run that is too short."""
     if filtered is not None and "speed" in filtered.channels and filtered.time.shape == run.trace.time.shape:
         return filtered.channels["speed"]
     return np.full(run.trace.time.shape, np.nan)
 
 
 def steady_level(run: Run) -> SteadyLevel | None:
-    """Return the mean force of steady sliding; None where the run is of another kind, or does not support one."""
+    """Return the mean force of steady sliding; None for other kinds, or with too little steady sliding."""
     if run.info.kind not in SLIDING_KINDS:
         return None
     estimate = measure(run).steady_force
@@ -169,10 +169,10 @@ def steady_level(run: Run) -> SteadyLevel | None:
 
 
 PHASE_TINTS = ("#F5F6F7", "#FCEED3", "#EAF4FB", "#FBE4D6", "#F3EEF7")
-"""One per phase, in the file's order."""
+"""A colour for each phase, in the file's order."""
 
 PHASE_BAND_COLOURS = ("#B9BFC7", "#E69F00", "#56B4E9", "#D55E00", "#B38FC4")
-"""The same, for the band above the panel."""
+"""Likewise, for the band above the panel."""
 
 MAX_PHASE_NAMES = 8
 
@@ -183,7 +183,7 @@ _MOVING = (Phase.ACCELERATE, Phase.STEADY, Phase.DECELERATE)
 
 @dataclass(frozen=True, slots=True)
 class PhaseInterval:
-    """Consecutive samples of one phase, and what to call them."""
+    """Consecutive samples of a phase, and their name."""
 
     phase: int
     start_s: float
@@ -192,7 +192,7 @@ class PhaseInterval:
 
 
 def phase_intervals(time: FloatArray, phase: PhaseArray) -> tuple[PhaseInterval, ...]:
-    """Cut a run into stretches of one phase; each ends where the next begins."""
+    """Divide a run into stretches of a constant phase; each ends where the next begins."""
     if time.size == 0:
         return ()
     firsts = np.concatenate(([0], np.flatnonzero(np.diff(phase)) + 1))
@@ -204,7 +204,7 @@ def phase_intervals(time: FloatArray, phase: PhaseArray) -> tuple[PhaseInterval,
 
 
 def merge_ramp(parts: Sequence[PhaseInterval]) -> tuple[PhaseInterval, ...]:
-    """Take neighbouring phases in motion together and call them the ramp."""
+    """Merge neighbouring phases in motion into the ramp."""
     merged: list[PhaseInterval] = []
     for part in parts:
         moving = part.phase in _MOVING
@@ -251,7 +251,7 @@ def _longest_phases(parts: Sequence[PhaseInterval], limits: tuple[float, float])
 
 
 ORDINARY_EVENTS = frozenset({"start", "phase", "end", "import", "filter"})
-"""Kinds of events that are no alarm: phases are shaded, what an import or the filter remarks is told by `info`."""
+"""Kinds of events that are no alarm: phases are shaded, remarks of an import or the filter are listed by `info`."""
 
 GAP = "gap"
 
@@ -265,7 +265,7 @@ _NARROW_GAP_SHARE = 0.004
 
 @dataclass(frozen=True, slots=True, order=True)
 class EventMark:
-    """A time, the word that stands beside it, and for how long it lasted."""
+    """A time, its label, and a duration."""
 
     time_s: float
     word: str
@@ -291,9 +291,9 @@ def event_marks(
         for start, length in zip(starts, missing, strict=True)
     ]
     for event in events:
-        told = event.kind not in ORDINARY_EVENTS and time[0] <= event.time_s <= time[-1]
+        out_of_ordinary = event.kind not in ORDINARY_EVENTS and time[0] <= event.time_s <= time[-1]
         seen = event.kind == GAP and bool(((starts <= event.time_s) & (event.time_s <= ends)).any())
-        if told and not seen:
+        if out_of_ordinary and not seen:
             marks.append(EventMark(event.time_s, event.kind))
     return tuple(sorted(marks))
 
@@ -416,7 +416,7 @@ def force_panel(
 
 
 def position_panel(run: Run, gap: BoolArray) -> TracePanel:
-    """Where the encoder was, and where it was told to be, if anybody told it."""
+    """Return encoder position, and the commanded position where the file has it."""
     time, trace = run.trace.time, run.trace
     curves = [TraceCurve(time, trace.position, gap, LineStyle("encoder", "#59BFA0", 3.2))]
     # Of a foreign measurement without a command the position stands for it.
@@ -426,7 +426,7 @@ def position_panel(run: Run, gap: BoolArray) -> TracePanel:
 
 
 def speed_panel(run: Run, speed: FloatArray, gap: BoolArray) -> TracePanel:
-    """Measured speed; the speed that was asked for, where the protocol names one."""
+    """Measured speed, and the set speed where the protocol has it."""
     curves = [TraceCurve(run.trace.time, speed, gap, LineStyle("measured", GREEN, 1.8))]
     wanted, steady = _set_speed(run), run.trace.phase == Phase.STEADY
     if wanted is not None and steady.any():
@@ -498,7 +498,7 @@ def draw_panel_column(
     Parameters
     ----------
     window
-        The time shown [s]; the whole run unless given.
+        The time shown [s]; default: the whole run.
     name_ramp
         Take the phases in motion together.
     """
@@ -544,7 +544,7 @@ def relaxation_ramp(run: Run) -> tuple[float, float] | None:
 def draw_relaxation(figure: Figure, run: Run, panels: Sequence[TracePanel], ramp: tuple[float, float]) -> None:
     """Draw a relaxation: the whole of it, the time since the ramp on a logarithmic axis, and the ramp magnified.
 
-    The first panel is the force's; call it while `drawing`.
+    The first panel is the force's; call it within `figure_style`.
     """
     time, (begin, end) = run.trace.time, ramp
     window = max(1.5 * begin - 0.5 * end, float(time[0])), min(2.5 * end - 1.5 * begin, float(time[-1]))
@@ -571,7 +571,7 @@ def _draw_since_ramp(axes: Axes, panel: TracePanel, end_s: float) -> None:
 
 
 def run_sheet(info: RunInfo, height_in: float, bad_reason: str | None = None) -> Figure:
-    """Return an empty figure with a run's title, subtitle and problem as its header; call it while `drawing`."""
+    """Return an empty figure with a run's title, subtitle and problem as its header; call it within `figure_style`."""
     complete = "  ·  complete" if info.status is RunStatus.COMPLETE else ""
     problem = run_problem(info, bad_reason)
     return new_figure(WIDTH_IN, height_in, run_title(info), run_subtitle(info) + complete, problem, info.header.backend)
@@ -585,20 +585,20 @@ def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, ba
     Parameters
     ----------
     filtered
-        Whether to draw the filtered force over the raw one: what the filter stored in the file, or else what
-        its usual settings give.
+        Whether to draw the filtered force over the raw one: as stored in the file, or else filtered with the default
+        settings.
     motor_force
         Whether to add the motor's force, where it was recorded beside the force.
     bad_reason
         Why the run was marked bad; None when it was not.
     """
-    found = filtered_trace(run)
-    smooth = found if filtered else None
+    filter_output = filtered_trace(run)
+    smooth = filter_output if filtered else None
     gap = gaps_after_samples(run.trace.time, run.trace.sample_rate_hz)
     panels = [
         force_panel(run, smooth, gap, steady=steady_level(run)),
         position_panel(run, gap),
-        speed_panel(run, measured_speed(run, found), gap),
+        speed_panel(run, measured_speed(run, filter_output), gap),
     ]
     if motor_force and run.trace.signal != "motor_force" and "motor_force" in run.trace.channels:
         panels.append(force_panel(run, smooth, gap, "motor_force"))
