@@ -78,7 +78,7 @@ def fill(window: MainWindow, plan: str = "drag", **values: str) -> None:
     usual = {"travel_mm": "10", "rest_s": "0.2", "hold_s": "0.2", "wait_s": "0", "way_back": "stay", "prompt": ""}
     for key, text in {**usual, **values}.items():
         new.editor.put(key, text)
-    new.pace.setCurrentText("as fast as it can")
+    new.pace.setCurrentText("as fast as possible")
     new.update_preview()
 
 
@@ -349,7 +349,7 @@ def test_settings_are_stored(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
     first.run.new.open_file(str(file))
     first.run.new.operator.setText("B. Person")
     first.run.new.mirror.setText("/second disk")
-    first.run.new.pace.setCurrentText("as fast as it can")
+    first.run.new.pace.setCurrentText("as fast as possible")
     first.close_in_order("closed")
     second = opened(qtbot, lab, tmp_path / "window.ini")
     try:

@@ -40,8 +40,8 @@ class DiagnosisResults(QWidget):
         self.diagnosis: Diagnosis | None = None
         self.view = DocumentView()
         self.next_words = label("", wrap=True)
-        self.next = button("Put it in the &queue", self.next_wanted.emit, "main", "The plan is shown on the run page")
-        self.runs = named(QComboBox(), "Run to show before and after")
+        self.next = button("Add to &queue", self.next_wanted.emit, "main", "Append the plan and show its preview")
+        self.runs = named(QComboBox(), "Run to show")
         self.runs.currentIndexChanged.connect(self._draw_run)
         self.above, self.below = TimePlot("Force", "mN"), TimePlot("Residual", "mN")
         self.above.hide_times()
@@ -108,11 +108,11 @@ class DiagnosePage(QWidget):
         self.campaign = named(QLineEdit(stored.text("campaign")), "Campaign to diagnose")
         self.campaign.setPlaceholderText("folder of run files")
         self.campaign.textChanged.connect(lambda _: self._show_state())
-        self.choose = button("&Campaign …", self._choose, help_="The folder of a campaign")
+        self.choose = button("&Campaign …", self._choose, help_="Choose the folder of a campaign")
         self.nominal = named(QComboBox(), "Nominal model")
         self.nominal.setEditable(True)
         self.nominal.addItems(["capsule", "drive"])
-        self.nominal.setToolTip("The friction model, the stage alone, or a file with a model of your own")
+        self.nominal.setToolTip("capsule: friction model; drive: stage alone; or a Python file with another model")
         self.nominal.setMinimumWidth(160)
         self.start = button(
             "Diag&nose", self.diagnose, "main", "Diagnose where, why and how far runs and model differ", "Ctrl+D"

@@ -213,7 +213,7 @@ class TraceOverlay(QWidget):
         self.channel.addItems(["force"])
         self.channel.setAccessibleName("Channel")
         self.channel.currentTextChanged.connect(lambda _: self.draw())
-        self.raw = QCheckBox("Ra&w")
+        self.raw = QCheckBox("Ra&w data")
         self.raw.setChecked(True)
         self.raw.toggled.connect(lambda _: self.draw())
         self.window_ms = QDoubleSpinBox()
@@ -238,8 +238,8 @@ class TraceOverlay(QWidget):
             for name, colour in (("A", BLACK), ("B", VERMILLION))
         )
         controls = row(
-            label("Channel"), self.channel, self.raw, label("Filter"), self.window_ms, label("order"), self.order, 1,
-            self.cursors, self.fit,
+            label("Channel"), self.channel, self.raw, label("Filter window"), self.window_ms, label("order"),
+            self.order, 1, self.cursors, self.fit,
         )  # fmt: skip
         layout = column(
             controls, self.channel_plot.widget, self.speed_plot.widget, self.values, margin=8, stretch={1: 3, 2: 2}
@@ -309,8 +309,8 @@ class TraceOverlay(QWidget):
             ("Alt+Shift+Right", lambda: self._step(second, 1)),
         ):
             QShortcut(QKeySequence(keys), self).activated.connect(action)
-        self.fit.setToolTip("Show all samples (Ctrl+0); Ctrl and + − ← → zoom and pan")
-        self.cursors.setToolTip("Values at two times and their difference; Alt and ← → move A, with Shift B")
+        self.fit.setToolTip("Show all samples (Ctrl+0). Ctrl with + or − zooms, Ctrl with ← or → pans.")
+        self.cursors.setToolTip("Values at two times and their difference. Alt with ← or → moves A, Alt with Shift B.")
 
     def _step(self, cursor: PlotCursor, direction: int) -> None:
         if self.cursors.isChecked():
@@ -355,11 +355,11 @@ def _value_at(values: npt.NDArray[np.float32], position: float) -> float:
 
 
 def _cursor_text(value: float) -> str:
-    return f"{value:.3f}" if np.isfinite(value) else "none"
+    return f"{value:.3f}" if np.isfinite(value) else "no sample"
 
 
-_STEADY_HEADER = ("Run", "Speed (mm/s)", "Steady force (mN)", "±", "At rest (mN)", "Peak (mN)", "Hold (mN)", "Status",
-                  "Remark")  # fmt: skip
+_STEADY_HEADER = ("Run", "Speed (mm/s)", "Steady force (mN)", "Standard error (mN)", "Force at rest (mN)",
+                  "Peak force (mN)", "Hold force (mN)", "Status", "Remark")  # fmt: skip
 
 
 class LookPage(QWidget):
@@ -378,7 +378,7 @@ class LookPage(QWidget):
         self.state = label("Select runs on the left; several are overlaid.", "faint")
         self.export = QToolButton()
         self.export.setText("E&xport")
-        self.export.setToolTip("Write the selected runs for other programs")
+        self.export.setToolTip("Export the selected runs to files for other programs")
         self.export.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
         self.menu = QMenu(self)
         for name in FORMATS:
@@ -423,7 +423,7 @@ class LookPage(QWidget):
     def export_to(self, folder: Path, name: str) -> None:
         """Write the selected runs to a folder."""
         paths, kind = [run.path for run in self._selected], FORMATS[name]
-        self.state.setText(f"Writing {len(paths)} runs …")
+        self.state.setText("Exporting the selected runs …")
         self._exporting.do_too(lambda: export_shown_runs(paths, folder, kind), self._exported)
 
     def _show_selected(self, runs: Sequence[ShownRun]) -> None:
@@ -436,7 +436,7 @@ class LookPage(QWidget):
     def _load(self) -> None:
         paths = [run.path for run in self._selected[:MAX_OVERLAID]]
         window_s, order = 1e-3 * self.overlay.window_ms.value(), self.overlay.order.value()
-        self.state.setText(f"Reading {len(paths)} runs …" if paths else "Select runs on the left.")
+        self.state.setText("Reading the selected runs …" if paths else "Select runs on the left.")
         self._traces.do(lambda: tuple(shown_trace(path, window_s, order) for path in paths), self._show_traces)
 
     def _show_traces(self, traces: Sequence[ShownTrace]) -> None:

@@ -85,19 +85,19 @@ class NoticeBar(QWidget):
         self._answer = answer
         self._prompt: PromptShown | None = None
         self.trip_text = label("", wrap=True)
-        self.reset = button("&Reset the guard", reset, "main", "Once the cause is removed", "Ctrl+R")
+        self.reset = button("&Reset the guard", reset, "main", "Allow motion again once the cause is removed", "Ctrl+R")
         self.trip = card(row(self.trip_text, self.reset, stretch={0: 1}), role="trip")
         self.prompt_text = label("", "title", wrap=True)
         self.answers = {
-            Answer.DONE: button("&Done", lambda: self._reply(Answer.DONE), "main", "Done: continue"),
+            Answer.DONE: button("&Done", lambda: self._reply(Answer.DONE), "main", "Continue the session"),
             Answer.REDO: button("R&edo the last run", lambda: self._reply(Answer.REDO), help_="Its file is marked bad"),
-            Answer.SKIP: button("Ski&p", lambda: self._reply(Answer.SKIP), help_="Skip the run that this prepares"),
-            Answer.ABORT: button("A&bort", lambda: self._reply(Answer.ABORT), help_="End the session here"),
+            Answer.SKIP: button("Ski&p", lambda: self._reply(Answer.SKIP), help_="Skip the run being prepared"),
+            Answer.ABORT: button("A&bort", lambda: self._reply(Answer.ABORT), help_="End the session"),
         }
         self.hands = label("", "faint")
         self.prompt = card(self.prompt_text, row(self.hands, 1, *self.answers.values()), role="notice")
         self.lost_text = label("", wrap=True)
-        self.restart = button("Start the en&gine again", restart, "main")
+        self.restart = button("Start the en&gine again", restart, "main", "Restart the process that controls the rig")
         self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip")
         self.complaint_text = label("", wrap=True)
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
@@ -108,7 +108,7 @@ class NoticeBar(QWidget):
 
     def show_trip(self, reason: str) -> None:
         """Show why the guard is tripped; hide when it is armed."""
-        self.trip_text.setText(f"INTERLOCK ON: {reason.rstrip('.')}. Nothing moves until it is reset.")
+        self.trip_text.setText(f"GUARD TRIPPED: {reason.rstrip('.')}. Nothing moves until the guard is reset.")
         self.reset.setEnabled(True)
         self.trip.setVisible(bool(reason))
 
@@ -116,7 +116,7 @@ class NoticeBar(QWidget):
         """Show a prompt."""
         self._prompt = prompt
         self.prompt_text.setText(f"{prompt.text}.")
-        self.hands.setText("This needs hands at the rig." if prompt.hands else "")
+        self.hands.setText("This must be done by hand at the rig." if prompt.hands else "")
         self.answers[Answer.REDO].setVisible(prompt.can_redo)
         self.answers[Answer.SKIP].setVisible(prompt.can_skip)
         self.prompt.show()
@@ -138,11 +138,11 @@ class NoticeBar(QWidget):
         self.hide_prompt()
         self.trip.hide()
         self.lost_text.setText(
-            "ENGINE STOPPED: it received no sign of life from this window for too long; the stage was stopped and the "
-            "run finished."
+            "ENGINE STOPPED: this window did not respond for too long; the engine stopped the stage, finished the run "
+            "and ended."
             if exit_code == 0
-            else f"ENGINE LOST (exit code {exit_code}). A drive without its heartbeat stops by itself; finish the "
-            "recording with dragrig recover, or by resuming the campaign."
+            else f"ENGINE LOST: the process that controls the rig ended (exit code {exit_code}). Without a heartbeat "
+            "the drive stops by itself. Finish the recording with dragrig recover, or by resuming the campaign."
         )
         self.lost.show()
 
@@ -192,7 +192,13 @@ class MainWindow(QMainWindow):
         self.guard = label("guard: starting", "faint")
         self._page_buttons = QButtonGroup(self)
         self._closing = False
-        self._lay_out({"Run": self.run, "Look": self.look, "Diagnose": self.diagnose})
+        self._lay_out(
+            {
+                "Run": (self.run, "Plan and run sessions"),
+                "View runs": (self.look, "Recorded runs: traces, steady forces, export"),
+                "Diagnose": (self.diagnose, "Where, why and how far runs and model differ"),
+            }
+        )
         self.engine.event_received.connect(self.take)
         for page in (self.run, self.look, self.diagnose):
             page.complained.connect(self.notices.complain)
@@ -296,12 +302,12 @@ class MainWindow(QMainWindow):
         self.notices.lost.hide()
         self.engine.restart()
 
-    def _lay_out(self, pages: dict[str, QWidget]) -> None:
+    def _lay_out(self, pages: dict[str, tuple[QWidget, str]]) -> None:
         top = row(margin=8)
-        for index, (name, page) in enumerate(pages.items()):
+        for index, (name, (page, content)) in enumerate(pages.items()):
             self.pages.addWidget(page)
             number, show = index + 1, partial(self.go_to, page)
-            opener = button(f"&{number}  {name}", show, "page", f"The page {name}", f"Ctrl+{number}")
+            opener = button(f"&{number}  {name}", show, "page", content, f"Ctrl+{number}")
             opener.setCheckable(True)
             self._page_buttons.addButton(opener, index)
             top.addWidget(opener)

@@ -141,7 +141,7 @@ class PlanEditor(QWidget):
             case _:
                 editor = QLineEdit(text)
                 editor.setCursorPosition(0)
-                editor.setPlaceholderText("needed" if field.required else DEFAULT_TEXT)
+                editor.setPlaceholderText("required" if field.required else DEFAULT_TEXT)
                 editor.textChanged.connect(lambda _: self.changed.emit())
         editor.setToolTip(_field_help(field))
         editor.setAccessibleName(field.name)
@@ -162,7 +162,7 @@ def _editor_text(editor: FieldEditor) -> str:
 
 
 def _field_help(field: FormField) -> str:
-    sweep = "Several values, separated by commas, make one run of each." if field.sweeps else ""
+    sweep = "Several values, separated by commas, make a run for each value." if field.sweeps else ""
     limits = f"Allowed: {field.limits}." if field.limits else ""
     default = f"Default: {field.default}." if field.default and field.kind is not FieldKind.LIST else ""
     return " ".join(part for part in (field.help, limits, default, sweep) if part)
@@ -172,10 +172,10 @@ _PREVIEW_HEADER = (
     "Run",
     "Protocol",
     "Capsule",
-    "Min (mm)",
-    "Max (mm)",
+    "Min position (mm)",
+    "Max position (mm)",
     "Speed (mm/s)",
-    "Wait",
+    "Wait before",
     "Duration",
     "Prompt before",
 )
@@ -215,7 +215,7 @@ class PlanPreview(QWidget):
         count = len(preflight.previews)
         self.summary.setText(
             f"{count} run{'' if count == 1 else 's'}, {duration_text(preflight.duration_s)}, "
-            f"{size_text(preflight.size_bytes)} of {size_text(preflight.free_bytes)} free"
+            f"{size_text(preflight.size_bytes)} on disk, {size_text(preflight.free_bytes)} free"
         )
         if preflight.findings:
             self.findings.setText("\n".join(f"NOT ALLOWED: {finding}." for finding in preflight.findings))
@@ -262,7 +262,7 @@ class PlanPreview(QWidget):
 
 
 _EDIT_DELAY_MS = 250
-_SIMULATED_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "as fast as it can": "fast"}
+_SIMULATED_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "as fast as possible": "fast"}
 _DOUBLE_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "5 times faster": 5.0, "20 times faster": 20.0}
 
 
@@ -290,11 +290,9 @@ class NewSession(QWidget):
         self.operator = QLineEdit(stored.text("operator"))
         self.note = QLineEdit()
         self.mirror = QLineEdit(stored.text("mirror"))
-        self.mirror.setPlaceholderText("no second copy")
-        self.mirror.setToolTip("A folder on another disk: each finished file is copied to it and verified")
-        self.choose_mirror = button(
-            "&Folder …", self._choose_mirror, help_="A folder on another disk for second copies"
-        )
+        self.mirror.setPlaceholderText("no mirror")
+        self.mirror.setToolTip("A folder on another disk; each finished file is copied to it and verified")
+        self.choose_mirror = button("&Folder …", self._choose_mirror, help_="Choose the mirror folder")
         self.pace = QComboBox()
         self._paces = _allowed_paces(rig, description)
         self.pace.addItems(list(self._paces))
@@ -317,7 +315,7 @@ class NewSession(QWidget):
 
     @property
     def chosen_mirror(self) -> Path | None:
-        """Folder for second copies."""
+        """Folder that finished files are copied to."""
         text = self.mirror.text().strip()
         return Path(text).expanduser() if text else None
 
@@ -374,8 +372,8 @@ class NewSession(QWidget):
         form.addRow("Note", named(self.note, "Note"))
         if self._paces:
             form.addRow("Pace", named(self.pace, "Pace"))
-        mirror = named(self.mirror, "Folder for second copies")
-        form.addRow("Second copy", row(mirror, self.choose_mirror, stretch={0: 1}))
+        mirror = named(self.mirror, "Mirror folder")
+        form.addRow("Mirror folder", row(mirror, self.choose_mirror, stretch={0: 1}))
         self.plans.setMinimumWidth(180)
         header = row(self.plans, self.open, stretch={0: 1})
         buttons = row(1, self.queue, self.start)
@@ -394,7 +392,7 @@ class NewSession(QWidget):
         choose_path(self, "Open a plan", start, self.open_file, filter_="Plans (*.toml)", folder=False)
 
     def _choose_mirror(self) -> None:
-        choose_path(self, "Folder for second copies", self.mirror.text(), self.mirror.setText)
+        choose_path(self, "Mirror folder", self.mirror.text(), self.mirror.setText)
 
     def open_file(self, path: str) -> None:
         """Choose a plan by its file."""

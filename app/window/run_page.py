@@ -58,8 +58,8 @@ class DevicesView(QWidget):
         self._checking = self._session_running = False
         self.verdict = ""
         self.status = label(self._result_text, "faint", wrap=True)
-        self.devices = named(table(("", "Device", "Result")), "State of every device")
-        self.again = button("Check agai&n", self.check, help_="Check every device; nothing moves")
+        self.devices = named(table(("State", "Device", "Result")), "State of every device")
+        self.again = button("Chec&k again", self.check, help_="Check every device; nothing moves")
         self.setLayout(column(row(self.status, 1, self.again), self.devices, margin=8))
 
     def check(self) -> None:
@@ -105,7 +105,7 @@ class QueueView(QWidget):
     """The queue; waiting sessions can be moved and removed."""
 
     chosen_folder = Signal(str)
-    """Folder of a finished session to open on the look page."""
+    """Folder of a finished session whose runs are to be shown."""
 
     def __init__(self, queue: SessionQueue) -> None:
         super().__init__()
@@ -121,14 +121,12 @@ class QueueView(QWidget):
         self.progress.setRange(0, 1000)
         self.progress.setAccessibleName("Progress of the running session")
         self.up = button("&Up", lambda: self._move(-1), help_="Move the selected session up")
-        self.down = button("Do&wn", lambda: self._move(1), help_="Move the selected session down")
+        self.down = button("Dow&n", lambda: self._move(1), help_="Move the selected session down")
         self.out = button("Re&move", self._remove, help_="Remove the selected session from the queue")
         self.clear = button(
             "C&lear finished", self._clear, help_="Remove ended sessions from the list; their files stay"
         )
-        self.look = button(
-            "Loo&k at runs", self._open_selected, help_="Open the selected session's runs on the look page"
-        )
+        self.look = button("S&how runs", self._open_selected, help_="Show the recorded runs of the selected session")
         buttons = row(self.up, self.down, self.out, self.clear, 1, self.look)
         self.setLayout(column(label("Queue", "title"), self.progress, self.tree, buttons))
         self.show_queue()
@@ -236,7 +234,7 @@ class RunPage(QWidget):
     running_changed = Signal(bool)
     complained = Signal(str)
     look_at = Signal(str)
-    """Folder of a campaign to open on the look page."""
+    """Folder of a campaign whose runs are to be shown."""
 
     def __init__(
         self,
@@ -262,10 +260,10 @@ class RunPage(QWidget):
             "Start &the queue", self.run_queue, "main", "Run the waiting sessions one after another"
         )
         self.abort = button(
-            "&Abort the session", self._abort, help_="Stop the stage and finish the run and the session"
+            "&Abort the session", self._abort, help_="Stop the stage; the run and the session end as aborted"
         )
         self.tabs = QTabWidget()
-        self.tabs.addTab(self.preview, "W&hat it will do")
+        self.tabs.addTab(self.preview, "Previe&w")
         self.tabs.addTab(self.live, "Li&ve")
         self.tabs.addTab(self.devices, "Devi&ces")
         self._lay_out()
@@ -348,7 +346,7 @@ class RunPage(QWidget):
                 self.devices.show_result(event)
                 self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
             case HostLost():
-                self._queue_started, self._trip_reason = False, "the engine is gone"
+                self._queue_started, self._trip_reason = False, "the engine ended unexpectedly"
                 self.queue.engine_lost(self._trip_reason)
                 self.devices.engine_lost()
             case _:
@@ -369,7 +367,7 @@ class RunPage(QWidget):
         if event.mirror is not None and event.mirror.missing:
             names, mirror = ", ".join(name for name, _ in event.mirror.missing), event.mirror.folder
             self.complained.emit(
-                f"NOT IN THE MIRROR {mirror}: {names}; the queue has the reasons. They are in {event.folder}."
+                f"NOT IN THE MIRROR {mirror}: {names}. The originals are in {event.folder}, the reasons in the queue."
             )
         if event.status is RunStatus.COMPLETE:
             self.live.begin(f"Complete: {event.folder}")
