@@ -358,8 +358,8 @@ def _cursor_text(value: float) -> str:
     return f"{value:.3f}" if np.isfinite(value) else "no sample"
 
 
-_STEADY_HEADER = ("Run", "Speed (mm/s)", "Steady force (mN)", "Standard error (mN)", "Force at rest (mN)",
-                  "Peak force (mN)", "Hold force (mN)", "Status", "Remark")  # fmt: skip
+_STEADY_HEADER = ("Run", "Speed (mm/s)", "Steady force (mN)", "Error (mN)", "At rest (mN)", "Peak (mN)", "Hold (mN)",
+                  "Status", "Remark")  # fmt: skip
 
 
 class LookPage(QWidget):

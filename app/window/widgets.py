@@ -81,7 +81,7 @@ QPushButton[role="stop"] {{ background: {STOP_COLOUR}; color: white; font-size: 
     border: 3px solid #6B0013; border-radius: 8px; padding: 8px 26px; }}
 QPushButton[role="page"] {{ border: none; border-bottom: 4px solid transparent; border-radius: 0;
     background: transparent; font-size: 17px; padding: 10px 16px;
-    min-width: 112px; }}
+    min-width: 122px; }}
 QPushButton[role="page"]:checked {{ border-bottom: 4px solid {BLUE}; font-weight: 700; }}
 QPushButton[role="page"]:focus {{ background: #E3F1FA; }}
 QLineEdit, QPlainTextEdit {{ background: {PAPER}; border: 1px solid {PALE};
