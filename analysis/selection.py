@@ -121,15 +121,22 @@ def incomplete_reason(info: RunInfo) -> str:
 
 
 def _usable_infos(infos: Iterable[RunInfo], marks: Mapping[Path, str], left_out: list[Exclusion]) -> Sequence[RunInfo]:
-    """Return the runs that are not marked bad, incomplete or return strokes; add the others to `left_out`."""
+    """Return the runs that are not marked bad, incomplete, return strokes or copies; add the others to `left_out`.
+
+    A copy would be fitted and held out at once, so that it counts twice in every share and interval.
+    """
     usable = []
+    first_of_run: dict[str, str] = {}
     for info in infos:
         reason = f"it is marked bad: {marks[info.path]}" if info.path in marks else incomplete_reason(info)
         if not reason and info.kind == RETURN_KIND:
             reason = "it is a return stroke, through wall that the stroke before has just slid over"
+        if not reason and info.header.run_id in first_of_run:
+            reason = f"it is the same run as {first_of_run[info.header.run_id]}, which counts once"
         if reason:
             left_out.append(Exclusion(info.path.name, reason))
         else:
+            first_of_run[info.header.run_id] = info.path.name
             usable.append(info)
     return usable
 

@@ -100,7 +100,7 @@ class DiagnosisSummary(Settings):
     """Summary of a diagnosis.
 
     `nominal` holds the parameters of the nominal model refitted without the effects, so that the effects' contribution
-    can be measured on other runs; `promised` is the fraction of the gap that they closed.
+    can be measured on other runs; `promised` is the share of the gap that they closed, with its 95 % interval.
     """
 
     specimen: str
@@ -109,6 +109,7 @@ class DiagnosisSummary(Settings):
     probability: float
     runs: int
     promised: float | None = None
+    promised_95ci: tuple[float, float] | None = None
     nominal: Mapping[str, float] = {}
 
 

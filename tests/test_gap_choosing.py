@@ -58,3 +58,27 @@ def test_runs_that_note_no_contact_age_are_used_and_told(campaign: Path) -> None
     selection = choose_runs(campaign)
     assert any(name.startswith("1 of ") and "60 s are assumed" in name for name in selection.remarks)
     assert choose_runs([read_run(path) for path in sorted(campaign.glob("*.h5"))]).remarks == selection.remarks
+
+
+def test_a_run_that_lies_twice_in_a_folder_counts_once(campaign: Path) -> None:
+    before = choose_runs(campaign)
+    shutil.copy(campaign / "010-drag.h5", campaign / "010-drag-copy.h5")
+    after = choose_runs(campaign)
+    ids = [experiment.run.info.header.run_id for experiment in after.experiments]
+    assert len(ids) == len(set(ids)) == len(before.experiments)
+    assert [left.reason for left in after.left_out if "copy" in left.reason or "010-drag" in left.what] == [
+        "it is the same run as 010-drag-copy.h5, which counts once"
+    ]
+
+
+def test_runs_in_memory_count_once_too(campaign: Path) -> None:
+    shutil.copy(campaign / "010-drag.h5", campaign / "010-drag-copy.h5")
+    runs = [read_run(campaign / name) for name in ("001-relaxation.h5", "010-drag.h5", "010-drag-copy.h5")]
+    assert len(choose_runs(runs).experiments) == 2
+
+
+def test_the_choice_between_two_specimens_is_remarked(campaign: Path) -> None:
+    changed(campaign / "010-drag.h5", "entry/specimen", name="ileum")
+    remarks = choose_runs(campaign).remarks
+    assert any("jejunum" in remark and "ileum (1 run)" in remark and "--specimen" in remark for remark in remarks)
+    assert not any("--specimen" in remark for remark in choose_runs(campaign, "ileum").remarks)

@@ -19,12 +19,12 @@ from dragrig.present.diagnosis import (
     diagnosis_document,
     diagnosis_json,
     round_probabilities,
-    shrink_document,
-    shrink_report_json,
+    shrink_json,
 )
 from dragrig.present.diagnosis_figures import before_after_figure, ranking_figure, representative_runs
 from dragrig.present.diagnosis_sentences import shrink_sentences
 from dragrig.present.html_page import render_page
+from dragrig.present.numbers import to_json_value
 from dragrig.present.terminal import document_text
 from dragrig.scoring import score_exam
 from dragrig.sim_backend.effects.base import catalogue
@@ -135,7 +135,7 @@ def test_no_share_closes_where_there_is_no_gap() -> None:
     assert not re.search(r"\bwith it\b", words(page("no_gap")))
     assert re.search(r"\bwith it\b", words(page("effect")))
     worse = replace(shrink(), closed=-0.2, closed_95ci=(-0.4, 0.1))
-    assert "−20 % of the gap closes (95 % interval: −40 % to 10 %): it grows." in document_text(shrink_document(worse))
+    assert "−20 % of the gap closes (95 % interval: −40 % to 10 %): it grows." in text(replace(STRIBECK, shrink=worse))
 
 
 def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:
@@ -306,7 +306,7 @@ def test_json_knows_no_nan_and_no_infinity() -> None:
     assert answer["would_have_seen_mN"] is None
     assert answer["shrink"]["closed"] is None
     assert answer["where"]["p"] is None
-    assert answer["shrink"] == json.loads(json.dumps(shrink_report_json(ill.shrink or shrink())))["shrink"]
+    assert answer["shrink"] == json.loads(json.dumps(to_json_value(shrink_json(ill.shrink or shrink()))))
     assert "nan" not in text(ill).lower().split()
     assert "the detection limit of these runs is not known" in text(ill).lower()
     diagnosis_page(ill)

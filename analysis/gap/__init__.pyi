@@ -20,11 +20,14 @@ from .diagnosis import RunTraces as RunTraces
 from .diagnosis import UnexplainedGap as UnexplainedGap
 from .diagnosis import Verdict as Verdict
 from .diagnosis import display_name as display_name
+from .evaluation import EffectSize as EffectSize
+from .evaluation import ModelEvaluation as ModelEvaluation
+from .evaluation import PromiseVerdict as PromiseVerdict
+from .evaluation import evaluate as evaluate
 from .excess import CHANNELS as CHANNELS
 from .excess import PROTOCOLS as PROTOCOLS
 from .features import Calibration as Calibration
 from .features import DecisionInputs as DecisionInputs
-from .gap_reduction import evaluate as evaluate
 from .isolability import CONFUSED_SIN2 as CONFUSED_SIN2
 from .isolability import DETECTABLE_D_PRIME as DETECTABLE_D_PRIME
 from .isolability import EffectPair as EffectPair

@@ -248,6 +248,7 @@ def amended_model(
         )
         for effect in effects
     ]
+    interval = None if reduction is None else reduction.closed_95ci
     diagnosed = DiagnosisSummary(
         specimen=specimen,
         verdict=classification.verdict.value,
@@ -255,6 +256,7 @@ def amended_model(
         probability=_rounded_value(classification.probabilities.get("+".join(classification.effects), 0.0)),
         runs=len(study.runs),
         promised=None if reduction is None or reduction.closed is None else _rounded_value(reduction.closed),
+        promised_95ci=None if interval is None else (_rounded_value(interval[0]), _rounded_value(interval[1])),
         nominal=_rounded_values(study, search.nominal.z),
     )
     return settings.model_copy(

@@ -1,21 +1,17 @@
 """Size of the gap before and after an explanation: residuals, noise floor, held-out runs and closed share."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dragrig.analysis import (
     SPEED_TOLERANCE,
-    CapsuleModel,
     NoiseModel,
-    RunSelection,
     Whitening,
     r2_eq15,
-    single_blas_thread,
     squared_correlation,
 )
-from dragrig.analysis.gap.candidates import Candidate
 from dragrig.analysis.gap.design import (
     NUISANCES,
     ColumnKind,
@@ -23,7 +19,6 @@ from dragrig.analysis.gap.design import (
     RankedEffect,
     Study,
     fit_columns,
-    linearise,
     project_dictionary,
     rank_effects,
 )
@@ -31,19 +26,18 @@ from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit
-from dragrig.analysis.gap.position_channel import PositionErrors, closed_share_in_position, origin_of, position_errors
-from dragrig.analysis.gap.run_data import RunData, commanded_phase, run_data_of
+from dragrig.analysis.gap.position_channel import PositionErrors, origin_of
+from dragrig.analysis.gap.run_data import RunData, commanded_phase
 from dragrig.analysis.gap.spectral_lines import SpectralLine
-from dragrig.analysis.gap.studies import CapsuleStudy
 from dragrig.analysis.paper import BOUNDARY_MM_S
-from dragrig.config import AnalysisError, FrictionModelSettings
 from dragrig.rig import BoolArray, FloatArray, IndexArray, Phase
-from dragrig.sim_backend.effects import Channel, active_effects
 
 BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_FLOOR = 1.2
 """A gap below this multiple of the floor cannot be closed."""
 MIN_POINTS = 3
+MAX_OWN_SIGMAS = 2.0
+"""A run's own factors, in standard deviations of the scatter between repeats: all but one run in twenty is within."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,19 +78,19 @@ def gap_of_run(
 ) -> RunGap:
     """Compare residuals of a run before and after, each with its whitening, shapes `(B,)`.
 
-    Run-to-run scatter is removed from both residuals: run factors as in the model with the effect, limited to the
-    scatter of repeats, and the zero offset of each model. Blocks count if `informative`, by default all.
+    What a run may be off by is removed from both residuals, for each by itself: run factors within `MAX_OWN_SIGMAS` of
+    the scatter of repeats, and the zero offset. Factors of the model with the effect taken from both residuals would
+    give the effect itself back as a gap that it then closes. Blocks count if `informative`, by default all.
     """
     weights = run.coordinates.width_s
     if informative is not None and informative.any():
         weights = np.where(informative, weights, 0.0)
     share = weights / weights.sum()
     floor = noise.white**2 + noise.slow**2 + float(share @ motion_sd**2)
-    scatter = run_factor_force(*after, zero_sd)
-    residuals = [
-        residual - scatter - run_zero_offset(residual - scatter, whitening, zero_sd)
-        for residual, whitening in (before, after)
-    ]
+    residuals = []
+    for residual, whitening in (before, after):
+        without_factors = residual - run_factor_force(residual, whitening, zero_sd, MAX_OWN_SIGMAS)
+        residuals.append(without_factors - run_zero_offset(without_factors, whitening, zero_sd))
     within_block_sd = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / run.block_data.blocks.samples)), 0.0)))
     return RunGap(
         run,
@@ -386,64 +380,3 @@ def _fit_with_variants(design: Design, runs: Sequence[int], ranked: RankedEffect
     precision, mean = design.prior_precision[columns], design.prior_mean[columns]
     precision_matrix = total[np.ix_(rows, rows)] + np.diag(precision + 1e-10 * np.diag(total)[rows])
     return columns, np.linalg.solve(precision_matrix, total[rows, 0] + precision * mean)
-
-
-@single_blas_thread()
-def evaluate(selection: RunSelection, model: FrictionModelSettings) -> GapReduction:
-    """Compare fresh runs with the specimen's model without and with its effects.
-
-    Only the zero offset of each run is fitted.
-
-    Raises
-    ------
-    AnalysisError
-        Where the model has no effects, or predicts nothing of these runs.
-    """
-    if not model.effects:
-        raise AnalysisError(f"model {model.name} has no effects: there is nothing to evaluate.")
-    bare = model.model_copy(update={"effects": (), "diagnosed": None})
-    before = bare.model_copy(update=dict(model.diagnosed.nominal)) if model.diagnosed else bare
-    nominal = _capsule_study(selection, before)
-    amended = _on_same_blocks(_capsule_study(selection, model), nominal)
-    start = np.zeros(len(nominal.parameter_names))
-    nominal_design, amended_design = linearise(nominal, start), linearise(amended, start)
-    gaps = [
-        gap_of_run(
-            run,
-            nominal.problem.noises[number],
-            amended_design.runs[number].motion_sd,
-            (nominal_design.runs[number].residual, nominal_design.runs[number].whitening),
-            (amended_design.runs[number].residual, amended_design.runs[number].whitening),
-            nominal.problem.zero_sds[number],
-        )
-        for number, run in enumerate(nominal.runs)
-    ]
-    shrink = reduction_over_runs(gaps)
-    position_effects = [active for active in active_effects(model) if active.effect.channel is Channel.POSITION]
-    errors = position_errors(selection.experiments)
-    if (
-        len(position_effects) == 1
-        and len(model.effects) == 1
-        and any(errors_of_run.has_position_error for errors_of_run in errors)
-    ):
-        return closed_share_in_position(
-            Candidate(position_effects[0].effect, position_effects[0].values), errors, shrink
-        )
-    return shrink
-
-
-def _capsule_study(selection: RunSelection, settings: FrictionModelSettings) -> CapsuleStudy:
-    return CapsuleStudy.of(selection, CapsuleModel(settings), ())
-
-
-def _on_same_blocks(study: CapsuleStudy, reference: CapsuleStudy) -> CapsuleStudy:
-    """Return a study with the blocks of another one, whose model bends at other times."""
-    pairs = zip(study.problem.channels, reference.problem.channels, strict=True)
-    channels = tuple(replace(data, blocks=other_data.blocks) for data, other_data in pairs)
-    problem = replace(
-        study.problem,
-        channels=channels,
-        noises=reference.problem.noises,
-        zero_sds=reference.problem.zero_sds,
-    )
-    return replace(study, problem=problem, runs=run_data_of(channels))

@@ -21,6 +21,7 @@ from dragrig.analysis import (
     Progress,
     RunSelection,
     acquisition_of,
+    count_text,
     no_progress,
     select_loaded_runs,
     select_runs,
@@ -85,7 +86,7 @@ def choose_runs(
         from dragrig.rig import read_campaign
 
         folder = read_campaign(campaign)
-        chosen_specimen, left_out = _main_specimen(folder.runs, folder.good, specimen)
+        chosen_specimen, left_out, choice_remarks = _main_specimen(folder.runs, folder.good, specimen)
         usable = list[RunInfo]()
 
         def choice(runs: Sequence[RunInfo]) -> list[RunInfo]:
@@ -96,14 +97,20 @@ def choose_runs(
     else:
         runs = tuple(campaign)
         infos = [run.info for run in runs]
-        chosen_specimen, left_out = _main_specimen(infos, infos, specimen)
+        chosen_specimen, left_out, choice_remarks = _main_specimen(infos, infos, specimen)
         selection = select_loaded_runs(runs, chosen_specimen)
         paths = {
             info.path for info in spread_over_session([experiment.run.info for experiment in selection.experiments])
         }
         spread = tuple(experiment for experiment in selection.experiments if experiment.run.info.path in paths)
         selection = _with_count_remark(replace(selection, experiments=spread), len(selection.experiments))
-    return _with_one_sensor(replace(selection, left_out=(*selection.left_out, *left_out)))
+    return _with_one_sensor(
+        replace(
+            selection,
+            left_out=(*selection.left_out, *left_out),
+            remarks=(*choice_remarks, *selection.remarks),
+        )
+    )
 
 
 def _with_count_remark(selection: RunSelection, usable: int) -> RunSelection:
@@ -118,15 +125,19 @@ def _with_count_remark(selection: RunSelection, usable: int) -> RunSelection:
 
 def _main_specimen(
     infos: Sequence[RunInfo], good: Sequence[RunInfo], specimen: str | None
-) -> tuple[str | None, list[Exclusion]]:
-    """Return the specimen with the most good runs, and the runs of all others."""
+) -> tuple[str | None, list[Exclusion], list[str]]:
+    """Return the specimen with the most good runs, the runs of all others, and what to remark of the choice."""
     keys = {info.path: specimen_key(info) for info in infos}
     if specimen is not None or len(set(keys.values())) < 2:
-        return specimen, []
+        return specimen, [], []
     complete = Counter(keys[info.path] for info in good if info.status is RunStatus.COMPLETE)
     main = (complete or Counter(keys.values())).most_common(1)[0][0]
     reason_template = f"it is of specimen {{}}; most runs are of {main}, and --specimen names another"
-    return main, [Exclusion(path.name, reason_template.format(key)) for path, key in keys.items() if key != main]
+    counts = Counter(key for key in keys.values() if key != main)
+    others = ", ".join(f"{key} ({count_text(count, 'run')})" for key, count in sorted(counts.items()))
+    remark = f"the folder holds several specimens; {main} has the most runs and is diagnosed, not {others}: --specimen"
+    left_out = [Exclusion(path.name, reason_template.format(key)) for path, key in keys.items() if key != main]
+    return main, left_out, [f"{remark} names another"]
 
 
 def _with_one_sensor(selection: RunSelection) -> RunSelection:

@@ -13,8 +13,8 @@ from dragrig.analysis import CapsuleModel, NominalModel, Progress, RunSelection,
 from dragrig.analysis.gap import (
     Diagnosis,
     ExperimentBudget,
-    GapReduction,
     Isolability,
+    ModelEvaluation,
     NextExperiment,
     RigLimits,
     choose_runs,
@@ -207,8 +207,8 @@ def diagnose_many(
 
 def gap_evaluate(
     model: str | Path | FrictionModelSettings, campaign: str | Path | Iterable[Run], *, specimen: str | None = None
-) -> GapReduction:
-    """Evaluate how far an amended model closes the gap on fresh runs of the same specimen.
+) -> ModelEvaluation:
+    """Evaluate on fresh runs of the same specimen whether an amended model keeps its promise.
 
     Parameters
     ----------

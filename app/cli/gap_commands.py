@@ -138,15 +138,19 @@ def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> 
 @options.as_json
 @options.quiet
 def evaluate_command(model: Path, campaign: Path, specimen: str | None, as_json: bool) -> None:
-    """Evaluate how far an amended model closes the gap on fresh runs of the same specimen.
+    """Evaluate on fresh runs of the same specimen whether an amended model keeps its promise.
 
-    MODEL is written by dragrig gap diagnose --save-model; CAMPAIGN is a folder of runs that were not used
-    in the diagnosis, preferably at other speeds.
+    MODEL is written by dragrig gap diagnose --save-model; CAMPAIGN is a folder of runs that took no part in the
+    diagnosis, preferably at other speeds. The answer is KEPT, NOT KEPT (exit code 1) or NO POWER: the runs cannot tell.
     """
+    from dragrig.analysis.gap import PromiseVerdict
     from dragrig.api import gap_evaluate
-    from dragrig.present import shrink_document
+    from dragrig.present import evaluation_document
 
-    print_document(shrink_document(gap_evaluate(model, campaign, specimen=specimen)), as_json=as_json)
+    evaluation = gap_evaluate(model, campaign, specimen=specimen)
+    print_document(evaluation_document(evaluation), as_json=as_json)
+    if evaluation.verdict is PromiseVerdict.NOT_KEPT:
+        click.get_current_context().exit(1)
 
 
 @click.command("next")

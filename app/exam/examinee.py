@@ -51,10 +51,10 @@ def evaluate_blind(task: tuple[Path, Path]) -> Mapping[str, object]:
     """Evaluate a model file on a folder of fresh runs, as JSON; empty where the runs cannot be used."""
     from dragrig.api import gap_evaluate
     from dragrig.config import AnalysisError
-    from dragrig.present import shrink_report_json
+    from dragrig.present import evaluation_json
 
     model, fresh = task
     try:
-        return shrink_report_json(gap_evaluate(model, fresh))
+        return evaluation_json(gap_evaluate(model, fresh))
     except AnalysisError:
         return {}

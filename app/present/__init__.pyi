@@ -7,8 +7,6 @@ from .diagnosis import campaigns_document as campaigns_document
 from .diagnosis import diagnosis_document as diagnosis_document
 from .diagnosis import diagnosis_json as diagnosis_json
 from .diagnosis import next_experiment_document as next_experiment_document
-from .diagnosis import shrink_document as shrink_document
-from .diagnosis import shrink_report_json as shrink_report_json
 from .document import FOUR_DIGITS as FOUR_DIGITS
 from .document import Block as Block
 from .document import Cell as Cell
@@ -45,6 +43,8 @@ from .drawing import spread_labels as spread_labels
 from .drawing import text_width_in as text_width_in
 from .drawing import write_legend as write_legend
 from .effects import effects_document as effects_document
+from .evaluation import evaluation_document as evaluation_document
+from .evaluation import evaluation_json as evaluation_json
 from .exam import calibration_document as calibration_document
 from .exam import exam_document as exam_document
 from .exam import score_json as score_json

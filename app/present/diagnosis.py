@@ -108,18 +108,6 @@ def diagnosis_document(
     )
 
 
-def shrink_document(shrink: GapReduction) -> Document:
-    """Lay out how far an amended model closes the gap on fresh runs."""
-    *sizes, closed = shrink_sentences(shrink)
-    return Document(
-        title="Gap reduction on fresh runs",
-        answer=closed,
-        lead=tuple(sizes),
-        sections=(Section("r2", "", (_r2_table(shrink, named=True),)),),
-        data=shrink_report_json(shrink),
-    )
-
-
 def next_experiment_document(recommendation: NextExperiment | None) -> Document:
     """Lay out which runs to make next."""
     if recommendation is None:
@@ -312,7 +300,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
             Text(reduction or "No run was held out, or no effect is named, so that the gap reduction is not known."),
             Section("model", "The simulated rig with the effect", amended if model else ()),
             *((before_after,) if diagnosis.traces else ()),
-            *(() if shrink is None else (_r2_table(shrink, named=named),)),
+            *(() if shrink is None else (r2_table(shrink, named=named),)),
         ),
     )
 
@@ -350,7 +338,7 @@ def _parameter_meaning(parameter: str, diagnosis: Diagnosis) -> str:
     return meanings[0] if len(meanings) == 1 else ""
 
 
-def _r2_table(shrink: GapReduction, *, named: bool) -> Table:
+def r2_table(shrink: GapReduction, *, named: bool) -> Table:
     """Tabulate R² of steady drag beside what the paper prints; empty where the runs give none."""
     boundary = published.BOUNDARY_MM_S if shrink.boundary_mm_s is None else shrink.boundary_mm_s
     columns = (
@@ -447,7 +435,7 @@ def diagnosis_json(
             "would_have_seen_mN": diagnosis.detection_limit_mN,
             "tolerance_mN": diagnosis.tolerance_mN,
             "where": diagnosis.where.document(),
-            "shrink": None if diagnosis.shrink is None else _shrink_json(diagnosis.shrink),
+            "shrink": None if diagnosis.shrink is None else shrink_json(diagnosis.shrink),
             "model": model,
             "next_experiment": _next_run_json(diagnosis.next_experiment),
             "cannot_answer": diagnosis.limitations,
@@ -457,11 +445,6 @@ def diagnosis_json(
             "timings_s": diagnosis.timings_s,
         }
     )
-
-
-def shrink_report_json(shrink: GapReduction) -> Mapping[str, object]:
-    """Return how far the gap shrinks as a JSON document of its own."""
-    return to_json_object({"format": FORMAT, "version": VERSION, "shrink": _shrink_json(shrink)})
 
 
 def next_experiment_json(recommendation: NextExperiment | None) -> Mapping[str, object]:
@@ -535,7 +518,9 @@ def _planned_run_json(run: NextRun) -> Mapping[str, object]:
     }
 
 
-def _shrink_json(shrink: GapReduction) -> Mapping[str, object]:
+def shrink_json(shrink: GapReduction) -> Mapping[str, object]:
+    """Return how far a gap shrinks as JSON."""
+
     def sides(r2: R2BeforeAfter) -> Mapping[str, object]:
         return {
             "before": {"below": r2.before_below, "above": r2.before_above},

@@ -1,0 +1,119 @@
+"""What fresh runs say of an amended model, for a reader: KEPT, NOT KEPT or NO POWER, and the numbers behind it."""
+
+from collections.abc import Mapping
+
+from dragrig.analysis import as_sentence, capitalise, percent_text
+from dragrig.analysis.gap import EffectSize, ModelEvaluation, PromiseVerdict, display_name
+from dragrig.present import Document, Field, Section, Table, decimals, force_text, significant, to_json_object
+from dragrig.present.diagnosis import FORMAT, r2_table, shrink_json
+
+VERSION = 2
+VERDICT_WORDS = {
+    PromiseVerdict.KEPT: "The promise is KEPT",
+    PromiseVerdict.NOT_KEPT: "The promise is NOT KEPT",
+    PromiseVerdict.NO_POWER: "NO POWER: these runs cannot tell whether the promise is kept",
+}
+ABSENT_SIZE = 0.3
+"""An effect of which no more than this is there counts as absent in a sentence."""
+
+
+def evaluation_document(evaluation: ModelEvaluation) -> Document:
+    """Lay out what fresh runs say of an amended model."""
+    shrink = evaluation.reduction
+    return Document(
+        title="The amended model on fresh runs",
+        answer=f"{VERDICT_WORDS[evaluation.verdict]}: {_reason(evaluation)}.",
+        lead=tuple(as_sentence(text) for text in (_closed_text(evaluation), _residual_text(evaluation))),
+        sections=(
+            Section("sizes", "Effects in these runs", (_size_table(evaluation),)),
+            Section("r2", "", (r2_table(shrink, named=True),)),
+        ),
+        data=evaluation_json(evaluation),
+    )
+
+
+def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:
+    """Return what fresh runs say of an amended model as a JSON document."""
+    unfitted_before, unfitted_after = evaluation.unfitted_rms_mN
+    return to_json_object(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "verdict": evaluation.verdict.value,
+            "promise": {"closed": evaluation.promised, "closed_95ci": evaluation.promised_95ci},
+            "achieved": {"closed": evaluation.achieved, "closed_95ci": evaluation.achieved_95ci},
+            "sizes": [
+                {
+                    "effect": size.effect,
+                    "size": size.size,
+                    "size_95ci": (size.low, size.high),
+                    "d_prime": size.d_prime,
+                    "verdict": size.verdict.value,
+                }
+                for size in evaluation.sizes
+            ],
+            "as_predicted": {"gap_before_mN": unfitted_before, "gap_after_mN": unfitted_after},
+            "shrink": shrink_json(evaluation.reduction),
+        }
+    )
+
+
+def _reason(evaluation: ModelEvaluation) -> str:
+    deciding = [size for size in evaluation.sizes if size.verdict is evaluation.verdict] or list(evaluation.sizes)
+    sizes = "; ".join(f"{display_name(size.effect)} {_size_text(size)}" for size in deciding)
+    if evaluation.verdict is PromiseVerdict.NOT_KEPT and all(
+        size.verdict is PromiseVerdict.KEPT for size in evaluation.sizes
+    ):
+        return f"{sizes}, but most of what is wrong in these runs remains"
+    return sizes
+
+
+def _size_text(size: EffectSize) -> str:
+    interval = f"{size.size:.2f} of the promised size, 95 % interval {size.low:.2f} to {size.high:.2f}"
+    if size.verdict is PromiseVerdict.NO_POWER:
+        return f"could be absent as well as there ({interval})"
+    if size.verdict is PromiseVerdict.KEPT:
+        return f"is there ({interval})"
+    if size.size < -ABSENT_SIZE:
+        return f"acts the other way ({interval})"
+    if size.size <= ABSENT_SIZE:
+        return f"is absent ({interval})"
+    return f"is of another size ({interval})"
+
+
+def _closed_text(evaluation: ModelEvaluation) -> str:
+    if evaluation.achieved is None:
+        return ""
+    promised = "" if evaluation.promised is None else f"; {percent_text(evaluation.promised)} was promised"
+    if evaluation.achieved < 0:
+        return f"with the effects the model predicts these runs worse than without{promised}"
+    interval = ""
+    if evaluation.achieved_95ci is not None:
+        low, high = evaluation.achieved_95ci
+        interval = f" (95 % interval: {percent_text(max(low, -1.0))} to {percent_text(high)})"
+    return f"{percent_text(evaluation.achieved)} of the gap closes{interval}{promised}"
+
+
+def _residual_text(evaluation: ModelEvaluation) -> str:
+    shrink = evaluation.reduction
+    before, after = (force_text(value) for value in evaluation.unfitted_rms_mN)
+    return (
+        f"residual (rms), the specimen's parameters fitted to these runs both times: "
+        f"{force_text(shrink.gap_before_mN)} without the effects, {force_text(shrink.gap_after_mN)} with them; "
+        f"noise alone: {force_text(shrink.noise_floor_mN)}. As predicted, no parameter fitted: {before} by the "
+        f"model without effects that the diagnosis fitted, {after} by the amended one"
+    )
+
+
+def _size_table(evaluation: ModelEvaluation) -> Table:
+    return Table.of(
+        "sizes",
+        "1 is the promised size, 0 an absent effect",
+        evaluation.sizes,
+        Field("effect", "effect", lambda size: capitalise(display_name(size.effect))),
+        Field("size", "size", lambda size: size.size, decimals(2)),
+        Field("low", "from", lambda size: size.low, decimals(2)),
+        Field("high", "to", lambda size: size.high, decimals(2)),
+        Field("d_prime", "d′ of the promise", lambda size: size.d_prime, significant(3)),
+        Field("verdict", "verdict", lambda size: size.verdict.value.replace("_", " ")),
+    )

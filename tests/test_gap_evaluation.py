@@ -1,0 +1,81 @@
+"""`dragrig gap evaluate` answers whether a promise is kept, and can fail: no effect, another one, twice the size."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from dragrig.cli import main
+from dragrig.sim_backend.blind.blind_campaign import draw_campaign
+from dragrig.sim_backend.blind.plant import write_campaign
+
+MODEL = Path(__file__).parent / "data" / "amended-breakaway.toml"
+"""What `dragrig gap diagnose --save-model` wrote of the plant's campaign of this seed, which has a breakaway force."""
+SEED = 900015
+
+
+def fresh_session(folder: Path, effects: tuple[str, ...], size: float = 1.0) -> Path:
+    """Write a second session of the same specimen with other effects at work."""
+    sizes = size if effects else ()
+    write_campaign(draw_campaign(SEED, effects=effects, size=sizes), folder, runs="fresh")
+    return folder
+
+
+def evaluated(folder: Path, capsys: pytest.CaptureFixture[str], exit_code: int) -> dict[str, object]:
+    assert main(["gap", "evaluate", str(MODEL), str(folder), "--json"]) == exit_code
+    document: dict[str, object] = json.loads(capsys.readouterr().out)
+    return document
+
+
+def test_a_promise_is_kept_where_the_effect_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fresh = fresh_session(tmp_path / "fresh", ("breakaway",))
+    document = evaluated(fresh, capsys, 0)
+    assert document["verdict"] == "KEPT"
+    (size,) = document["sizes"]  # type: ignore[misc]
+    assert size["size_95ci"][0] <= size["size"] <= size["size_95ci"][1]
+    assert size["size"] == pytest.approx(1.0, abs=0.2)
+    assert document["achieved"]["closed"] > 0.9  # type: ignore[index]
+    assert main(["gap", "evaluate", str(MODEL), str(fresh)]) == 0
+    assert "The promise is KEPT" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("effects", "size", "sentence"),
+    [
+        ((), 1.0, "is absent"),
+        (("force_drift",), 1.0, "is absent"),
+        (("folds",), 1.0, "is absent"),
+        (("breakaway",), 2.0, "is of another size (2."),
+    ],
+    ids=["nothing", "drift in its place", "folds in its place", "twice the size"],
+)
+def test_a_promise_is_not_kept_where_something_else_is_there(
+    effects: tuple[str, ...], size: float, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fresh = fresh_session(tmp_path / "fresh", effects, size)
+    assert main(["gap", "evaluate", str(MODEL), str(fresh)]) == 1
+    shown = capsys.readouterr().out
+    assert "NOT KEPT" in shown
+    assert sentence in shown
+    document = evaluated(fresh, capsys, 1)
+    assert document["verdict"] == "NOT_KEPT"
+    if size == 1.0:
+        assert document["achieved"]["closed"] < 0  # type: ignore[index]
+
+
+def test_runs_that_do_not_show_the_effect_have_no_power(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fresh, silent = fresh_session(tmp_path / "fresh", ("breakaway",)), tmp_path / "silent"
+    silent.mkdir()
+    for run in fresh.glob("*relaxation*.h5"):
+        shutil.copy(run, silent)
+    document = evaluated(silent, capsys, 0)
+    assert document["verdict"] == "NO_POWER"
+
+
+def test_a_model_without_effects_promises_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fresh = fresh_session(tmp_path / "fresh", ())
+    bare = tmp_path / "bare.toml"
+    bare.write_text('name = "bare"\n', "utf-8")
+    assert main(["gap", "evaluate", str(bare), str(fresh)]) == 2
+    assert "no effects" in capsys.readouterr().err
