@@ -82,6 +82,13 @@ class ScoredShrink(_Record):
     closed_95ci: tuple[float, float] | None = None
 
 
+class ScoredEvaluation(_Record):
+    """The part of an amended model's evaluation on fresh runs that is scored."""
+
+    verdict: str = ""
+    shrink: ScoredShrink
+
+
 class ScoredDiagnosis(_Record):
     """The part of a diagnosis that is scored."""
 
@@ -119,7 +126,7 @@ class ScoredCase:
     diagnosis: ScoredDiagnosis
     without_true: ScoredDiagnosis | None = None
     """Diagnosis with its own effect removed from the catalogue; None where that was not made."""
-    achieved: ScoredShrink | None = None
+    achieved: ScoredEvaluation | None = None
     """How far the amended model closes the gap on fresh runs; None where there is none."""
     d_prime: float | None = None
     """d′ of the hidden effect; None where it was not computed."""
@@ -443,16 +450,21 @@ class PromiseScore:
     """
     closed: Rate
     """How many right names at full size and at a third close 90 % of the gap on fresh runs."""
+    kept: Rate
+    """How many right names at full size and at a third keep their promise on fresh runs."""
 
 
 def promise_score(cases: Sequence[ScoredCase]) -> PromiseScore:
     """Compare promises with fresh runs."""
-    outcomes, covered, closed = [], [], []
+    outcomes, covered, closed, kept = [], [], [], []
     for case in cases:
-        shrink, achieved = case.diagnosis.shrink, case.achieved
-        if not case.diagnosis.effects or shrink is None or achieved is None:
+        shrink, evaluation = case.diagnosis.shrink, case.achieved
+        if not case.diagnosis.effects or evaluation is None:
             continue
-        if shrink.closed is None or achieved.closed is None:
+        if case.all_named and case.answer.detectable and evaluation.verdict:
+            kept.append(evaluation.verdict == "KEPT")
+        achieved = evaluation.shrink
+        if shrink is None or shrink.closed is None or achieved.closed is None:
             continue
         interval = shrink.closed_95ci
         outcomes.append(PromiseOutcome(case.name, shrink.closed, interval, achieved.closed, case.all_named))
@@ -466,6 +478,7 @@ def promise_score(cases: Sequence[ScoredCase]) -> PromiseScore:
         _median_difference([outcome for outcome in outcomes if outcome.right]),
         wilson_rate("achieved within the promised interval", covered),
         wilson_rate("right name, 90 % closed on fresh runs", closed),
+        wilson_rate("right name, promise KEPT on fresh runs", kept),
     )
 
 
@@ -525,7 +538,7 @@ def score_exam(
             _parse(AnswerKey, answer, name, "answer"),
             _parse(ScoredDiagnosis, diagnosis, name, "diagnosis"),
             _parse(ScoredDiagnosis, without_true[name], name, "diagnosis") if name in without_true else None,
-            _parse(ScoredShrink, fresh[name].get("shrink"), name, "shrink") if name in fresh else None,
+            _parse(ScoredEvaluation, fresh[name], name, "evaluation") if name in fresh else None,
             d_primes.get(name),
         )
         for name, answer, diagnosis in pairs
@@ -541,7 +554,7 @@ def score_exam(
     )
 
 
-RecordT = TypeVar("RecordT", AnswerKey, ScoredDiagnosis, ScoredShrink)
+RecordT = TypeVar("RecordT", AnswerKey, ScoredDiagnosis, ScoredEvaluation)
 
 
 def _parse(kind: type[RecordT], content: object, name: str, noun: str) -> RecordT:

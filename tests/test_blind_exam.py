@@ -211,7 +211,7 @@ def test_the_diagnosis_is_as_right_as_it_was() -> None:
     assert score["all, wrong above 0.8"].held <= 1
     assert score["full size, right name"].held >= 3
     assert score.calibration.brier_skill > 0.5
-    assert score.promises.difference < 0.1
+    assert score.promises.kept.held >= 0.6 * score.promises.kept.count > 0
 
 
 def test_the_command_prints_what_the_exam_says_and_writes_its_page(

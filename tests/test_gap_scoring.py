@@ -174,13 +174,20 @@ def test_promises_are_compared_where_there_was_a_gap_and_fresh_runs() -> None:
         ("no fresh runs", truth("folds"), diagnosis_record("folds", closed=0.9)),
     ]
     closed = {"kept": 0.93, "not kept": 0.65, "wrong": 0.1, "no effect named": 0.2}
-    achieved = {name: {"shrink": {"closed": entry, "closed_95ci": None}} for name, entry in closed.items()}
+    achieved = {
+        name: {
+            "verdict": "KEPT" if name == "kept" else "NOT_KEPT",
+            "shrink": {"closed": entry, "closed_95ci": None},
+        }
+        for name, entry in closed.items()
+    }
     promises = score_exam(pairs, achieved=achieved).promises
     assert [outcome.case for outcome in promises.outcomes] == ["kept", "not kept", "wrong"]
     assert promises.difference == pytest.approx(0.3)
     assert promises.right_difference == pytest.approx(0.16)
     assert (promises.within.held, promises.within.count) == (1, 2)
     assert (promises.closed.held, promises.closed.count) == (1, 2)
+    assert (promises.kept.held, promises.kept.count) == (1, 2)
 
 
 @pytest.mark.parametrize("cases", [1, 160])

@@ -270,6 +270,8 @@ def _promise_sentences(promises: PromiseScore) -> Iterator[str]:
     )
     if promises.closed.count:
         yield f"Of the right names at full size and at a third, {_of(promises.closed)} close 90 % of the gap there."
+    if promises.kept.count:
+        yield f"On the fresh runs {_of(promises.kept)} of these right names keep their promise."
     if promises.within.count:
         yield (
             f"In {_of(promises.within)} the achieved share lies in the predicted 95 % interval. That interval is over "
@@ -297,6 +299,7 @@ def score_json(score: ExamScore) -> Mapping[str, object]:
                 "median_absolute_difference_right": promises.right_difference,
                 "within_interval": rate_json(promises.within),
                 "closed_90": rate_json(promises.closed),
+                "kept": rate_json(promises.kept),
                 "campaigns": promises.outcomes,
             },
             "not_right": [
