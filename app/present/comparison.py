@@ -22,6 +22,7 @@ from dragrig.present import (
     Section,
     Table,
     decimals,
+    exclusions_json,
     figures,
     percent_difference,
     shortest,
@@ -100,7 +101,7 @@ def comparison_json(comparison: Comparison) -> Mapping[str, object]:
                 for group in comparison.groups
             ],
             "without_partner": {"a": comparison.alone_a, "b": comparison.alone_b},
-            "left_out": {"a": comparison.a.left_out, "b": comparison.b.left_out},
+            "left_out": {"a": exclusions_json(comparison.a.left_out), "b": exclusions_json(comparison.b.left_out)},
         }
     )
 
