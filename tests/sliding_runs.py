@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 from friction_cases import SMOOTH, sliding
@@ -59,7 +60,7 @@ def slid(
         disturbed = zero_mN + noise(rng, len(time))
     force = prepare(sliding(profile, capsule, fixture), model).force(time) + disturbed
     header = RunHeader(
-        run_id="0" * 32, start_time=datetime(2026, 1, 1, tzinfo=UTC), order=0, backend="simulated", kind=kind,
+        run_id=str(uuid4()), start_time=datetime(2026, 1, 1, tzinfo=UTC), order=0, backend="simulated", kind=kind,
         sample_rate_hz=RATE_HZ, channels=(RecordedChannel("force", "mN"), RecordedChannel("position", "mm")),
         entry={"insertion_dwell_s": 60.0},
         protocol={"speed_mm_s": speed_mm_s, "travel_mm": travel_mm},

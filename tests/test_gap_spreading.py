@@ -5,7 +5,9 @@ from collections import Counter
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
+from uuid import uuid4
 
+import h5py
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -54,7 +56,9 @@ def test_a_long_campaign_is_read_in_part_and_says_so(tmp_path: Path) -> None:
     paths = sorted(CAMPAIGN.glob("*.h5"))
     for copy in range(13):
         for path in paths:
-            shutil.copy(path, tmp_path / f"{copy:02d}-{path.name}")
+            again = Path(shutil.copy(path, tmp_path / f"{copy:02d}-{path.name}"))
+            with h5py.File(again, "r+") as file:
+                file["entry"].attrs["run_id"] = str(uuid4())
     selection = choose_runs(tmp_path)
     assert len(selection.experiments) == MAX_RUNS
     assert any(name.startswith(f"of {13 * len(paths)} runs {MAX_RUNS} are diagnosed") for name in selection.remarks)
