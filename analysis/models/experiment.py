@@ -94,7 +94,6 @@ def position_wander_mm(
     At least the jitter of such an encoder, and at most `MAX_WANDER_MM` beyond it.
     """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
-    from scipy.signal import savgol_filter
 
     grid, position = resample_uniformly(time_s, position_mm)
     window = max(SMOOTHING_ORDER + 3, 2 * round(0.5 * SMOOTHING_WINDOW_S / float(grid[1])) + 1)
@@ -103,6 +102,8 @@ def position_wander_mm(
         return jitter_mm
     rests = None if command_mm is None else _rest_windows(grid, np.interp(grid, time_s, command_mm), window)
     if rests is None or np.count_nonzero(rests) * float(grid[1]) < MIN_REST_S:
+        from scipy.signal import savgol_filter
+
         residual = position - savgol_filter(position, window, SMOOTHING_ORDER)
         # The filter's own weight of a sample in the middle of a window, for order 2 or 3, is about 9 / (4 window).
         residual_share = 1.0 - 9.0 / (4.0 * window)

@@ -67,7 +67,7 @@ def diagnose_command(
     """
     from dragrig.api import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
-    from dragrig.present import diagnosis_document, render_page, require_writable, write_text
+    from dragrig.present import diagnosis_document, require_writable, write_text
 
     worker_count(workers, scheduler)
     if len(campaigns) > 1:
@@ -105,6 +105,8 @@ def diagnose_command(
     if save_model is not None and model is None:
         print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
     if report is not None:
+        from dragrig.present import render_page
+
         write_text(render_page(document), report, overwrite=overwrite)
     for name, file in (("model", model), ("report", report)):
         if file is not None and not as_json:
@@ -218,7 +220,7 @@ def isolability_command(
     their distance in standard deviations of the noise, at their default sizes.
     """
     from dragrig.api import isolability
-    from dragrig.present import isolability_document, render_page, require_writable, write_text
+    from dragrig.present import isolability_document, require_writable, write_text
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
@@ -226,6 +228,8 @@ def isolability_command(
         document = isolability_document(isolability(source, without=without, progress=meter.at, **settings))
     print_document(document, as_json=as_json)
     if report is not None:
+        from dragrig.present import render_page
+
         write_text(render_page(document), report, overwrite=overwrite)
         if not as_json:
             print_result(f"report  {display_path(report)}")
