@@ -47,7 +47,7 @@ def draw_cases(campaigns: int, seed: int) -> Iterator[Case]:
 
 def verdicts_of(case: Case) -> tuple[Case, dict[str, PromiseVerdict]]:
     """Diagnose a case and evaluate its model on four fresh sessions; empty where the effect is not named."""
-    from dragrig.api.diagnose import diagnose, gap_evaluate
+    from dragrig.api import diagnose, gap_evaluate
 
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "campaign"

@@ -79,3 +79,23 @@ def test_a_model_without_effects_promises_nothing(tmp_path: Path, capsys: pytest
     bare.write_text('name = "bare"\n', "utf-8")
     assert main(["gap", "evaluate", str(bare), str(fresh)]) == 2
     assert "no effects" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"id": "encoder_scale", "scale_error": 0.0},
+        {"id": "mains_hum", "amplitude_mN": 0.0, "frequency_hz": 50.0},
+        {"id": "breakaway", "ratio": 0.0},
+    ],
+    ids=["position", "hum", "force"],
+)
+def test_an_effect_of_size_zero_promises_nothing_that_runs_could_show(
+    effect: dict[str, str | float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "zero.toml"
+    fields = ", ".join(f"{name} = {value!r}".replace("'", '"') for name, value in effect.items())
+    model.write_text(f'name = "zero"\neffects = [{{ {fields} }}]\n', "utf-8")
+    campaign = Path(__file__).parent / "data" / "campaign"
+    assert main(["gap", "evaluate", str(model), str(campaign), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "NO_POWER"

@@ -20,9 +20,9 @@ from .diagnosis import RunTraces as RunTraces
 from .diagnosis import UnexplainedGap as UnexplainedGap
 from .diagnosis import Verdict as Verdict
 from .diagnosis import display_name as display_name
-from .evaluation import EffectSize as EffectSize
 from .evaluation import ModelEvaluation as ModelEvaluation
 from .evaluation import PromiseVerdict as PromiseVerdict
+from .evaluation import RelativeEffectSize as RelativeEffectSize
 from .evaluation import evaluate as evaluate
 from .excess import CHANNELS as CHANNELS
 from .excess import PROTOCOLS as PROTOCOLS

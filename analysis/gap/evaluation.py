@@ -30,6 +30,7 @@ BOOTSTRAP_SAMPLES = 500
 SIZE_GRID = (-1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
 """Relative sizes at which an effect is tried: the force is not linear in the size of every effect, as of a delay."""
 SIZE_LIMITS = (-5.0, 10.0)
+"""Sizes beyond these, and of effects that the runs do not show, are not told apart."""
 SIZE_PRIOR_SD = 10.0
 """Prior of an effect's relative size: so wide that it only keeps resampled runs that show nothing from diverging."""
 KEPT_SIZES = (0.6, 1.45)
@@ -55,7 +56,7 @@ class PromiseVerdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class EffectSize:
+class RelativeEffectSize:
     """The size of an effect in fresh runs, relative to the size that the model promises.
 
     Attributes
@@ -107,7 +108,7 @@ class ModelEvaluation:
     promised_95ci: tuple[float, float] | None
     achieved: float | None
     achieved_95ci: tuple[float, float] | None
-    sizes: tuple[EffectSize, ...]
+    sizes: tuple[RelativeEffectSize, ...]
     unfitted_rms_mN: tuple[float, float]
 
     @property
@@ -142,12 +143,12 @@ def evaluate(selection: RunSelection, model: FrictionModelSettings) -> ModelEval
     achieved: float | None
     interval: tuple[float, float] | None
     achieved, interval = _closed(np.array([gap.sums for gap in gaps]))
-    errors = position_errors(selection.experiments)
+    errors = [run for run in position_errors(selection.experiments) if run.error_mm.size]
     for active in effects:
         if active.effect.channel is Channel.POSITION:
             candidate = Candidate(active.effect, active.values)
             sizes.append(_size_in_position(candidate, errors))
-            if len(effects) == 1:
+            if len(effects) == 1 and errors:
                 achieved, interval = _closed(_position_sums(candidate, errors))
                 reduction = replace(reduction, closed=achieved, closed_95ci=interval)
         elif active.effect.id == hum_effect().id:
@@ -218,7 +219,7 @@ class _ForceEvaluation:
             promised_forces=tuple(force(model)),
         )
 
-    def sizes(self) -> Iterator[EffectSize]:
+    def sizes(self) -> Iterator[RelativeEffectSize]:
         """Yield the relative size of each effect: where chi-square is least, the other effects' sizes being free."""
         random = np.random.default_rng(0)
         samples = random.integers(len(self.forces), size=(BOOTSTRAP_SAMPLES, len(self.forces)))
@@ -228,7 +229,7 @@ class _ForceEvaluation:
             resampled = [_best_size(grid, grams[:, sample].sum(axis=1), self._precision)[0] for sample in samples]
             low, high = np.quantile(resampled, (0.025, 0.975)).tolist()
             statistical = NORMAL_95 * standard_error
-            yield EffectSize(
+            yield RelativeEffectSize(
                 active.effect.id,
                 value,
                 min(low, value - statistical),
@@ -399,7 +400,7 @@ def _position_sums(candidate: Candidate, runs: Sequence[PositionErrors]) -> Floa
     )
 
 
-def _size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> EffectSize:
+def _size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> RelativeEffectSize:
     predictions = [predicted_position_error(candidate, run) for run in runs]
     products = np.array(
         [
@@ -407,24 +408,33 @@ def _size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> E
             for prediction, run in zip(predictions, runs, strict=True)
         ]
     )
+    if not runs or not products[:, 0].any():
+        return _unseen(candidate.effect)
     samples = np.random.default_rng(0).integers(len(runs), size=(BOOTSTRAP_SAMPLES, len(runs)))
     power, moment = products[samples].sum(axis=1).T
     low, high = np.quantile(moment / np.maximum(power, 1e-12), (0.025, 0.975)).tolist()
     total, along = products.sum(axis=0).tolist()
     variance = float(np.mean([run.quantisation_mm**2 + run.noise_mm**2 for run in runs]))
-    return EffectSize(candidate.effect.id, along / max(total, 1e-12), low, high, float(np.sqrt(total / variance)))
+    return RelativeEffectSize(
+        candidate.effect.id, along / max(total, 1e-12), low, high, float(np.sqrt(total / variance))
+    )
 
 
-def _size_of_hum(effect: Effect, values: Mapping[str, float], selection: RunSelection) -> EffectSize:
+def _unseen(effect: Effect) -> RelativeEffectSize:
+    """Return the size of an effect of which these runs show nothing, neither its presence nor its absence."""
+    return RelativeEffectSize(effect.id, 0.0, *SIZE_LIMITS, 0.0)
+
+
+def _size_of_hum(effect: Effect, values: Mapping[str, float], selection: RunSelection) -> RelativeEffectSize:
     """Return the amplitude of the mains line in these runs against the promised one."""
     channel = "force"
     promised = values[effect.size.name]
     detectable = detectable_line_amplitude(selection.experiments, channel, MIN_HUM_LLR)
-    if detectable is None:
-        return EffectSize(effect.id, 0.0, -np.inf, np.inf, 0.0)
+    if detectable is None or promised <= 0:
+        return _unseen(effect)
     amplitude = find_spectral_lines(selection.experiments, channel).mains.amplitude
     half = detectable / promised
     size = amplitude / promised
-    return EffectSize(
+    return RelativeEffectSize(
         effect.id, size, size - half, size + half, promised / detectable * float(np.sqrt(2 * MIN_HUM_LLR))
     )

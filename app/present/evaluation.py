@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from dragrig.analysis import as_sentence, capitalise, percent_text
-from dragrig.analysis.gap import EffectSize, ModelEvaluation, PromiseVerdict, display_name
+from dragrig.analysis.gap import ModelEvaluation, PromiseVerdict, RelativeEffectSize, display_name
 from dragrig.present import Document, Field, Section, Table, decimals, force_text, significant, to_json_object
 from dragrig.present.diagnosis import FORMAT, r2_table, shrink_json
 
@@ -68,8 +68,9 @@ def _reason(evaluation: ModelEvaluation) -> str:
     return sizes
 
 
-def _size_text(size: EffectSize) -> str:
-    interval = f"{size.size:.2f} of the promised size, 95 % interval {size.low:.2f} to {size.high:.2f}"
+def _size_text(size: RelativeEffectSize) -> str:
+    value, low, high = map(decimals(2), (size.size, size.low, size.high))
+    interval = f"{value} of the promised size, 95 % interval {low} to {high}"
     if size.verdict is PromiseVerdict.NO_POWER:
         return f"could be absent as well as there ({interval})"
     if size.verdict is PromiseVerdict.KEPT:
