@@ -61,7 +61,8 @@ class PromptRelay:
 
     def __init__(self, operator: Operator) -> None:
         self._operator = operator
-        self._prompts: queue.SimpleQueue[_PendingPrompt] = queue.SimpleQueue()
+        # Not a SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
+        self._prompts: queue.Queue[_PendingPrompt] = queue.Queue()
 
     def ask(self, prompt: Prompt) -> Answer:
         """Wait for the answer from the calling thread."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dragrig.campaign_session import SessionOptions, run_session
+from dragrig.campaign_session import PromptRelay, SessionOptions, run_on_worker, run_session
 from dragrig.config.errors import PlanError, RecordingError
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.reading import Reading
@@ -50,6 +50,26 @@ def test_a_signal_ends_the_session_in_good_order(number: signal.Signals, reason:
     assert store.runs[0].trace.time[-1] < 2.0
     assert threading.main_thread() not in person.threads
     assert signal.getsignal(number) is before
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
+def test_a_session_ends_though_its_abort_takes_long() -> None:
+    aborted = threading.Event()
+
+    def abort(reason: str) -> None:
+        # Longer than the main thread waits for a prompt.
+        threading.Event().wait(0.5)
+        assert reason == "ended by SIGTERM"
+        aborted.set()
+
+    def work() -> bool:
+        # The main thread is to wait for a prompt when the signal comes.
+        threading.Event().wait(0.1)
+        os.kill(os.getpid(), signal.SIGTERM)
+        return aborted.wait(30)
+
+    assert run_on_worker(work, abort, PromptRelay(NullOperator()))
 
 
 class AtThePrompt(NullOperator):
