@@ -12,7 +12,7 @@ import pytest
 from effect_scenes import KINDS, scene
 
 from dragrig.analysis.gap.candidates import Candidate, signature, variants_of
-from dragrig.analysis.gap.design import Study, linearise
+from dragrig.analysis.gap.design import Study, linearise, problem_of_runs
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
@@ -88,6 +88,7 @@ def test_a_repeat_is_alike_unless_its_contact_is_of_another_age(study: Study) ->
 def test_every_run_is_laid_out_as_it_would_be_alone(study: Study) -> None:
     together = linearise(study, study.initial_z + 0.1, dictionary=True)
     for number in range(len(study.runs)):
-        alone = linearise(study.with_runs([number]), study.initial_z + 0.1, dictionary=True)
+        one_run = replace(study, problem=problem_of_runs(study.problem, [number]), runs=study.runs[number : number + 1])
+        alone = linearise(one_run, study.initial_z + 0.1, dictionary=True)
         assert np.array_equal(together.runs[number].columns, alone.runs[0].columns)
         assert np.array_equal(together.grams[number], alone.grams[0])

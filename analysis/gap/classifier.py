@@ -80,11 +80,6 @@ class _ForcePosterior:
     left_over: frozenset[tuple[str, ...]]
 
     @property
-    def most_likely(self) -> tuple[str, ...]:
-        """The most likely hypothesis."""
-        return max(self.probabilities, key=lambda names: self.probabilities[names], default=())
-
-    @property
     def effects(self) -> tuple[str, ...]:
         """Effects of all hypotheses, those of the most likely first."""
         ordered = sorted(self.probabilities, key=lambda names: -self.probabilities[names])

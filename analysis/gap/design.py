@@ -11,7 +11,6 @@ from enum import StrEnum
 from functools import cached_property
 from itertools import groupby
 from math import atan2, hypot
-from typing import Self
 
 import numpy as np
 
@@ -106,12 +105,6 @@ class Study(ABC):
     def channel(self) -> str:
         """Name of the force channel that is explained."""
         return self.problem.channels[0].channel
-
-    def with_runs(self, indices: Sequence[int]) -> Self:
-        """Return the study of some of the runs; noise and priors stay those of all runs."""
-        return replace(
-            self, problem=problem_of_runs(self.problem, indices), runs=tuple(self.runs[index] for index in indices)
-        )
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
@@ -374,10 +367,6 @@ class LeastSquaresFit:
     """`coefficients`, `covariance`: coefficients and their posterior covariance, shapes `(c,)` and `(c, c)`."""
     chi2: float
     """Remaining chi-square, priors included."""
-
-    def coefficients_of(self, columns: IndexArray) -> FloatArray:
-        """Return the coefficients of some of the columns."""
-        return self.coefficients[np.searchsorted(self.columns, columns)]
 
 
 def fit_columns(design: Design, total: FloatArray, *kinds: ColumnKind) -> LeastSquaresFit:

@@ -32,12 +32,12 @@ FILE = click.Path(path_type=Path)
     default="capsule",
     help="Expected behaviour: capsule (default), drive, a friction model (.toml), or a model of your own (.py).",
 )
-@click.option("--without", metavar="EFFECT", multiple=True, help="Leave an effect out of the catalogue; repeatable.")
+@options.without
 @click.option("--tolerance", "tolerance_mN", metavar="MN", type=float, help="Smaller gaps [mN] are ignored.")
-@click.option("--specimen", metavar="NAME", help="Name or id, where there are several (default: the most measured).")
+@options.measured_specimen
 @click.option("--calibration", metavar="FILE", help="File from gap calibrate --save (default: the shipped one).")
 @click.option("--save-model", metavar="FILE", type=FILE, help="Write the model with the effect added to this file.")
-@click.option("--report", metavar="FILE.html", type=FILE, help="Write the report to this file.")
+@options.report
 @options.workers("campaigns")
 @options.overwrite
 @options.as_json
@@ -136,7 +136,7 @@ def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> 
 @click.command("evaluate")
 @click.argument("model", type=FILE)
 @click.argument("campaign", type=FILE)
-@click.option("--specimen", metavar="NAME", help="Name or id, where there are several (default: the most measured).")
+@options.measured_specimen
 @options.as_json
 @options.quiet
 def evaluate_command(model: Path, campaign: Path, specimen: str | None, as_json: bool) -> None:
@@ -198,8 +198,8 @@ def next_command(
 
 @click.command("isolability")
 @click.argument("source", metavar="PLAN|CAMPAIGN")
-@click.option("--without", metavar="EFFECT", multiple=True, help="Leave an effect out of the catalogue; repeatable.")
-@click.option("--report", metavar="FILE.html", type=FILE, help="Write the page to this file.")
+@options.without
+@options.report
 @options.settings
 @options.overwrite
 @options.as_json
@@ -266,12 +266,7 @@ def effects_command(as_json: bool) -> None:
 @click.option(
     "--without-true", is_flag=True, help="Diagnose single effects again with the true effect left out of the catalogue."
 )
-@click.option(
-    "--report",
-    metavar="FILE.html",
-    type=click.Path(path_type=Path),
-    help="Write the report to this file.",
-)
+@options.report
 @options.overwrite
 @options.as_json
 @options.quiet

@@ -170,6 +170,24 @@ def out(text: str, default: str | None = None) -> Callable[[Callable[P, R]], Cal
     return click.option("--out", "-o", metavar="DIR", type=folder, default=default, show_default=shown, help=text)
 
 
+def report(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--report FILE.html`, as the argument `report`."""
+    text = "Write the report to this file."
+    return click.option("--report", metavar="FILE.html", type=click.Path(path_type=Path), help=text)(function)
+
+
+def without(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--without EFFECT`, as the argument `without`."""
+    text = "Leave an effect out of the catalogue; repeatable."
+    return click.option("--without", metavar="EFFECT", multiple=True, help=text)(function)
+
+
+def measured_specimen(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--specimen`, as the argument `specimen`: one of those whose runs are examined."""
+    text = "Name or id, where there are several (default: the most measured)."
+    return click.option("--specimen", metavar="NAME", help=text)(function)
+
+
 def overwrite(function: Callable[P, R]) -> Callable[P, R]:
     """Add `--overwrite`."""
     return click.option("--overwrite", is_flag=True, help="Replace existing files.")(function)
