@@ -13,7 +13,9 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 
 import dragrig
 from dragrig.cli import main
@@ -306,6 +308,22 @@ def test_millions_of_samples_draw_in_seconds_and_lose_no_peak(drag: Run) -> None
 
 def test_the_same_run_is_the_same_picture(relaxation: Run) -> None:
     assert drawn(run_figure(relaxation)) == drawn(run_figure(relaxation))
+
+
+def test_the_solver_of_the_layout_may_round_as_it_likes(relaxation: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It adds up in the order of addresses in memory, so its last digits differ from one figure to the next."""
+    solve, rounding = ConstrainedLayoutEngine.execute, np.random.default_rng(1)
+
+    def solve_otherwise(engine: ConstrainedLayoutEngine, figure: Figure) -> None:
+        solve(engine, figure)
+        for axes in figure.axes:
+            points = axes.get_position(original=True).get_points()
+            axes.set_position(Bbox(points * (1 + 1e-15 * rounding.integers(-9, 10, points.shape))))
+            axes.set_in_layout(True)
+
+    plain = drawn(run_figure(relaxation))
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", solve_otherwise)
+    assert {drawn(run_figure(relaxation)) for _ in range(8)} == {plain}
 
 
 def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, relaxation: Run) -> None:

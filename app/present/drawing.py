@@ -21,6 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Annotation, Text
 from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.transforms import Bbox
 
 from dragrig.present.palette import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
 from dragrig.rig import AnyFloatArray, FloatArray
@@ -122,8 +123,17 @@ MARGIN_IN: Final = 0.25
 _BADGES = {"simulated": PURPLE, "hardware": BLUE, "external": GREY}
 
 
+_LAYOUT_DECIMALS = 9
+"""Decimals of the figure's width and height to which axes are placed: a billionth is far below a pixel."""
+
+
 class LabelledLayout(ConstrainedLayoutEngine):
-    """Constrained layout, after which labels that stand along an axis are moved until none covers another."""
+    """Constrained layout, after which labels that stand along an axis are moved until none covers another.
+
+    The solver of the constraints adds them up in the order of their addresses in memory, so that the same figure comes
+    out 1e-15 aside from one time to the next, enough for a line to fall on the next pixel. Rounding makes equal figures
+    equal pictures.
+    """
 
     def __init__(self, rect: tuple[float, float, float, float]) -> None:
         super().__init__(rect=rect)
@@ -132,6 +142,9 @@ class LabelledLayout(ConstrainedLayoutEngine):
     def execute(self, fig: Figure) -> None:
         """Lay the axes out, then their labels."""
         super().execute(fig)
+        for axes in filter(Axes.get_in_layout, fig.axes):
+            axes.set_position(Bbox(np.round(axes.get_position(original=True).get_points(), _LAYOUT_DECIMALS)))
+            axes.set_in_layout(True)  # what is placed by hand is not laid out again
         for axes, along, labels in self.rows:
             _spread_row(axes, 0 if along == "x" else 1, labels)
 
