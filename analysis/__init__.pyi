@@ -93,12 +93,14 @@ from .models.capsule_model import STIFFNESS_SCATTER as STIFFNESS_SCATTER
 from .models.capsule_model import CapsuleModel as CapsuleModel
 from .models.capsule_model import acquisition_of as acquisition_of
 from .models.catalogue import find_model as find_model
-from .models.drive_model import EXTERNAL_BACKEND as EXTERNAL_BACKEND
 from .models.drive_model import DriveModel as DriveModel
 from .models.drive_model import DrivePredictor as DrivePredictor
 from .models.experiment import DEFAULT_DWELL_S as DEFAULT_DWELL_S
 from .models.experiment import MIN_COUNT_MM as MIN_COUNT_MM
+from .models.experiment import SOURCE_KEY as SOURCE_KEY
+from .models.experiment import START_UNKNOWN_KEY as START_UNKNOWN_KEY
 from .models.experiment import Experiment as Experiment
+from .models.experiment import session_starts as session_starts
 from .models.experiment import wander_noise_sd_mm as wander_noise_sd_mm
 from .models.nominal_model import TURNING_SPEED_MM_S as TURNING_SPEED_MM_S
 from .models.nominal_model import ChannelModel as ChannelModel

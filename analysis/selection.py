@@ -199,7 +199,8 @@ def unusable_reason(experiment: Experiment) -> str | None:
 
 def _constant_force(experiment: Experiment) -> str | None:
     values = experiment.run.trace.force[experiment.valid]
-    if experiment.contact is not Contact.NONE and float(np.ptp(values)) == 0.0:
+    measures = experiment.imported or experiment.contact is not Contact.NONE
+    if measures and float(np.ptp(values)) == 0.0:
         return "its force never changes, so that nothing was measured; check the sensor's cable and channel"
     return None
 
@@ -235,7 +236,8 @@ def _wrong_sign(experiment: Experiment) -> str | None:
     if opposing is None:
         return None
     if experiment.contact is Contact.NONE:
-        if experiment.kind == BLANK_KIND or abs(opposing) < MAX_UNTOUCHED_MN:
+        # A foreign measurement does not state its fixture.
+        if experiment.imported or experiment.kind == BLANK_KIND or abs(opposing) < MAX_UNTOUCHED_MN:
             return None
         return f"its fixture is none, yet moving takes {opposing:.0f} mN: something held the capsule"
     if opposing > -MIN_WRONG_SIGN_MN:

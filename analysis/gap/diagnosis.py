@@ -74,8 +74,8 @@ class AxisLocation:
         return {axis_bin.name: axis_bin.share for axis_bin in self.bins if axis_bin.name}
 
     def document(self) -> Mapping[str, object]:
-        """Return it as in the report."""
-        if self.shares:
+        """Return it as in the report; empty where the coordinate is not known."""
+        if self.shares or not self.bins:
             return {name: round(share, 4) for name, share in self.shares.items()}
         bins = [
             {"low": bin_.low, "high": bin_.high, "share": round(bin_.share, 4), "p": round(bin_.p, 4)}

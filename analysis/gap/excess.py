@@ -4,7 +4,7 @@ Whole runs are permuted, because blocks of one run are not independent. Excess e
 their square roots, with sign, are compared, and p-values are familywise over all bins of an axis.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -41,8 +41,8 @@ class ResidualBlocks:
     """Commanded top speed."""
     strain: float
     """Commanded shear strain; 0 for none."""
-    session_s: float
-    """Time of the first sample on the session clock."""
+    session_s: float | None
+    """Time of the first sample on the session clock; None without a clock."""
     residual: FloatArray
     """Measured minus model [the channel's unit], shape `(B,)`."""
     noise_sd: FloatArray
@@ -93,6 +93,8 @@ class ResidualBlocks:
         """Contribution of each block to the run's mean square deviation above its expectation, shape `(B,)`."""
         return np.asarray(self.weight * (self.deviation**2 - (self.explained is None)))
 
+
+SESSION_AXIS: Final = "session"
 
 BANDS_HZ: Final = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 """Edges of the bands; the mean belongs to none."""
@@ -190,7 +192,7 @@ class CampaignResiduals:
         by_run: dict[str, list[ResidualBlocks]] = {}
         for run in blocks:
             by_run.setdefault(run.run_id, []).append(run)
-        names = sorted(by_run, key=lambda name: (by_run[name][0].kind, by_run[name][0].session_s, name))
+        names = sorted(by_run, key=lambda name: (by_run[name][0].kind, by_run[name][0].session_s or 0.0, name))
         return cls(tuple(names), tuple(tuple(by_run[name]) for name in names))
 
     @property
@@ -217,7 +219,7 @@ def excess_axes(runs: CampaignResiduals) -> tuple[ExcessAxis, ...]:
         _phase_axis(runs),
         _speed_axis(runs),
         _position_axis(runs),
-        _session_axis(runs),
+        *_session_axes(runs),
         _strain_axis(runs),
         _band_axis(runs),
     )
@@ -256,12 +258,20 @@ def _strain_axis(runs: CampaignResiduals) -> ExcessAxis:
     return _axis_by_value("strain", runs, np.array([blocks.strain for blocks in runs.first_channels]), sticks)
 
 
-def _session_axis(runs: CampaignResiduals) -> ExcessAxis:
-    start = np.array([blocks.session_s for blocks in runs.first_channels])
+def has_session_clock(blocks: Sequence[ResidualBlocks]) -> bool:
+    """Whether it is known of all runs when in the session they were made."""
+    return all(run.session_s is not None for run in blocks)
+
+
+def _session_axes(runs: CampaignResiduals) -> Iterator[ExcessAxis]:
+    """Yield the session axis of runs with a clock."""
+    if not has_session_clock(runs.first_channels):
+        return
+    start = np.array([blocks.session_s for blocks in runs.first_channels], dtype=np.float64)
     edges = np.linspace(float(start.min()), float(start.max()), SESSION_BINS + 1)
     index = np.clip(np.searchsorted(edges, start, side="right") - 1, 0, SESSION_BINS - 1)
     member = index[:, None] == np.arange(SESSION_BINS)
-    return _whole_run_axis("session", (), np.stack((edges[:-1], edges[1:]), axis=1), runs, member)
+    yield _whole_run_axis(SESSION_AXIS, (), np.stack((edges[:-1], edges[1:]), axis=1), runs, member)
 
 
 def _position_axis(runs: CampaignResiduals) -> ExcessAxis:

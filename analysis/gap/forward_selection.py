@@ -58,6 +58,8 @@ def nonparametric_columns(
     knots = _Knots.of([run.coordinates for run in runs], predicted)
     laws = [_columns_of_run(run_data, force, knots) for run_data, force in zip(runs, predicted, strict=True)]
     columns = {name: [columns_of_run[name] for columns_of_run in laws] for name in laws[0]}
+    if not runs[0].has_clock:
+        del columns["session"]
     if period_s > 0:
         columns["swing in all runs"] = [_harmonic_columns(run.coordinates.session_s / period_s) for run in runs]
     return columns

@@ -227,7 +227,7 @@ def force_residual_blocks(
                 contact=run.experiment.contact,
                 speed_mm_s=float(coordinates.top_speed_mm_s[0]),
                 strain=run.experiment.shear_strain,
-                session_s=run.session_start_s,
+                session_s=run.session_start_s if run.has_clock else None,
                 residual=residual,
                 noise_sd=np.sqrt(variance),
                 duration_s=coordinates.width_s,

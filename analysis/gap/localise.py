@@ -14,12 +14,14 @@ from dragrig.analysis.gap.excess import (
     BANDS_HZ,
     PERMUTATIONS,
     PHASE_NAMES,
+    SESSION_AXIS,
     CampaignResiduals,
     ExcessAxis,
     ResidualBlocks,
     Significance,
     band_excess,
     excess_axes,
+    has_session_clock,
     largest_excess_p,
     overall_p,
     permutation_test,
@@ -88,7 +90,8 @@ def domain_coordinates(blocks: Sequence[ResidualBlocks]) -> Mapping[str, tuple[D
     speed = _per_block(blocks, np.unique([run.speed_mm_s for run in blocks], return_inverse=True)[1].tolist())
     position = np.concatenate([_position_bins(run) for run in blocks])
     time = np.concatenate([_time_bins(run) for run in blocks])
-    neighbours = [_per_block(blocks, _session_pairs(blocks, shift)) for shift in (0, 1)]
+    shifts = (0, 1) if has_session_clock(blocks) else ()
+    neighbours = [_per_block(blocks, _session_pairs(blocks, shift)) for shift in shifts]
     sheared = _per_block(blocks, [int(run.contact is Contact.STICKING) for run in blocks]) > 0
     return {
         CONSTANT_DOMAIN: (DomainCoordinate(_combined_index(group, phase), ones),),
@@ -117,7 +120,8 @@ def _session_pairs(blocks: Sequence[ResidualBlocks], shift: int) -> list[int]:
     """Return the index of the pair of consecutive runs of a kind that each run belongs to."""
     ranks = []
     for run in blocks:
-        before = sum(o.kind == run.kind and o.channel == run.channel and o.session_s < run.session_s for o in blocks)
+        started = run.session_s or 0.0
+        before = sum(o.kind == run.kind and o.channel == run.channel and (o.session_s or 0.0) < started for o in blocks)
         ranks.append((before + shift) // 2)
     return ranks
 
@@ -234,7 +238,8 @@ def domain_scores(blocks: Sequence[ResidualBlocks]) -> Mapping[str, float]:
     table = BlockTable.of(blocks)
     coordinates = domain_coordinates(blocks)
     scores = {
-        name: max(cross_predicted_share(table, coordinate) for coordinate in coordinates[name]) for name in coordinates
+        name: max((cross_predicted_share(table, coordinate) for coordinate in coordinates[name]), default=0.0)
+        for name in coordinates
     }
     in_position, in_time = best_periodic_shares(blocks)
     scores["position"] = max(scores["position"], scores[CONSTANT_DOMAIN] + in_position)
@@ -244,7 +249,9 @@ def domain_scores(blocks: Sequence[ResidualBlocks]) -> Mapping[str, float]:
     fast = sum(float(np.maximum(band_excess(run)[is_fast], 0.0).sum()) for run in blocks)
     scores["frequency"] = fast / (total + fast) if fast > 0 else 0.0
     scores["transient"] = sum(_transient_excess(run) for run in blocks) / total if total > 0 else 0.0
-    return {name: float(np.clip(scores[name], 0.0, 1.0)) for name in DOMAINS}
+    if not has_session_clock(blocks):
+        del scores["session"]
+    return {name: float(np.clip(scores[name], 0.0, 1.0)) for name in DOMAINS if name in scores}
 
 
 def _transient_excess(blocks: ResidualBlocks) -> float:
@@ -307,15 +314,18 @@ def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed
     total = float(np.maximum(runs.energy, 0.0).sum())
     scores = domain_scores(blocks) if gap_present else {}
     domain = max(scores, key=lambda name: scores[name], default="")
+    locations = [
+        _axis_location(axis, significance, total, gap_present)
+        for axis, significance in zip(axes, significances, strict=True)
+    ]
+    if not has_session_clock(blocks):
+        locations.append(AxisLocation(SESSION_AXIS, (), 0.0, None, None, 0.0, 1.0, 1.0))
     min_score = MIN_SINGLE_RUN_SCORE if len(runs.ids) == 1 else 0.0
     return GapLocation(
         present=gap_present,
         p=p,
         rms=_root_of_excess(float(runs.energy.mean())),
-        locations=tuple(
-            _axis_location(axis, significance, total, gap_present)
-            for axis, significance in zip(axes, significances, strict=True)
-        ),
+        locations=tuple(locations),
         cells=_phase_cells(blocks),
         domain=domain if scores.get(domain, 0.0) > min_score else "",
         domain_scores=scores,

@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from dragrig.analysis import EXTERNAL_BACKEND, MIN_COUNT_MM, Experiment, wander_noise_sd_mm
+from dragrig.analysis import MIN_COUNT_MM, Experiment, session_starts, wander_noise_sd_mm
 from dragrig.analysis.gap.candidates import Candidate
 from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.rig import FloatArray
@@ -43,8 +43,8 @@ class PositionErrors:
     """
     force_mN: FloatArray
     """Force minus its first value; zeros where none was recorded."""
-    session_s: float
-    """Time of the first sample on the session clock."""
+    session_s: float | None
+    """Time of the first sample on the session clock; None without a clock."""
     origin_mm: float = 0.0
     """Where the run begins, relative to the first run."""
     initial_speed_mm_s: float = 0.0
@@ -103,11 +103,11 @@ class PositionErrors:
 
 def position_errors(experiments: Sequence[Experiment]) -> tuple[PositionErrors, ...]:
     """Return the position errors of all moving runs with recorded position and command."""
-    starts = [run.run.info.header.start_time for run in experiments]
+    starts = session_starts(experiments) or [None] * len(experiments)
     origins = [origin_of(run) for run in experiments]
     runs = []
     for experiment, start, origin in zip(experiments, starts, origins, strict=True):
-        errors = _errors_of_run(experiment, (start - min(starts)).total_seconds(), origin - origins[0])
+        errors = _errors_of_run(experiment, start, origin - origins[0])
         if errors is not None:
             runs.append(errors)
     return tuple(runs)
@@ -118,12 +118,11 @@ def origin_of(experiment: Experiment) -> float:
 
     Runs of this rig begin at 0: a ripple of the catalogue is relative to the start of each run.
     """
-    header = experiment.run.info.header
-    origin = header.entry.get("origin_mm", 0.0) if header.backend == EXTERNAL_BACKEND else 0.0
+    origin = experiment.run.info.header.entry.get("origin_mm", 0.0) if experiment.imported else 0.0
     return round(float(origin), 3) if isinstance(origin, int | float) and np.isfinite(origin) else 0.0
 
 
-def _errors_of_run(experiment: Experiment, session_s: float, origin_mm: float) -> PositionErrors | None:
+def _errors_of_run(experiment: Experiment, session_s: float | None, origin_mm: float) -> PositionErrors | None:
     trace = experiment.run.trace
     if "position" not in trace.channels:
         return None
@@ -200,13 +199,13 @@ def score_model_classes(
 ) -> tuple[PositionModelClass, ...]:
     """Return all model classes, or those of some effects, by decreasing held-out share."""
     names = {effect.position_form: effect.id for effect in catalogue().values() if effect.position_form is not None}
-    last_s = max(run.session_s for run in runs) + 1.0
+    last_s = max(run.session_s or 0.0 for run in runs) + 1.0
 
     def stretched(run: PositionErrors) -> FloatArray:
         # In motion throughout, curvature is a speed error.
         curvature = 0.0 if run.initial_speed_mm_s else run.command_mm**2 / 40.0
         return np.column_stack(
-            (run.command_mm, curvature + 0.0 * run.command_mm, run.command_mm * run.session_s / last_s)
+            (run.command_mm, curvature + 0.0 * run.command_mm, run.command_mm * (run.session_s or 0.0) / last_s)
         )
 
     scale = PositionModelClass(names[PositionForm.SCALE], _held_out_share(runs, stretched))

@@ -25,6 +25,7 @@ from dragrig.analysis import (
     no_progress,
     select_loaded_runs,
     select_runs,
+    session_starts,
 )
 from dragrig.config import FrictionModelSettings
 from dragrig.rig import Acquisition, Contact, FloatArray, Phase, Run, RunInfo, RunStatus, specimen_key
@@ -174,6 +175,11 @@ def _selection_remarks(experiments: tuple[Experiment, ...], *, several: bool) ->
             f"the force calibration changes during the campaign ({', '.join(calibrations)}): a step of the gain may "
             "look like an effect of session time"
         )
+    if session_starts(experiments) is None:
+        yield (
+            "it is not known when each run was made (import states it by --start-time): nothing is said of changes "
+            "during the session"
+        )
     without_serial = sum(not _entry_text(experiment, "sensor_serial") for experiment in experiments)
     if several and without_serial:
         yield f"{without_serial} runs do not name their force sensor"
@@ -209,7 +215,9 @@ class RunData:
     block_data: ChannelBlocks
     """Block means with the model that predicts them."""
     session_start_s: float
-    """Time of the first sample on the specimen's session clock."""
+    """Time of the first sample on the specimen's session clock; 0 without a clock."""
+    has_clock: bool = True
+    """Whether it is known when in the session the run was made."""
 
     @property
     def experiment(self) -> Experiment:
@@ -301,9 +309,10 @@ class BlockCoordinates:
 def run_data_of(channel_blocks: Mapping[str, ChannelBlocks] | tuple[ChannelBlocks, ...]) -> tuple[RunData, ...]:
     """Return the runs whose force is predicted, on one session clock."""
     channels = tuple(channel_blocks.values()) if isinstance(channel_blocks, Mapping) else channel_blocks
-    starts = [data.experiment.run.info.header.start_time for data in channels]
-    first = min(starts)
-    return tuple(RunData(data, (start - first).total_seconds()) for data, start in zip(channels, starts, strict=True))
+    starts = session_starts([data.experiment for data in channels])
+    if starts is None:
+        return tuple(RunData(data, 0.0, has_clock=False) for data in channels)
+    return tuple(RunData(data, start) for data, start in zip(channels, starts, strict=True))
 
 
 LOG_SPEED_CENTRE, LOG_SPEED_HALF_RANGE = 1.6, 2.4
@@ -334,7 +343,7 @@ def _modulations_of_run(run: RunData, last_s: float) -> FloatArray:
         position,
         _legendre_2(position) * slides,
         since_event,
-        2.0 * blocks.session_s / last_s - 1.0,
+        2.0 * blocks.session_s / last_s - ones if run.has_clock else 0.0 * ones,
         strain,
         slides * _log_speed(blocks.speed_mm_s),
         ones * (run.experiment.kind == "coulomb"),

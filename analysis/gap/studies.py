@@ -21,6 +21,7 @@ from dragrig.analysis import (
     NominalModel,
     PriorScales,
     RunSelection,
+    session_starts,
     solve_joint,
 )
 from dragrig.analysis.gap.candidates import signature, variants_of
@@ -29,7 +30,15 @@ from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
 from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, without_hum
 from dragrig.config import AnalysisError, Fixture, FrictionModelSettings
 from dragrig.rig import SIGNALS, BoolArray, Contact, FloatArray, Phase
-from dragrig.sim_backend.effects import SIMULATED_NOMINAL, Channel, Effect, EffectChain, RunState, ShearedWall
+from dragrig.sim_backend.effects import (
+    SIMULATED_NOMINAL,
+    Channel,
+    Coordinate,
+    Effect,
+    EffectChain,
+    RunState,
+    ShearedWall,
+)
 from dragrig.sim_backend.friction import stress_log_derivatives
 
 LAW_SHAPE_SD = 0.02
@@ -527,8 +536,11 @@ def prepare_study(selection: RunSelection, nominal: NominalModel, effects: Seque
     Parameters
     ----------
     effects
-        Candidate effects on the force channel; those that cannot act are dropped.
+        Candidate effects on the force channel; those that cannot act are dropped, and without a clock those of session
+        time.
     """
+    if session_starts(selection.experiments) is None:
+        effects = [effect for effect in effects if effect.coordinate is not Coordinate.SESSION]
     match nominal:
         case CapsuleModel():
             return CapsuleStudy.of(selection, nominal, effects)

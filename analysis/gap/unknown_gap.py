@@ -103,7 +103,7 @@ def _domain_values(blocks: ResidualBlocks, domain: str) -> FloatArray:
         case "time":
             return time_since_start(blocks)
         case "session":
-            return np.full_like(blocks.residual, blocks.session_s)
+            return np.full_like(blocks.residual, blocks.session_s or 0.0)
         case _:
             return np.full_like(blocks.residual, blocks.strain)
 

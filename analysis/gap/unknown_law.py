@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.gap.diagnosis import GapLocation
-from dragrig.analysis.gap.excess import ResidualBlocks
+from dragrig.analysis.gap.excess import ResidualBlocks, has_session_clock
 from dragrig.rig import BoolArray, FloatArray, IndexArray, Phase
 
 DOMINANT_SHARE, NOTABLE_SHARE, NEGLIGIBLE_SHARE = 0.8, 0.1, 0.05
@@ -126,7 +126,7 @@ class TermLibrary:
 
 def term_library(region: GapRegion) -> TermLibrary:
     """Return the constant and all terms that vary in a region."""
-    runs_in_order = sorted({(blocks.session_s, blocks.run_id) for blocks in region.blocks})
+    runs_in_order = sorted({(blocks.session_s or 0.0, blocks.run_id) for blocks in region.blocks})
     order = {name: number for number, (_, name) in enumerate(runs_in_order)}
     excluded = _excluded_variables(region)
     columns: dict[str, FloatArray] = {}
@@ -161,10 +161,12 @@ def _varies(values: FloatArray) -> bool:
 
 
 def _excluded_variables(region: GapRegion) -> tuple[str, ...]:
-    """Return variables without meaning here: speed and travel of sheared walls, force where unknown."""
+    """Return variables without meaning here: speed and travel of sheared walls, force or session where unknown."""
     sheared = all(blocks.strain > 0 for blocks in region.blocks)
     unknown = any(blocks.force_mN is None for blocks in region.blocks)
-    return (*(("v", "ln(v)", "x") if sheared else ()), *(("F",) if unknown else ()))
+    undated = not has_session_clock(region.blocks)
+    excluded = (("v", "ln(v)", "x") if sheared else (), ("F",) if unknown else (), ("T", "n") if undated else ())
+    return tuple(name for names in excluded for name in names)
 
 
 def _variables(order: Mapping[str, int]) -> Mapping[str, Callable[[ResidualBlocks], FloatArray]]:
@@ -178,7 +180,7 @@ def _variables(order: Mapping[str, int]) -> Mapping[str, Callable[[ResidualBlock
         "x": lambda blocks: np.abs(blocks.position_mm),
         "x²": lambda blocks: blocks.position_mm**2,
         "t": time_since_start,
-        "T": lambda blocks: (blocks.session_s + blocks.time_s) / 60.0,
+        "T": lambda blocks: ((blocks.session_s or 0.0) + blocks.time_s) / 60.0,
         "n": lambda blocks: np.full_like(blocks.residual, order[blocks.run_id]),
         "F": lambda blocks: np.zeros_like(blocks.residual) if blocks.force_mN is None else blocks.force_mN,
     }

@@ -71,6 +71,8 @@ class ConvertedMeasurement:
     origin_mm: float = 0.0
     time_origin_s: float = 0.0
     """`origin_mm`, `time_origin_s`: position and time of the first row in the foreign file."""
+    skipped_s: float = 0.0
+    """Time by which the run begins after the file's first row."""
     sources: Mapping[str, str] = field(default_factory=dict)
     """For each quantity, its column, unit and factor, in words."""
 
@@ -128,7 +130,8 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
     }
     extra, events = _extra_channels(table, mapped)
     values |= {name: column.values for name, column in extra.items()}
-    stamps, rows = _select_rows(table, settings, values.pop("time", None))
+    all_stamps = values.pop("time", None)
+    stamps, rows = _select_rows(table, settings, all_stamps)
     grid, values = _on_grid(table, settings, stamps, {name: array[rows] for name, array in values.items()})
     events += grid.events
     events += [
@@ -158,6 +161,7 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         events=tuple(sorted(events, key=lambda event: event.time_s)),
         origin_mm=origin_mm,
         time_origin_s=float(stamps[0]) if stamps is not None and len(stamps) else 0.0,
+        skipped_s=0.0 if stamps is None or all_stamps is None else float(stamps[0] - all_stamps[0]),
         sources={quantity: str(source) for quantity, source in mapped.items()},
     )
 

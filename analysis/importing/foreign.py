@@ -301,7 +301,7 @@ class ImportSettings(Settings):
     note: str = ""
     order: int = Field(default=0, ge=0)
     start_time: AwareDatetime | None = None
-    """When the measurement began; default: time of the file's last change."""
+    """When the first row was measured. Default: not known; the time of the file's last change stands in its place."""
 
     @model_validator(mode="after")
     def _consistent(self) -> "ImportSettings":

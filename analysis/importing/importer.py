@@ -4,13 +4,14 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
 
+from dragrig.analysis import SOURCE_KEY, START_UNKNOWN_KEY
 from dragrig.analysis.importing.conversion import IMPORT_EVENT, ConvertedMeasurement, convert_table
 from dragrig.analysis.importing.foreign import ForeignTable, ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
@@ -78,21 +79,24 @@ def _run_header(
     path: Path, table: ForeignTable, settings: ImportSettings, measured: ConvertedMeasurement
 ) -> tuple[RunHeader, tuple[RunEvent, ...]]:
     events = measured.events
-    start_time = settings.start_time
-    if start_time is None:
-        start_time = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-        unknown = RunEvent(0.0, IMPORT_EVENT, "start time not known: time of the file's last change used")
-        events = (unknown, *events)
+    start_time = settings.start_time or datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    start_time += timedelta(seconds=measured.skipped_s)
+    undated: dict[str, Attribute] = {}
+    if settings.start_time is None:
+        unknown = "start time not known (--start-time states it): the file's date stands in its place, no session clock"
+        events = (RunEvent(0.0, IMPORT_EVENT, unknown), *events)
+        undated = {START_UNKNOWN_KEY: True}
     entry: dict[str, Attribute] = {
         "software": f"dragrig {version('dragrig')}",
         "operator": settings.operator,
         "note": settings.note,
         "origin_mm": measured.origin_mm,
         "import_source": path.name,
-        "import_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        SOURCE_KEY: hashlib.sha256(path.read_bytes()).hexdigest(),
         "import_columns": json.dumps(dict(measured.sources), ensure_ascii=False),
         "import_settings": settings.model_dump_json(exclude_defaults=True),
         "import_time_origin_s": measured.time_origin_s,
+        **undated,
         "import_preamble": "\n".join(table.preamble)[:MAX_PREAMBLE_CHARS],
     }
     header = RunHeader(

@@ -25,7 +25,7 @@ MILLINEWTONS_PER_G_MM_S2 = 1e-3
 """Millinewtons that accelerate one gram by one mm/s²."""
 LOAD_ZERO_SD_MN = 10.0
 """Prior of the force sensor's zero in each run with a load; a tared sensor's is a few mN."""
-BLANK_KIND, EXTERNAL_BACKEND = "blank", "external"
+BLANK_KIND = "blank"
 WINDOW_SHARE = 0.1
 """Window of the smoothing over the time since the motion last changed: forces change fast at first, then slowly."""
 MAX_WINDOW_S = 0.25
@@ -74,8 +74,7 @@ class MeasuredLoad:
         step = 1.0 / trace.sample_rate_hz
         unloaded = cls(changes_s, step, np.zeros(0), np.zeros(0))
         # A foreign measurement does not state its fixture; only its kind says that nothing is attached.
-        imported = experiment.run.info.header.backend == EXTERNAL_BACKEND
-        is_unloaded = experiment.kind == BLANK_KIND or (experiment.contact is Contact.NONE and not imported)
+        is_unloaded = experiment.kind == BLANK_KIND or (experiment.contact is Contact.NONE and not experiment.imported)
         if LOAD_CHANNEL not in trace.channels or is_unloaded:
             return unloaded
         raw = np.asarray(trace.channels[LOAD_CHANNEL], dtype=np.float64)

@@ -8,7 +8,7 @@ those of a programmed stroke from 1 µm counts to a small part of a sample.
 """
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -32,6 +32,10 @@ from dragrig.sim_backend.friction import (
     resample_uniformly,
 )
 
+EXTERNAL_BACKEND = "external"
+"""Backend of a measurement that was imported."""
+START_UNKNOWN_KEY, SOURCE_KEY = "start_time_unknown", "import_sha256"
+"""Attributes of an imported run: whether its start time is only its file's date, and the checksum of that file."""
 DEFAULT_DWELL_S = 60.0
 """Age of the contact at the first sample where a run does not state it (the paper's programme)."""
 DEFAULT_WALL_THICKNESS_MM = 2.5
@@ -155,6 +159,11 @@ class Experiment:
     def file(self) -> str:
         """Name of the run's file."""
         return self.run.info.path.name
+
+    @property
+    def imported(self) -> bool:
+        """Whether the run was imported: its file states neither fixture nor sign convention."""
+        return self.run.info.header.backend == EXTERNAL_BACKEND
 
     @cached_property
     def time_s(self) -> FloatArray:
@@ -305,6 +314,19 @@ class Experiment:
         surface = "rough" if self.contact is Contact.STICKING else "smooth"
         name = str(header.get("name") or "capsule")
         return Capsule.model_validate({"name": name, "surface": surface, **sizes})
+
+
+def session_starts(experiments: Sequence[Experiment]) -> tuple[float, ...] | None:
+    """Return the time of each run's first sample since that of the first run [s]; None where it is not known.
+
+    Stretches of one foreign file are in sequence although the date of its measurement is not known.
+    """
+    headers = [experiment.run.info.header for experiment in experiments]
+    undated = [header for header in headers if header.entry.get(START_UNKNOWN_KEY)]
+    if undated and (len(undated) < len(headers) or len({header.entry.get(SOURCE_KEY) for header in headers}) > 1):
+        return None
+    first = min((header.start_time for header in headers), default=None)
+    return () if first is None else tuple((header.start_time - first).total_seconds() for header in headers)
 
 
 MAX_JOINTS = 24

@@ -1,0 +1,133 @@
+"""Recordings from elsewhere: any of them gets a diagnosis, or one sentence why not, and nothing is made up."""
+
+import warnings
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dragrig
+from dragrig.analysis.gap.diagnosis import Diagnosis
+from dragrig.analysis.models.experiment import Experiment, session_starts
+from dragrig.rig import FloatArray
+
+RATE_HZ = 500.0
+PLAIN = '''
+"""Dry and viscous friction."""
+
+from dragrig.analysis.models import ChannelModel, Parameter
+
+
+class Plain(ChannelModel):
+    name = "plain"
+    parameters = (
+        Parameter("dry_mN", "mN", 80.0, 1.0),
+        Parameter("viscous_mN_s_mm", "mN·s/mm", 1.0, 2.0),
+    )
+
+    def predict(self, values, at):
+        return at.direction * values["dry_mN"] + values["viscous_mN_s_mm"] * at.velocity_mm_s
+
+
+MODEL = Plain()
+'''
+
+
+def plain_model(folder: Path) -> Path:
+    file = folder / "plain.py"
+    file.write_text(PLAIN, "utf-8")
+    return file
+
+
+def stroke_mm(time_s: FloatArray, speed_mm_s: float = 10.0, travel_mm: float = 30.0, rest_s: float = 1.0) -> FloatArray:
+    """Return a stroke with an acceleration of 200 mm/s², after a rest."""
+    ramp_s = speed_mm_s / 200.0
+    whole_s = travel_mm / speed_mm_s + ramp_s
+    since = np.clip(time_s - rest_s, 0.0, whole_s)
+    until = whole_s - since
+    begun = np.where(since < ramp_s, 100.0 * since**2, speed_mm_s * (since - 0.5 * ramp_s))
+    return np.where(until < ramp_s, travel_mm - 100.0 * until**2, begun)
+
+
+def friction_mN(time_s: FloatArray, position_mm: FloatArray, seed: int = 0, noise_mN: float = 1.5) -> FloatArray:
+    velocity = np.gradient(position_mm, time_s)
+    noise = np.random.default_rng(seed).normal(0.0, noise_mN, time_s.size)
+    return np.asarray(100.0 * np.tanh(velocity / 0.5) + 2.0 * velocity + noise)
+
+
+def table(folder: Path, columns: Mapping[str, FloatArray], name: str = "recording.csv") -> Path:
+    """Write a foreign recording, whose column names state quantity and unit."""
+    path = folder / name
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=",".join(columns), comments="")
+    return path
+
+
+def recording(seed: int = 0, speed_mm_s: float = 10.0, seconds: float = 6.0) -> dict[str, FloatArray]:
+    time = np.arange(0.0, seconds, 1 / RATE_HZ)
+    position = stroke_mm(time, speed_mm_s)
+    force = friction_mN(time, position, seed)
+    return {"time_s": time, "force_mN": force, "position_mm": np.round(position, 3)}
+
+
+def diagnosed(folder: Path, nominal: str | Path) -> Diagnosis:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return dragrig.diagnose(folder, nominal=nominal)
+
+
+def drifting_runs(folder: Path, **options: object) -> Path:
+    """Import six runs, one after the other, whose friction grows from run to run."""
+    runs = folder / "runs"
+    runs.mkdir()
+    for number in range(6):
+        columns = recording(number)
+        columns["force_mN"] = columns["force_mN"] * (1 + 0.05 * number)
+        begun = {key: value + timedelta(minutes=number) for key, value in options.items() if key == "start_time"}
+        dragrig.import_run(table(folder, columns, f"{number}.csv"), runs, specimen="steel", **begun)
+    return runs
+
+
+def test_runs_whose_clock_is_not_known_have_no_session_axis(tmp_path: Path) -> None:
+    result = diagnosed(drifting_runs(tmp_path), plain_model(tmp_path))
+    assert not result.where.location("session").bins
+    assert result.where.document()["session"] == {}
+    assert "session" not in result.where.domain_scores
+    assert result.where.domain != "session"
+    assert any("not known when each run was made" in remark for remark in result.remarks)
+
+
+def test_runs_whose_clock_is_stated_have_a_session_axis(tmp_path: Path) -> None:
+    runs = drifting_runs(tmp_path, start_time=datetime(2026, 5, 4, 9, tzinfo=UTC))
+    result = diagnosed(runs, plain_model(tmp_path))
+    assert result.where.location("session").bins
+    assert result.where.domain == "session"
+
+
+def test_a_stretch_begins_later_than_its_file(tmp_path: Path) -> None:
+    source = table(tmp_path, {**recording(), "time_s": recording()["time_s"] + 20.0})
+    start = datetime(2026, 5, 4, 9, tzinfo=UTC)
+    imported = dragrig.import_run(source, tmp_path / "run.h5", start_time=start, from_s=22.0)
+    header = dragrig.load(imported.path).info.header
+    assert (header.start_time - start).total_seconds() == pytest.approx(2.0, abs=0.003)
+
+
+def test_stretches_of_one_file_keep_their_sequence_without_a_date(tmp_path: Path) -> None:
+    source = table(tmp_path, recording())
+    stretches = [
+        Experiment(dragrig.load(dragrig.import_run(source, tmp_path / f"{start}.h5", from_s=float(start)).path))
+        for start in (0, 1, 3)
+    ]
+    starts = session_starts(stretches)
+    assert starts == pytest.approx((0.0, 1.0, 3.0), abs=0.003)
+    other = Experiment(dragrig.load(dragrig.import_run(table(tmp_path, recording(1)), tmp_path / "o.h5").path))
+    assert session_starts([*stretches, other]) is None
+
+
+def test_a_foreign_run_with_rests_is_not_taken_for_one_with_nothing_attached(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    dragrig.import_run(table(tmp_path, recording()), runs, specimen="steel")
+    assert diagnosed(runs, plain_model(tmp_path)).runs == 1
