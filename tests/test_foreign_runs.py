@@ -10,7 +10,7 @@ import pytest
 
 import dragrig
 from dragrig.analysis.gap.diagnosis import Diagnosis
-from dragrig.analysis.models.experiment import Experiment, session_starts
+from dragrig.analysis.models.experiment import Experiment, insert_reversals, session_starts
 from dragrig.rig import FloatArray
 
 RATE_HZ = 500.0
@@ -131,3 +131,33 @@ def test_a_foreign_run_with_rests_is_not_taken_for_one_with_nothing_attached(tmp
     runs.mkdir()
     dragrig.import_run(table(tmp_path, recording()), runs, specimen="steel")
     assert diagnosed(runs, plain_model(tmp_path)).runs == 1
+
+
+def test_a_run_there_and_back_is_not_said_to_go_one_way(tmp_path: Path) -> None:
+    time = np.arange(0.0, 6.0, 1 / RATE_HZ)
+    position = 5.0 * np.sin(np.pi * time)
+    columns = {"time_s": time, "force_mN": friction_mN(time, position), "position_mm": np.round(position, 3)}
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    dragrig.import_run(table(tmp_path, columns), runs, specimen="steel")
+    result = diagnosed(runs, plain_model(tmp_path))
+    assert not any("one way" in limitation for limitation in result.limitations)
+    told = "" if result.unknown is None else result.unknown.dependence
+    assert "every run" not in told
+    assert "session" not in told
+
+
+def test_a_motion_lost_in_noise_divides_by_nothing(tmp_path: Path) -> None:
+    columns = recording()
+    columns["position_mm"] = columns["position_mm"] + np.random.default_rng(3).normal(0.0, 0.5, columns["time_s"].size)
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    dragrig.import_run(table(tmp_path, columns), runs, specimen="steel")
+    assert diagnosed(runs, plain_model(tmp_path)).runs == 1
+
+
+def test_a_joint_where_the_motion_reverses_has_a_time_of_its_own() -> None:
+    joints = np.array([0.0, 1.0, 1.0 + 1e-9, 2.0])
+    times, velocity = insert_reversals(joints, np.array([0.0, 1e-12, -5.0, 0.0]))
+    assert np.all(np.diff(times) > 0)
+    assert velocity.size == times.size

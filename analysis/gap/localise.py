@@ -243,7 +243,9 @@ def domain_scores(blocks: Sequence[ResidualBlocks]) -> Mapping[str, float]:
     }
     in_position, in_time = best_periodic_shares(blocks)
     scores["position"] = max(scores["position"], scores[CONSTANT_DOMAIN] + in_position)
-    scores["session"] = max(scores["session"], scores[CONSTANT_DOMAIN] + in_time)
+    # Without a clock, and in a single run, nothing distinguishes session time from time within the run.
+    periodic_domain = "session" if has_session_clock(blocks) and len({run.run_id for run in blocks}) > 1 else "time"
+    scores[periodic_domain] = max(scores[periodic_domain], scores[CONSTANT_DOMAIN] + in_time)
     total = sum(float((run.weight * run.deviation**2).sum()) for run in blocks)
     is_fast = np.array(BANDS_HZ[:-1]) >= FAST_HZ
     fast = sum(float(np.maximum(band_excess(run)[is_fast], 0.0).sum()) for run in blocks)

@@ -175,7 +175,7 @@ def _selection_remarks(experiments: tuple[Experiment, ...], *, several: bool) ->
             f"the force calibration changes during the campaign ({', '.join(calibrations)}): a step of the gain may "
             "look like an effect of session time"
         )
-    if session_starts(experiments) is None:
+    if len(experiments) > 1 and session_starts(experiments) is None:
         yield (
             "it is not known when each run was made (import states it by --start-time): nothing is said of changes "
             "during the session"

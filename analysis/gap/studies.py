@@ -321,6 +321,8 @@ def _friction_columns(run: RunData, longest_mm: float) -> FloatArray:
 MIN_RUNS_TO_HOLD_OUT = 4
 MIN_SPEEDS = 3
 MOVING_MM_S = 0.01
+CLEARLY_MOVING = 10.0
+"""Top speed over `MOVING_MM_S` above which a slower moment is a rest."""
 
 
 def general_limitations(runs: Sequence[RunData]) -> Iterator[str]:
@@ -355,12 +357,24 @@ def capsule_limitations(runs: Sequence[RunData]) -> Iterator[str]:
         yield "No Coulomb runs: adhesion cannot be separated from friction that falls with speed."
 
 
+def goes_one_way(runs: Sequence[RunData]) -> bool:
+    """Whether no two moments of any runs move in opposite directions."""
+    velocity = np.concatenate([run.experiment.velocity(run.block_data.blocks.nodes_s) for run in runs])
+    return bool(velocity.min(initial=0.0) >= -MOVING_MM_S or velocity.max(initial=0.0) <= MOVING_MM_S)
+
+
+def _rests(run: RunData) -> bool:
+    """Whether the stage stands still at any time; phases need not be known, but slow motion is no rest."""
+    blocks = run.coordinates
+    moves = float(blocks.top_speed_mm_s[0]) > CLEARLY_MOVING * MOVING_MM_S
+    return bool(np.any(blocks.phase == Phase.REST) or (moves and np.any(blocks.speed_mm_s <= MOVING_MM_S)))
+
+
 def stage_limitations(runs: Sequence[RunData]) -> Iterator[str]:
     """Yield limitations of runs of the stage alone."""
     yield "No amended model is written: the simulated stage has no effects."
-    velocity = np.concatenate([run.experiment.velocity(run.block_data.blocks.nodes_s) for run in runs])
     speeds = {round(float(run.coordinates.top_speed_mm_s[0]), 1) for run in runs}
-    if velocity.min(initial=0.0) >= -MOVING_MM_S or velocity.max(initial=0.0) <= MOVING_MM_S:
+    if goes_one_way(runs):
         yield "All runs go one way: friction that depends on direction cannot be separated from other friction."
     if len(speeds) < MIN_SPEEDS:
         yield "Fewer than three speeds: effects of speed cannot be separated."
@@ -370,8 +384,8 @@ def stage_limitations(runs: Sequence[RunData]) -> Iterator[str]:
 
 def own_model_limitations(runs: Sequence[RunData], other_channels: Sequence[str]) -> Iterator[str]:
     """Yield limitations of a user's model, of which one channel is explained and `other_channels` are not."""
-    rests = any(np.any(run.coordinates.phase == Phase.REST) for run in runs)
-    if len({(run.condition, run.direction) for run in runs}) == 1 and not rests:
+    speeds = {round(float(run.coordinates.top_speed_mm_s[0]), 1) for run in runs}
+    if len(speeds) == 1 and goes_one_way(runs) and not any(_rests(run) for run in runs):
         yield (
             "All runs go one way at one speed without a rest: sensor effects in time cannot be separated from "
             "friction that changes along the stroke."

@@ -362,8 +362,8 @@ def _periodic_text(region: GapRegion) -> str:
     coherence = abs(waves.sum()) / np.abs(waves).sum()
     place_of_phase = "at the same place" if along else "at the same time"
     phase = f", {place_of_phase} in every run" if coherence >= COMMON_PHASE else ", with a different phase in each run"
-    if along and len({round(blocks.origin_mm, 1) for blocks in region.blocks}) > 1:
-        # Positions count from where each run begins.
+    if len(region.blocks) == 1 or (along and len({round(blocks.origin_mm, 1) for blocks in region.blocks}) > 1):
+        # One run has nothing to agree with; and positions count from where each run begins.
         phase = ""
     return f"{periodic} and an amplitude of {two_digits(amplitude)} {region.unit}{phase}."
 
@@ -536,14 +536,15 @@ def describe_unexplained_gap(
         return None
     if line is not None:
         return UnexplainedGap(*line_texts(line, blocks[0].channel))
-    if where.runs > 1 and not any(where.location("channel").shares.values()):
+    localisable = any(where.location("channel").shares.values())
+    if where.runs > 1 and not localisable:
         return UnexplainedGap(NOT_LOCALISABLE, nonparametric_law_text(inputs))
     region = gap_region(where, blocks)
     law = fit_gap_law(region)
     entirely_unknown = classification.verdict is Verdict.UNKNOWN and not inputs.has_position_error
     sentences = (dependence_text(where, region), nonparametric_law_text(inputs) if entirely_unknown else "")
     return UnexplainedGap(
-        location=location_text(where, blocks),
+        location=location_text(where, blocks) if localisable else NOT_LOCALISABLE,
         dependence=" ".join(sentence for sentence in sentences if sentence),
         expression="" if law is None else law.text,
         held_out_share=None if law is None else law.held_out_share,

@@ -32,8 +32,6 @@ from dragrig.sim_backend.friction import (
     resample_uniformly,
 )
 
-EXTERNAL_BACKEND = "external"
-"""Backend of a measurement that was imported."""
 START_UNKNOWN_KEY, SOURCE_KEY = "start_time_unknown", "import_sha256"
 """Attributes of an imported run: whether its start time is only its file's date, and the checksum of that file."""
 DEFAULT_DWELL_S = 60.0
@@ -163,7 +161,7 @@ class Experiment:
     @property
     def imported(self) -> bool:
         """Whether the run was imported: its file states neither fixture nor sign convention."""
-        return self.run.info.header.backend == EXTERNAL_BACKEND
+        return SOURCE_KEY in self.run.info.header.entry
 
     @cached_property
     def time_s(self) -> FloatArray:
@@ -319,11 +317,13 @@ class Experiment:
 def session_starts(experiments: Sequence[Experiment]) -> tuple[float, ...] | None:
     """Return the time of each run's first sample since that of the first run [s]; None where it is not known.
 
-    Stretches of one foreign file are in sequence although the date of its measurement is not known.
+    Stretches of one foreign file are in sequence although the date of its measurement is not known; a single one has
+    nothing to be in sequence with.
     """
     headers = [experiment.run.info.header for experiment in experiments]
     undated = [header for header in headers if header.entry.get(START_UNKNOWN_KEY)]
-    if undated and (len(undated) < len(headers) or len({header.entry.get(SOURCE_KEY) for header in headers}) > 1):
+    sources = {header.entry.get(SOURCE_KEY) for header in headers}
+    if undated and (len(headers) == 1 or len(undated) < len(headers) or len(sources) > 1):
         return None
     first = min((header.start_time for header in headers), default=None)
     return () if first is None else tuple((header.start_time - first).total_seconds() for header in headers)
@@ -606,9 +606,14 @@ def fit_kinematics(experiment: Experiment) -> Kinematics:
 
 
 def insert_reversals(joints_s: FloatArray, velocity_mm_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Add a joint wherever a straight line of velocity crosses 0, where friction changes sign."""
+    """Add a joint wherever a straight line of velocity crosses 0, where friction changes sign.
+
+    None is added that rounding would put onto another joint.
+    """
     before, after = velocity_mm_s[:-1], velocity_mm_s[1:]
     turning = np.flatnonzero(before * after < 0)
     share = before[turning] / (before[turning] - after[turning])
     turns_s = joints_s[turning] + share * np.diff(joints_s)[turning]
+    between = (turns_s > joints_s[turning]) & (turns_s < joints_s[turning + 1])
+    turning, turns_s = turning[between], turns_s[between]
     return np.insert(joints_s, turning + 1, turns_s), np.insert(velocity_mm_s, turning + 1, 0.0)

@@ -187,6 +187,8 @@ def domain_sentence(where: GapLocation) -> str:
     """Say what the residual is mainly a function of."""
     if not where.present:
         return "The residual exceeds noise and repeatability nowhere."
+    if not where.domain and where.runs == 1:
+        return "A single run does not show what the residual is a function of."
     if not where.domain:
         return "No coordinate predicts the residual of held-out runs."
     score = where.domain_scores.get(where.domain, float("nan"))
