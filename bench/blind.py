@@ -85,7 +85,7 @@ def print_sizes(draws: int, names: Sequence[str]) -> None:
     """Print d′ of every form at full size: median, least and largest of some draws."""
     from dataclasses import replace
 
-    from dragrig.sim_backend.blind.plant import effect_size, nuisance_directions
+    from dragrig.sim_backend.blind.effect_sizes import effect_size, nuisance_directions
 
     bases = [draw_campaign(7 + at) for at in range(draws)]
     nominal = [nuisance_directions(base) for base in bases]

@@ -21,8 +21,8 @@ import numpy as np
 from form_fits import Floats, Seen, bounds, changed, hidden_change, left, left_run_by_run, nominal, seen_of
 
 from dragrig.sim_backend.blind import CATALOGUE, BlindCampaign
+from dragrig.sim_backend.blind.effect_sizes import NuisanceDirections, nuisance_directions, residual_chi2, whiten
 from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect as Hidden
-from dragrig.sim_backend.blind.plant import NuisanceDirections, nuisance_directions, residual_chi2, whiten
 from dragrig.sim_backend.effects.base import Coordinate, Effect, find_effect
 
 NEAR, FAR = 0.10, 0.40

@@ -1,13 +1,14 @@
+from .blind_campaign import CONDITIONS as CONDITIONS
 from .blind_campaign import BlindCampaign as BlindCampaign
 from .blind_campaign import draw_campaign as draw_campaign
 from .blind_campaign import parallel_session as parallel_session
 from .blind_campaign import true_answer as true_answer
 from .blind_campaign import without_effects as without_effects
+from .effect_sizes import effect_signatures as effect_signatures
+from .effect_sizes import effect_size as effect_size
 from .effects import CATALOGUE as CATALOGUE
 from .effects import OUTSIDE as OUTSIDE
 from .effects import effect_group as effect_group
-from .plant import effect_signatures as effect_signatures
-from .plant import effect_size as effect_size
 from .plant import write_campaign as write_campaign
 from .run_plans import Floats as Floats
 from .run_plans import RunList as RunList

@@ -1,14 +1,13 @@
 """The plant: forces of gut and capsule in one run, the run as it is recorded, and a campaign's run files.
 
 A capsule slides (drag and Coulomb runs), or a dummy shears the wall and holds it (relaxation).
-The size of a hidden effect is d′, the norm of the whitened signature with every nominal direction projected out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
-from math import cos, pi, prod, radians, sin
+from math import ceil, cos, pi, prod, radians, sin
 from pathlib import Path
 from uuid import UUID, uuid5
 from zlib import crc32
@@ -24,13 +23,17 @@ from dragrig.sim_backend.blind.blind_campaign import (
     NominalErrors,
     RunVariation,
     parallel_session,
-    without_effects,
 )
-from dragrig.sim_backend.blind.effects.hidden_effect import CapsuleForces, HiddenEffect, RunConditions
+from dragrig.sim_backend.blind.effects.hidden_effect import (
+    SIGN_CHANGE_MM_S,
+    CapsuleForces,
+    HiddenEffect,
+    RunConditions,
+)
 from dragrig.sim_backend.blind.run_plans import (
     NOTED_DWELL_S,
     PLANT_WALL_MM,
-    RATE_HZ,
+    Capsule,
     Floats,
     RunList,
     RunPlan,
@@ -38,8 +41,6 @@ from dragrig.sim_backend.blind.run_plans import (
     sample_phases,
 )
 
-CAPSULE_RADIUS_MM = 6.45
-CAPSULE_MASS_G = 50.1
 GRAVITY_M_S2 = 9.80665
 _EQ14 = {
     "E1": (-0.1617, -0.3175, 3.348),
@@ -61,6 +62,7 @@ class GutContact:
     effects: Sequence[HiddenEffect]
     ageing: float
     """Factor on stiffness of the effects that vary from run to run."""
+    capsule: Capsule = field(default_factory=Capsule)
 
     @cached_property
     def angle(self) -> float:
@@ -70,27 +72,28 @@ class GutContact:
     @cached_property
     def length_mm(self) -> float:
         """Length of the contact along the axis."""
-        return CAPSULE_RADIUS_MM * sin(self.angle)
+        return self.capsule.radius_mm * sin(self.angle)
 
     @cached_property
     def area_mm2(self) -> float:
         """Area of the contact, S."""
-        return 2 * pi * CAPSULE_RADIUS_MM**2 * sin(self.angle)
+        return 2 * pi * self.capsule.radius_mm**2 * sin(self.angle)
 
     def diameter_mm(self, x: Floats) -> Floats:
         """Return the wall's inner diameter at `x` along the contact."""
-        return 2 * np.sqrt(CAPSULE_RADIUS_MM**2 - (self.length_mm - x) ** 2)
+        return 2 * np.sqrt(self.capsule.radius_mm**2 - (self.length_mm - x) ** 2)
 
     def strain(self, x: Floats) -> Floats:
         """Return the circumferential strain at `x`."""
-        free = 2 * CAPSULE_RADIUS_MM * cos(self.angle)
+        free = 2 * self.capsule.radius_mm * cos(self.angle)
         return (self.diameter_mm(x) - free) / free
 
     def moduli(self, strain: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Return E1, E2, E3 [kPa] and the time constants of the two branches [s] at a strain."""
         scales = self.specimen.element_scales
         E1, E2, E3, eta1, eta2 = (
-            np.polyval(polynomial, strain) * scale for polynomial, scale in zip(_EQ14.values(), scales, strict=True)
+            np.polyval(polynomial, strain) * scale * wrong
+            for polynomial, scale, wrong in zip(_EQ14.values(), scales, self.errors.elements, strict=True)
         )
         scale = self.specimen.stiffness * self.variation.stiffness * self.ageing * self._shape_error(strain)
         first, second, third = scale.copy(), scale.copy(), scale.copy()
@@ -109,8 +112,15 @@ class GutContact:
         """Return the wall's pressure [kPa] at `x`, first touched `age` seconds ago."""
         strain = self.strain(x)
         E1, E2, E3, tau1, tau2 = self.moduli(strain)
-        stress = E1 * np.exp(-age / tau1) + E2 * np.exp(-age / tau2) + E3 * (1 + self.tail(age, strain))
-        return 2 * PLANT_WALL_MM * strain * stress / self.diameter_mm(x)
+        fast, slow = self.relaxed(age, tau1), self.relaxed(age, tau2)
+        stress = E1 * fast + E2 * slow + E3 * (1 + self.tail(age, strain))
+        thinner = (1 + strain) ** -self.errors.thinning if self.errors.thinning else 1.0
+        return 2 * PLANT_WALL_MM * strain * stress / self.diameter_mm(x) * thinner
+
+    def relaxed(self, age: Floats, tau: Floats) -> Floats:
+        """Return the share of a branch's stress that is left at an age."""
+        part = age / tau
+        return np.exp(-part if self.errors.stretch == 1 else -(np.maximum(part, 0.0) ** self.errors.stretch))
 
     def _shape_error(self, strain: Floats) -> Floats:
         if not self.errors.shape:
@@ -119,7 +129,6 @@ class GutContact:
         return np.asarray(1 + self.errors.shape * forms[self.errors.shape_form])
 
 
-SHEARED_AREA_MM2 = np.pi * 12.9 * 15.2
 _STEPS_PER_SAMPLE = 4
 """Steps of the recursion per sample."""
 
@@ -142,13 +151,30 @@ def relaxation_force(gut: GutContact, run: RunConditions) -> Floats:
     steps = np.diff(strain, prepend=0.0)
     stress = E3 * strain
     for modulus, tau in ((E1, tau1), (E2, tau2)):
+        if gut.errors.stretch != 1:
+            stress = stress + modulus * _stretched_branch(gut, fine_s, strain, tau)
+            continue
         if gut.errors.ramp_step_s:
             stress = stress + modulus * _first_order_rule(strain, fine_s, tau, gut.errors.ramp_step_s)
             continue
         decay = np.exp(-h / tau)
         stress = stress + lfilter([modulus * tau / h * (1 - decay)], [1.0, -decay], steps)
-    force = stress[::_STEPS_PER_SAMPLE] * SHEARED_AREA_MM2
-    return np.asarray(force + SHEARED_AREA_MM2 * E3 * _tail_stress(gut, motion.t, strain[::_STEPS_PER_SAMPLE]))
+    area = 2 * pi * gut.capsule.radius_mm * gut.capsule.length_mm
+    force = stress[::_STEPS_PER_SAMPLE] * area
+    return np.asarray(force + area * E3 * _tail_stress(gut, motion.t, strain[::_STEPS_PER_SAMPLE]))
+
+
+def _stretched_branch(gut: GutContact, fine_s: Floats, strain: Floats, tau: float) -> Floats:
+    """Return a branch's stress over its modulus where it does not fade exponentially: a sum over the ramp's steps."""
+    from scipy.signal import oaconvolve
+
+    steps = np.diff(strain, prepend=0.0)
+    moving = np.flatnonzero(np.abs(steps) > 1e-12)
+    first, last = int(moving[0]), int(moving[-1]) + 1
+    # Each step of strain is made evenly over its interval: the age in its middle.
+    left = gut.relaxed(fine_s - fine_s[0] + (fine_s[1] - fine_s[0]) / 2, np.array(tau))
+    ramp = oaconvolve(left, steps[first:last])[: fine_s.size - first]
+    return np.concatenate([np.zeros(first), ramp])
 
 
 def _first_order_rule(strain: Floats, fine_s: Floats, tau: float, step_s: float) -> Floats:
@@ -189,15 +215,17 @@ def sliding_force(gut: GutContact, run: RunConditions, *, closed: bool) -> Float
     """
     motion, specimen = run.motion, gut.specimen
     mu = specimen.mu * gut.variation.mu
-    weight = CAPSULE_MASS_G * GRAVITY_M_S2
+    weight = gut.capsule.mass_g * GRAVITY_M_S2
     elastic, normal = np.zeros_like(motion.t), np.full_like(motion.t, weight)
     if closed:
         knots = _contact_knots(run)
         at_knots, side = _contact_forces(gut, run, knots)
         elastic = np.interp(motion.t, motion.t[knots], at_knots)
-        normal = weight + gut.area_mm2 * np.interp(motion.t, motion.t[knots], side)
-    viscous = np.sign(motion.v) * specimen.mucus * viscous_law(run.speed)
-    grip, change = run.direction, np.zeros_like(motion.t)
+        normal = weight + gut.errors.side * gut.area_mm2 * np.interp(motion.t, motion.t[knots], side)
+    viscous = np.sign(motion.v) * specimen.mucus * viscous_law(run.speed) * gut.errors.viscous
+    if gut.errors.viscous_power:
+        viscous = viscous * (np.maximum(run.speed, 1e-9) / 10.0) ** gut.errors.viscous_power
+    grip, change = np.tanh(motion.v / (SIGN_CHANGE_MM_S * gut.errors.slip_speed)), np.zeros_like(motion.t)
     for effect in gut.effects:
         grip = effect.grip(grip, run)
         change = change + effect.friction(run)
@@ -259,7 +287,8 @@ def _contact_forces(
         remaining = np.ones_like(x)
         for effect, speed in zip(gut.effects, speeds, strict=True):
             remaining = remaining * effect.contact(x / length, speed[wide])
-        slant = (length - x) / CAPSULE_RADIUS_MM * 2 * np.pi * CAPSULE_RADIUS_MM
+        rise = (length - x) / gut.capsule.radius_mm
+        slant = rise ** (1 + gut.errors.slant) * 2 * np.pi * gut.capsule.radius_mm
         total[wide] += ((b - a) * weights * gut.pressure(x, ages) * slant * remaining).sum(axis=1)
     end = np.full_like(here, length)
     return total, gut.pressure(end, age(end, now, here))[:, 0]
@@ -282,6 +311,10 @@ VIBRATION_MM = 0.00015
 """Standard deviation of the scale's vibration, from sample to sample."""
 CONVERTER_RANK = 4
 """Rank of effects that act after the noise."""
+FINEST_STEP_HZ = 500
+"""The physics is followed at least as finely as this."""
+PINK_FROM_HZ = 0.02
+"""Below this noise is white again: a drift of minutes is the zero offset of a run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,25 +339,15 @@ def recorded_run(campaign: BlindCampaign, index: int) -> PlantRecord:
     return _simulate_run(campaign, index, noisy=True)
 
 
-def effect_signatures(campaign: BlindCampaign) -> tuple[PlantRecord, ...]:
-    """Return what the hidden effects change in each run, noise-free and on the same specimen.
-
-    Force and position of these records are those with the effects minus those without.
-    """
-    bare = without_effects(campaign)
-    signatures = []
-    for index in range(len(campaign.runs)):
-        run, nominal = noise_free_run(campaign, index), noise_free_run(bare, index)
-        signatures.append(replace(run, force=run.force - nominal.force, position=run.position - nominal.position))
-    return tuple(signatures)
-
-
 def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantRecord:
     plan, variation, errors = campaign.runs[index], campaign.variations[index], campaign.nominal_errors
     seed = crc32(f"{campaign.seed} {campaign.programme}".encode())
     effects = tuple(effect for effect in campaign.effects if plan.kind in effect.kinds)
-    time = np.arange(plan.samples) / RATE_HZ
-    true_time = time
+    time = np.arange(plan.samples) / plan.rate_hz
+    # Slow records are samples of a motion that is followed finely; so are those at uneven instants.
+    finer = ceil(FINEST_STEP_HZ / plan.rate_hz) * (2 if noisy and campaign.noise.jitter_s else 1)
+    fine = time if finer == 1 else np.arange((plan.samples - 1) * finer + 1) / (plan.rate_hz * finer)
+    true_time = fine
     for effect in effects:
         true_time = effect.clock(plan, true_time, seed)
     command = planned_motion(plan, true_time, errors.blunt_s)
@@ -333,26 +356,77 @@ def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantR
         motion = effect.motion(motion, RunConditions(plan, seed, command, motion))
     run = RunConditions(plan, seed, command, motion)
     ageing = prod(effect.stiffness(plan) for effect in effects)
-    gut = GutContact(campaign.specimen, variation, errors, effects, ageing)
+    specimen = campaign.specimen_of(plan)
+    gut = GutContact(specimen, variation, errors, effects, ageing, campaign.capsule)
     force = np.zeros_like(motion.t)
     if plan.kind == "relaxation":
         force = relaxation_force(gut, run)
     elif plan.kind != "blank":
         force = sliding_force(gut, run, closed=plan.kind == "drag")
-    force = campaign.specimen.gain * force
+    force = specimen.gain * force
     position = motion.p
     for effect in effects:
         position = effect.position(position, force, run)
     force = _sensor_force(force, effects, run, range(CONVERTER_RANK))
+    instants = time
+    if noisy and campaign.noise.jitter_s:
+        instants = time + campaign.noise.jitter_s * run.random("jitter").standard_normal(time.size)
+    if finer > 1:
+        force, position = np.interp(instants, fine, force), np.interp(instants, fine, position)
     if noisy:
-        force = force + variation.zero_mN + _force_noise(campaign.noise, time.size, run.random("noise"))
+        force = force + variation.zero_mN + _force_noise(campaign.noise, plan.rate_hz, time.size, run.random("noise"))
+        force = force + unusual_noise(campaign.noise, time, run)
     force = _sensor_force(force, effects, run, range(CONVERTER_RANK, CONVERTER_RANK + 1))
     if noisy:
-        force = np.clip(np.round(force / CONVERTER_STEP_MN), -(2**15), 2**15 - 1) * CONVERTER_STEP_MN
+        step = CONVERTER_STEP_MN * 2 ** (16 - campaign.noise.bits)
+        limit = 2 ** (campaign.noise.bits - 1)
+        force = np.clip(np.round(force / step), -limit, limit - 1) * step
         position = position + VIBRATION_MM * run.random("encoder").standard_normal(time.size)
         position = np.round(position / ENCODER_COUNT_MM) * ENCODER_COUNT_MM
     nominal = command.p if true_time is time else planned_motion(plan, time, errors.blunt_s).p
-    return PlantRecord(plan, time, force, position, nominal, sample_phases(plan, time))
+    record = PlantRecord(plan, time, force, position, nominal, sample_phases(plan, time))
+    return with_dropouts(record, campaign.noise, run) if noisy and campaign.noise.dropouts_per_s else record
+
+
+def unusual_noise(noise: NoiseLevels, time: Floats, run: RunConditions) -> Floats:
+    """Return 1/f noise, hum and impulses [mN], shape `(N,)`; zeros where there are none."""
+    total, rate = np.zeros_like(time), run.plan.rate_hz
+    if noise.pink_mN:
+        # A record of twice the length, so that its end is not its beginning.
+        count = 2 * time.size
+        hertz = np.fft.rfftfreq(count, 1 / rate)
+        size = np.zeros_like(hertz)
+        size[1:] = np.maximum(hertz[1:], PINK_FROM_HZ) ** (-noise.pink_power / 2)
+        random = run.random("pink")
+        spectrum = size * (random.standard_normal(hertz.size) + 1j * random.standard_normal(hertz.size))
+        expected = np.sqrt(2 * (size**2).sum() * 2) / count
+        total = total + noise.pink_mN * np.fft.irfft(spectrum, count)[: time.size] / expected
+    if noise.hum_mN:
+        random = run.random("hum of the mains")
+        hertz_now = noise.hum_hz + 0.03 * random.standard_normal()
+        total = total + noise.hum_mN * np.sin(2 * np.pi * (hertz_now * time + random.random()))
+    if noise.impulses_per_s:
+        random = run.random("impulses")
+        for at in np.flatnonzero(random.random(time.size) < noise.impulses_per_s / rate).tolist():
+            total[at : at + int(random.integers(1, 4))] += (
+                noise.impulse_mN * random.choice([-1.0, 1.0]) * random.exponential()
+            )
+    return total
+
+
+def with_dropouts(record: PlantRecord, noise: NoiseLevels, run: RunConditions) -> PlantRecord:
+    """Return the record with stretches in which the force is held, is zero, or has no samples at all."""
+    random, force = run.random("dropouts"), record.force.copy()
+    here = np.ones(force.size, dtype=bool)
+    for at in np.flatnonzero(random.random(force.size) < noise.dropouts_per_s / run.plan.rate_hz).tolist():
+        end = at + 1 + round(noise.dropout_s * run.plan.rate_hz * random.uniform(0.5, 1.5))
+        # The first sample stays: a record begins with its rest.
+        part = slice(max(at, 1), end)
+        force[part] = force[max(at, 1) - 1] if noise.dropout == "held" else 0.0
+        here[part] = noise.dropout != "lost"
+    changed = replace(record, force=force)
+    columns = ("time", "force", "position", "command", "phase")
+    return changed if here.all() else replace(changed, **{name: getattr(changed, name)[here] for name in columns})
 
 
 def _sensor_force(force: Floats, effects: tuple[HiddenEffect, ...], run: RunConditions, ranks: range) -> Floats:
@@ -363,11 +437,11 @@ def _sensor_force(force: Floats, effects: tuple[HiddenEffect, ...], run: RunCond
     return force
 
 
-def _force_noise(noise: NoiseLevels, samples: int, random: np.random.Generator) -> Floats:
+def _force_noise(noise: NoiseLevels, rate_hz: float, samples: int, random: np.random.Generator) -> Floats:
     """Return white noise plus a stationary Ornstein-Uhlenbeck process."""
     from scipy.signal import lfilter
 
-    decay = float(np.exp(-1 / (RATE_HZ * noise.correlation_s)))
+    decay = float(np.exp(-1 / (rate_hz * noise.correlation_s)))
     innovations = noise.slow_mN * np.sqrt(1 - decay**2) * random.standard_normal(samples)
     innovations[0] = noise.slow_mN * random.standard_normal()
     return np.asarray(noise.white_mN * random.standard_normal(samples) + lfilter([1.0], [1.0, -decay], innovations))
@@ -398,7 +472,7 @@ def write_campaign(campaign: BlindCampaign, folder: str | Path, *, runs: str | R
         campaign = parallel_session(campaign, runs)
     Path(folder).mkdir(parents=True, exist_ok=True)
     for index, run in enumerate(campaign.runs):
-        with h5py.File(Path(folder) / f"{run.order:03d}-{run.kind}.h5", "w") as file:
+        with h5py.File(Path(folder) / f"{index:03d}-{run.kind}.h5", "w") as file:
             _write_metadata(file, campaign, run)
             _write_trace(file.create_group("entry/trace"), recorded_run(campaign, index))
 
@@ -412,7 +486,7 @@ def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> N
             "NX_class": "NXentry",
             "default": "trace",
             "backend": "external",
-            "run_id": str(uuid5(_RUN_ID_NAMESPACE, f"{campaign.seed} {campaign.programme} {run.order}")),
+            "run_id": str(uuid5(_RUN_ID_NAMESPACE, _run_key(campaign, run))),
             "start_time": (session + timedelta(seconds=run.start_s)).isoformat(),
             "order": run.order,
             "status": "complete",
@@ -420,13 +494,21 @@ def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> N
         }
     )
     entry.create_group("protocol").attrs.update(_protocol_attributes(run))
-    mass = 0.0 if run.kind == "blank" else CAPSULE_MASS_G
-    entry.create_group("capsule").attrs.update(
-        {"diameter_mm": 2 * CAPSULE_RADIUS_MM, "length_mm": 15.2, "mass_g": mass, "contact_angle_deg": 60.0}
-    )
-    entry.create_group("specimen").attrs.update(
-        {"name": "jejunum", "wall_thickness_mm": PLANT_WALL_MM, "fixture": _FIXTURES[run.kind]}
-    )
+    capsule = campaign.capsule
+    mass = 0.0 if run.kind == "blank" else capsule.mass_g
+    size = {"diameter_mm": 2 * capsule.radius_mm, "length_mm": capsule.length_mm}
+    entry.create_group("capsule").attrs.update({**size, "mass_g": mass, "contact_angle_deg": capsule.angle_deg})
+    specimen = {"name": "jejunum", "wall_thickness_mm": PLANT_WALL_MM, "fixture": _FIXTURES[run.kind]}
+    if campaign.second is not None and campaign.exchange_recorded:
+        letter = "AB"[run.specimen]
+        specimen |= {"name": f"jejunum-{letter}", "id": f"J-{campaign.seed}-{letter}"}
+    entry.create_group("specimen").attrs.update(specimen)
+
+
+def _run_key(campaign: BlindCampaign, run: RunPlan) -> str:
+    """Return what a run's id is made of; conditions change a run, and so its id."""
+    parts = [str(campaign.seed), campaign.programme, str(run.order), *campaign.conditions]
+    return " ".join(parts if not run.specimen else [*parts, str(run.specimen)])
 
 
 def _protocol_attributes(run: RunPlan) -> dict[str, str | float]:
@@ -438,7 +520,7 @@ def _protocol_attributes(run: RunPlan) -> dict[str, str | float]:
 
 
 def _write_trace(group: h5py.Group, record: PlantRecord) -> None:
-    group.attrs.update({"NX_class": "NXdata", "signal": "force", "axes": "time", "sample_rate_hz": RATE_HZ})
+    group.attrs.update({"NX_class": "NXdata", "signal": "force", "axes": "time", "sample_rate_hz": record.run.rate_hz})
     columns = {"force": record.force, "position": record.position, "command": record.command}
     group.create_dataset("time", data=record.time, **_COMPRESSION)
     for name, values in columns.items():
@@ -447,109 +529,3 @@ def _write_trace(group: h5py.Group, record: PlantRecord) -> None:
         group[name].attrs["units"] = unit
     phase = group.create_dataset("phase", data=record.phase, **_COMPRESSION)
     phase.attrs.create("names", PHASES, dtype=h5py.string_dtype())
-
-
-COUNT_SD_MM = ENCODER_COUNT_MM / 12**0.5
-"""Standard deviation of rounding to counts."""
-ZERO_PRIOR_MN = 100.0
-"""Prior of a run's zero offset: practically free."""
-STIFFNESS_PRIOR, MU_PRIOR = 0.02, 0.015
-"""Relative standard deviations between runs."""
-RELATIVE_STEP = 0.001
-"""Step of the derivatives."""
-ELEMENTS = ("E1", "E2", "E3", "eta1", "eta2")
-SPECIMEN_PRIORS = {
-    "stiffness": 0.15,
-    **dict.fromkeys(ELEMENTS, 0.07),
-    "mu": 0.12,
-    "mucus": 0.2,
-    "angle_deg": 0.7 / 60,
-    "gain": 0.005,
-    "dwell_s": 0.25,
-}
-"""Relative standard deviations between specimens."""
-
-
-@dataclass(frozen=True, slots=True)
-class EffectSize:
-    """d′ in the force, and in the position with encoder counts as its noise."""
-
-    force: float
-    position: float
-
-
-@dataclass(frozen=True, slots=True)
-class NuisanceDirections:
-    """Whitened directions that are no gap, in units of their priors: of the specimen, and of every run alone."""
-
-    noise: NoiseLevels
-    shared: tuple[Floats, ...]
-    own: tuple[Floats, ...]
-
-
-def whiten(values: Floats, noise: NoiseLevels) -> Floats:
-    """Return the values, shape `(N, …)`, whitened for white noise plus an exponentially correlated one.
-
-    The sum is an ARMA(1, 1) process; its inverse filter leaves unit white noise.
-    """
-    from scipy.signal import lfilter
-
-    decay = float(np.exp(-1 / (RATE_HZ * noise.correlation_s)))
-    white, slow = noise.white_mN**2, noise.slow_mN**2 * (1 - decay**2)
-    variance, lag = (1 + decay**2) * white + slow, decay * white
-    theta = (variance - np.sqrt(variance**2 - 4 * lag**2)) / (2 * lag)
-    return np.asarray(lfilter([1.0, -decay], [1.0, -theta], values, axis=0) / np.sqrt(lag / theta))
-
-
-def nuisance_directions(campaign: BlindCampaign) -> NuisanceDirections:
-    """Return the directions in which specimens and runs differ without a gap, about the hidden specimen."""
-    plain = without_effects(campaign)
-    specimens = [_with_step(campaign.specimen, name) for name in SPECIMEN_PRIORS]
-    priors = np.array(list(SPECIMEN_PRIORS.values())) / RELATIVE_STEP
-    shared, own = [], []
-    for index, variation in enumerate(campaign.variations):
-        force = noise_free_run(plain, index).force
-        changed = [noise_free_run(replace(plain, specimen=specimen), index).force for specimen in specimens]
-        shared.append(whiten((np.column_stack(changed) - force[:, None]) * priors, campaign.noise))
-        step = 1 + RELATIVE_STEP
-        varied = (replace(variation, stiffness=variation.stiffness * step), replace(variation, mu=variation.mu * step))
-        before, after = plain.variations[:index], plain.variations[index + 1 :]
-        stiff, slip = (
-            (noise_free_run(replace(plain, variations=(*before, run, *after)), index).force - force) / RELATIVE_STEP
-            for run in varied
-        )
-        columns = np.column_stack([np.full_like(force, ZERO_PRIOR_MN), STIFFNESS_PRIOR * stiff, MU_PRIOR * slip])
-        own.append(whiten(columns, campaign.noise))
-    return NuisanceDirections(campaign.noise, tuple(shared), tuple(own))
-
-
-def _with_step(specimen: HiddenSpecimen, name: str) -> HiddenSpecimen:
-    factor = 1 + RELATIVE_STEP
-    if name not in ELEMENTS:
-        return replace(specimen, **{name: getattr(specimen, name) * factor})
-    E1, E2, E3, eta1, eta2 = (
-        scale * factor if element == name else scale
-        for element, scale in zip(ELEMENTS, specimen.element_scales, strict=True)
-    )
-    return replace(specimen, element_scales=(E1, E2, E3, eta1, eta2))
-
-
-def residual_chi2(directions: NuisanceDirections, residuals: Sequence[Floats]) -> float:
-    """Return the squared norm of force residuals, one per run, beyond the directions within their priors."""
-    count = directions.shared[0].shape[1]
-    total, gram, right = 0.0, np.zeros((count, count)), np.zeros(count)
-    for residual, shared, own in zip(residuals, directions.shared, directions.own, strict=True):
-        columns = np.column_stack([shared, whiten(residual, directions.noise)])
-        inner = np.linalg.inv(np.eye(own.shape[1]) + own.T @ own)
-        reduced = columns.T @ columns - (columns.T @ own) @ inner @ (own.T @ columns)
-        gram, right, total = gram + reduced[:-1, :-1], right + reduced[:-1, -1], total + float(reduced[-1, -1])
-    best = np.linalg.solve(np.eye(len(gram)) + gram, right)
-    return total - float(best @ right)
-
-
-def effect_size(campaign: BlindCampaign, directions: NuisanceDirections | None = None) -> EffectSize:
-    """Return how large the effects of a campaign are."""
-    signatures = effect_signatures(campaign)
-    force = residual_chi2(directions or nuisance_directions(campaign), [run.force for run in signatures])
-    position = sum(float((run.position**2).sum()) for run in signatures) / COUNT_SD_MM**2
-    return EffectSize(max(force, 0.0) ** 0.5, position**0.5)

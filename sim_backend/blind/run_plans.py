@@ -13,14 +13,28 @@ PAUSE_S = 90.0
 PLANT_WALL_MM = 2.5
 DRAG_SPEEDS_MM_S = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)
 FRESH_DRAG_SPEEDS_MM_S = (3.0, 7.0, 15.0, 25.0, 35.0, 50.0)
-PROGRAMMES = ("practice", "fresh")
+PROGRAMMES = ("practice", "fresh", "other")
 NOTED_DWELL_S = 60.0
 """Noted age of the contact at the first sample; a list of runs may set another."""
 
 
 @dataclass(frozen=True, slots=True)
+class Capsule:
+    """The capsule of a campaign, as its files describe it."""
+
+    radius_mm: float = 6.45
+    length_mm: float = 15.2
+    mass_g: float = 50.1
+    angle_deg: float = 60.0
+
+
+@dataclass(frozen=True, slots=True)
 class RunPlan:
-    """One commanded run; only a relaxation has a strain."""
+    """One commanded run; only a relaxation has a strain.
+
+    `specimen` counts the specimens of the session from 0; `order` counts the runs on one, as far as it is recorded when
+    the specimen was exchanged; `mounted_s` is when this specimen was, on the session's clock.
+    """
 
     kind: str
     order: int
@@ -32,6 +46,9 @@ class RunPlan:
     hold_s: float
     strain: float | None = None
     dwell_s: float = NOTED_DWELL_S
+    rate_hz: float = RATE_HZ
+    specimen: int = 0
+    mounted_s: float = 0.0
 
     @property
     def bounds_s(self) -> tuple[float, float, float, float]:
@@ -49,7 +66,12 @@ class RunPlan:
     @property
     def samples(self) -> int:
         """Number of samples of the record."""
-        return round((self.bounds_s[3] + self.hold_s) * RATE_HZ)
+        return round((self.bounds_s[3] + self.hold_s) * self.rate_hz)
+
+    @property
+    def session_s(self) -> float:
+        """Time since its specimen was mounted [s]."""
+        return self.start_s - self.mounted_s
 
 
 def draw_programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...]:
@@ -59,7 +81,8 @@ def draw_programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...
     ----------
     name
         `practice`: relaxations, blanks, Coulomb runs, and every speed of drag twice, 27 to 31 runs. `fresh`: other
-        strains and speeds.
+        strains and speeds. `other`: speeds, strains, strokes, accelerations, holds and pauses drawn at random, the
+        relaxations first, midway or last.
 
     Raises
     ------
@@ -73,6 +96,8 @@ def draw_programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...
     elif name == "fresh":
         strains, coulomb, speeds = [0.75, 1.25], [1.0, 15.0], [*FRESH_DRAG_SPEEDS_MM_S, *FRESH_DRAG_SPEEDS_MM_S]
         blanks = [10.0, 50.0]
+    elif name == "other":
+        return _other_programme(random)
     else:
         raise ValueError(f"{name!r} is not a programme; choose one of {', '.join(PROGRAMMES)}")
     drags = random.permutation(np.array(speeds)).tolist()
@@ -81,11 +106,37 @@ def draw_programme(name: str, random: np.random.Generator) -> tuple[RunPlan, ...
         RunPlan("relaxation", 0, 0.0, 20.0, strain * PLANT_WALL_MM, 2000.0, 1.0, 20.0, strain) for strain in strains
     ]
     strokes = [RunPlan(kind, 0, 0.0, speed, 40.0, 400.0, 1.0, 3.0) for kind, speed in moves]
-    plans, start_s = [], 0.0
-    for order, run in enumerate(relaxations + strokes):
+    return in_session(relaxations + strokes)
+
+
+def in_session(runs: Sequence[RunPlan], begin_s: float = 0.0, pause_s: float = PAUSE_S) -> tuple[RunPlan, ...]:
+    """Return the runs in their order, numbered from 0, the first at `begin_s` on the session's clock."""
+    plans, start_s = [], begin_s
+    for order, run in enumerate(runs):
         plans.append(replace(run, order=order, start_s=round(start_s, 6)))
-        start_s += (run.samples - 1) / RATE_HZ + PAUSE_S
+        start_s += (run.samples - 1) / run.rate_hz + pause_s
     return tuple(plans)
+
+
+def _other_programme(random: np.random.Generator) -> tuple[RunPlan, ...]:
+    def between(low: float, high: float, count: int) -> list[float]:
+        drawn = low * (high / low) ** ((np.arange(count) + random.random(count)) / count)
+        return [float(f"{value:.2g}") for value in drawn.tolist()]
+
+    travel = float(random.choice([20.0, 25.0, 30.0, 50.0, 60.0]))
+    accel = float(random.choice([100.0, 200.0, 800.0, 1500.0]))
+    rest, hold, long_hold = float(random.uniform(0.5, 2.0)), float(random.uniform(1.0, 8.0)), random.uniform(10.0, 40.0)
+    drags = np.repeat(between(0.5, 60.0, int(random.integers(5, 10))), random.integers(1, 4))
+    moves = [("blank", v) for v in between(5.0, 60.0, int(random.integers(1, 4)))]
+    moves += [("coulomb", v) for v in between(0.5, 50.0, int(random.integers(2, 5)))]
+    moves += [("drag", v) for v in random.permutation(drags).tolist()]
+    strokes = [RunPlan(kind, 0, 0.0, speed, travel, accel, rest, hold) for kind, speed in moves]
+    relaxations = [
+        RunPlan("relaxation", 0, 0.0, 20.0, strain * PLANT_WALL_MM, 2000.0, rest, round(float(long_hold), 1), strain)
+        for strain in between(0.4, 2.0, int(random.integers(2, 6)))
+    ]
+    at = int(random.choice([0, len(strokes) // 2, len(strokes)]))
+    return in_session(strokes[:at] + relaxations + strokes[at:], 0.0, float(random.uniform(30.0, 240.0)))
 
 
 @dataclass(frozen=True, slots=True)

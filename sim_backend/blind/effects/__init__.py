@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from types import MappingProxyType, ModuleType
 
-from dragrig.sim_backend.blind.effects import gut, instrument, interface, outside
+from dragrig.sim_backend.blind.effects import drawn_forms, gut, instrument
 from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect
 
 GROUPS = {
@@ -24,6 +24,27 @@ GROUPS = {
 }
 """Effects of the catalogue by what they act on; their order decides what a seed draws."""
 
+FOREIGN = (
+    "amplifier_saturates",
+    "stick_slip",
+    "current_crosstalk",
+    "loose_coupling",
+    "gain_switches",
+    "fixture_creeps",
+    "foam_resonance",
+    "wall_seam",
+    "thermostat_zero",
+    "table_vibration",
+    "missing_bits",
+    "suction",
+    "brake_clamps",
+    "cable_loop",
+    "encoder_misses",
+    "stage_yields",
+    "clock_off",
+)
+"""Effects that the catalogue does not have; their order decides what a seed draws."""
+
 
 def _forms_by_name(*modules: ModuleType) -> dict[str, tuple[type[HiddenEffect], ...]]:
     """Return the forms that modules define, in the order of their definition, which decides what a seed draws."""
@@ -35,13 +56,18 @@ def _forms_by_name(*modules: ModuleType) -> dict[str, tuple[type[HiddenEffect], 
     return forms
 
 
-_FORMS = _forms_by_name(gut, interface, instrument)
+_FORMS = _forms_by_name(gut, instrument)
 CATALOGUE: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType(
     {name: _FORMS[name] for names in GROUPS.values() for name in names}
 )
 """Forms of every effect of the catalogue."""
-OUTSIDE: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType(_forms_by_name(outside))
+OUTSIDE: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType({name: _FORMS[name] for name in FOREIGN})
 """Forms of the effects that the catalogue does not have."""
+
+DRAWN: Mapping[str, type[HiddenEffect]] = MappingProxyType(
+    {name: forms[0] for name, forms in _forms_by_name(drawn_forms).items()}
+)
+"""The form of every effect of the catalogue whose law is drawn at random."""
 
 
 def effect_group(effect_id: str) -> str:

@@ -4,13 +4,14 @@ Also the linear systems and the rate-independent hysteresis that several share, 
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Self
 from zlib import crc32
 
 import numpy as np
 
 from dragrig.sim_backend.blind import Floats, RunPlan, SampledMotion
+from dragrig.sim_backend.blind.effects.random_laws import LawFamily, RandomLaw
 
 DRAG_RUNS = frozenset({"drag"})
 SLIDING_RUNS = frozenset({"drag", "coulomb"})
@@ -50,6 +51,22 @@ PHASE = DrawnFrom(0.0, 2 * np.pi)
 
 
 @dataclass(frozen=True, slots=True)
+class OneOf:
+    """A choice with the weight of each alternative; its value is the number of the alternative, from 0."""
+
+    weights: tuple[float, ...]
+
+    def __call__(self, random: np.random.Generator) -> float:
+        """Return one number."""
+        return float(random.choice(len(self.weights), p=np.array(self.weights) / sum(self.weights)))
+
+
+def one_of(*weights: float) -> OneOf:
+    """Return a choice between alternatives of these weights."""
+    return OneOf(weights)
+
+
+@dataclass(frozen=True, slots=True)
 class RunConditions:
     """What a hidden effect may depend on in one run: its plan, the commanded and the true motion."""
 
@@ -75,7 +92,8 @@ class RunConditions:
 
     def random(self, purpose: str) -> np.random.Generator:
         """Return the run's random generator for one purpose, always in its initial state."""
-        return np.random.default_rng((self.seed, self.plan.order, crc32(purpose.encode())))
+        later = (self.plan.specimen,) if self.plan.specimen else ()
+        return np.random.default_rng((self.seed, self.plan.order, crc32(purpose.encode()), *later))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +111,11 @@ class HiddenEffect:
     """A hidden effect: a form, which overrides the hooks of the location where it acts, with values of its parameters.
 
     `name` is an id of the catalogue, or another for an effect outside it; `form` is the functional form. Parameters are
-    attributes, drawn from `ranges` in their order; the size scales `amplitude` alone.
+    attributes, drawn from `ranges` in their order; the size scales `amplitude` alone. Laws are drawn functions.
     """
 
     parameters: Mapping[str, float]
+    laws: Mapping[str, RandomLaw] = field(default_factory=dict)
 
     name: ClassVar[str]
     form: ClassVar[str]
@@ -104,12 +123,16 @@ class HiddenEffect:
     rank: ClassVar[int] = 0
     """Order in the chain from the force to the record: 0 mechanics, 1 sensor, 2 amplifier, 3 acquisition."""
     channel: ClassVar[str] = "force"
-    ranges: ClassVar[Mapping[str, DrawnFrom]]
+    ranges: ClassVar[Mapping[str, DrawnFrom | OneOf | LawFamily]]
 
     def __getattr__(self, name: str) -> float:
         if name == "parameters" or name not in self.parameters:
             raise AttributeError(f"{type(self).__name__} has no parameter {name}")
         return self.parameters[name]
+
+    def law(self, name: str) -> RandomLaw:
+        """Return a drawn function; raises `KeyError` where this form has none of this name."""
+        return self.laws[name]
 
     def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         """Return the true motion of the stage, from the commanded one."""
@@ -163,13 +186,19 @@ class HiddenEffect:
     @classmethod
     def drawn(cls, random: np.random.Generator, size: float) -> Self:
         """Draw an effect of this form; `size` scales its amplitude alone."""
-        values = {name: drawn_from(random) for name, drawn_from in cls.ranges.items()}
+        drawn_values = {name: drawn_from(random) for name, drawn_from in cls.ranges.items()}
+        values = {name: value for name, value in drawn_values.items() if not isinstance(value, RandomLaw)}
         values["amplitude"] *= size
-        return cls(values)
+        return cls(values, {name: value for name, value in drawn_values.items() if isinstance(value, RandomLaw)})
 
 
-def drawn(**ranges: DrawnFrom | tuple[float, float]) -> Callable[[type[HiddenEffect]], type[HiddenEffect]]:
-    """Give a form the ranges of its parameters, in the order of drawing; a pair of numbers is drawn from uniformly."""
+def drawn(
+    **ranges: DrawnFrom | OneOf | LawFamily | tuple[float, float],
+) -> Callable[[type[HiddenEffect]], type[HiddenEffect]]:
+    """Give a form the ranges of its parameters, in the order of drawing; a pair of numbers is drawn from uniformly.
+
+    A family of laws gives the form a drawn function.
+    """
 
     def give(form: type[HiddenEffect]) -> type[HiddenEffect]:
         form.ranges = {name: DrawnFrom(*ends) if isinstance(ends, tuple) else ends for name, ends in ranges.items()}
