@@ -42,7 +42,6 @@ from .drawing import shortened_to_width as shortened_to_width
 from .drawing import spread_labels as spread_labels
 from .drawing import text_width_in as text_width_in
 from .drawing import write_legend as write_legend
-from .effects import effects_document as effects_document
 from .evaluation import evaluation_document as evaluation_document
 from .evaluation import evaluation_json as evaluation_json
 from .exam import calibration_document as calibration_document
@@ -67,6 +66,7 @@ from .html_page import render_template as render_template
 from .identification import identification_document as identification_document
 from .identification import identification_json as identification_json
 from .identification import identified_campaigns_document as identified_campaigns_document
+from .isolability import effects_document as effects_document
 from .isolability import isolability_document as isolability_document
 from .numbers import NumberFormat as NumberFormat
 from .numbers import decimals as decimals
