@@ -71,6 +71,7 @@ from .linear_gaussian import Whitening as Whitening
 from .linear_gaussian import is_at_bound as is_at_bound
 from .linear_gaussian import prepare_channels as prepare_channels
 from .linear_gaussian import solve_joint as solve_joint
+from .linear_gaussian import zero_remarks as zero_remarks
 from .measures import UNREADABLE as UNREADABLE
 from .measures import RunMeasures as RunMeasures
 from .measures import SpeedMean as SpeedMean
@@ -93,8 +94,8 @@ from .models.capsule_model import STIFFNESS_SCATTER as STIFFNESS_SCATTER
 from .models.capsule_model import CapsuleModel as CapsuleModel
 from .models.capsule_model import acquisition_of as acquisition_of
 from .models.catalogue import find_model as find_model
+from .models.drive_model import MOTOR_FORCE_CHANNEL as MOTOR_FORCE_CHANNEL
 from .models.drive_model import DriveModel as DriveModel
-from .models.drive_model import DrivePredictor as DrivePredictor
 from .models.experiment import DEFAULT_DWELL_S as DEFAULT_DWELL_S
 from .models.experiment import MIN_COUNT_MM as MIN_COUNT_MM
 from .models.experiment import SOURCE_KEY as SOURCE_KEY
@@ -104,6 +105,7 @@ from .models.experiment import session_starts as session_starts
 from .models.experiment import wander_noise_sd_mm as wander_noise_sd_mm
 from .models.nominal_model import TURNING_SPEED_MM_S as TURNING_SPEED_MM_S
 from .models.nominal_model import ChannelModel as ChannelModel
+from .models.nominal_model import ForcePart as ForcePart
 from .models.nominal_model import NominalModel as NominalModel
 from .models.nominal_model import Parameter as Parameter
 from .noise import BlockMeans as BlockMeans

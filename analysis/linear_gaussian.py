@@ -345,6 +345,22 @@ def _zero_sd(channels: Sequence[ChannelBlocks], channel: str, nominal: NominalMo
     return max(prior_sd, ZERO_WIDENING * float(np.median(np.abs(offsets))))
 
 
+MIN_TOLD_WIDENING = 1.5
+"""A prior of a zero that is widened by less is not told."""
+
+
+def zero_remarks(problem: JointProblem) -> Iterator[str]:
+    """Yield where runs begin further off than the model's zero allows, so that its prior was widened."""
+    taken = {blocks.channel: sd for blocks, sd in zip(problem.channels, problem.zero_sds, strict=True)}
+    for channel, sd in taken.items():
+        stated = float(problem.nominal.zero_sd.get(channel, 0.0))
+        if sd > MIN_TOLD_WIDENING * stated:
+            yield (
+                f"the first samples of {channel.replace('_', ' ')} lie further from the prediction than a zero known "
+                f"to {stated:.3g} mN (zero_sd_mN) allows: the zero was taken as known to {sd:.3g} mN"
+            )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class JointSolution:
     """The most probable parameters."""

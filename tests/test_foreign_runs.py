@@ -1,5 +1,6 @@
 """Recordings from elsewhere: any of them gets a diagnosis, or one sentence why not, and nothing is made up."""
 
+import re
 import warnings
 from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
@@ -9,8 +10,10 @@ import numpy as np
 import pytest
 
 import dragrig
-from dragrig.analysis.gap.diagnosis import Diagnosis
+from dragrig.analysis import linear_gaussian
+from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.models.experiment import Experiment, insert_reversals, session_starts
+from dragrig.analysis.noise import NoiseModel
 from dragrig.rig import FloatArray
 
 RATE_HZ = 500.0
@@ -161,3 +164,98 @@ def test_a_joint_where_the_motion_reverses_has_a_time_of_its_own() -> None:
     times, velocity = insert_reversals(joints, np.array([0.0, 1e-12, -5.0, 0.0]))
     assert np.all(np.diff(times) > 0)
     assert velocity.size == times.size
+
+
+RELAXING = '''
+"""A strip that is stretched and relaxes with one mode."""
+
+import numpy as np
+
+from dragrig.analysis.models import ChannelModel, Parameter
+
+
+class Strip(ChannelModel):
+    name = "strip"
+    parameters = (
+        Parameter("spring_mN_mm", "mN/mm", 50.0, 1.0),
+        Parameter("mode_mN_mm", "mN/mm", 30.0, 1.0),
+        Parameter("time_s", "s", 0.6, 0.5),
+    )
+
+    def predict(self, values, at):
+        time = at.experiment.time_s
+        moved = at.experiment.position(time)
+        decay = np.exp(-np.diff(time) / values["time_s"])
+        branch = np.zeros_like(time)
+        for index, factor in enumerate(decay):
+            branch[index + 1] = factor * branch[index] + np.diff(moved[index : index + 2])[0]
+        elastic = values["spring_mN_mm"] * moved + values["mode_mN_mm"] * branch
+        return np.interp(at.time_s, time, elastic)
+{parts}
+
+MODEL = Strip()
+'''
+DECLARED = """
+    def parts(self, values, at):
+        return {"relaxation": self.predict(values, at)}
+"""
+
+
+def relaxing_strips(folder: Path, rest_s: float, strains_mm: tuple[float, ...]) -> Path:
+    """Import stretches of a strip that relaxes with two modes, one of them slow."""
+    runs = folder / "runs"
+    runs.mkdir()
+    for number, strain in enumerate(strains_mm):
+        time = np.arange(0.0, 8.0, 0.01)
+        moved = stroke_mm(time, 20.0, strain, rest_s) if rest_s else np.full_like(time, strain)
+        branches = np.zeros((2, time.size))
+        branches[:, 0] = 0.0 if rest_s else strain
+        for index in range(1, time.size):
+            step = np.diff(moved[index - 1 : index + 1])[0]
+            branches[:, index] = np.exp(-0.01 / np.array([0.5, 4.0])) * branches[:, index - 1] + step
+        noise = np.random.default_rng(number).normal(0.0, 1.0, time.size)
+        force = 50.0 * moved + np.array([30.0, 25.0]) @ branches + noise
+        columns = {"time_s": time, "force_mN": force, "position_mm": np.round(moved, 3)}
+        dragrig.import_run(table(folder, columns, f"{number}.csv"), runs, specimen="strip")
+    return runs
+
+
+def strip_model(folder: Path, parts: str = "") -> Path:
+    file = folder / "strip.py"
+    file.write_text(RELAXING.replace("{parts}", parts), "utf-8")
+    return file
+
+
+@pytest.fixture
+def known_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the noise be known, whatever a force that relaxes throughout shows of it."""
+    noise = NoiseModel(white=1.0, slow=0.3, correlation_s=0.2, degrees=500)
+    monkeypatch.setattr(linear_gaussian, "estimate_noise", lambda *_: noise)
+
+
+@pytest.mark.parametrize(("rest_s", "strains"), [(0.0, (4.0,)), (1.0, (4.0,)), (1.0, (2.0, 3.0, 4.0, 5.0, 6.0))])
+def test_a_relaxation_one_mode_too_short_is_no_drift_of_the_sensor(
+    rest_s: float, strains: tuple[float, ...], tmp_path: Path, known_noise: None
+) -> None:
+    result = diagnosed(relaxing_strips(tmp_path, rest_s, strains), strip_model(tmp_path))
+    assert result.verdict is Verdict.UNKNOWN, result.ranking[:3]
+    named = {hypothesis.hypothesis: hypothesis.probability for hypothesis in result.ranking}
+    assert named.get("force_drift", 0.0) < 0.2
+
+
+def test_a_model_that_declares_its_relaxation_is_tried_with_a_further_one(tmp_path: Path, known_noise: None) -> None:
+    runs = relaxing_strips(tmp_path, 1.0, (2.0, 3.0, 4.0, 5.0, 6.0))
+    result = diagnosed(runs, strip_model(tmp_path, DECLARED))
+    assert result.effects == ("extra_relaxation",), result.ranking[:3]
+    assert not any("specimen" in limitation for limitation in result.limitations)
+
+
+def test_a_zero_that_is_taken_as_less_certain_than_stated_is_told(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    for number in range(3):
+        columns = recording(number)
+        columns["force_mN"] = columns["force_mN"] + 150.0
+        dragrig.import_run(table(tmp_path, columns, f"{number}.csv"), runs, specimen="steel")
+    limitations = " ".join(diagnosed(runs, plain_model(tmp_path)).limitations)
+    assert re.search(r"zero known to 5 mN \(zero_sd_mN\) allows: the zero was taken as known to 30\d mN", limitations)

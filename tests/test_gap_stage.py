@@ -188,6 +188,29 @@ def test_a_model_of_ones_own_is_tried_with_effects_of_the_sensor(own: Path, blan
     assert any("only effects of sensor and acquisition" in name for name in foreign.limitations)
 
 
+FRICTION = """
+    def parts(self, values, at):
+        return {"dry_friction": values["coulomb_mN"] * at.direction,
+                "viscous_friction": values["viscous_mN_s_mm"] * at.velocity_mm_s}
+
+MODEL"""
+
+
+def test_a_model_that_declares_its_friction_is_tried_with_effects_of_friction(own: Path, blanks: list[Run]) -> None:
+    own.write_text(OWN.replace("\nMODEL", FRICTION), "utf-8")
+    assert dragrig.diagnose(blanks, nominal=own).verdict is Verdict.NO_GAP
+    diagnosis = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own)
+    assert diagnosis.effects == ("direction_asymmetry",)
+    assert "stribeck" in hypotheses(diagnosis)
+    assert any("declares no relaxation" in name for name in diagnosis.limitations)
+
+
+def test_a_part_of_a_force_that_does_not_exist_is_told_in_one_sentence(own: Path, blanks: list[Run]) -> None:
+    own.write_text(OWN.replace("\nMODEL", FRICTION.replace("dry_friction", "dry")), "utf-8")
+    with pytest.raises(AnalysisError, match="declares a part 'dry' of its force; known are dry_friction"):
+        dragrig.diagnose(blanks, nominal=own)
+
+
 @pytest.mark.parametrize(
     ("before", "after", "text"),
     [

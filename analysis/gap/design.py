@@ -101,6 +101,11 @@ class Study(ABC):
         del design
         return 0
 
+    def naming_obstacle(self, design: "Design") -> str:
+        """Return why these runs do not establish a design's candidates, though they fit; nothing by default."""
+        del design
+        return ""
+
     @property
     def channel(self) -> str:
         """Name of the force channel that is explained."""
@@ -294,7 +299,7 @@ def linearise(
             signatures_by_run.setdefault(first_run, variant_signatures)
             rows.append(run_data.block_means(variant_signatures))
         whitening = whitenings[number]
-        if wall.effects and run_data.acquisition.contact is Contact.STICKING:
+        if wall.effects and run_data.experiment.contact is Contact.STICKING:
             stiff = run_data.block_means(added_force(wall, scene, gain))
             whitening = problem.with_stiffness(number, predictions[number], stiff, whitening)
         residual = run_data.block_data.blocks.mean - predictions[number].total - effects

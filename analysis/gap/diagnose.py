@@ -88,16 +88,16 @@ def decision_inputs(
     search: ForceSearchResult, position: PositionAnalysis, lines: SpectralLines, excluded: tuple[str, ...]
 ) -> DecisionInputs:
     """Return the inputs of the verdict; `excluded` are effects left out of the search."""
-    lookalikes = search.study.untried_lookalikes
+    study = search.study
     hypotheses = []
     for fit in search.singles:
         chi2 = fit.chi2_with_form_error if fit.periodic else fit.chi2
-        hypotheses.append(_summary(fit, lookalikes(fit.design), 0.5 * (search.chi2 - chi2), search.chi2))
+        hypotheses.append(_summary(fit, study, 0.5 * (search.chi2 - chi2), search.chi2))
     for step in search.steps:
         if step.fit is not None:
             laws = step.laws[:MAX_FURTHER_LAWS]
             numbers = step.llr, step.chi2_without, step.rival_llr, laws
-            hypotheses.append(_summary(step.fit, lookalikes(step.fit.design), *numbers))
+            hypotheses.append(_summary(step.fit, study, *numbers))
     return DecisionInputs(
         block_count=search.block_count,
         chi2=search.chi2,
@@ -126,7 +126,7 @@ def _swing_period_s(singles: Sequence[HypothesisFit]) -> float:
 
 def _summary(
     fit: HypothesisFit,
-    lookalikes: int,
+    study: Study,
     llr: float,
     chi2_without: float,
     rival_llr: float = 0.0,
@@ -144,7 +144,8 @@ def _summary(
         laws=laws,
         excess_elsewhere=fit.excess_elsewhere,
         at_limit=any(candidate.at_limit for candidate in fit.parameters.candidates),
-        untried_lookalikes=lookalikes,
+        untried_lookalikes=study.untried_lookalikes(fit.design),
+        not_established=study.naming_obstacle(fit.design),
     )
 
 

@@ -60,6 +60,8 @@ class HypothesisSummary:
         Whether an effect has its largest possible size.
     untried_lookalikes
         Number of effects that could not be tried with this nominal model and may look alike in these runs.
+    not_established
+        Why these runs do not establish its effects although they fit, half a sentence; empty where they may.
     """
 
     effects: tuple[str, ...]
@@ -74,6 +76,7 @@ class HypothesisSummary:
     excess_elsewhere: Annotated[float, Field(alias="elsewhere")] = 0.0
     at_limit: bool = False
     untried_lookalikes: Annotated[int, Field(alias="untold")] = 0
+    not_established: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,26 +6,28 @@ one prior standard deviation. Where little is known of a model beforehand, the p
 runs themselves (`empirical_priors`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from dragrig.analysis import (
+    MOTOR_FORCE_CHANNEL,
     TURNING_SPEED_MM_S,
     CapsuleModel,
     DriveModel,
-    DrivePredictor,
+    ForcePart,
     JointProblem,
     NominalModel,
     PriorScales,
     RunSelection,
     session_starts,
     solve_joint,
+    zero_remarks,
 )
 from dragrig.analysis.gap.candidates import signature, variants_of
-from dragrig.analysis.gap.design import ColumnKind, Design, Study, problem_of_runs
+from dragrig.analysis.gap.design import ColumnKind, Design, Study, fit_columns, problem_of_runs
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
 from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, without_hum
 from dragrig.config import AnalysisError, Fixture, FrictionModelSettings
@@ -36,8 +38,11 @@ from dragrig.sim_backend.effects import (
     Coordinate,
     Effect,
     EffectChain,
+    Location,
     RunState,
     ShearedWall,
+    SlipHistory,
+    first_order,
 )
 from dragrig.sim_backend.friction import stress_log_derivatives
 
@@ -162,13 +167,16 @@ MAX_PRIOR_SHARE = 0.2
 """One standard deviation of an empirical prior changes the channel by at most this share of its rms."""
 
 
-def empirical_priors(problem: JointProblem) -> JointProblem:
+def empirical_priors(problem: JointProblem) -> tuple[JointProblem, str]:
     """Return a problem with priors around a fit of the model alone, no wider than effects can mislead that fit.
+
+    Also return why that fit did not converge, a few words; empty where it did.
 
     A diagnosis linearises. With a prior as wide as all conceivable stages, a step beside a strong effect would end at
     impossible parameters, where the next linearisation does not hold.
     """
-    values = problem.scales.values(solve_joint(problem).z)
+    solution = solve_joint(problem)
+    values = problem.scales.values(solution.z)
     measured = np.concatenate([data.blocks.mean for data in problem.channels])
     by_value = np.concatenate([data.sensitivities(values) for data in problem.channels], axis=1)
     rms = np.sqrt(np.mean(measured**2))
@@ -181,29 +189,17 @@ def empirical_priors(problem: JointProblem) -> JointProblem:
             else parameter.prior_sd
         )
         parameters.append(replace(parameter, nominal=value, prior_sd=sd))
-    return replace(problem, scales=PriorScales.of(tuple(parameters)))
+    fitted = replace(problem, scales=PriorScales.of(tuple(parameters)))
+    return fitted, "" if solution.converged else solution.why or "too many steps"
 
 
 MIN_SIGNATURE_MN = 1e-9
 """An effect with a smaller signature in all runs cannot act."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrictionParts:
-    """Friction split into its parts, at the times of a scene, shape `(n,)`."""
-
-    coulomb_mN: float
-    """Coulomb friction at full speed."""
-    coulomb: FloatArray
-    viscous: FloatArray
-    """`coulomb`, `viscous`: both parts, signed [mN]."""
-    turning_mm_s: float
-    """Speed over which the Coulomb part changes its sign."""
-
-
 @dataclass(frozen=True, eq=False)
 class PredictedScene(RunState):
-    """State of a run without wall or specimen, with a force predicted by any nominal model."""
+    """State of a run without wall or capsule, with a force predicted by any nominal model."""
 
     _: KW_ONLY
     predicted: FloatArray
@@ -216,38 +212,48 @@ class PredictedScene(RunState):
 
     @property
     def stiffness_force(self) -> FloatArray:
-        """Zero: no force depends on the stiffness of a wall."""
-        return np.zeros_like(self.time_s)
+        """The part of the force that a specimen's stiffness causes; zero where the model declares none."""
+        return self.shear
+
+    def relaxing_branch(self, rate: float) -> FloatArray:
+        """Return a further Maxwell branch as stiff as the declared relaxation is at its largest travel."""
+        travel_mm = float(np.abs(self.position_mm).max(initial=0.0))
+        if not travel_mm:
+            return np.zeros_like(self.time_s)
+        stiffness = float(np.abs(self.shear).max(initial=0.0)) / travel_mm
+        return np.asarray(stiffness * (self.position_mm - first_order(self.time_s, self.position_mm, 1.0 / rate)))
 
 
-def predicted_scene(run: RunData, predicted: FloatArray, friction: FrictionParts | None = None) -> PredictedScene:
+def predicted_scene(run: RunData, predicted: FloatArray, parts: Mapping[ForcePart, FloatArray]) -> PredictedScene:
     """Return the state of a run at the nodes of its blocks.
 
     Parameters
     ----------
     predicted
         Nominal force there, shape `(n,)`.
-    friction
-        Part of it that is sliding friction; without it nothing slides.
+    parts
+        Its parts whose place is known. Without friction among them nothing slides, without relaxation nothing is
+        deformed.
     """
     time_s = run.block_data.blocks.nodes_s
     zeros = np.zeros_like(time_s)
-    parts = friction or FrictionParts(0.0, zeros, zeros, 1.0)
+    dry, viscous = parts.get(ForcePart.DRY_FRICTION, zeros), parts.get(ForcePart.VISCOUS_FRICTION, zeros)
+    slides = ForcePart.DRY_FRICTION in parts or ForcePart.VISCOUS_FRICTION in parts
     return PredictedScene(
         time_s=time_s,
         session_start_s=run.session_start_s,
         order=run.experiment.run.info.header.order,
-        contact=Contact.NONE if friction is None else Contact.SLIDING,
+        contact=Contact.SLIDING if slides else Contact.NONE,
         # Sliding under a given load without a surrounding wall, as in the vacuum fixture.
-        fixture=Fixture.NONE if friction is None else Fixture.VACUUM,
+        fixture=Fixture.VACUUM if slides else Fixture.NONE,
         motion=run.experiment.motion,
-        regularisation_mm_s=parts.turning_mm_s,
+        regularisation_mm_s=TURNING_SPEED_MM_S,
         f_e=zeros,
-        f_v=parts.viscous,
-        f_c=parts.coulomb,
-        weight_mN=parts.coulomb_mN,
+        f_v=viscous,
+        f_c=dry,
+        weight_mN=float(np.abs(dry).max(initial=0.0)),
         friction_coefficient=1.0,
-        shear=zeros,
+        shear=parts.get(ForcePart.RELAXATION, zeros),
         predicted=predicted,
     )
 
@@ -300,8 +306,12 @@ def confounded_with_friction(design: Design, runs: Sequence[RunData]) -> bool:
 
 
 def _residual_chi2(columns: FloatArray, values: FloatArray) -> float:
-    coefficients = np.linalg.lstsq(columns, values, rcond=1e-10)[0]
-    return float(np.sum((values - columns @ coefficients) ** 2))
+    return float(np.sum(_beside(columns, values) ** 2))
+
+
+def _beside(columns: FloatArray, values: FloatArray) -> FloatArray:
+    """Return what columns cannot represent of values, shape `(B,)` or `(B, m)`."""
+    return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0])
 
 
 def _friction_columns(run: RunData, longest_mm: float) -> FloatArray:
@@ -316,6 +326,95 @@ def _friction_columns(run: RunData, longest_mm: float) -> FloatArray:
         np.exp(-travel / length) for length in np.geomspace(0.01, 1, WAY_LENGTHS)
     ]
     return np.asarray(sign[:, None] * np.stack(shapes, axis=1))
+
+
+HISTORY_S = np.geomspace(0.03, 30.0, 7)
+"""Time constants of a force that changes since the last start or stop, whatever it is."""
+FRICTION_SPEEDS_MM_S = np.geomspace(0.3, 100.0, 7)
+"""Speeds over which friction may change."""
+MIN_SIZE_SIGMAS = 3.0
+"""A size that is less certain is not determined."""
+MIN_FREE_BLOCKS = 20
+"""With fewer blocks beyond the free functions, nothing is told apart."""
+CONSISTENT_SIZES = 0.5, 2.0
+"""Size of an effect beside free functions of the motion over its size in the fit, where the runs tell both apart."""
+
+
+def separable_from_motion(design: Design, runs: Sequence[RunData]) -> bool:
+    """Whether candidates show, at their size, beside any force that depends on speed, or on time or travel in motion.
+
+    A relaxation or a friction law that the nominal model misses depends on the motion alone. Such a force is added as
+    free functions that all runs share; what an effect explains beside these is its own.
+    """
+    longest = max(float(np.ptp(data.coordinates.position_mm)) for data in runs)
+    columns_of_runs, pairs = [], []
+    for run_data, run in zip(runs, design.runs, strict=True):
+        nominal = run.columns[:, design.columns_of(ColumnKind.NOMINAL)]
+        columns = np.hstack((nominal, _friction_columns(run_data, longest), _history_columns(run_data)))
+        columns_of_runs.append(run.whitening.whiten(columns))
+        pairs.append(run.whitening.whiten(np.column_stack((run.residual + run.effect_force, run.effect_force))))
+    columns = np.concatenate(columns_of_runs)
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norms > 0] / norms[norms > 0]
+    free = len(columns) - columns.shape[1]
+    residual, effect = _beside(columns, np.concatenate(pairs)).T
+    power = float(effect @ effect)
+    if free < MIN_FREE_BLOCKS or power <= 0:
+        return False
+    size = float(residual @ effect) / power
+    # What neither explains makes the size less certain.
+    scatter = max(float(np.sum((residual - size * effect) ** 2)) / free, 1.0)
+    low, high = CONSISTENT_SIZES
+    return low < size < high and size > MIN_SIZE_SIGMAS * float(np.sqrt(scatter / power))
+
+
+def _history_columns(run: RunData) -> FloatArray:
+    """Return smooth functions of time since start and stop, with the sign of the motion and without, and of speed."""
+    blocks = run.coordinates
+    slip = SlipHistory.of(run.experiment.motion, blocks.time_s)
+    moves = slip.heading * slip.moving
+    since_start = np.exp(-slip.since_start_s[:, None] / HISTORY_S) * (slip.heading != 0)[:, None]
+    since_stop = np.exp(-slip.since_stop_s[:, None] / HISTORY_S) * (slip.since_stop_s > 0)[:, None]
+    history = np.hstack((since_start, since_stop, (slip.heading != 0)[:, None], (slip.since_stop_s > 0)[:, None]))
+    speed = moves[:, None] * np.exp(-blocks.speed_mm_s[:, None] / FRICTION_SPEEDS_MM_S)
+    return np.hstack((history, slip.heading[:, None] * history, speed, (moves * blocks.speed_mm_s)[:, None]))
+
+
+SENSOR_PLACES = (Location.FORCE_SENSOR, Location.ACQUISITION)
+
+
+def naming_obstacle(design: Design, runs: Sequence[RunData]) -> str:
+    """Say why runs do not establish the candidates of a design, though they fit; empty where nothing stands against it.
+
+    Half a sentence that follows "not established:".
+    """
+    of_sensor = any(candidate.effect.location in SENSOR_PLACES for candidate in design.candidates)
+    too_few = len(runs) < MIN_RUNS_TO_HOLD_OUT or len({run.condition for run in runs}) == 1
+    if len(runs) == 1 or (of_sensor and too_few):
+        return "nothing can be held out of so few runs or conditions"
+    if any(candidate.at_limit for candidate in design.candidates):
+        return "its size is at the limit of what is possible"
+    added = max(float(np.abs(run.effect_force).max(initial=0.0)) for run in design.runs)
+    range_mN = max(float(np.ptp(run.block_data.blocks.mean)) for run in runs)
+    if added > range_mN:
+        return f"it would add {added:.3g} mN, and no measured force varies by more than {range_mN:.3g} mN"
+    if not _sizes_determined(design):
+        return "its size is not determined"
+    if of_sensor and not separable_from_motion(design, runs):
+        return "these runs do not tell it from a force that changes with speed, or with time or travel in motion"
+    return ""
+
+
+def _sizes_determined(design: Design) -> bool:
+    fit = fit_columns(design, design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR, ColumnKind.EFFECT)
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    effect_errors = errors[np.searchsorted(fit.columns, design.columns_of(ColumnKind.EFFECT))].tolist()
+    for candidate in design.candidates:
+        names = [parameter.name for parameter in candidate.fitted_parameters]
+        error, effect_errors = effect_errors[names.index(candidate.effect.size.name)], effect_errors[len(names) :]
+        if abs(candidate.values[candidate.effect.size.name]) < MIN_SIZE_SIGMAS * error:
+            return False
+    return True
 
 
 MIN_RUNS_TO_HOLD_OUT = 4
@@ -382,7 +481,16 @@ def stage_limitations(runs: Sequence[RunData]) -> Iterator[str]:
         yield "No blank runs: the stage is known no better than the load that it moves."
 
 
-def own_model_limitations(runs: Sequence[RunData], other_channels: Sequence[str]) -> Iterator[str]:
+PLACES_OF_PART = {
+    "friction": ((ForcePart.DRY_FRICTION, ForcePart.VISCOUS_FRICTION), (Location.INTERFACE, Location.MOTOR)),
+    "relaxation": ((ForcePart.RELAXATION,), (Location.WALL, Location.SPECIMEN)),
+}
+"""Parts of a force that a model may declare, and the places whose effects act on them."""
+
+
+def own_model_limitations(
+    runs: Sequence[RunData], undeclared: Sequence[str], other_channels: Sequence[str]
+) -> Iterator[str]:
     """Yield limitations of a user's model, of which one channel is explained and `other_channels` are not."""
     speeds = {round(float(run.coordinates.top_speed_mm_s[0]), 1) for run in runs}
     if len(speeds) == 1 and goes_one_way(runs) and not any(_rests(run) for run in runs):
@@ -390,10 +498,15 @@ def own_model_limitations(runs: Sequence[RunData], other_channels: Sequence[str]
             "All runs go one way at one speed without a rest: sensor effects in time cannot be separated from "
             "friction that changes along the stroke."
         )
-    yield (
-        "The model does not separate the parts of its force: only effects of sensor and acquisition were tried, "
-        "none of wall, interface, specimen or drive."
-    )
+    if len(undeclared) == len(PLACES_OF_PART):
+        yield (
+            "The model does not declare the parts of its force: only effects of sensor and acquisition were tried, "
+            "none of wall, interface, specimen or drive."
+        )
+    else:
+        for part in undeclared:
+            places = " and ".join(PLACES_OF_PART[part][1])
+            yield f"The model declares no {part}: effects of {places} were not tried."
     yield "No amended model is written: the simulator does not know the model."
     for name in other_channels:
         yield f"The model also predicts {name}, which was not diagnosed."
@@ -448,49 +561,69 @@ class CapsuleStudy(Study):
 
 
 @dataclass(frozen=True, eq=False)
-class StageStudy(Study):
-    """The stage alone, recorded motor force: sliding guides without wall or specimen."""
+class PredictedStudy(Study):
+    """Runs whose force any nominal model predicts, without capsule and gut."""
 
-    @classmethod
-    def of(cls, selection: RunSelection, nominal: DriveModel, effects: Sequence[Effect]) -> "StageStudy":
-        """Prepare all runs; raises `AnalysisError` where none recorded a motor force."""
-        problem = empirical_priors(JointProblem.of(selection, nominal, MAX_BLOCK_MM))
-        bare = cls(problem, run_data_of(problem.channels), ())
-        return replace(
-            bare, effects=effects_that_act(bare, [effect for effect in effects if effect.nominal in {"", nominal.name}])
-        )
+    why_not_converged: str = ""
+    """Why the fit of the nominal model did not converge; empty where it did."""
 
     def scene(self, number: int, z: FloatArray) -> tuple[RunState, float]:
-        """Return the state of a run that effects act on; the motor force has gain 1."""
+        """Return the state of a run that effects act on, its predicted force and the parts of it that are known."""
         run, values = self.runs[number], self.problem.scales.values(z)
         predictor, time_s = run.block_data.predictor, run.block_data.blocks.nodes_s
-        friction = None
-        if isinstance(predictor, DrivePredictor):
-            viscous, coulomb = predictor.friction(values, time_s)
-            friction = FrictionParts(self.values(z)["coulomb_mN"], coulomb, viscous, TURNING_SPEED_MM_S)
-        return predicted_scene(run, predictor.predict(values, time_s).total, friction), 1.0
+        return predicted_scene(run, predictor.predict(values, time_s).total, predictor.parts(values, time_s)), 1.0
 
     def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray:
         """Return blocks whose uncertainty from the motion is below the noise of a single sample."""
         return motion_sd <= self.problem.noises[number].white
 
+    def naming_obstacle(self, design: Design) -> str:
+        """Return why these runs do not establish a design's candidates."""
+        if self.why_not_converged:
+            return "the fit of the nominal model did not converge"
+        return naming_obstacle(design, self.runs)
+
+    def limitations(self) -> Iterator[str]:
+        """Yield what these runs cannot answer, a sentence each."""
+        if self.why_not_converged:
+            yield f"The fit of the nominal model did not converge ({self.why_not_converged}): no effect is named."
+        for remark in zero_remarks(self.problem):
+            yield f"{remark[0].upper()}{remark[1:]}."
+        yield from general_limitations(self.runs)
+
+
+@dataclass(frozen=True, eq=False)
+class StageStudy(PredictedStudy):
+    """The stage alone, recorded motor force: sliding guides without wall or specimen."""
+
+    @classmethod
+    def of(cls, selection: RunSelection, nominal: DriveModel, effects: Sequence[Effect]) -> "StageStudy":
+        """Prepare all runs; raises `AnalysisError` where none recorded a motor force."""
+        problem, why_not = empirical_priors(JointProblem.of(selection, nominal, MAX_BLOCK_MM))
+        bare = cls(problem, run_data_of(problem.channels), (), why_not)
+        return replace(
+            bare, effects=effects_that_act(bare, [effect for effect in effects if effect.nominal in {"", nominal.name}])
+        )
+
     def limitations(self) -> Iterator[str]:
         """Yield what these runs cannot answer, a sentence each."""
         yield from stage_limitations(self.runs)
-        yield from general_limitations(self.runs)
+        yield from super().limitations()
 
 
 FORCE_UNIT = "mN"
 
 
 @dataclass(frozen=True, eq=False)
-class OwnModelStudy(Study):
-    """A user's nominal model, one channel, without knowledge of its parts: only sensor effects can act."""
+class OwnModelStudy(PredictedStudy):
+    """A user's nominal model, one channel: effects of the sensor, and of the places of the parts that it declares."""
 
     other_channels: tuple[str, ...] = ()
     """Other channels that the model predicts."""
+    undeclared: tuple[str, ...] = ()
+    """Parts of the force that the model does not declare, of `PLACES_OF_PART`."""
     untried_effects: int = 0
-    """Number of effects at the sliding contact, whose force the model does not separate."""
+    """Number of effects at their places, which were not tried."""
 
     @classmethod
     def of(cls, selection: RunSelection, nominal: NominalModel, effects: Sequence[Effect]) -> "OwnModelStudy":
@@ -511,28 +644,31 @@ class OwnModelStudy(Study):
                 f"the model {nominal.name} predicts {', '.join(channels)} and no force in mN, which is what a "
                 "diagnosis explains; name another model with --nominal."
             )
-        problem = empirical_priors(
+        problem, why_not = empirical_priors(
             problem_of_runs(
                 all_channels, [index for index, data in enumerate(all_channels.channels) if data.channel == channel]
             )
         )
-        other_channels = tuple(name for name in channels if name != channel)
-        untried = sum(effect.in_gut for effect in effects)
-        bare = cls(problem, run_data_of(problem.channels), (), other_channels, untried)
-        sensor = [
-            effect for effect in effects if effect.channel is Channel.FORCE and not effect.in_gut and not effect.nominal
-        ]
-        return replace(bare, effects=effects_that_act(bare, sensor))
-
-    def scene(self, number: int, z: FloatArray) -> tuple[RunState, float]:
-        """Return the state of a run: its motion, and the predicted force."""
-        run = self.runs[number]
-        prediction = run.block_data.predictor.predict(self.problem.scales.values(z), run.block_data.blocks.nodes_s)
-        return predicted_scene(run, prediction.total), 1.0
-
-    def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray:
-        """Return blocks whose uncertainty from the motion is below the noise of a single sample."""
-        return motion_sd <= self.problem.noises[number].white
+        runs = run_data_of(problem.channels)
+        values = problem.scales.values(np.zeros(len(problem.nominal.parameters)))
+        declared = {part for run in runs for part in run.block_data.predictor.parts(values, np.zeros(1))}
+        undeclared = {
+            name: places for name, (parts, places) in PLACES_OF_PART.items() if not declared.intersection(parts)
+        }
+        untried = {place for places in undeclared.values() for place in places}
+        bare = cls(
+            problem,
+            runs,
+            (),
+            why_not,
+            tuple(name for name in channels if name != channel),
+            tuple(undeclared),
+            sum(effect.in_gut and effect.location in untried for effect in effects),
+        )
+        # The motor's own effects show in its force, whoever models it.
+        belongs_to = {"", DriveModel().name} if channel == MOTOR_FORCE_CHANNEL else {""}
+        tried = [effect for effect in effects if effect.channel is Channel.FORCE and effect.nominal in belongs_to]
+        return replace(bare, effects=effects_that_act(bare, tried))
 
     def untried_lookalikes(self, design: Design) -> int:
         """Return the number of untried effects if the candidates look like friction along the stroke."""
@@ -540,8 +676,8 @@ class OwnModelStudy(Study):
 
     def limitations(self) -> Iterator[str]:
         """Yield what these runs and this model cannot answer, a sentence each."""
-        yield from own_model_limitations(self.runs, self.other_channels)
-        yield from general_limitations(self.runs)
+        yield from own_model_limitations(self.runs, self.undeclared, self.other_channels)
+        yield from super().limitations()
 
 
 def prepare_study(selection: RunSelection, nominal: NominalModel, effects: Sequence[Effect]) -> Study:

@@ -504,6 +504,21 @@ def _share_of_excess(chi2_difference: float, inputs: DecisionInputs) -> str:
     return f"{min(chi2_difference / max(inputs.excess, 1.0), 1.0):.0%}"
 
 
+def resemblance_text(inputs: DecisionInputs) -> str:
+    """Say which effect the gap looks like, and why these runs do not establish it; empty for none."""
+    alike = [
+        hypothesis
+        for hypothesis in inputs.hypotheses
+        if hypothesis.not_established
+        and len(hypothesis.effects) == 1
+        and 2 * hypothesis.llr > MIN_NONPARAMETRIC_SHARE * max(inputs.excess, 1.0)
+    ]
+    if not alike:
+        return ""
+    best = max(alike, key=lambda hypothesis: hypothesis.llr)
+    return f"It looks like {display_name(best.effects[0])}, which is not established: {best.not_established}."
+
+
 def line_texts(line: SpectralLine, channel: str) -> tuple[str, str]:
     """Describe where an unexplained spectral line is, and its frequency and amplitude."""
     location = f"It is in the {channel.replace('_', ' ')}, also while the stage is at rest"
@@ -542,7 +557,9 @@ def describe_unexplained_gap(
     region = gap_region(where, blocks)
     law = fit_gap_law(region)
     entirely_unknown = classification.verdict is Verdict.UNKNOWN and not inputs.has_position_error
-    sentences = (dependence_text(where, region), nonparametric_law_text(inputs) if entirely_unknown else "")
+    sentences = [dependence_text(where, region)]
+    if entirely_unknown:
+        sentences += [nonparametric_law_text(inputs), resemblance_text(inputs)]
     return UnexplainedGap(
         location=location_text(where, blocks) if localisable else NOT_LOCALISABLE,
         dependence=" ".join(sentence for sentence in sentences if sentence),

@@ -21,6 +21,7 @@ from dragrig.analysis import (
     no_progress,
     single_blas_thread,
     solve_joint,
+    zero_remarks,
 )
 from dragrig.analysis.identification.identification import (
     MIN_P_VALUE,
@@ -177,6 +178,7 @@ def _joint_remarks(
             f"in {worst.file} ({worst.chi2:.3g} times): an effect that it does not contain acts, its parameters absorb "
             f"some of it, and the intervals, widened by {np.sqrt(misfit):.2f}, may not hold"
         )
+    yield from zero_remarks(problem)
     yield from _variation_remarks(problem, runs)
     pinned = [parameter.name for parameter, bound in zip(parameters, is_at_bound(solution.z), strict=True) if bound]
     if pinned:

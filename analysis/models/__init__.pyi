@@ -2,6 +2,7 @@ from .catalogue import find_model as find_model
 from .experiment import Experiment as Experiment
 from .nominal_model import ChannelModel as ChannelModel
 from .nominal_model import Combination as Combination
+from .nominal_model import ForcePart as ForcePart
 from .nominal_model import MotionState as MotionState
 from .nominal_model import NominalModel as NominalModel
 from .nominal_model import Parameter as Parameter

@@ -20,7 +20,15 @@ import numpy as np
 
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.nominal_model import Combination, NominalModel, Parameter, Prediction, Predictor, Variation
+from dragrig.analysis.models.nominal_model import (
+    Combination,
+    ForcePart,
+    NominalModel,
+    Parameter,
+    Prediction,
+    Predictor,
+    Variation,
+)
 from dragrig.config import (
     AnalysisError,
     DragrigError,
@@ -263,6 +271,15 @@ class CheckedPredictor(Predictor):
             rows = np.asarray(self.own.sensitivities(values, time_s), dtype=np.float64)
         return self._require_shape("sensitivities", rows, (len(self.model.parameters), len(time_s)))
 
+    def parts(self, values: FloatArray, time_s: FloatArray) -> Mapping[ForcePart, FloatArray]:
+        """Return the parts of the prediction whose place is known."""
+        with self.model.reported(self.experiment):
+            declared: Mapping[ForcePart, FloatArray] = self.own.parts(values, time_s)
+            parts = {ForcePart(name): np.asarray(force, np.float64) for name, force in declared.items()}
+        for name, force in parts.items():
+            self._require_shape(f"parts' {name}", force, (len(time_s),))
+        return parts
+
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return how well the channel can be predicted from the measured motion."""
         with self.model.reported(self.experiment):
@@ -279,6 +296,7 @@ class CheckedPredictor(Predictor):
             "predict's varying": prediction.varying,
             "sensitivities": self.sensitivities(values, time),
             "uncertainty": self.uncertainty(values, time),
+            **{f"parts' {name}": force for name, force in self.parts(values, time).items()},
             "events_s": self._require_shape("events_s", self.events_s, self.events_s.shape[:1]),
         }
         for name, answer in answers.items():

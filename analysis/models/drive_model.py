@@ -12,6 +12,7 @@ import numpy as np
 from dragrig.analysis.models.experiment import Experiment, Kinematics, fit_kinematics
 from dragrig.analysis.models.nominal_model import (
     TURNING_SPEED_MM_S,
+    ForcePart,
     NominalModel,
     Parameter,
     Prediction,
@@ -176,10 +177,10 @@ class DrivePredictor(Predictor):
         del values
         return np.vstack((self._moving(time_s), np.ones_like(time_s), self.load.force(time_s)))
 
-    def friction(self, values: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return viscous and Coulomb friction [mN], shapes `(n,)`."""
-        _, viscous, coulomb = values[:3, None] * self._moving(time_s)
-        return viscous, coulomb
+    def parts(self, values: FloatArray, time_s: FloatArray) -> Mapping[ForcePart, FloatArray]:
+        """Return inertia and friction [mN], shapes `(n,)`."""
+        places = (ForcePart.INERTIA, ForcePart.VISCOUS_FRICTION, ForcePart.DRY_FRICTION)
+        return dict(zip(places, values[:3, None] * self._moving(time_s), strict=True))
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return the uncertainty by the times at which the motion changes, the acceleration and the load."""

@@ -8,6 +8,7 @@ travel as arrays in the order of `NominalModel.parameters`.
 from abc import abstractmethod
 from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from math import inf
 from types import MappingProxyType
 from typing import Protocol
@@ -15,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from dragrig.analysis.models.experiment import Experiment, Kinematics, fit_kinematics
+from dragrig.config import AnalysisError, suggestion
 from dragrig.rig import FloatArray
 
 
@@ -86,6 +88,19 @@ class Prediction:
     """What each of the model's variations multiplies, shape `(V, n)`, in their order."""
 
 
+class ForcePart(StrEnum):
+    """A part of a predicted force by its place; effects of the place act on it.
+
+    `DRY_FRICTION` and `VISCOUS_FRICTION` have the sign of the motion, `RELAXATION` is the force of a specimen that is
+    deformed and relaxes, in proportion to its stiffness, and `INERTIA` accelerates a mass.
+    """
+
+    DRY_FRICTION = "dry_friction"
+    VISCOUS_FRICTION = "viscous_friction"
+    RELAXATION = "relaxation"
+    INERTIA = "inertia"
+
+
 class Predictor(Protocol):
     """One channel of one run, prepared: all that does not depend on the parameters is computed already."""
 
@@ -114,6 +129,11 @@ class Predictor(Protocol):
         """Return `sensitivities`; rows of the named parameters are not used, and may hold anything."""
         del names
         return self.sensitivities(values, time_s)
+
+    def parts(self, values: FloatArray, time_s: FloatArray) -> Mapping[ForcePart, FloatArray]:
+        """Return the parts of the prediction whose place is known, shape `(n,)` each; default: none."""
+        del values, time_s
+        return {}
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return how well the channel can be predicted from the measured motion, one standard deviation, shape `(n,)`.
@@ -235,6 +255,14 @@ class ChannelModel(NominalModel):
     def predict(self, values: Mapping[str, float], at: MotionState) -> FloatArray:
         """Return the channel without its zero, shape `(n,)`, for parameter values by name."""
 
+    def parts(self, values: Mapping[str, float], at: MotionState) -> Mapping[str, FloatArray]:
+        """Return parts of the prediction by their place (`ForcePart`), shape `(n,)` each; default: none is known.
+
+        A diagnosis tries the effects of the places that are named, beside those of the sensor.
+        """
+        del values, at
+        return {}
+
     def suits(self, experiment: Experiment) -> bool:
         """Whether the model applies to a run; default: to every run."""
         del experiment
@@ -290,9 +318,23 @@ class _ChannelPredictor(Predictor):
         accelerated = self._total(values, time_s, self.motion.acceleration_error(time_s))
         return np.hypot(by_joints, accelerated - self._total(values, time_s))
 
+    def parts(self, values: FloatArray, time_s: FloatArray) -> Mapping[ForcePart, FloatArray]:
+        declared = self.model.parts(self._named(values), self._motion_at(time_s))
+        unknown = [name for name in declared if name not in set(ForcePart)]
+        if unknown:
+            raise AnalysisError(
+                f"the model {self.model.name} declares a part {unknown[0]!r} of its force; "
+                f"{suggestion(unknown[0], list(ForcePart))}"
+            )
+        return {ForcePart(name): np.asarray(force, dtype=np.float64) for name, force in declared.items()}
+
     def _total(self, values: FloatArray, time_s: FloatArray, error: FloatArray | float = 0.0) -> FloatArray:
+        return np.asarray(self.model.predict(self._named(values), self._motion_at(time_s, error)), dtype=np.float64)
+
+    def _named(self, values: FloatArray) -> Mapping[str, float]:
+        return {parameter.name: float(value) for parameter, value in zip(self.model.parameters, values, strict=True)}
+
+    def _motion_at(self, time_s: FloatArray, error: FloatArray | float = 0.0) -> MotionState:
         motion, experiment = self.motion, self.experiment
         acceleration = motion.acceleration(time_s) + error
-        at = MotionState(time_s, experiment.position(time_s), motion.velocity(time_s), acceleration, experiment)
-        named = {parameter.name: float(value) for parameter, value in zip(self.model.parameters, values, strict=True)}
-        return np.asarray(self.model.predict(named, at), dtype=np.float64)
+        return MotionState(time_s, experiment.position(time_s), motion.velocity(time_s), acceleration, experiment)

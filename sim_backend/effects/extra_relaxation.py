@@ -66,7 +66,8 @@ class ExtraRelaxation(ForceEffect):
             return np.asarray(run.sheared.area_mm2 * modulus * np.sum(branches, axis=0))
         wall = run.wall
         if wall is None:
-            return np.zeros_like(run.time_s)
+            branches = [weight * run.relaxing_branch(rate) for rate, weight in zip(rates, weights, strict=True)]
+            return np.asarray(values["share"] * np.sum(branches, axis=0))
         front = values["share"] * wall.parameters.E3 * wall.strain * _relaxed(wall.age_s, rates, weights)
         equator = values["share"] * wall.equator_parameters.E3 * wall.strain_at_equator
         return force_of_hoop_stress(run, wall, front, equator * _relaxed(wall.equator_age_s, rates, weights))

@@ -294,6 +294,14 @@ class RunState:
         """Slip since starts and stops."""
         return SlipHistory.of(self.motion, self.time_s)
 
+    def relaxing_branch(self, rate: float) -> FloatArray:
+        """Return the force of a further Maxwell branch of this rate [1/s] where there is neither wall nor shear: none.
+
+        A state with a force of its own that relaxes overrides it.
+        """
+        del rate
+        return np.zeros_like(self.time_s)
+
     @cached_property
     def stiffness_force(self) -> FloatArray:
         """Force in proportion to the wall's stiffness: shear, f_e, and the part of f_c that is not the weight's."""
