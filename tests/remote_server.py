@@ -4,6 +4,7 @@ It is started as a script with `--rig FILE`, prints one line of JSON with its po
 standard input is closed, which the end of the process that started it does, or when the control socket says so.
 """
 
+import gc
 import os
 import socketserver
 import sys
@@ -165,6 +166,9 @@ def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
         port = opened.enter_context(SocketPort(drive))
         control = opened.enter_context(ControlServer(bench.faults, bench.present, look, end))
         threading.Thread(target=_end_with_parent, args=(end,), name="parent", daemon=True).start()
+        # A full collection would hold up every answer, on a busy machine for seconds.
+        gc.collect()
+        gc.freeze()
         click.echo(DoublePorts(card=card.port, drive=port.address, control=control.port).model_dump_json())
         sys.stdout.flush()
         end.wait()

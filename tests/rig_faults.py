@@ -35,7 +35,7 @@ from dragrig.rig.runfile.model import Run, RunStatus
 from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults
 
 START_MM = 5.0
-TRAVEL_MM = 6.0
+TRAVEL_MM = 18.0
 SPEED_MM_S = 6.0
 PLAN = f"""name = "one-drag"
 
@@ -44,7 +44,7 @@ kind = "drag"
 speed_mm_s = {SPEED_MM_S}
 travel_mm = {TRAVEL_MM}
 rest_s = 0.1
-hold_s = 0.1
+hold_s = 0.5
 wait_s = 0.0
 way_back = "stay"
 """
@@ -53,26 +53,35 @@ PATIENCE_S = 600.0
 _LOOK_S = 0.005
 DOCS = Path(__file__).parents[1] / "docs" / "faults.md"
 
+# As patient as may be set, so that a busy machine is no fault.
+PATIENT = {
+    "guard.stale_data_s": 5.0,
+    "guard.following_error_mm": 100.0,
+    "guard.encoder_silent_mm": 100.0,
+    "hardware.hang_s": 5.0,
+    "hardware.drive.silence_s": 5.0,
+    "hardware.drive.reply_s": 2.0,
+}
 RIG = settings(
     backend="hardware",
     name="rig under test",
     stage={"start_mm": START_MM},
-    guard={"stale_data_s": 5.0, "following_error_mm": 3.0, "encoder_silent_s": 0.3},
-    hardware={"drive": {"homing_speed_mm_s": 50.0, "reply_s": 2.0, "silence_s": 5.0}, "hang_s": 5.0},
+    guard={key.removeprefix("guard."): value for key, value in PATIENT.items() if key.startswith("guard.")},
+    hardware={
+        "drive": {"homing_speed_mm_s": 50.0, "reply_s": 2.0, "silence_s": 5.0},
+        "card": {"buffer_s": 20.0},
+        "hang_s": 5.0,
+    },
 )
-
-
-PATIENT = (
-    "guard.stale_data_s=5.0",
-    "hardware.hang_s=5.0",
-    "hardware.drive.silence_s=5.0",
-    "hardware.drive.reply_s=2.0",
-)
-# The rig above is patient, so that a busy machine is no fault; a test that waits for it to lose patience says for what.
-SOON_STALE = "rig.guard.stale_data_s=0.4"
-SOON_HUNG = "rig.hardware.hang_s=0.5"
-SOON_UNANSWERED = ("rig.hardware.drive.reply_s=0.1", "rig.hardware.drive.silence_s=1.0")
-SOON_SILENT = "rig.hardware.drive.silence_s=0.5"
+# A test that waits for the rig to lose patience says for what, and has the stage travel far enough for that: a busy
+# machine may be late by a good part of a second, and the rig loses patience after two.
+FAR_MM = 36.0
+FAR = f"travel_mm={FAR_MM}"
+SOON_STALE = (FAR, "rig.guard.stale_data_s=2.0")
+SOON_STUCK = (FAR, "rig.guard.encoder_silent_mm=0.4", "rig.guard.encoder_silent_s=2.0")
+SOON_HUNG = (FAR, "rig.hardware.hang_s=2.0")
+SOON_UNANSWERED = (FAR, "rig.hardware.drive.reply_s=0.4")
+SOON_SILENT = (FAR, "rig.hardware.drive.silence_s=2.0")
 
 
 def sentence(fault: str) -> re.Pattern[str]:
@@ -217,7 +226,7 @@ def begin(bench: Bench, **choices: Any) -> Running:
 
 
 def resume(bench: Bench, folder: Path) -> Running:
-    patient = [f"rig.{key}" for key in PATIENT]
+    patient = [f"rig.{key}={value}" for key, value in PATIENT.items()]
     return Running(bench, folder, lambda person: api.resume(folder, person=person, assignments=patient))
 
 
@@ -277,12 +286,12 @@ def assert_kept(run: Run, samples: int) -> None:
     assert float(run.trace.position.max()) > 0.1
 
 
-def assert_stopped(struck: StageStatus, stage: StageStatus, halt: Halt) -> None:
+def assert_stopped(struck: StageStatus, stage: StageStatus, halt: Halt, travel_mm: float = TRAVEL_MM) -> None:
     """It stands, short of its target, for this reason."""
     assert not stage.moving
     assert stage.speed_mm_s == 0
     assert stage.halt is halt
-    assert struck.position_mm <= stage.position_mm < START_MM + TRAVEL_MM - 0.1
+    assert struck.position_mm <= stage.position_mm < START_MM + travel_mm - 0.1
 
 
 def assert_goes_on(bench: Bench, folder: Path) -> None:

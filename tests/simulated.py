@@ -17,6 +17,11 @@ from dragrig.sim_backend.devices import SimulatedBackend, open_backend
 
 CAPSULE = Capsule(name="smooth", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.1)
 NEVER = threading.Event()
+PATIENT = {
+    "guard": {"stale_data_s": 5.0},
+    "hardware": {"hang_s": 5.0, "drive": {"reply_s": 2.0, "silence_s": 5.0}},
+}
+"""Settings of a rig that waits as long as may be set, for a busy machine is no fault."""
 
 
 def stroke(

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from simulated import NEVER, acquire, begin, blocks, record, rest, settings, stroke
+from driving import until
+from simulated import NEVER, PATIENT, acquire, begin, blocks, record, rest, settings, stroke
 from voltage_bench import LEAD_S, open_voltage_rig, velocity_rig
 
 from dragrig.config.errors import DeviceError
@@ -32,6 +33,11 @@ class RigUnderTest:
     """How much later a motion may begin where a busy machine is late to ask for it."""
     creep_counts: int = 1
     """How many counts a stage at rest may move in 0.2 s."""
+
+    @property
+    def slack_s(self) -> float:
+        """How long a motion waits, or is sampled after its end, where the clock does not wait for a busy machine."""
+        return 2.0 if self.paced else 0.05
 
     @property
     def stops_within_s(self) -> float:
@@ -61,7 +67,7 @@ def on_doubles(rig: RigSettings) -> Backend:
 
 
 def by_voltage(rig: RigSettings) -> Backend:
-    voltage = velocity_rig()
+    voltage = velocity_rig(heartbeat_s=1.0)
     return open_voltage_rig(voltage.model_copy(update={"sampling": rig.sampling}))
 
 
@@ -89,7 +95,7 @@ def rig(request: pytest.FixtureRequest) -> RigUnderTest:
 
 @pytest.fixture
 def cold(rig: RigUnderTest) -> Iterator[Backend]:
-    backend = rig.open(settings())
+    backend = rig.open(settings(**PATIENT))
     yield backend
     backend.close()
 
@@ -101,8 +107,11 @@ def backend(cold: Backend) -> Backend:
     return cold
 
 
-def wait_for(backend: Backend, profile: MotionProfile) -> None:
+def wait_for(rig: RigUnderTest, backend: Backend, profile: MotionProfile) -> None:
+    """Wait as long as a motion takes, and where it began late until it is over."""
     backend.clock.sleep(profile.duration_s, NEVER)
+    if rig.late_s:
+        until(lambda: not backend.stage.state().moving)
 
 
 def test_is_a_backend_that_says_what_it_is(cold: Backend) -> None:
@@ -136,8 +145,7 @@ def test_blocks_are_short_contiguous_and_read_only(rig: RigUnderTest, backend: B
 
 
 def test_sampler_may_start_before_the_stage(rig: RigUnderTest, backend: Backend) -> None:
-    # A motion that a busy machine begins late is over by then as well.
-    profile = stroke(hold_s=2.0 if rig.paced else 0.05)
+    profile = stroke(hold_s=rig.slack_s)
     backend.sampler.arm(acquire(profile))
     backend.sampler.start()
     backend.stage.move(profile)
@@ -156,14 +164,14 @@ def test_sampling_without_motion_stands_still(rig: RigUnderTest, backend: Backen
 
 
 def test_positions_count_from_where_the_run_started(rig: RigUnderTest, backend: Backend) -> None:
-    there = stroke(travel_mm=7.0)
+    there = stroke(travel_mm=7.0, rest_s=rig.slack_s)
     backend.stage.move(there)
     assert backend.stage.state().moving
-    wait_for(backend, there)
+    wait_for(rig, backend, there)
     state = backend.stage.state()
     assert not state.moving
     assert state.position_mm == pytest.approx(7.0, abs=rig.position_tolerance_mm)
-    got = record(backend, acquire(stroke(travel_mm=-5.0)))
+    got = record(backend, acquire(stroke(travel_mm=-5.0, hold_s=rig.slack_s)))
     assert got["position"][0] == pytest.approx(0.0, abs=rig.position_tolerance_mm)
     assert got["position"][-1] == pytest.approx(-5.0, abs=rig.position_tolerance_mm)
     assert backend.stage.state().position_mm == pytest.approx(2.0, abs=2 * rig.position_tolerance_mm)
@@ -186,14 +194,14 @@ def test_nothing_moves_that_is_off_or_lost(cold: Backend) -> None:
         cold.stage.move(stroke())
 
 
-def test_one_motion_at_a_time(backend: Backend) -> None:
-    profile = stroke()
+def test_one_motion_at_a_time(rig: RigUnderTest, backend: Backend) -> None:
+    profile = stroke(rest_s=rig.slack_s)
     backend.stage.move(profile)
     with pytest.raises(DeviceError, match="moving"):
         backend.stage.move(profile)
     with pytest.raises(DeviceError, match="moves"):
         backend.sampler.arm(acquire(profile))
-    wait_for(backend, profile)
+    wait_for(rig, backend, profile)
     backend.stage.move(stroke(travel_mm=-5.0))
 
 
@@ -266,7 +274,7 @@ def test_stop_from_another_thread_ends_the_run_at_a_standstill(rig: RigUnderTest
     assert position[-1] - position[-2] <= 2 * rig.position_tolerance_mm + 1e-9
     assert backend.stage.state().position_mm == pytest.approx(position[-1], abs=2 * rig.position_tolerance_mm)
     backend.sampler.stop()
-    again = record(backend, acquire(stroke(), order=1))
+    again = record(backend, acquire(stroke(hold_s=rig.slack_s), order=1))
     assert again["position"][-1] == pytest.approx(5.0, abs=rig.position_tolerance_mm)
 
 

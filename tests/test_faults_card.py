@@ -1,6 +1,6 @@
 """Faults of the card and of what is wired to it, in motion: real nidaqmx over gRPC before the card's double."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from ctypes.util import find_library
 from pathlib import Path
 
@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from nidaqmx.constants import AcquisitionType, TaskMode
 from rig_faults import (
+    FAR_MM,
     RIG,
     SOON_STALE,
+    SOON_STUCK,
+    TRAVEL_MM,
     Bench,
     assert_goes_on,
     assert_kept,
@@ -41,25 +44,29 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
 
 
 @pytest.mark.parametrize(
-    ("fault", "faults", "then"),
+    ("fault", "faults", "assignments", "then"),
     [
-        ("encoder stuck", {"encoder_stuck": True}, assert_goes_on),
-        ("force over range", {"force_added_mN": 9950.0}, assert_goes_on),
-        ("force over the limit", {"force_added_mN": RIG.guard.force_limit_mN + 500.0}, None),
-        ("force sensor's wire broken", {"sensor_open": True}, None),
-        ("card delivers no samples", {"card_stalled": True}, None),
+        ("encoder stuck", {"encoder_stuck": True}, SOON_STUCK, assert_goes_on),
+        ("force over range", {"force_added_mN": 9950.0}, (), assert_goes_on),
+        ("force over the limit", {"force_added_mN": RIG.guard.force_limit_mN + 500.0}, (), None),
+        ("force sensor's wire broken", {"sensor_open": True}, (), None),
+        ("card delivers no samples", {"card_stalled": True}, SOON_STALE, None),
     ],
 )
 def test_what_the_samples_show_stops_the_stage(
-    faulty_rig: Bench, fault: str, faults: dict[str, float], then: Callable[[Bench, Path], None] | None
+    faulty_rig: Bench,
+    fault: str,
+    faults: dict[str, float],
+    assignments: Sequence[str],
+    then: Callable[[Bench, Path], None] | None,
 ) -> None:
-    running = begin(faulty_rig, assignments=[SOON_STALE] if "card_stalled" in faults else [])
+    running = begin(faulty_rig, assignments=assignments)
     struck = running.inject(**faults)
     seen = running.person.samples
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
-    assert_stopped(struck, ended.stage, Halt.STOP)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4), ended.message
+    assert_stopped(struck, ended.stage, Halt.STOP, FAR_MM if assignments else TRAVEL_MM)
     assert_kept(run, seen)
     assert_reported(fault, ended, run)
     if then is not None:
@@ -71,7 +78,7 @@ def test_an_overrun_trips_with_its_gap_recorded(faulty_rig: Bench) -> None:
     struck = running.inject(overwritten_samples=200)
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4), ended.message
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert_reported("overrun", ended, run)
     steps = np.rint(np.diff(run.trace.time) * 1000.0).astype(int)

@@ -6,8 +6,10 @@ from typing import Any
 
 import pytest
 from rig_faults import (
+    FAR_MM,
     SOON_SILENT,
     SOON_UNANSWERED,
+    TRAVEL_MM,
     Bench,
     assert_goes_on,
     assert_kept,
@@ -28,12 +30,12 @@ from dragrig.rig.runfile.model import RunStatus
 @pytest.mark.parametrize(
     ("fault", "faults", "halt", "assignments", "then"),
     [
-        ("serial replies late", {"drive_reply_late_s": 1.0}, Halt.STOP, SOON_UNANSWERED, assert_goes_on),
+        ("serial replies late", {"drive_reply_late_s": 8.0}, Halt.STOP, SOON_UNANSWERED, assert_goes_on),
         ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, SOON_UNANSWERED, None),
-        ("serial unplugged in motion", {"drive_unplugged": True}, Halt.SILENCE, [SOON_SILENT], assert_goes_on),
-        ("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, [], assert_goes_on),
-        ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, [], assert_goes_on),
-        ("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, [], None),
+        ("serial unplugged in motion", {"drive_unplugged": True}, Halt.SILENCE, SOON_SILENT, assert_goes_on),
+        ("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, (), assert_goes_on),
+        ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, (), assert_goes_on),
+        ("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, (), None),
     ],
 )
 def test_what_the_drive_or_its_cable_does_ends_the_run(
@@ -49,8 +51,8 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
     seen = running.person.samples
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
-    assert_stopped(struck, ended.stage, halt)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4), ended.message
+    assert_stopped(struck, ended.stage, halt, FAR_MM if assignments else TRAVEL_MM)
     assert not ended.stage.enabled
     assert_kept(run, seen)
     assert_reported(fault, ended, run)

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from rig_faults import (
     DOCS,
+    FAR_MM,
     PATIENCE_S,
     SOON_HUNG,
     SOON_SILENT,
@@ -57,6 +58,11 @@ ON_DISK = 250
 """Samples from which on a run has moved."""
 
 
+def settings_words(*assignments: str) -> list[str]:
+    """How a command line has settings changed."""
+    return [word for assignment in assignments for word in ("--set", assignment)]
+
+
 def recorded(folder: Path) -> int:
     """How many samples are on disk right now."""
     paths = list(folder.glob("*.recording.h5"))
@@ -97,13 +103,14 @@ def test_sigterm_ends_the_run_in_good_order(faulty_rig: Bench, start: Start) -> 
 
 
 def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_rig: Bench, start: Start) -> None:
-    program = start("plan.toml", "--set", SOON_SILENT, "--set", "speed_mm_s=3", "--out", folder := faulty_rig.folder())
+    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=3"))
+    program = start(*words, "--out", folder := faulty_rig.folder())
     struck = program.until_under_way()
     faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: program.alive)
     remaining = recorded(folder)
     program.process.kill()
     look = faulty_rig.until(lambda look: not look.moving)
-    assert_stopped(struck, look, Halt.SILENCE)
+    assert_stopped(struck, look, Halt.SILENCE, FAR_MM)
     assert_goes_on(faulty_rig, folder)
     (lost,) = (info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
     assert lost.status is RunStatus.RECOVERED
@@ -112,12 +119,12 @@ def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_
 
 
 def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Bench, start: Start) -> None:
-    program = start("plan.toml", "--set", SOON_SILENT, "--out", folder := faulty_rig.folder())
+    program = start("plan.toml", *settings_words(*SOON_SILENT), "--out", folder := faulty_rig.folder())
     struck = program.until_under_way()
     remaining = recorded(folder)
     program.process.send_signal(signal.SIGSTOP)
     look = faulty_rig.until(lambda look: not look.moving)
-    assert_stopped(struck, look, Halt.SILENCE)
+    assert_stopped(struck, look, Halt.SILENCE, FAR_MM)
     program.process.send_signal(signal.SIGCONT)
     code, printed, answer = program.end()
     run = only_run(folder)
@@ -130,7 +137,7 @@ def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Benc
 
 
 def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(faulty_rig: Bench) -> None:
-    running = begin(faulty_rig, assignments=[SOON_HUNG])
+    running = begin(faulty_rig, assignments=SOON_HUNG)
     held, let_go = threading.Event(), threading.Event()
 
     def hang(reading: Reading) -> None:
@@ -145,8 +152,8 @@ def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(f
     let_go.set()
     ended = running.end()
     run = only_run(ended.folder)
-    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4)
-    assert_stopped(struck, ended.stage, Halt.STOP)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4), ended.message
+    assert_stopped(struck, ended.stage, Halt.STOP, FAR_MM)
     assert_reported("program hangs", ended, run)
     assert_kept(run, 1)
     assert_goes_on(faulty_rig, ended.folder)

@@ -99,13 +99,13 @@ def velocity_rig(
     encoder: dict[str, object] | None = None, heartbeat_s: float = 0.5, hang_s: float = 5.0, **voltage: object
 ) -> RigSettings:
     velocity = {"update_s": UPDATE_S, "ahead": AHEAD, "lag_s": LAG_S, "gain_per_s": 4.0, **voltage}
-    drive = {"mode": "velocity", "homing_speed_mm_s": 50.0, "silence_s": 5.0, "reply_s": 1.0, "velocity": velocity}
+    drive = {"mode": "velocity", "homing_speed_mm_s": 50.0, "silence_s": 5.0, "reply_s": 2.0, "velocity": velocity}
     lines = {"heartbeat": "port1/line4", "heartbeat_s": heartbeat_s}
     return settings(
         RATE,
         hardware={"card": {"lines": lines, "encoder": encoder or {}}, "drive": drive, "hang_s": hang_s},
         stage={"start_mm": 1.0},
-        guard={"stale_data_s": 1.0},
+        guard={"stale_data_s": 5.0},
     )
 
 

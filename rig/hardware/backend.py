@@ -293,8 +293,9 @@ class HardwareBackend:
         try:
             self._take_rig()
             self._open_card()
-            self._open_drive()
+            # Before anything watches the drive: a full collection is longer than a heartbeat relay waits for an edge.
             self._open.enter_context(_garbage_frozen())
+            self._open_drive()
         except BaseException:
             self.close()
             raise
