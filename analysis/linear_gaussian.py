@@ -112,7 +112,8 @@ def prepare_channels(
     """
     for experiment in experiments:
         for channel, predictor in nominal.prepare(experiment).items():
-            blocks = average_in_blocks(experiment, channel, predictor.events_s, jumps=True, longest_mm=longest_mm)
+            events_s, jumps = predictor.events_s, predictor.jumps
+            blocks = average_in_blocks(experiment, channel, events_s, jumps=jumps, longest_mm=longest_mm)
             yield ChannelBlocks(experiment, channel, predictor, blocks)
 
 

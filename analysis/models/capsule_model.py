@@ -17,6 +17,7 @@ from dragrig.sim_backend.friction import (
     ContactHistory,
     HemisphereContact,
     PreparedForce,
+    ProfileMotion,
     RecordedMotion,
     leading_motion,
     prepare,
@@ -163,6 +164,11 @@ class StickingPredictor(Predictor):
         return self.experiment.motion.breaks_s
 
     @property
+    def jumps(self) -> bool:
+        """False: the wall's force follows the position without jumps, and its peak is sharper than a sample."""
+        return False
+
+    @property
     def equivalence_key(self) -> Hashable:
         """All but the run's identity."""
         bare = self.settings.model_copy(update=NOT_NOMINAL)
@@ -188,9 +194,42 @@ class StickingPredictor(Predictor):
         rows[last] = remainder / named[last]
         return _stack_sensitivities(self.names, rows, len(time_s))
 
-    def _force(self, values: Mapping[str, float], time_s: FloatArray) -> FloatArray:
+    def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        """Return by how much the force differs with straight lines from sample to sample: what lies between is unknown.
+
+        Of a ramp that begins and ends within few samples, the fast branch remembers the way.
+        """
+        named = dict(zip(self.names, values.tolist(), strict=True))
+        chords = _straight_between_samples(self.experiment.unsmoothed_motion, self._step_s)
+        return np.abs(self._force(named, time_s, chords) - self._force(named, time_s))
+
+    @property
+    def _step_s(self) -> float:
+        return 1.0 / self.experiment.run.trace.sample_rate_hz
+
+    def _force(
+        self, values: Mapping[str, float], time_s: FloatArray, motion: ProfileMotion | None = None
+    ) -> FloatArray:
         settings = self.settings.model_copy(update=values)
-        return prepare(self.acquisition, settings, self.experiment.unsmoothed_motion).force(time_s)
+        return prepare(self.acquisition, settings, motion or self.experiment.unsmoothed_motion).force(time_s)
+
+
+def _straight_between_samples(motion: ProfileMotion, step_s: float) -> ProfileMotion:
+    """Return a motion through the same positions at the samples where it bends, of constant velocity between them."""
+    samples = motion.breaks_s / step_s
+    at_sample = np.abs(samples - np.round(samples)) < 0.25
+    at_sample[[0, -1]] = True
+    time_s = motion.breaks_s[at_sample]
+    position_mm = motion.position(time_s)
+    velocity = np.diff(position_mm) / np.diff(time_s)
+    return ProfileMotion(
+        breaks_s=time_s,
+        signs=np.sign(velocity).astype(np.int8),
+        uniform=np.ones(velocity.size, dtype=np.bool_),
+        start_mm=position_mm[:-1],
+        velocity_mm_s=velocity,
+        acceleration_mm_s2=np.zeros_like(velocity),
+    )
 
 
 def _stack_sensitivities(names: tuple[str, ...], rows: Mapping[str, FloatArray], samples: int) -> FloatArray:
@@ -228,6 +267,8 @@ class SlidingPredictor(Predictor):
     names: tuple[str, ...]
     follows_command: bool = True
     """Whether the motion is known exactly."""
+    step_s: float = 0.0
+    """Time between samples: half of it may lie between the instants of position and force."""
 
     @property
     def events_s(self) -> FloatArray:
@@ -242,7 +283,7 @@ class SlidingPredictor(Predictor):
     def equivalence_key(self) -> Hashable:
         """All but the run's identity."""
         bare = self.settings.model_copy(update=NOT_NOMINAL)
-        return without_run_identity(self.acquisition), self.motion, bare, self.names, self.follows_command
+        return without_run_identity(self.acquisition), self.motion, bare, self.names, self.follows_command, self.step_s
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict f_e + f_v + f_c in the force channel."""
@@ -291,7 +332,7 @@ class SlidingPredictor(Predictor):
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return by how much friction differs a little earlier or later: it changes within the last µm of a motion."""
         last = float(self.motion.breaks_s[-1])
-        timing = COMMAND_TIMING_S if self.follows_command else MOTION_TIMING_S
+        timing = max(COMMAND_TIMING_S if self.follows_command else MOTION_TIMING_S, 0.5 * self.step_s)
         shifted = np.concatenate([np.clip(time_s + shift, 0.0, last) for shift in (-timing, 0.0, timing)])
         parts = self._parts(dict(zip(self.names, values.tolist(), strict=True)), shifted)
         before, now, after = np.split(parts.viscous + parts.coulomb, 3)
@@ -370,7 +411,8 @@ class CapsuleModel(NominalModel):
         if experiment.contact is Contact.STICKING:
             return {FORCE_CHANNEL: StickingPredictor(acquisition_of(experiment), experiment, self.settings, names)}
         acquisition, motion = acquisition_of(experiment), experiment.motion
-        return {FORCE_CHANNEL: SlidingPredictor(acquisition, motion, self.settings, names, experiment.follows_command)}
+        follows, step_s = experiment.follows_command, 1.0 / experiment.run.trace.sample_rate_hz
+        return {FORCE_CHANNEL: SlidingPredictor(acquisition, motion, self.settings, names, follows, step_s)}
 
     def settings_of(self, values: Mapping[str, float]) -> FrictionModelSettings:
         """Return the model's settings with identified values."""

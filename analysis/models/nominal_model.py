@@ -110,6 +110,14 @@ class Predictor(Protocol):
         ...
 
     @property
+    def jumps(self) -> bool:
+        """Whether parameters move jumps of the prediction in time, so that a sample stands for the time around it.
+
+        Otherwise it stands for its instant; default: yes.
+        """
+        return True
+
+    @property
     def equivalence_key(self) -> Hashable:
         """Equal for predictors that predict the same whatever the values and times; default: its identity.
 
