@@ -393,7 +393,7 @@ def _position_sums(candidate: Candidate, runs: Sequence[PositionErrors]) -> Floa
                 1.0,
                 float(np.mean(run.error_mm**2)),
                 float(np.mean((run.error_mm - predicted_position_error(candidate, run)) ** 2)),
-                run.quantisation_mm**2 + run.noise_mm**2,
+                run.noise_variance,
             )
             for run in runs
         ]
@@ -414,7 +414,7 @@ def _size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> R
     power, moment = products[samples].sum(axis=1).T
     low, high = np.quantile(moment / np.maximum(power, 1e-12), (0.025, 0.975)).tolist()
     total, along = products.sum(axis=0).tolist()
-    variance = float(np.mean([run.quantisation_mm**2 + run.noise_mm**2 for run in runs]))
+    variance = float(np.mean([run.noise_variance for run in runs]))
     return RelativeEffectSize(
         candidate.effect.id, along / max(total, 1e-12), low, high, float(np.sqrt(total / variance))
     )

@@ -258,7 +258,8 @@ def position_residual_blocks(runs: Sequence[PositionErrors]) -> list[ResidualBlo
                 session_s=run.session_s,
                 residual=run.error_mm,
                 noise_sd=np.full_like(
-                    run.error_mm, np.linalg.norm([run.quantisation_mm, run.encoder_count_mm, run.noise_mm])
+                    run.error_mm,
+                    np.linalg.norm([run.quantisation_mm, run.encoder_count_mm, run.noise_mm, run.jitter_mm]),
                 ),
                 duration_s=np.maximum(duration, 1e-6),
                 time_s=run.time_s,

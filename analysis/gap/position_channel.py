@@ -55,11 +55,13 @@ class PositionErrors:
     """Standard deviation of the record at rest; 0 for wandering by one count. Dither of a servo does not average out in
     blocks.
     """
+    jitter_mm: float = 0.0
+    """Rms error of the blocks from a clock whose sampling times scatter."""
 
     @property
     def rms_mm(self) -> float:
         """Rms error beyond quantisation and noise."""
-        squares = float(np.mean(self.error_mm**2)) - self.quantisation_mm**2 / 2 - self.noise_mm**2
+        squares = float(np.mean(self.error_mm**2)) - self.quantisation_mm**2 / 2 - self.noise_mm**2 - self.jitter_mm**2
         return float(np.sqrt(max(squares, 0.0)))
 
     @property
@@ -70,7 +72,12 @@ class PositionErrors:
     @property
     def detectable_mm(self) -> float:
         """Smallest detectable error."""
-        return max(MIN_ERROR_COUNTS * self.encoder_count_mm, self.noise_mm)
+        return max(MIN_ERROR_COUNTS * self.encoder_count_mm, self.noise_mm, self.jitter_mm)
+
+    @property
+    def noise_variance(self) -> float:
+        """Variance of the error of a block from counts, noise and clock [mm²]."""
+        return self.quantisation_mm**2 + self.noise_mm**2 + self.jitter_mm**2
 
     @property
     def quantisation_mm(self) -> float:
@@ -162,6 +169,7 @@ def _errors_of_run(experiment: Experiment, session_s: float | None, origin_mm: f
         initial_speed,
         experiment.count_mm,
         wander_noise_sd_mm(experiment.wander_mm, experiment.count_mm),
+        experiment.clock_jitter_s * float(np.sqrt(np.mean(means(velocity**2) / count))),
     )
 
 
@@ -498,7 +506,7 @@ def closed_share_in_position(
     candidate: Candidate, runs: Sequence[PositionErrors], force: GapReduction, seed: int = 0
 ) -> GapReduction:
     """Do the same for an effect and runs that were not used in its fit."""
-    floor = np.array([run.quantisation_mm**2 + run.noise_mm**2 for run in runs])
+    floor = np.array([run.noise_variance for run in runs])
     before = np.array([float(np.mean(run.error_mm**2)) for run in runs]) - floor
     after = (
         np.array([float(np.mean((run.error_mm - predicted_position_error(candidate, run)) ** 2)) for run in runs])

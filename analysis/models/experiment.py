@@ -17,9 +17,9 @@ from math import log
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from dragrig.analysis import Mask, attribute_number, clipped_samples
+from dragrig.analysis import Mask, attribute_number, clipped_samples, in_phase
 from dragrig.config import AnalysisError, Capsule, Fixture
-from dragrig.rig import Contact, FloatArray, IndexArray, Run, protocol_kinds
+from dragrig.rig import Contact, FloatArray, IndexArray, Phase, Run, protocol_kinds
 from dragrig.sim_backend.friction import (
     ENCODER_JITTER_MM,
     MIN_SAMPLES,
@@ -53,6 +53,15 @@ MAX_WANDER_MM = 0.02
 """A larger span is a motion, unless it is from one count to the next."""
 MIN_COUNT_MM = 0.001
 """Smallest count of an encoder, and the default."""
+MIN_JITTER_SAMPLES = 25
+"""Fewer samples of steady motion do not show whether deviations are those of a clock."""
+MAX_JITTER_S = 0.002
+"""Times that are off by more than this are not a clock's jitter."""
+JITTER_LAGS = 40
+MAX_JITTER_CORRELATION, CORRELATION_SIGMAS = 0.1, 4.0
+"""Largest correlation of a clock's jitter with itself at any lag, and what so many samples show of it by chance."""
+JITTER_SIGMAS = 5.0
+"""Largest deviation of a sample that is the clock's, in its standard deviations."""
 
 
 class _EncoderSettings(BaseModel):
@@ -126,6 +135,39 @@ def wander_noise_sd_mm(wander_mm: float, count_mm: float) -> float:
     return wander_mm / TYPICAL_SPAN_SDS if wander_mm > count_jitter_mm(count_mm) else 0.0
 
 
+def clock_jitter_s(deviation_mm: FloatArray, velocity_mm_s: FloatArray, steady: Mask, noise_mm: float) -> float:
+    """Return the standard deviation of sampling times [s] that the deviations of a position in steady motion show.
+
+    A sample that is late shows the position of another moment: the deviation is proportional to the speed, and
+    independent from sample to sample. Lag, ripple and scale of a stage are not.
+
+    Parameters
+    ----------
+    deviation_mm, velocity_mm_s
+        Recorded minus commanded position, and commanded speed, shape `(N,)`.
+    steady
+        The samples of steady motion, shape `(N,)`.
+    noise_mm
+        Standard deviation of the deviation at rest.
+
+    Returns
+    -------
+    0 where the deviations are no larger than at rest, or correlated.
+    """
+    moving = steady & (np.abs(velocity_mm_s) > 0)
+    if np.count_nonzero(moving) < MIN_JITTER_SAMPLES:
+        return 0.0
+    deviation = deviation_mm[moving] - deviation_mm[moving].mean()
+    variance = float(np.mean(deviation**2))
+    jitter_s = float(np.sqrt(max(variance - noise_mm**2, 0.0) / np.mean(velocity_mm_s[moving] ** 2)))
+    if variance <= 2.0 * noise_mm**2 or jitter_s > MAX_JITTER_S:
+        return 0.0
+    lags = range(1, min(JITTER_LAGS, deviation.size // 4) + 1)
+    correlation = max(abs(float(deviation[lag:] @ deviation[:-lag])) for lag in lags) / (variance * deviation.size)
+    chance = CORRELATION_SIGMAS / float(np.sqrt(deviation.size))
+    return jitter_s if correlation <= MAX_JITTER_CORRELATION + chance else 0.0
+
+
 def _rest_windows(grid_s: FloatArray, command_mm: FloatArray, window: int) -> Mask:
     """Mask of the windows, by their middle, in which and long before which the command stands still."""
     from scipy.ndimage import maximum_filter1d
@@ -190,11 +232,24 @@ class Experiment:
         return position_wander_mm(time_s, position, command if known else None, self.count_mm)
 
     @cached_property
+    def clock_jitter_s(self) -> float:
+        """How far the sampling times scatter, one standard deviation; 0 where steady motion does not show it."""
+        trace, time_s = self.run.trace, self.time_s
+        command, position = (np.asarray(values, dtype=np.float64) for values in (trace.command, trace.position))
+        known = np.isfinite(command) & np.isfinite(position)
+        if np.count_nonzero(known) < MIN_SAMPLES:
+            return 0.0
+        noise_mm = float(np.hypot(self.count_mm / np.sqrt(12), wander_noise_sd_mm(self.wander_mm, self.count_mm)))
+        velocity = np.gradient(command[known], time_s[known])
+        steady = in_phase(trace, Phase.STEADY)[known]
+        return clock_jitter_s((position - command)[known], velocity, steady, noise_mm)
+
+    @cached_property
     def follows_command(self) -> bool:
         """Whether the stage followed its command to the encoder's count, so that the command is the better record.
 
-        A position that wanders at rest may deviate by as much more, but not for long. A position that equals the
-        command was derived from it, as in foreign records.
+        A position that wanders at rest, or that a jittering clock samples, may deviate by as much more, but not for
+        long. A position that equals the command was derived from it, as in foreign records.
         """
         from scipy.ndimage import uniform_filter1d
 
@@ -204,16 +259,20 @@ class Experiment:
         if self.trusts_command:
             return True
         time_s, position = self._recorded
-        deviation = position - command[np.isfinite(self.run.trace.position)]
-        largest_mm = float(np.abs(deviation).max(initial=0.0))
+        recorded = np.isfinite(self.run.trace.position)
+        deviation = np.abs(position - command[recorded])
         allowed_mm = MAX_FOLLOWING_COUNTS * self.count_mm
-        if largest_mm <= allowed_mm:
-            return largest_mm > 0
-        if largest_mm > allowed_mm + self.wander_mm - count_jitter_mm(self.count_mm):
+        if float(deviation.max(initial=0.0)) <= allowed_mm:
+            return bool(deviation.any())
+        jitter_mm = self.clock_jitter_s * np.abs(np.gradient(command[recorded], time_s))
+        wander_mm = self.wander_mm - count_jitter_mm(self.count_mm)
+        if np.any(deviation > allowed_mm + wander_mm + JITTER_SIGMAS * jitter_mm):
             return False
         window = max(MIN_SAMPLES, round(SMOOTHING_WINDOW_S / float(np.median(np.diff(time_s)))))
-        largest_mean_mm = float(np.abs(uniform_filter1d(deviation, window)).max())
-        return largest_mean_mm <= max(allowed_mm, WINDOW_MEAN_NOISE_SHARE * self.wander_mm)
+        means_mm = np.abs(uniform_filter1d(position - command[recorded], window))
+        jitter_of_means_mm = np.sqrt(np.maximum(uniform_filter1d(jitter_mm**2, window), 0.0) / window)
+        largest_mm = max(allowed_mm, WINDOW_MEAN_NOISE_SHARE * self.wander_mm)
+        return not np.any(means_mm > largest_mm + JITTER_SIGMAS * jitter_of_means_mm)
 
     @cached_property
     def motion(self) -> RecordedMotion:
