@@ -96,7 +96,19 @@ class ChannelBlocks:
     def uncertainty(self, values: FloatArray) -> FloatArray:
         """Return how well they can be predicted, one standard deviation."""
         at_nodes = self.predictor.uncertainty(values, self.blocks.nodes_s)
-        return np.asarray(np.sqrt(self.blocks.of(at_nodes**2)))
+        return np.hypot(np.sqrt(self.blocks.of(at_nodes**2)), self._jitter_uncertainty(values))
+
+    def _jitter_uncertainty(self, values: FloatArray) -> FloatArray:
+        """Return the standard deviation from a clock whose times scatter, where the prediction changes fast."""
+        nodes_s, jitter_s = self.blocks.nodes_s, self.experiment.clock_jitter_s
+        if jitter_s == 0.0:
+            return np.zeros_like(self.blocks.mean)
+        last_s = float(self.experiment.time_s[-1])
+        early, late = (
+            self.predictor.predict(values, np.clip(nodes_s + shift_s, 0.0, last_s)).total
+            for shift_s in (-jitter_s, jitter_s)
+        )
+        return np.asarray(np.sqrt(self.blocks.of((0.5 * (late - early)) ** 2) / self.blocks.samples))
 
     def sensitivities(self, values: FloatArray, without: Collection[str] = ()) -> FloatArray:
         """Return their derivatives, shape `(P, B)`; rows of the parameters in `without` are not computed."""

@@ -1,8 +1,8 @@
 """Noise of a channel, and its trace as means over blocks of time, short where the prediction changes fast.
 
-White noise, and slow noise with exponential correlation, come from where the force stands still: the rests before a
-motion, the holds of capsules that nothing squeezes, and the ends of relaxations' holds, from which a cubic is
-subtracted.
+White noise, slow noise with exponential correlation, and 1/f noise where there is any, come from where the force
+stands still: the rests before a motion, the holds of capsules that nothing squeezes, and the ends of relaxations'
+holds, from which a cubic is subtracted.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -35,6 +35,16 @@ DEFAULT_SLOW_SHARE = 1.0 / 3.0
 """Slow noise over white noise where no stretch is long enough to show it."""
 DEFAULT_WHITE = 2.0
 """White noise [mN] where no run shows any, at the upper end for such sensors."""
+FLICKER_TIMES_S = tuple(40.0 * 0.25**number for number in range(8))
+"""Correlation times whose noises, of equal variance, add up to 1/f noise from 0.004 to 70 Hz within 5 %."""
+MIN_FLICKER_GAIN = 6.0
+"""Twice the log likelihood ratio above which there is 1/f noise: chance reaches it in one campaign of 70."""
+MAX_FIRST_LOSS = 5.0
+"""Where 1/f noise of no size is likelier than none less this, beside slow noise as it was, it is not fitted."""
+MAX_FLICKER_BLOCKS = 240
+"""Longer stretches have wider blocks in the search for 1/f noise."""
+MIN_WHITE_PART = 0.1
+"""Smallest part of the differences between samples that is white noise, in standard deviations."""
 LINE_COHERENCE_S = 1.0
 """Time over which a line stays coherent with its stated frequency."""
 LINE_FIT_S = 0.5
@@ -55,16 +65,26 @@ class NoiseModel:
     hum: float = 0.0
     hum_hz: float = 0.0
     """`hum`, `hum_hz`: amplitude and frequency of a known line, 0 for none; its phase is not known."""
+    flicker: float = 0.0
+    """Standard deviation of 1/f noise within each of `FLICKER_TIMES_S`, 0 for none."""
+
+    @property
+    def slow_sd(self) -> float:
+        """Standard deviation of all slow noise."""
+        return float(np.hypot(self.slow, np.sqrt(len(FLICKER_TIMES_S)) * self.flicker))
 
     def covariance(self, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the covariance of means over successive stretches of time, shapes `(B,)` to `(B, B)`."""
-        tau = self.correlation_s
         width = np.maximum(end_s - start_s, 1e-9)
-        share = -np.expm1(-width / tau) * tau / width
         apart = np.maximum(start_s[None, :] - end_s[:, None], 0.0)
-        slow = np.exp(-(apart + apart.T) / tau) * share[:, None] * share[None, :]
-        np.fill_diagonal(slow, 2 * (tau / width) * (1 - share))
-        covariance = self.slow**2 * slow
+        apart += apart.T
+        covariance = self.slow**2 * _means_correlation(np.exp(-apart / self.correlation_s), width, self.correlation_s)
+        if self.flicker > 0:
+            decay = np.exp(-apart / FLICKER_TIMES_S[0])
+            for number, time_s in enumerate(FLICKER_TIMES_S):
+                # Each time is a quarter of the one before.
+                decay = (decay**2) ** 2 if number else decay
+                covariance += self.flicker**2 * _means_correlation(decay, width, time_s)
         covariance[np.diag_indices_from(covariance)] += self.white**2 / samples
         if self.hum > 0:
             middle = 0.5 * (start_s + end_s)
@@ -73,6 +93,24 @@ class NoiseModel:
             wave = np.cos(2 * np.pi * self.hum_hz * lag) * np.exp(-lag / LINE_COHERENCE_S)
             covariance += 0.5 * self.hum**2 * wave * attenuation[:, None] * attenuation[None, :]
         return np.asarray(covariance)
+
+
+def _means_correlation(decay: FloatArray, width_s: FloatArray, time_s: float) -> FloatArray:
+    """Return the covariance of means of noise with exponential correlation and unit variance, shape `(B, B)`.
+
+    Parameters
+    ----------
+    decay
+        Its correlation over the time between the end of one stretch and the start of another, shape `(B, B)`.
+    width_s
+        Duration of the stretches, shape `(B,)`.
+    time_s
+        Its correlation time.
+    """
+    share = -np.expm1(-width_s / time_s) * time_s / width_s
+    correlation = decay * share[:, None] * share[None, :]
+    np.fill_diagonal(correlation, 2 * (time_s / width_s) * (1 - share))
+    return np.asarray(correlation)
 
 
 DEFAULT_NOISE = NoiseModel(DEFAULT_WHITE, DEFAULT_SLOW_SHARE * DEFAULT_WHITE, DEFAULT_CORRELATION_S, 0)
@@ -133,7 +171,8 @@ def estimate_noise(
         _fit_slow_noise(groups, white) if groups else (DEFAULT_SLOW_SHARE * white, DEFAULT_CORRELATION_S)
     )
     # Differences of neighbours hold two independent numbers in three.
-    return NoiseModel(white, slow, correlation_s, count * 2 // 3, hum, hum_hz if hum > 0 else 0.0)
+    noise = NoiseModel(white, slow, correlation_s, count * 2 // 3, hum, hum_hz if hum > 0 else 0.0)
+    return _with_flicker(noise, groups) if groups else noise
 
 
 def _estimate_in_motion(experiments: Sequence[Experiment], channel: str) -> NoiseModel:
@@ -202,6 +241,62 @@ def _fit_slow_noise(groups: dict[_BlockLayout, list[FloatArray]], white: float) 
     optimum = minimize(misfit, start, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.01})
     ratio, correlation = np.exp(optimum.x)
     return white * float(ratio), float(np.clip(correlation, 0.01, MAX_CORRELATION_S))
+
+
+def _with_flicker(noise: NoiseModel, groups: dict[_BlockLayout, list[FloatArray]]) -> NoiseModel:
+    """Return the noise with 1/f noise in it where stretches are likelier with it."""
+    from scipy.optimize import minimize
+
+    stacks = [_coarser(layout, np.array(means)) for layout, means in groups.items()]
+    step_s = min(layout.width_s / layout.samples for layout, _ in stacks)
+    without_line = replace(noise, hum=0.0)
+    start = np.log([max(noise.slow / noise.white, 0.05), noise.correlation_s, 0.3])
+
+    def noise_at(logs: FloatArray) -> NoiseModel:
+        slow, flicker = (noise.white * float(np.exp(np.clip(value, -6.0, 3.0))) for value in (logs[0], logs[2]))
+        correlation_s = float(np.exp(np.clip(logs[1], np.log(0.01), np.log(MAX_CORRELATION_S))))
+        # What neighbouring samples differ by is white noise, and the fast part of the 1/f noise.
+        fast = flicker**2 * float(-np.sum(np.expm1(-step_s / np.array(FLICKER_TIMES_S))))
+        white = np.sqrt(max(noise.white**2 - fast, (MIN_WHITE_PART * noise.white) ** 2))
+        return replace(without_line, white=float(white), slow=slow, correlation_s=correlation_s, flicker=flicker)
+
+    def misfit(logs: FloatArray) -> float:
+        prior = ((logs - start) / np.log(3.0)) ** 2
+        return _dense_likelihood(noise_at(logs), stacks) + float(prior[:2].sum() + prior[2] / 4.0)
+
+    without = _dense_likelihood(without_line, stacks)
+    if min(misfit(start + np.log([1.0, 1.0, factor])) for factor in (0.3, 1.0, 3.0)) > without + MAX_FIRST_LOSS:
+        return noise
+    optimum = minimize(misfit, start, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.1, "maxfev": 120})
+    if without - float(optimum.fun) < MIN_FLICKER_GAIN:
+        return noise
+    return replace(noise_at(optimum.x), hum=noise.hum)
+
+
+def _coarser(layout: _BlockLayout, means: FloatArray) -> tuple[_BlockLayout, FloatArray]:
+    """Join neighbouring blocks of stretches, shape `(R, blocks)`, so that there are not too many."""
+    joined = -(-layout.blocks // MAX_FLICKER_BLOCKS)
+    blocks = layout.blocks // joined
+    coarse = means[:, : blocks * joined].reshape(len(means), blocks, joined).mean(axis=2)
+    return _BlockLayout(blocks, joined * layout.width_s, joined * layout.samples, layout.degree), coarse
+
+
+def _dense_likelihood(noise: NoiseModel, stacks: Sequence[tuple[_BlockLayout, FloatArray]]) -> float:
+    """−2 log restricted likelihood of stretches of block means under any covariance."""
+    from scipy.linalg import cholesky, solve_triangular
+
+    total = 0.0
+    for layout, means in stacks:
+        start = layout.width_s * np.arange(layout.blocks)
+        covariance = noise.covariance(start, start + layout.width_s, np.full(layout.blocks, float(layout.samples)))
+        root = cholesky(covariance, lower=True, check_finite=False)
+        powers = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, layout.blocks), layout.degree)
+        whitened = solve_triangular(root, np.hstack((powers, means.T)), lower=True, check_finite=False)
+        basis, triangle = np.linalg.qr(whitened[:, : layout.degree + 1])
+        residual = whitened[:, layout.degree + 1 :]
+        logs = np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(triangle))).sum()
+        total += float(np.sum(residual**2) - np.sum((basis.T @ residual) ** 2) + 2 * len(means) * logs)
+    return total
 
 
 def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: FloatArray) -> float:

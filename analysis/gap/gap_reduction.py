@@ -86,7 +86,7 @@ def gap_of_run(
     if informative is not None and informative.any():
         weights = np.where(informative, weights, 0.0)
     share = weights / weights.sum()
-    floor = noise.white**2 + noise.slow**2 + float(share @ motion_sd**2)
+    floor = noise.white**2 + noise.slow_sd**2 + float(share @ motion_sd**2)
     residuals = []
     for residual, whitening in (before, after):
         without_factors = residual - run_factor_force(residual, whitening, zero_sd, MAX_OWN_SIGMAS)
@@ -212,7 +212,7 @@ def force_residual_blocks(
         blocks, coordinates = run.block_data.blocks, run.coordinates
         white = np.sqrt(max(noise.white**2 - line.amplitude**2 / 2, (MIN_NOISE_SHARE * noise.white) ** 2))
         # A line at another frequency is broad and makes up nearly all of the slow noise.
-        slow = noise.slow if line.is_mains or not line.amplitude else MIN_NOISE_SHARE * noise.slow
+        slow = noise.slow_sd if line.is_mains or not line.amplitude else MIN_NOISE_SHARE * noise.slow_sd
         variance = white**2 / blocks.samples + slow**2 + run_design.motion_sd**2 + tolerance_mN**2
         zero_sd = study.problem.zero_sds[number]
         without_factors = residual_of_run - run_factor_force(
