@@ -2,7 +2,7 @@
 
 White noise, slow noise with exponential correlation, and 1/f noise where there is any, come from where the force
 stands still: the rests before a motion, the holds of capsules that nothing squeezes, and the ends of relaxations'
-holds, from which a cubic is subtracted.
+holds, from which a cubic is subtracted; from slow steady motion too, where it shows the same noise.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -23,6 +23,13 @@ MAX_STRETCH_S = 60.0
 """Longest part of a stretch that is used."""
 RELAXATION_DEGREE = 3
 """Degree of the polynomial that is subtracted from the end of a relaxation."""
+CLEAR_TREND = 100.0
+"""A force relaxes at rest where the squares of its trend are so many times what blocks differ by from one to the next;
+slow noise of 5 s correlation reaches a third of it."""
+CREEPING_PIECE_S, CREEPING_MM, CREEPING_DEGREE = 2.0, 1.0, 2
+"""Slow motion shows slow noise in pieces of this time and travel, of which a parabola is subtracted."""
+MAX_POOLING_LOSS = 9.0
+"""Twice the log likelihood ratio that rests may lose where slow motion shows the same noise: 1 % by chance."""
 MIN_MOVING_SAMPLES = 100
 """Samples of steady motion that show white noise where nothing rests."""
 NORMAL_MEDIAN = 0.6745
@@ -152,27 +159,76 @@ def estimate_noise(
     """
     runs = tuple(experiments)
     squares, count, largest = 0.0, 0, 0.0
-    groups: dict[_BlockLayout, list[FloatArray]] = {}
+    still = _BlockGroups()
     for quiet in _quiet_stretches(runs, channel):
         stretch = _remove_line(quiet, hum_hz) if hum > 0 else quiet
         squares += float(np.sum(np.diff(stretch.values) ** 2)) / 2
         count += len(stretch.values) - 1
         largest = max(largest, float(np.abs(stretch.values).max()))
-        size = max(1, round(NOISE_BLOCK_S * stretch.rate_hz))
-        blocks = min(len(stretch.values) // size, round(MAX_STRETCH_S * stretch.rate_hz / size))
-        if blocks >= MIN_BLOCKS:
-            layout = _BlockLayout(blocks, size / stretch.rate_hz, size, stretch.degree)
-            means = stretch.values[: blocks * size].reshape(blocks, size).mean(axis=1)
-            groups.setdefault(layout, []).append(means)
+        still.add(stretch)
     if count < MIN_DIFFERENCES:
         return replace(_estimate_in_motion(runs, channel), hum=hum, hum_hz=hum_hz if hum > 0 else 0.0)
     white = max(float(np.sqrt(squares / count)), MIN_WHITE_SHARE * largest, 1e-9)
-    slow, correlation_s = (
-        _fit_slow_noise(groups, white) if groups else (DEFAULT_SLOW_SHARE * white, DEFAULT_CORRELATION_S)
-    )
+    slow, correlation_s = DEFAULT_SLOW_SHARE * white, DEFAULT_CORRELATION_S
+    groups = still.groups
+    if groups:
+        slow, correlation_s = _fit_slow_noise(groups, white)
+        creeping = _BlockGroups()
+        for quiet in _creeping_stretches(runs, channel):
+            creeping.add(_remove_line(quiet, hum_hz) if hum > 0 else quiet)
+        groups = _pooled_if_alike(groups, creeping.groups, white, (slow, correlation_s))
+        if groups is not still.groups:
+            slow, correlation_s = _fit_slow_noise(groups, white)
     # Differences of neighbours hold two independent numbers in three.
     noise = NoiseModel(white, slow, correlation_s, count * 2 // 3, hum, hum_hz if hum > 0 else 0.0)
     return _with_flicker(noise, groups) if groups else noise
+
+
+class _BlockGroups:
+    """Block means of stretches, those of one layout together."""
+
+    def __init__(self) -> None:
+        self.groups: dict[_BlockLayout, list[FloatArray]] = {}
+
+    def add(self, stretch: _QuietStretch) -> None:
+        size = max(1, round(NOISE_BLOCK_S * stretch.rate_hz))
+        blocks = min(len(stretch.values) // size, round(MAX_STRETCH_S * stretch.rate_hz / size))
+        if blocks >= MIN_BLOCKS:
+            means = stretch.values[: blocks * size].reshape(blocks, size).mean(axis=1)
+            layout = _BlockLayout(blocks, size / stretch.rate_hz, size, _sufficient_degree(means, stretch.degree))
+            self.groups.setdefault(layout, []).append(means)
+
+
+def _sufficient_degree(means: FloatArray, degree: int) -> int:
+    """Return the degree of the polynomial to subtract: more than stated where the force relaxes all the same."""
+    if degree >= RELAXATION_DEGREE:
+        return degree
+    powers = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, means.size), RELAXATION_DEGREE)
+    trend = np.linalg.qr(powers)[0][:, degree + 1 :].T @ means
+    from_block_to_block = float(np.mean(np.diff(means) ** 2)) / 2
+    return RELAXATION_DEGREE if float(trend @ trend) > CLEAR_TREND * trend.size * from_block_to_block else degree
+
+
+def _pooled_if_alike(
+    still: dict[_BlockLayout, list[FloatArray]],
+    creeping: dict[_BlockLayout, list[FloatArray]],
+    white: float,
+    fitted: tuple[float, float],
+) -> dict[_BlockLayout, list[FloatArray]]:
+    """Return stretches at rest and in slow motion together, where one slow noise explains both; else those at rest.
+
+    Rests are short and show little of the slow noise; what moves slowly may do so under forces that are no noise.
+    """
+    if not creeping:
+        return still
+    together = {layout: [*still.get(layout, ()), *creeping.get(layout, ())] for layout in (*still, *creeping)}
+    pooled = _fit_slow_noise(together, white)
+
+    def misfit(slow_noise: tuple[float, float]) -> float:
+        noise = NoiseModel(white, *slow_noise, 0)
+        return sum(_restricted_likelihood(noise, layout, np.array(means)) for layout, means in still.items())
+
+    return together if misfit(pooled) - misfit(fitted) < MAX_POOLING_LOSS else still
 
 
 def _estimate_in_motion(experiments: Sequence[Experiment], channel: str) -> NoiseModel:
@@ -210,6 +266,29 @@ def _quiet_stretches(experiments: Iterable[Experiment], channel: str) -> Iterato
             for start, stop in mask_spans(part & usable):
                 if stop - start > 2:
                     yield _QuietStretch(values[start:stop], trace.sample_rate_hz, degree)
+
+
+def _creeping_stretches(experiments: Iterable[Experiment], channel: str) -> Iterator[_QuietStretch]:
+    """Yield pieces of slow steady motion in which the stage moves so little that nothing changes with the place."""
+    for experiment in experiments:
+        trace = experiment.run.trace
+        if channel not in trace.channels:
+            continue
+        values = np.asarray(trace.channels[channel], dtype=np.float64)
+        steady = in_phase(trace, Phase.STEADY)
+        if np.count_nonzero(steady) < MIN_MOVING_SAMPLES:
+            continue
+        times_s = experiment.time_s[steady][[0, -1]]
+        travel_mm = float(np.abs(np.diff(experiment.position(times_s)))[0])
+        duration_s = float(times_s[1] - times_s[0])
+        piece_s = min(CREEPING_PIECE_S, CREEPING_MM * duration_s / max(travel_mm, 1e-9))
+        size = round(piece_s * trace.sample_rate_hz)
+        if piece_s < MIN_BLOCKS * NOISE_BLOCK_S or duration_s < 2 * piece_s:
+            continue
+        late = experiment.time_s > times_s[0] + CREEPING_PIECE_S
+        for start, stop in mask_spans(steady & late & experiment.valid & np.isfinite(values)):
+            for begin in range(start, stop - size + 1, size):
+                yield _QuietStretch(values[begin : begin + size], trace.sample_rate_hz, CREEPING_DEGREE)
 
 
 def _remove_line(stretch: _QuietStretch, hertz: float) -> _QuietStretch:
