@@ -46,8 +46,10 @@ FLICKER_TIMES_S = tuple(40.0 * 0.25**number for number in range(8))
 """Correlation times whose noises, of equal variance, add up to 1/f noise from 0.004 to 70 Hz within 5 %."""
 MIN_FLICKER_GAIN = 6.0
 """Twice the log likelihood ratio above which there is 1/f noise: chance reaches it in one campaign of 70."""
+FIRST_FLICKER_FACTORS = ((1.0, 0.3), (1.0, 1.0), (0.3, 1.0), (0.3, 3.0))
 MAX_FIRST_LOSS = 5.0
-"""Where 1/f noise of no size is likelier than none less this, beside slow noise as it was, it is not fitted."""
+"""`FIRST_FLICKER_FACTORS`: factors on slow noise as it was and on 1/f noise of a usual size, of which one must be
+likelier than no 1/f noise less `MAX_FIRST_LOSS`, or it is not fitted."""
 MAX_FLICKER_BLOCKS = 240
 """Longer stretches have wider blocks in the search for 1/f noise."""
 MIN_WHITE_PART = 0.1
@@ -344,9 +346,12 @@ def _with_flicker(noise: NoiseModel, groups: dict[_BlockLayout, list[FloatArray]
         return _dense_likelihood(noise_at(logs), stacks) + float(prior[:2].sum() + prior[2] / 4.0)
 
     without = _dense_likelihood(without_line, stacks)
-    if min(misfit(start + np.log([1.0, 1.0, factor])) for factor in (0.3, 1.0, 3.0)) > without + MAX_FIRST_LOSS:
+    tried = [start + np.log([slow, 1.0, flicker]) for slow, flicker in FIRST_FLICKER_FACTORS]
+    misfits = [misfit(logs) for logs in tried]
+    if min(misfits) > without + MAX_FIRST_LOSS:
         return noise
-    optimum = minimize(misfit, start, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.1, "maxfev": 120})
+    best = tried[int(np.argmin(misfits))]
+    optimum = minimize(misfit, best, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.1, "maxfev": 120})
     if without - float(optimum.fun) < MIN_FLICKER_GAIN:
         return noise
     return replace(noise_at(optimum.x), hum=noise.hum)
@@ -366,7 +371,7 @@ def _dense_likelihood(noise: NoiseModel, stacks: Sequence[tuple[_BlockLayout, Fl
 
     total = 0.0
     for layout, means in stacks:
-        start = layout.width_s * np.arange(layout.blocks)
+        start = layout.width_s * np.arange(layout.blocks, dtype=np.float64)
         covariance = noise.covariance(start, start + layout.width_s, np.full(layout.blocks, float(layout.samples)))
         root = cholesky(covariance, lower=True, check_finite=False)
         powers = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, layout.blocks), layout.degree)

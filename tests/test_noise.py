@@ -1,0 +1,164 @@
+"""Noise as rigs have it is told from what stage and specimen do: clocks that jitter, slow sampling, 1/f noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from relaxations import relaxation
+from sliding_runs import slid
+
+from dragrig.analysis.gap.position_channel import position_errors
+from dragrig.analysis.linear_gaussian import prepare_channels
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.analysis.models.experiment import Experiment
+from dragrig.analysis.noise import FLICKER_TIMES_S, NoiseModel, estimate_noise
+from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.runfile.model import Run
+
+COUNT_MM = 0.001
+NOMINAL = np.array([parameter.nominal for parameter in MODEL.parameters])
+
+
+def changed(run: Run, channel: str, values: FloatArray) -> Run:
+    return replace(run, trace=replace(run.trace, channels={**run.trace.channels, channel: values}))
+
+
+def slower(run: Run, step: int) -> Run:
+    """Keep every so manieth sample."""
+    trace = run.trace
+    channels = {name: values[::step] for name, values in trace.channels.items()}
+    kept = {"time": trace.time[::step], "phase": trace.phase[::step], "command": np.asarray(trace.command)[::step]}
+    rate_hz = trace.sample_rate_hz / step
+    return replace(run, trace=replace(trace, sample_rate_hz=rate_hz, channels=channels, **kept))
+
+
+def sheared(seed: int = 0, hold_s: float = 20.0) -> Run:
+    """A relaxation of the nominal wall with an exact command."""
+    run = relaxation((2.8688, 1.1729, 1.0634, 0.07446, 0.49427), slow_mN=0.0, hold_s=hold_s, seed=seed)
+    profile = MotionProfile.from_pieces(
+        [stationary_piece(1.0, Phase.REST), *trapezoid(2.5, 20.0, 2000.0), stationary_piece(hold_s, Phase.HOLD)]
+    )
+    return replace(run, trace=replace(run.trace, command=profile.position(run.trace.time)))
+
+
+def with_position(run: Run, error_mm: FloatArray) -> Experiment:
+    command = np.asarray(run.trace.command)
+    return Experiment(changed(run, "position", np.round((command + error_mm) / COUNT_MM) * COUNT_MM))
+
+
+@pytest.mark.parametrize("speed_mm_s", [10.0, 60.0])
+def test_a_clock_that_jitters_is_no_error_of_the_stage(speed_mm_s: float) -> None:
+    run = slid("drag", speed_mm_s)
+    random = np.random.default_rng(1)
+    velocity = np.gradient(np.asarray(run.trace.command), run.trace.time)
+    experiment = with_position(run, velocity * random.normal(0.0, 2e-4, velocity.size))
+    assert experiment.clock_jitter_s == pytest.approx(2e-4, rel=0.1)
+    assert experiment.follows_command
+    assert not any(errors.has_position_error for errors in position_errors([experiment]))
+
+
+def test_lag_and_ripple_are_no_jitter() -> None:
+    run = slid("drag", 60.0)
+    command, time = np.asarray(run.trace.command), run.trace.time
+    lagging = np.interp(time - 0.004, time, command) - command
+    rippling = 0.02 * np.sin(2 * np.pi * command / 0.9)
+    for error_mm in (lagging, rippling):
+        experiment = with_position(run, error_mm)
+        assert experiment.clock_jitter_s == 0.0
+        assert any(errors.has_position_error for errors in position_errors([experiment]))
+
+
+def test_where_the_force_changes_fast_a_jittering_clock_makes_it_uncertain() -> None:
+    run = sheared()
+    velocity = np.gradient(np.asarray(run.trace.command), run.trace.time)
+    jittering = with_position(run, velocity * np.random.default_rng(2).normal(0.0, 2e-4, velocity.size))
+    (blocks,), (steady_blocks,) = (
+        list(prepare_channels([experiment], MODEL)) for experiment in (jittering, Experiment(run))
+    )
+    ramp = np.asarray(jittering.run.trace.phase)[np.searchsorted(jittering.time_s, blocks.blocks.middle_s)] == int(
+        Phase.STEADY
+    )
+    more, less = blocks.uncertainty(NOMINAL), steady_blocks.uncertainty(NOMINAL)
+    # 20 mm/s shear a wall of 2.5 mm, 5 kPa and 616 mm² by 25 mN in a millisecond.
+    assert 1.0 < np.median(more[ramp][:5]) < 10.0
+    assert np.median(less[ramp]) < 0.1
+    assert np.median(more[~ramp]) < 0.1
+
+
+@pytest.mark.parametrize("step", [1, 2, 10])
+def test_friction_may_set_in_anywhere_between_two_samples(step: int) -> None:
+    experiment = Experiment(slower(slid("drag", 20.0), step))
+    (blocks,) = prepare_channels([experiment], MODEL, 0.4)
+    residual = blocks.blocks.mean - blocks.predict(NOMINAL).total
+    assert np.all(np.abs(residual) < 3.0 + 3.0 * blocks.uncertainty(NOMINAL))
+
+
+@pytest.mark.parametrize("step", [2, 5, 10])
+def test_a_slowly_sampled_ramp_is_predicted_as_well_as_is_said(step: int) -> None:
+    run = sheared(hold_s=2.0)
+    (fine,), (coarse,) = (list(prepare_channels([Experiment(slower(run, every))], MODEL)) for every in (1, step))
+    at_samples = coarse.experiment.time_s
+    error = coarse.predictor.predict(NOMINAL, at_samples).total - fine.predictor.predict(NOMINAL, at_samples).total
+    assert np.all(np.abs(error) < 1.0 + 3.0 * coarse.predictor.uncertainty(NOMINAL, at_samples))
+    peak = fine.predictor.predict(NOMINAL, fine.experiment.time_s).total.argmax()
+    blocks = fine.blocks
+    assert np.any(np.abs(blocks.nodes_s - fine.experiment.time_s[peak]) < 1e-9)
+
+
+def pink(samples: int, random: np.random.Generator, sd: float) -> FloatArray:
+    frequency = np.fft.rfftfreq(2 * samples, 1 / 500.0)
+    gain = 1 / np.sqrt(np.maximum(frequency, 0.02))
+    values = np.fft.irfft(np.fft.rfft(random.standard_normal(2 * samples)) * gain)[:samples]
+    return np.asarray(sd * values / values.std())
+
+
+def test_1_over_f_noise_is_found_where_it_is_and_not_elsewhere() -> None:
+    runs = [relaxation(seed=seed) for seed in range(6)]
+    random = np.random.default_rng(3)
+    plain = estimate_noise([Experiment(run) for run in runs], "force")
+    assert plain.flicker == 0.0
+    assert plain.slow_sd == plain.slow
+    noisy = [
+        changed(run, "force", np.asarray(run.trace.force) + pink(run.trace.time.size, random, 2.0)) for run in runs
+    ]
+    noise = estimate_noise([Experiment(run) for run in noisy], "force")
+    # 12 e-folds of frequency hold the 2 mN, of which each of the times has a factor of 4.
+    assert noise.flicker == pytest.approx(2.0 * np.sqrt(np.log(4.0) / np.log(250.0 / 0.02)), rel=0.3)
+    assert noise.white == pytest.approx(1.5, rel=0.1)
+
+
+def test_1_over_f_noise_falls_with_frequency_as_it_should() -> None:
+    noise = NoiseModel(0.0, 0.0, 1.0, 0, flicker=1.0)
+    width = 0.001
+    lag = noise.covariance(width * np.arange(1500.0), width * np.arange(1.0, 1501.0), np.ones(1500))[0]
+    power = np.abs(np.fft.rfft(np.concatenate((lag, lag[-2:0:-1]))))
+    frequency = np.fft.rfftfreq(2 * lag.size - 2, width)
+    at = [int(np.argmin(np.abs(frequency - hertz))) for hertz in (4.0, 40.0)]
+    assert power[at[0]] / power[at[1]] == pytest.approx(10.0, rel=0.25)
+    assert len(FLICKER_TIMES_S) == 8
+
+
+def test_slow_motion_shows_slow_noise_as_rests_do() -> None:
+    runs = [slid("coulomb", 0.5, seed=seed, travel_mm=10.0) for seed in range(3)]
+    noise = estimate_noise([Experiment(run) for run in runs], "force")
+    assert noise.slow == pytest.approx(0.5, rel=0.15)
+    assert noise.correlation_s == pytest.approx(0.2, rel=0.3)
+
+
+def test_a_swing_in_slow_motion_is_not_taken_for_noise() -> None:
+    swinging = []
+    for seed in range(3):
+        run = slid("coulomb", 0.5, seed=seed, travel_mm=10.0)
+        wave = 4.0 * np.sin(2 * np.pi * 1.3 * run.trace.time) * (np.asarray(run.trace.phase) == int(Phase.STEADY))
+        swinging.append(Experiment(changed(run, "force", np.asarray(run.trace.force) + wave)))
+    assert estimate_noise(swinging, "force").slow < 1.0
+
+
+def test_a_force_that_relaxes_at_rest_is_no_noise() -> None:
+    relaxing = []
+    for seed in range(4):
+        run = slid("coulomb", 20.0, seed=seed)
+        tail = 60.0 * np.exp(-run.trace.time / 0.5)
+        relaxing.append(Experiment(changed(run, "force", np.asarray(run.trace.force) + tail)))
+    assert estimate_noise(relaxing, "force").slow < 1.5
