@@ -173,11 +173,34 @@ def _usable_selection(specimen: str, runs: Iterable[Run], left_out: Iterable[Exc
             excluded.append(Exclusion(experiment.file, reason))
             continue
         usable.append(experiment)
-        if invalid := int(np.count_nonzero(~experiment.valid)):
+        if invalid := int(np.count_nonzero(~experiment.valid & ~experiment.faults.any_fault)):
             remarks.append(f"{experiment.file}: {invalid} samples are clipped or missing (NaN) and were ignored")
     if not usable:
         raise AnalysisError(f"{where}: no run can be used ({summarise_exclusions(excluded)}).")
-    return RunSelection(specimen, tuple(usable), tuple(excluded), tuple(remarks))
+    return RunSelection(specimen, tuple(usable), tuple(excluded), (*remarks, *_fault_remarks(usable)))
+
+
+def _fault_remarks(experiments: Iterable[Experiment]) -> Iterator[str]:
+    """Say once what is wrong with single samples, in which runs, and how much of it."""
+    faulty = [experiment for experiment in experiments if experiment.faults.count]
+    if not faulty:
+        return
+    faults = [experiment.faults for experiment in faulty]
+    count, samples = sum(fault.count for fault in faults), sum(int(fault.any_fault.sum()) for fault in faults)
+    kinds = [
+        name
+        for name, present in (
+            ("impulses", any(fault.impulses.any() for fault in faults)),
+            ("dropouts", any(fault.dropouts.any() for fault in faults)),
+        )
+        if present
+    ]
+    runs = faulty[0].file if len(faulty) == 1 else f"{len(faulty)} runs, {faulty[0].file} the first"
+    largest = max(fault.largest_mN for fault in faults)
+    yield (
+        f"the force has {count} {' and '.join(kinds)} of up to {largest:.3g} mN, {samples} samples in {runs}, which "
+        "were ignored: no rig moves so; look for a loose contact, or for switching nearby"
+    )
 
 
 def unusable_reason(experiment: Experiment) -> str | None:

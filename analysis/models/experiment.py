@@ -17,7 +17,7 @@ from math import log
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from dragrig.analysis import Mask, attribute_number, clipped_samples, in_phase
+from dragrig.analysis import Faults, Mask, attribute_number, clipped_samples, find_faults, in_phase
 from dragrig.config import AnalysisError, Capsule, Fixture
 from dragrig.rig import Contact, FloatArray, IndexArray, Phase, Run, protocol_kinds
 from dragrig.sim_backend.friction import (
@@ -213,8 +213,13 @@ class Experiment:
 
     @cached_property
     def valid(self) -> Mask:
-        """Which samples of the signal are numbers and within the sensor's range, shape `(N,)`."""
-        return np.isfinite(self.run.trace.force) & ~clipped_samples(self.run)
+        """Which samples of the signal are numbers, within the sensor's range and no faults, shape `(N,)`."""
+        return np.isfinite(self.run.trace.force) & ~clipped_samples(self.run) & ~self.faults.any_fault
+
+    @cached_property
+    def faults(self) -> Faults:
+        """Impulses and dropouts of the force."""
+        return find_faults(self.run.trace)
 
     @cached_property
     def count_mm(self) -> float:
