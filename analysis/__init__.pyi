@@ -120,12 +120,12 @@ from .savgol import filter_file as filter_file
 from .savgol import filter_run as filter_run
 from .savgol import smooth as smooth
 from .savgol import smooth_channel as smooth_channel
-from .segments import Faults as Faults
+from .segments import ForcePulse as ForcePulse
 from .segments import Mask as Mask
 from .segments import at_rest as at_rest
 from .segments import attribute_number as attribute_number
 from .segments import clipped_samples as clipped_samples
-from .segments import find_faults as find_faults
+from .segments import force_pulses as force_pulses
 from .segments import gap_starts as gap_starts
 from .segments import in_phase as in_phase
 from .segments import mask_spans as mask_spans

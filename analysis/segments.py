@@ -24,36 +24,29 @@ HOLD_END_S = 1.0
 MAX_CHANCE_REPEATS = 4
 """More equal samples in a row at the very top or bottom of a noisy trace do not come about by chance."""
 
-FAULT_SIGMAS = 8.0
-"""A fault begins and ends with steps of so many times what neighbouring samples usually differ by."""
-MAX_FAULT_SHARE = 0.01
+FAULT_SIGMAS = 6.0
+"""A pulse begins and ends with steps of so many times what neighbouring samples usually differ by."""
+MAX_PULSE_SHARE = 0.01
 """Where more of the steps are so large, they are how the record is."""
 MAX_IMPULSE_SAMPLES = 3
 MAX_DROPOUT_S = 0.1
 """Longest time for which a reading stays exactly constant and is still taken for a dropout."""
-CALM_SAMPLES, CALM_SHARE = 4, 0.3
-"""Around a fault so many steps are smaller than this share of it."""
+CALM_SAMPLES, CALM_SHARE, CALM_SIGMAS = 4, 0.3, 3.0
+"""Before and after a pulse so many steps are smaller than this share of it, or than so many usual ones."""
 NEAR_EVENT_S = 0.01
-"""So near to a begin or end of a phase, a short pulse may be of the motion: of a mass that is accelerated, say."""
+"""So near to a begin or end of a phase, a pulse may be of the motion: of a mass that is accelerated, say."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Faults:
-    """Samples of a force that no rig exerts, of shape `(N,)`."""
+@dataclass(frozen=True, slots=True)
+class ForcePulse:
+    """Samples `begin` to `end` far off those before and after them: an impulse, or a dropout of constant samples."""
 
-    impulses: Mask
-    """Single samples, three at most, far off those before and after them."""
-    dropouts: Mask
-    """Samples that stay exactly constant, far off those before and after them."""
-    count: int = 0
-    """Number of impulses and dropouts."""
-    largest_mN: float = 0.0
-    """Largest distance of any of them from the force around it."""
-
-    @property
-    def any_fault(self) -> Mask:
-        """Samples of either kind."""
-        return self.impulses | self.dropouts
+    begin: int
+    end: int
+    height_mN: float
+    dropout: bool
+    near_phase: int | None
+    """Number of the phase that begins near it; None where none does."""
 
 
 def attribute_number(attributes: Mapping[str, Attribute], *keys: str) -> float | None:
@@ -175,37 +168,36 @@ def clipped_samples(run: Run) -> Mask:
     return clipped
 
 
-def find_faults(trace: Trace) -> Faults:
-    """Return impulses and dropouts of a force, which means over blocks would hide.
+def force_pulses(trace: Trace) -> tuple[ForcePulse, ...]:
+    """Return the pulses of a force, which means over blocks would hide.
 
     Between two steps in opposite directions the force is far off what it is before and after, which agree; around them
-    it is calm, and no phase begins or ends, for what a motion does is no fault.
+    it is calm.
     """
     force = np.asarray(trace.force, dtype=np.float64)
-    impulses, dropouts = np.zeros(force.size, dtype=np.bool_), np.zeros(force.size, dtype=np.bool_)
     steps = np.nan_to_num(np.diff(force))
     usual = _usual_step(steps)
     jumps = np.flatnonzero(np.abs(steps) > FAULT_SIGMAS * usual)
-    if not jumps.size or jumps.size > MAX_FAULT_SHARE * steps.size:
-        return Faults(impulses, dropouts)
-    near = CALM_SAMPLES + NEAR_EVENT_S * trace.sample_rate_hz
-    phases = np.flatnonzero(np.diff(np.asarray(trace.phase, dtype=np.int16)))
-    count, largest = 0, 0.0
+    if not jumps.size or jumps.size > MAX_PULSE_SHARE * steps.size:
+        return ()
+    phase = np.asarray(trace.phase, dtype=np.int16)
+    changes = np.flatnonzero(np.diff(phase))
+    pulses = []
     for first, last in pairwise(jumps.tolist()):
         begin, end = first + 1, last + 1
-        if phases.size and float(np.abs(phases - first).min()) <= near + (end - begin):
+        height = _pulse_height(force, steps, begin, end, CALM_SIGMAS * usual)
+        short = end - begin <= MAX_IMPULSE_SAMPLES
+        if height == 0.0 or not (short or _is_constant(force[begin:end], trace.sample_rate_hz)):
             continue
-        height = _pulse_height(force, steps, begin, end)
-        if height < FAULT_SIGMAS * usual:
-            continue
-        if end - begin <= MAX_IMPULSE_SAMPLES:
-            impulses[begin:end] = True
-        elif end - begin <= MAX_DROPOUT_S * trace.sample_rate_hz and float(np.ptp(force[begin:end])) == 0.0:
-            dropouts[begin:end] = True
-        else:
-            continue
-        count, largest = count + 1, max(largest, height)
-    return Faults(impulses, dropouts, count, largest)
+        near = CALM_SAMPLES + NEAR_EVENT_S * trace.sample_rate_hz + (end - begin)
+        beside = changes[np.abs(changes - first) <= near]
+        near_phase = int(phase[beside[0] + 1]) if beside.size else None
+        pulses.append(ForcePulse(begin, end, height, not short, near_phase))
+    return tuple(pulses)
+
+
+def _is_constant(values: FloatArray, rate_hz: float) -> bool:
+    return values.size <= MAX_DROPOUT_S * rate_hz and float(np.ptp(values)) == 0.0
 
 
 def _usual_step(steps: FloatArray) -> float:
@@ -214,7 +206,7 @@ def _usual_step(steps: FloatArray) -> float:
     return max(1.4826 * float(np.median(sizes)), float(np.min(sizes[sizes > 0], initial=np.inf)))
 
 
-def _pulse_height(force: FloatArray, steps: FloatArray, begin: int, end: int) -> float:
+def _pulse_height(force: FloatArray, steps: FloatArray, begin: int, end: int, usual: float) -> float:
     """Return how far samples are off those before and after, which agree and are calm; 0 where they are no pulse."""
     before, after = slice(begin - 1 - CALM_SAMPLES, begin - 1), slice(end, end + CALM_SAMPLES)
     if before.start < 0 or after.stop > steps.size:
@@ -223,6 +215,7 @@ def _pulse_height(force: FloatArray, steps: FloatArray, begin: int, end: int) ->
     around = np.concatenate((steps[before], steps[after]))
     levels = float(np.median(force[before])), float(np.median(force[end : end + CALM_SAMPLES]))
     opposite = steps[begin - 1] * steps[end - 1] < 0
-    calm = float(np.abs(around).max()) < CALM_SHARE * height
+    calm_mN = max(CALM_SHARE * height, usual)
+    calm = float(np.abs(around).max()) < calm_mN
     agrees = abs(levels[0] - levels[1]) < CALM_SHARE * height
     return height if opposite and calm and agrees else 0.0

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,15 @@ from dragrig.analysis.computation import Progress, no_progress
 from dragrig.analysis.estimates import Exclusion, summarise_exclusions
 from dragrig.analysis.models import Experiment
 from dragrig.analysis.segments import at_rest
+from dragrig.analysis.wording import count_text
 from dragrig.config import AnalysisError, RunFileError, reason_of
 from dragrig.rig import Campaign, Contact, Run, RunInfo, RunStatus, specimen_key
 
 MAX_INVALID_SHARE = 0.2
 """A run with a larger share of clipped or missing samples is excluded; up to it, the samples are."""
+MAX_PULSE_RUNS_SHARE = 0.1
+"""A pulse at the begin of a phase in more of the runs than this is of the motion."""
+FAULT_KINDS = ((False, "impulse"), (True, "dropout"))
 MAX_BRIDGE_ERROR_MM = 0.05
 """Where samples are missing the motion is taken as straight, with at most this error."""
 BRIDGE_SPEED_WINDOW_S = 0.03
@@ -167,39 +171,47 @@ def _runs_of_specimen(infos: Iterable[RunInfo], specimen: str | None, where: str
 def _usable_selection(specimen: str, runs: Iterable[Run], left_out: Iterable[Exclusion], where: str) -> RunSelection:
     usable: list[Experiment] = []
     excluded, remarks = list(left_out), list[str]()
-    for experiment in map(Experiment, runs):
+    for experiment in _with_calm_phases([Experiment(run) for run in runs]):
         reason = unusable_reason(experiment)
         if reason is not None:
             excluded.append(Exclusion(experiment.file, reason))
             continue
         usable.append(experiment)
-        if invalid := int(np.count_nonzero(~experiment.valid & ~experiment.faults.any_fault)):
+        if invalid := int(np.count_nonzero(~experiment.valid & ~experiment.faulty)):
             remarks.append(f"{experiment.file}: {invalid} samples are clipped or missing (NaN) and were ignored")
     if not usable:
         raise AnalysisError(f"{where}: no run can be used ({summarise_exclusions(excluded)}).")
     return RunSelection(specimen, tuple(usable), tuple(excluded), (*remarks, *_fault_remarks(usable)))
 
 
+def _with_calm_phases(experiments: Sequence[Experiment]) -> Iterator[Experiment]:
+    """Tell each run at the begin of which phases hardly any run has a pulse, so that the motion makes none."""
+    runs_with_pulse = Counter(
+        phase for experiment in experiments for phase in {pulse.near_phase for pulse in experiment.pulses}
+    )
+    enough = max(1.0, MAX_PULSE_RUNS_SHARE * len(experiments))
+    calm = frozenset(
+        phase for phase, runs in runs_with_pulse.items() if phase is not None and runs <= enough < len(experiments) / 2
+    )
+    return (replace(experiment, calm_phases=calm) if experiment.pulses else experiment for experiment in experiments)
+
+
 def _fault_remarks(experiments: Iterable[Experiment]) -> Iterator[str]:
     """Say once what is wrong with single samples, in which runs, and how much of it."""
-    faulty = [experiment for experiment in experiments if experiment.faults.count]
+    faulty = [experiment for experiment in experiments if experiment.faults]
     if not faulty:
         return
-    faults = [experiment.faults for experiment in faulty]
-    count, samples = sum(fault.count for fault in faults), sum(int(fault.any_fault.sum()) for fault in faults)
-    kinds = [
-        name
-        for name, present in (
-            ("impulses", any(fault.impulses.any() for fault in faults)),
-            ("dropouts", any(fault.dropouts.any() for fault in faults)),
-        )
-        if present
-    ]
+    faults = [pulse for experiment in faulty for pulse in experiment.faults]
+    impulses, dropouts = (
+        count_text(sum(pulse.dropout == kind for pulse in faults), name) for kind, name in FAULT_KINDS
+    )
+    found = [text for text in (impulses, dropouts) if not text.startswith("0 ")]
+    samples = sum(int(experiment.faulty.sum()) for experiment in faulty)
     runs = faulty[0].file if len(faulty) == 1 else f"{len(faulty)} runs, {faulty[0].file} the first"
-    largest = max(fault.largest_mN for fault in faults)
+    largest = max(pulse.height_mN for pulse in faults)
     yield (
-        f"the force has {count} {' and '.join(kinds)} of up to {largest:.3g} mN, {samples} samples in {runs}, which "
-        "were ignored: no rig moves so; look for a loose contact, or for switching nearby"
+        f"the force has {' and '.join(found)} of up to {largest:.3g} mN, {samples} samples in {runs}, which were "
+        "ignored: no rig moves so; look for a loose contact, or for switching nearby"
     )
 
 

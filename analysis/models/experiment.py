@@ -17,7 +17,7 @@ from math import log
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from dragrig.analysis import Faults, Mask, attribute_number, clipped_samples, find_faults, in_phase
+from dragrig.analysis import ForcePulse, Mask, attribute_number, clipped_samples, force_pulses, in_phase
 from dragrig.config import AnalysisError, Capsule, Fixture
 from dragrig.rig import Contact, FloatArray, IndexArray, Phase, Run, protocol_kinds
 from dragrig.sim_backend.friction import (
@@ -189,6 +189,8 @@ class Experiment:
     """Whether the command is taken as the motion even where the recorded position deviates from it."""
     computes_command: bool = False
     """Whether the command was computed by a model of the motor, so that it is not rounded."""
+    calm_phases: frozenset[int] = frozenset()
+    """Phases whose begin makes no pulse of the force in other runs, so that one there is a fault."""
 
     @property
     def kind(self) -> str:
@@ -214,12 +216,26 @@ class Experiment:
     @cached_property
     def valid(self) -> Mask:
         """Which samples of the signal are numbers, within the sensor's range and no faults, shape `(N,)`."""
-        return np.isfinite(self.run.trace.force) & ~clipped_samples(self.run) & ~self.faults.any_fault
+        return np.isfinite(self.run.trace.force) & ~clipped_samples(self.run) & ~self.faulty
 
     @cached_property
-    def faults(self) -> Faults:
-        """Impulses and dropouts of the force."""
-        return find_faults(self.run.trace)
+    def pulses(self) -> tuple[ForcePulse, ...]:
+        """Impulses and dropouts of the force, and pulses at the begin of a phase."""
+        return force_pulses(self.run.trace)
+
+    @property
+    def faults(self) -> tuple[ForcePulse, ...]:
+        """Impulses and dropouts: pulses that the motion does not make."""
+        phases = {None, *self.calm_phases}
+        return tuple(pulse for pulse in self.pulses if pulse.near_phase in phases)
+
+    @cached_property
+    def faulty(self) -> Mask:
+        """Which samples are of impulses and dropouts, shape `(N,)`."""
+        faulty = np.zeros(self.run.trace.force.size, dtype=np.bool_)
+        for pulse in self.faults:
+            faulty[pulse.begin : pulse.end] = True
+        return faulty
 
     @cached_property
     def count_mm(self) -> float:
