@@ -17,6 +17,8 @@ from dragrig.rig import Contact, FloatArray, Phase
 NOISE_BLOCK_S = 0.05
 """Stretches are averaged in blocks of this length; differences of samples show faster noise."""
 MIN_BLOCKS = 8
+MAX_DIFFERENCE_SIGMAS, MAX_OUTSIDE_SHARE = 6.0, 0.9
+"""Differences beyond so many standard deviations are of small impulses, and no noise, unless there are many of them."""
 MIN_DIFFERENCES = 12
 """Fewer differences in all runs do not show the noise."""
 MAX_STRETCH_S = 60.0
@@ -164,8 +166,8 @@ def estimate_noise(
     still = _BlockGroups()
     for quiet in _quiet_stretches(runs, channel):
         stretch = _remove_line(quiet, hum_hz) if hum > 0 else quiet
-        squares += float(np.sum(np.diff(stretch.values) ** 2)) / 2
-        count += len(stretch.values) - 1
+        square, number = _difference_squares(np.diff(stretch.values))
+        squares, count = squares + square, count + number
         largest = max(largest, float(np.abs(stretch.values).max()))
         still.add(stretch)
     if count < MIN_DIFFERENCES:
@@ -184,6 +186,18 @@ def estimate_noise(
     # Differences of neighbours hold two independent numbers in three.
     noise = NoiseModel(white, slow, correlation_s, count * 2 // 3, hum, hum_hz if hum > 0 else 0.0)
     return _with_flicker(noise, groups) if groups else noise
+
+
+def _difference_squares(differences: FloatArray) -> tuple[float, int]:
+    """Return half the sum of the squares of differences without those far outside, and their number."""
+    squares = differences**2
+    kept = squares <= MAX_DIFFERENCE_SIGMAS**2 * float(np.mean(squares))
+    while not kept.all():
+        before, squares = squares.size, squares[kept]
+        kept = squares <= MAX_DIFFERENCE_SIGMAS**2 * float(np.mean(squares))
+        if squares.size < MAX_OUTSIDE_SHARE * before:
+            break
+    return 0.5 * float(np.sum(squares)), squares.size
 
 
 class _BlockGroups:

@@ -28,6 +28,8 @@ FAULT_SIGMAS = 6.0
 """A pulse begins and ends with steps of so many times what neighbouring samples usually differ by."""
 MAX_PULSE_SHARE = 0.01
 """Where more of the steps are so large, they are how the record is."""
+MIN_PULSE_STEPS = 60
+"""So many large steps are no reason not to look for pulses: of a ramp, in a short record."""
 MAX_IMPULSE_SAMPLES = 3
 MAX_DROPOUT_S = 0.1
 """Longest time for which a reading stays exactly constant and is still taken for a dropout."""
@@ -178,8 +180,11 @@ def force_pulses(trace: Trace) -> tuple[ForcePulse, ...]:
     steps = np.nan_to_num(np.diff(force))
     usual = _usual_step(steps)
     jumps = np.flatnonzero(np.abs(steps) > FAULT_SIGMAS * usual)
-    if not jumps.size or jumps.size > MAX_PULSE_SHARE * steps.size:
+    if not jumps.size or jumps.size > max(MAX_PULSE_SHARE * steps.size, MIN_PULSE_STEPS):
         return ()
+    # On a ramp every step is large, and those of a pulse are larger than those around it.
+    around = np.clip(jumps[:, None] + np.arange(-CALM_SAMPLES, CALM_SAMPLES + 1), 0, steps.size - 1)
+    jumps = jumps[np.abs(steps[jumps] - np.median(steps[around], axis=1)) > FAULT_SIGMAS * usual]
     phase = np.asarray(trace.phase, dtype=np.int16)
     changes = np.flatnonzero(np.diff(phase))
     pulses = []
@@ -208,14 +213,15 @@ def _usual_step(steps: FloatArray) -> float:
 
 def _pulse_height(force: FloatArray, steps: FloatArray, begin: int, end: int, usual: float) -> float:
     """Return how far samples are off those before and after, which agree and are calm; 0 where they are no pulse."""
-    before, after = slice(begin - 1 - CALM_SAMPLES, begin - 1), slice(end, end + CALM_SAMPLES)
-    if before.start < 0 or after.stop > steps.size:
+    before, after = force[max(begin - CALM_SAMPLES, 0) : begin], force[end : end + CALM_SAMPLES]
+    around = np.concatenate((np.diff(before), np.diff(after)))
+    if not before.size or not after.size or around.size < CALM_SAMPLES - 1:
         return 0.0
-    height = min(abs(float(steps[begin - 1])), abs(float(steps[end - 1])))
-    around = np.concatenate((steps[before], steps[after]))
-    levels = float(np.median(force[before])), float(np.median(force[end : end + CALM_SAMPLES]))
-    opposite = steps[begin - 1] * steps[end - 1] < 0
+    slope = float(np.median(around))
+    entering, leaving = float(steps[begin - 1]) - slope, float(steps[end - 1]) - slope
+    height = min(abs(entering), abs(leaving))
     calm_mN = max(CALM_SHARE * height, usual)
-    calm = float(np.abs(around).max()) < calm_mN
-    agrees = abs(levels[0] - levels[1]) < CALM_SHARE * height
-    return height if opposite and calm and agrees else 0.0
+    distance = 0.5 * (before.size + after.size) + end - begin
+    rise = float(np.median(after)) - float(np.median(before)) - slope * distance
+    calm = float(np.abs(around - slope).max()) < calm_mN
+    return height if entering * leaving < 0 and calm and abs(rise) < calm_mN else 0.0
