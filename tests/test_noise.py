@@ -1,17 +1,19 @@
-"""Noise as rigs have it is told from what stage and specimen do: clocks that jitter, slow sampling, 1/f noise."""
+"""Noise as rigs have it is told from what stage and specimen do: jitter, slow sampling, 1/f noise, impulses."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from relaxations import relaxation
-from sliding_runs import slid
+from sliding_runs import noise, slid
 
 from dragrig.analysis.gap.position_channel import position_errors
 from dragrig.analysis.linear_gaussian import prepare_channels
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.noise import FLICKER_TIMES_S, NoiseModel, estimate_noise
+from dragrig.analysis.selection import select_loaded_runs
+from dragrig.config.specimen import Fixture
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import Run
@@ -122,10 +124,10 @@ def test_1_over_f_noise_is_found_where_it_is_and_not_elsewhere() -> None:
     noisy = [
         changed(run, "force", np.asarray(run.trace.force) + pink(run.trace.time.size, random, 2.0)) for run in runs
     ]
-    noise = estimate_noise([Experiment(run) for run in noisy], "force")
+    found = estimate_noise([Experiment(run) for run in noisy], "force")
     # 12 e-folds of frequency hold the 2 mN, of which each of the times has a factor of 4.
-    assert noise.flicker == pytest.approx(2.0 * np.sqrt(np.log(4.0) / np.log(250.0 / 0.02)), rel=0.3)
-    assert noise.white == pytest.approx(1.5, rel=0.1)
+    assert found.flicker == pytest.approx(2.0 * np.sqrt(np.log(4.0) / np.log(250.0 / 0.02)), rel=0.3)
+    assert found.white == pytest.approx(1.5, rel=0.1)
 
 
 def test_1_over_f_noise_falls_with_frequency_as_it_should() -> None:
@@ -141,9 +143,9 @@ def test_1_over_f_noise_falls_with_frequency_as_it_should() -> None:
 
 def test_slow_motion_shows_slow_noise_as_rests_do() -> None:
     runs = [slid("coulomb", 0.5, seed=seed, travel_mm=10.0) for seed in range(3)]
-    noise = estimate_noise([Experiment(run) for run in runs], "force")
-    assert noise.slow == pytest.approx(0.5, rel=0.15)
-    assert noise.correlation_s == pytest.approx(0.2, rel=0.3)
+    found = estimate_noise([Experiment(run) for run in runs], "force")
+    assert found.slow == pytest.approx(0.5, rel=0.15)
+    assert found.correlation_s == pytest.approx(0.2, rel=0.3)
 
 
 def test_a_swing_in_slow_motion_is_not_taken_for_noise() -> None:
@@ -162,3 +164,53 @@ def test_a_force_that_relaxes_at_rest_is_no_noise() -> None:
         tail = 60.0 * np.exp(-run.trace.time / 0.5)
         relaxing.append(Experiment(changed(run, "force", np.asarray(run.trace.force) + tail)))
     assert estimate_noise(relaxing, "force").slow < 1.5
+
+
+def disturbed(seed: int, at: tuple[int, ...] = (), zero: slice | None = None, height_mN: float = 90.0) -> Run:
+    run = slid("drag", 20.0, seed=seed, repeat=seed)
+    force = np.asarray(run.trace.force, dtype=np.float64).copy()
+    for sample in at:
+        force[sample : sample + 2] += height_mN
+    if zero is not None:
+        force[zero] = 0.0
+    return changed(run, "force", force)
+
+
+def test_impulses_and_dropouts_are_left_out_and_said() -> None:
+    runs = [disturbed(seed) for seed in range(4)]
+    runs[1] = disturbed(1, at=(1, 200, 800, 1200))
+    runs[2] = disturbed(2, at=(300,), zero=slice(1000, 1012))
+    selection = select_loaded_runs(runs)
+    clean, second, third, _ = selection.experiments
+    assert clean.valid.all()
+    assert np.flatnonzero(second.faulty).tolist() == [1, 2, 200, 201, 800, 801, 1200, 1201]
+    assert np.flatnonzero(third.faulty).tolist() == [300, 301, *range(1000, 1012)]
+    (remark,) = selection.remarks
+    assert "5 impulses and 1 dropout of up to" in remark
+    assert "2 runs" in remark
+    assert estimate_noise(selection.experiments, "force").white == pytest.approx(1.5, rel=0.05)
+
+
+def test_an_impulse_on_a_ramp_is_found_and_the_ramp_is_none() -> None:
+    run = relaxation(seed=1)
+    force = np.asarray(run.trace.force, dtype=np.float64).copy()
+    assert not select_loaded_runs([run]).experiments[0].faulty.any()
+    force[530:533] -= 120.0
+    (experiment,) = select_loaded_runs([changed(run, "force", force)]).experiments
+    assert np.flatnonzero(experiment.faulty).tolist() == [530, 531, 532]
+
+
+def test_what_the_motion_does_at_its_begin_in_every_run_is_no_impulse() -> None:
+    start = int(np.flatnonzero(np.diff(np.asarray(disturbed(0).trace.phase)))[0])
+    pulled = [slid("blank", 20.0, seed=seed, fixture=Fixture.NONE, repeat=seed) for seed in range(6)]
+    everywhere, once = [], []
+    for number, run in enumerate(pulled):
+        force = np.asarray(run.trace.force, dtype=np.float64) * 0.0 + noise(
+            np.random.default_rng(number), run.trace.time.size
+        )
+        pulse = force.copy()
+        pulse[start + 1 : start + 3] += 60.0
+        everywhere.append(changed(run, "force", pulse))
+        once.append(changed(run, "force", pulse if number == 2 else force))
+    assert not any(experiment.faulty.any() for experiment in select_loaded_runs(everywhere).experiments)
+    assert [int(experiment.faulty.sum()) for experiment in select_loaded_runs(once).experiments] == [0, 0, 2, 0, 0, 0]
