@@ -183,7 +183,8 @@ def force_pulses(trace: Trace) -> tuple[ForcePulse, ...]:
     if not jumps.size or jumps.size > max(MAX_PULSE_SHARE * steps.size, MIN_PULSE_STEPS):
         return ()
     # On a ramp every step is large, and those of a pulse are larger than those around it.
-    around = np.clip(jumps[:, None] + np.arange(-CALM_SAMPLES, CALM_SAMPLES + 1), 0, steps.size - 1)
+    first_near = np.clip(jumps - CALM_SAMPLES, 0, max(steps.size - 2 * CALM_SAMPLES - 1, 0))
+    around = np.minimum(first_near[:, None] + np.arange(2 * CALM_SAMPLES + 1), steps.size - 1)
     jumps = jumps[np.abs(steps[jumps] - np.median(steps[around], axis=1)) > FAULT_SIGMAS * usual]
     phase = np.asarray(trace.phase, dtype=np.int16)
     changes = np.flatnonzero(np.diff(phase))
