@@ -111,7 +111,7 @@ def test_killing_the_client_stops_the_stage_and_finishes_the_run(tmp_path: Path)
 
 
 def test_a_silent_client_counts_as_dead(tmp_path: Path) -> None:
-    with listening(silence_s=1.0) as heard:
+    with listening(silence_s=4.0) as heard:
         host = psutil.Process(heard.client.pid)
         heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
         heard.until_samples(100)

@@ -20,11 +20,11 @@ from dragrig.rig.reading import Reading
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 
-# On a busy machine a start can be late, and so can samples.
+# On a busy machine a start can be late, and so can samples and replies.
 RIG = RigSettings.model_validate(
     {
-        "hardware": {"drive": {"homing_speed_mm_s": 50.0}, "hang_s": 1.0},
-        "guard": {"following_error_mm": 5.0, "encoder_silent_mm": 4.9, "stale_data_s": 2.0},
+        "hardware": {"drive": {"homing_speed_mm_s": 50.0, "reply_s": 2.0, "silence_s": 5.0}, "hang_s": 2.0},
+        "guard": {"following_error_mm": 50.0, "encoder_silent_mm": 50.0, "stale_data_s": 5.0},
     }
 )
 

@@ -14,7 +14,7 @@ from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import RunHeader, RunStatus
 from dragrig.rig.runfile.store import MemorySink, MemoryStore
-from dragrig.rig.session import SessionResult
+from dragrig.rig.session import Session, SessionResult
 from dragrig.setup import resolve
 
 
@@ -26,8 +26,8 @@ def carried_out(person: NullOperator, store: MemoryStore | None = None, *assignm
 class Interrupting(NullOperator):
     """Presses Ctrl-C, or sends another signal, in the middle of a run."""
 
-    def __init__(self, number: signal.Signals) -> None:
-        self.number = number
+    def __init__(self, number: signal.Signals, aborted: threading.Event) -> None:
+        self.number, self.aborted = number, aborted
         self.threads: set[threading.Thread] = set()
 
     def reads(self, reading: Reading) -> None:
@@ -35,15 +35,24 @@ class Interrupting(NullOperator):
             self.threads.add(threading.current_thread())
             os.kill(os.getpid(), self.number)
             # The handler runs on the main thread; the block after this one must find its word.
-            threading.Event().wait(0.2)
+            assert self.aborted.wait(600.0)
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
 @pytest.mark.parametrize(("number", "reason"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "ended by SIGTERM")])
-def test_a_signal_ends_the_session_in_good_order(number: signal.Signals, reason: str) -> None:
+def test_a_signal_ends_the_session_in_good_order(
+    number: signal.Signals, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    abort, aborted = Session.abort, threading.Event()
+
+    def abort_and_say_so(session: Session, reason: str) -> None:
+        abort(session, reason)
+        aborted.set()
+
+    monkeypatch.setattr(Session, "abort", abort_and_say_so)
     before = signal.getsignal(number)
     store = MemoryStore()
-    person = Interrupting(number)
+    person = Interrupting(number, aborted)
     result = carried_out(person, store)
     assert (result.status, result.reason) == (RunStatus.ABORTED, reason)
     assert [run.info.status for run in store.runs] == [RunStatus.ABORTED]

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
@@ -49,6 +50,7 @@ class Onlooker(NullOperator):
         self.asked: list[CampaignState] = []
         self.recorded: list[CampaignState] = []
         self.process: subprocess.Popen[str] | None = None
+        self.followed = ""
 
     def ask(self, prompt: Prompt) -> Answer:
         self.asked.append(CampaignWatch(self._folder).look())
@@ -70,13 +72,21 @@ class Onlooker(NullOperator):
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory: pytest.TempPathFactory) -> Onlooker:
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Onlooker]:
     folder = tmp_path_factory.mktemp("runs") / "two"
     plan = folder.parent / "two.toml"
     plan.write_text(PLAN, "utf-8")
     onlooker = Onlooker(folder)
-    dragrig.run(str(plan), out=folder, person=onlooker, assignments=["rig.recording.flush_s=0.02"]).session.require()
-    return onlooker
+    try:
+        made = dragrig.run(str(plan), out=folder, person=onlooker, assignments=["rig.recording.flush_s=0.02"])
+        made.session.require()
+        assert onlooker.process is not None
+        onlooker.followed, _ = onlooker.process.communicate()
+        yield onlooker
+    finally:
+        if onlooker.process is not None and onlooker.process.poll() is None:
+            onlooker.process.kill()
+            onlooker.process.communicate()
 
 
 def test_an_open_prompt_is_shown(seen: Onlooker) -> None:
@@ -102,9 +112,8 @@ def test_a_run_is_shown_while_it_is_recorded(seen: Onlooker) -> None:
 
 def test_following_from_another_process_ends_with_the_campaign(seen: Onlooker) -> None:
     assert seen.process is not None
-    answer, _ = seen.process.communicate()
     assert seen.process.returncode == 0
-    assert answer.splitlines()[-1] == "two: run 4 of 4, ended, complete"
+    assert seen.followed.splitlines()[-1] == "two: run 4 of 4, ended, complete"
 
 
 def test_an_ended_campaign_shows_its_status(seen: Onlooker, capsys: pytest.CaptureFixture[str]) -> None:
