@@ -171,7 +171,7 @@ def _runs_of_specimen(infos: Iterable[RunInfo], specimen: str | None, where: str
 def _usable_selection(specimen: str, runs: Iterable[Run], left_out: Iterable[Exclusion], where: str) -> RunSelection:
     usable: list[Experiment] = []
     excluded, remarks = list(left_out), list[str]()
-    for experiment in _with_calm_phases([Experiment(run) for run in runs]):
+    for experiment in _with_shared_facts([Experiment(run) for run in runs]):
         reason = unusable_reason(experiment)
         if reason is not None:
             excluded.append(Exclusion(experiment.file, reason))
@@ -184,8 +184,8 @@ def _usable_selection(specimen: str, runs: Iterable[Run], left_out: Iterable[Exc
     return RunSelection(specimen, tuple(usable), tuple(excluded), (*remarks, *_fault_remarks(usable)))
 
 
-def _with_calm_phases(experiments: Sequence[Experiment]) -> Iterator[Experiment]:
-    """Tell each run at the begin of which phases hardly any run has a pulse, so that the motion makes none."""
+def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:
+    """Tell each run what only the others show: a jitter of the clock, and which phases begin without a pulse."""
     runs_with_pulse = Counter(
         phase for experiment in experiments for phase in {pulse.near_phase for pulse in experiment.pulses}
     )
@@ -193,7 +193,14 @@ def _with_calm_phases(experiments: Sequence[Experiment]) -> Iterator[Experiment]
     calm = frozenset(
         phase for phase, runs in runs_with_pulse.items() if phase is not None and runs <= enough < len(experiments) / 2
     )
-    return (replace(experiment, calm_phases=calm) if experiment.pulses else experiment for experiment in experiments)
+    jitters = [jitter for experiment in experiments if (jitter := experiment.own_jitter_s) is not None]
+    shared = float(np.median(jitters)) if jitters else 0.0
+    return [
+        replace(experiment, calm_phases=calm, shared_jitter_s=shared)
+        if experiment.pulses or (shared and experiment.own_jitter_s is None)
+        else experiment
+        for experiment in experiments
+    ]
 
 
 def _fault_remarks(experiments: Iterable[Experiment]) -> Iterator[str]:

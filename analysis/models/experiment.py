@@ -135,7 +135,7 @@ def wander_noise_sd_mm(wander_mm: float, count_mm: float) -> float:
     return wander_mm / TYPICAL_SPAN_SDS if wander_mm > count_jitter_mm(count_mm) else 0.0
 
 
-def clock_jitter_s(deviation_mm: FloatArray, velocity_mm_s: FloatArray, steady: Mask, noise_mm: float) -> float:
+def clock_jitter_s(deviation_mm: FloatArray, velocity_mm_s: FloatArray, steady: Mask, noise_mm: float) -> float | None:
     """Return the standard deviation of sampling times [s] that the deviations of a position in steady motion show.
 
     A sample that is late shows the position of another moment: the deviation is proportional to the speed, and
@@ -152,15 +152,18 @@ def clock_jitter_s(deviation_mm: FloatArray, velocity_mm_s: FloatArray, steady: 
 
     Returns
     -------
-    0 where the deviations are no larger than at rest, or correlated.
+    0 where the deviations are correlated, or no larger than at rest at a speed that would show a jitter; None where the
+    motion is too short or too slow to tell.
     """
     moving = steady & (np.abs(velocity_mm_s) > 0)
     if np.count_nonzero(moving) < MIN_JITTER_SAMPLES:
-        return 0.0
+        return None
     deviation = deviation_mm[moving] - deviation_mm[moving].mean()
     variance = float(np.mean(deviation**2))
     jitter_s = float(np.sqrt(max(variance - noise_mm**2, 0.0) / np.mean(velocity_mm_s[moving] ** 2)))
-    if variance <= 2.0 * noise_mm**2 or jitter_s > MAX_JITTER_S:
+    if variance <= 2.0 * noise_mm**2:
+        return None
+    if jitter_s > MAX_JITTER_S:
         return 0.0
     lags = range(1, min(JITTER_LAGS, deviation.size // 4) + 1)
     correlation = max(abs(float(deviation[lag:] @ deviation[:-lag])) for lag in lags) / (variance * deviation.size)
@@ -191,6 +194,8 @@ class Experiment:
     """Whether the command was computed by a model of the motor, so that it is not rounded."""
     calm_phases: frozenset[int] = frozenset()
     """Phases whose begin makes no pulse of the force in other runs, so that one there is a fault."""
+    shared_jitter_s: float = 0.0
+    """Scatter of the sampling times that other runs show."""
 
     @property
     def kind(self) -> str:
@@ -252,14 +257,19 @@ class Experiment:
         known = bool(np.isfinite(command).all() and np.any(command != position))
         return position_wander_mm(time_s, position, command if known else None, self.count_mm)
 
-    @cached_property
+    @property
     def clock_jitter_s(self) -> float:
-        """How far the sampling times scatter, one standard deviation; 0 where steady motion does not show it."""
+        """How far the sampling times scatter, one standard deviation, by this run's motion, or else by the others'."""
+        return self.shared_jitter_s if self.own_jitter_s is None else self.own_jitter_s
+
+    @cached_property
+    def own_jitter_s(self) -> float | None:
+        """The scatter of the sampling times that steady motion shows; None where it is too short or slow to tell."""
         trace, time_s = self.run.trace, self.time_s
         command, position = (np.asarray(values, dtype=np.float64) for values in (trace.command, trace.position))
         known = np.isfinite(command) & np.isfinite(position)
         if np.count_nonzero(known) < MIN_SAMPLES:
-            return 0.0
+            return None
         noise_mm = float(np.hypot(self.count_mm / np.sqrt(12), wander_noise_sd_mm(self.wander_mm, self.count_mm)))
         velocity = np.gradient(command[known], time_s[known])
         steady = in_phase(trace, Phase.STEADY)[known]
