@@ -46,12 +46,11 @@ DEFAULT_WHITE = 2.0
 """White noise [mN] where no run shows any, at the upper end for such sensors."""
 FLICKER_TIMES_S = tuple(40.0 * 0.25**number for number in range(8))
 """Correlation times whose noises, of equal variance, add up to 1/f noise from 0.004 to 70 Hz within 5 %."""
-MIN_FLICKER_GAIN = 6.0
-"""Twice the log likelihood ratio above which there is 1/f noise: chance reaches it in one campaign of 70."""
-FIRST_FLICKER_FACTORS = ((1.0, 0.3), (1.0, 1.0), (0.3, 1.0), (0.3, 3.0))
-MAX_FIRST_LOSS = 5.0
-"""`FIRST_FLICKER_FACTORS`: factors on slow noise as it was and on 1/f noise of a usual size, of which one must be
-likelier than no 1/f noise less `MAX_FIRST_LOSS`, or it is not fitted."""
+MIN_FLICKER_GAIN = 3.0
+"""Twice the log likelihood ratio above which there is 1/f noise; 15 campaigns without it reached 0.1 at most."""
+FIRST_FLICKER_FACTORS = ((1.0, 0.1), (1.0, 0.4), (0.6, 0.4), (0.3, 1.0), (0.3, 3.0))
+"""Factors on slow noise as it was and on 1/f noise of a usual size, one of which must be likelier than no 1/f noise, or
+it is not fitted."""
 MAX_FLICKER_BLOCKS = 240
 """Longer stretches have wider blocks in the search for 1/f noise."""
 MIN_WHITE_PART = 0.1
@@ -361,12 +360,12 @@ def _with_flicker(noise: NoiseModel, groups: dict[_BlockLayout, list[FloatArray]
 
     without = _dense_likelihood(without_line, stacks)
     tried = [start + np.log([slow, 1.0, flicker]) for slow, flicker in FIRST_FLICKER_FACTORS]
-    misfits = [misfit(logs) for logs in tried]
-    if min(misfits) > without + MAX_FIRST_LOSS:
+    likelihoods = [_dense_likelihood(noise_at(logs), stacks) for logs in tried]
+    if min(likelihoods) > without:
         return noise
-    best = tried[int(np.argmin(misfits))]
+    best = tried[int(np.argmin(likelihoods))]
     optimum = minimize(misfit, best, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.1, "maxfev": 120})
-    if without - float(optimum.fun) < MIN_FLICKER_GAIN:
+    if without - _dense_likelihood(noise_at(optimum.x), stacks) < MIN_FLICKER_GAIN:
         return noise
     return replace(noise_at(optimum.x), hum=noise.hum)
 
