@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN, classify
+from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN, as_misjudged_noise, classify, unknown_by_excess_alone
 from dragrig.analysis.gap.diagnosis import Verdict
-from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary
+from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
 
 BLOCKS = 8000
@@ -215,3 +215,18 @@ def test_probabilities_are_shared_out_and_agree_with_the_verdict(inputs: Decisio
     if named:
         assert "+".join(classification.effects) in classification.probabilities
         assert not any("+" in name for name in classification.confusable_with)
+
+
+def test_an_excess_that_nothing_predicts_is_told_from_one_that_a_law_does() -> None:
+    louder = 1.2 * BLOCKS
+    unexplained, by_speed = (
+        case(louder, laws=laws) for laws in ((), (NonparametricLaw("speed", louder - 400.0, 5.0),))
+    )
+    for inputs, alone in ((unexplained, True), (by_speed, False), (case(NOISE), False)):
+        classification = classify(inputs, DEFAULT_TOLERANCE_MN)
+        assert (classification.verdict is Verdict.UNKNOWN) is (inputs.chi2 == louder)
+        assert unknown_by_excess_alone(inputs, classification, DEFAULT_TOLERANCE_MN) is alone
+    unknown = classify(unexplained, DEFAULT_TOLERANCE_MN)
+    noise = as_misjudged_noise(unknown)
+    assert noise.verdict is Verdict.NO_GAP
+    assert noise.probabilities[NO_GAP] == unknown.probabilities[UNKNOWN]

@@ -203,6 +203,26 @@ def unknown_because_of_line(inputs: DecisionInputs, classification: Classificati
     )
 
 
+def unknown_by_excess_alone(
+    inputs: DecisionInputs, classification: Classification, tolerance_mN: float, calibration: Calibration | None = None
+) -> bool:
+    """Whether the verdict is `unknown` because blocks differ by more than noise, and nothing predicts by how much."""
+    gate = (calibration or shipped_calibration()).gate
+    return (
+        classification.verdict is Verdict.UNKNOWN
+        and not inputs.has_position_error
+        and not unknown_because_of_line(inputs, classification)
+        and largest_llr(inputs, tolerance_mN) < gate.least_gain
+    )
+
+
+def as_misjudged_noise(classification: Classification) -> Classification:
+    """Return the verdict `no_gap` in place of `unknown`, with its probability."""
+    probabilities = dict(classification.probabilities)
+    probabilities[NO_GAP], probabilities[UNKNOWN] = probabilities[UNKNOWN], probabilities[NO_GAP]
+    return replace(classification, verdict=Verdict.NO_GAP, probabilities=probabilities)
+
+
 def _classify_with_position(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
     force_effects = tuple(
         name

@@ -24,12 +24,14 @@ from dragrig.analysis.gap.classifier import (
     NO_GAP,
     UNKNOWN,
     Classification,
+    as_misjudged_noise,
     classify,
     mains_hum_present,
     unknown_because_of_line,
+    unknown_by_excess_alone,
 )
 from dragrig.analysis.gap.design import ColumnKind, Study, fit_columns
-from dragrig.analysis.gap.diagnosis import Diagnosis, GapReduction, RankedHypothesis, RunTraces, Verdict
+from dragrig.analysis.gap.diagnosis import Diagnosis, GapLocation, GapReduction, RankedHypothesis, RunTraces, Verdict
 from dragrig.analysis.gap.features import (
     Calibration,
     DecisionInputs,
@@ -49,7 +51,7 @@ from dragrig.analysis.gap.gap_reduction import (
 )
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, is_periodic_in_session
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
-from dragrig.analysis.gap.localise import attribute_to_effects, localise
+from dragrig.analysis.gap.localise import ALPHA, attribute_to_effects, localise
 from dragrig.analysis.gap.next_run_position import reasons_for_no_run, recommend_next_run
 from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position, position_gap_reduction
 from dragrig.analysis.gap.spectral_lines import (
@@ -282,6 +284,8 @@ def _rounded_value(value: float) -> float:
 SLOW_LINE_HZ, MIN_SLOW_LINE_LLR = 4.9, 300.0
 """Slow noise resembles lines below this frequency with smaller log likelihood ratios: at most 38 in 500 simulated
 campaigns."""
+MAX_GAP_OVER_FLOOR = 1.05
+"""A gap up to this multiple of its floor equals it."""
 CALIBRATION_NOTE = "calibrated on simulated campaigns"
 DIAGNOSIS_STEPS = 6
 MIN_LLR_AND_SHARE_WITH_MOTION_ERROR = 0.5 * MIN_LLR_BESIDE_POSITION, 0.3
@@ -396,8 +400,12 @@ def _assembled_diagnosis(
     blocks = [*force_residual_blocks(study, search.nominal, options.tolerance_mN, line or hum)]
     blocks += position_residual_blocks(position.runs)
     where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP)
-    where = attribute_to_effects(where, blocks, _named_force(study, fit, hum))
     reduction, traces = _held_out_reduction(study, search, fit, position, classification)
+    by_excess = unknown_by_excess_alone(inputs, classification, options.tolerance_mN, _calibration_for(study, options))
+    if by_excess and _is_within_noise(where, reduction):
+        classification = as_misjudged_noise(classification)
+        where = localise(blocks, present=False)
+    where = attribute_to_effects(where, blocks, _named_force(study, fit, hum))
     files = tuple(run.file for run in study.runs)
     force_classification = classify(
         replace(inputs, position=(), has_position_error=False), options.tolerance_mN, _calibration_for(study, options)
@@ -428,6 +436,12 @@ def _assembled_diagnosis(
         decision_inputs=inputs,
         next_experiment=next_run,
     )
+
+
+def _is_within_noise(where: GapLocation, reduction: GapReduction | None) -> bool:
+    """Whether a gap is no larger than its own floor, and concentrated nowhere: noise that is a little misjudged."""
+    small = reduction is not None and reduction.gap_before_mN <= MAX_GAP_OVER_FLOOR * reduction.noise_floor_mN
+    return small and where.p >= ALPHA
 
 
 def _named_force(study: Study, fit: HypothesisFit | None, hum: SpectralLine) -> list[FloatArray]:
