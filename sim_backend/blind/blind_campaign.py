@@ -445,7 +445,7 @@ def true_answer(campaign: BlindCampaign) -> dict[str, Json]:
         "effects": list(known),
         "outside": foreign,
         "truth": ", ".join(effect.name for effect in campaign.effects) or "nothing",
-        "form": [effect.form for effect in campaign.effects],
+        "form": [effect.described for effect in campaign.effects],
         "size": list(campaign.sizes),
         "channel": [effect.channel for effect in campaign.effects],
         "parameters": [dict(effect.parameters) for effect in campaign.effects],
@@ -478,7 +478,8 @@ def _conditions_answer(campaign: BlindCampaign) -> dict[str, Json]:
 def _draw_effect(seed: int, name: str, size: float, plant: str, runs: Sequence[RunPlan]) -> HiddenEffect:
     random = _random(seed, f"effect {name}")
     if plant == "drawn" and name in DRAWN:
-        effect = DRAWN[name].drawn(random, size)
+        kinds = DRAWN[name]
+        effect = kinds[int(random.integers(len(kinds))) if len(kinds) > 1 else 0].drawn(random, size)
         # What laws of position and of the session's time refer to: the first session's own stroke and length.
         stroke = max(run.travel_mm for run in runs if run.strain is None or len(runs) == 1)
         length = max(600.0, *(run.session_s for run in runs))

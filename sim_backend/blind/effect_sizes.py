@@ -1,14 +1,20 @@
-"""How large hidden effects are: what each adds to the runs, and d′, its size against noise and specimens.
+"""How large hidden effects are: what each cause adds to the runs, and d′, its size against noise and specimens.
 
 d′ is the norm of the whitened signature with every direction projected out in which specimens and runs differ.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.sim_backend.blind.blind_campaign import BlindCampaign, HiddenSpecimen, NoiseLevels, without_effects
+from dragrig.sim_backend.blind.blind_campaign import (
+    BlindCampaign,
+    HiddenSpecimen,
+    NoiseLevels,
+    NominalErrors,
+    without_effects,
+)
 from dragrig.sim_backend.blind.plant import ENCODER_COUNT_MM, PlantRecord, noise_free_run
 from dragrig.sim_backend.blind.run_plans import RATE_HZ, Floats
 
@@ -66,17 +72,27 @@ class NuisanceDirections:
 
 
 def whiten(values: Floats, noise: NoiseLevels, rate_hz: float = RATE_HZ) -> Floats:
-    """Return the values, shape `(N, …)`, whitened for white noise plus an exponentially correlated one.
-
-    The sum is an ARMA(1, 1) process; its inverse filter leaves unit white noise.
-    """
+    """Return the values, shape `(N, …)`, whitened for white noise plus an exponentially correlated one."""
     from scipy.signal import lfilter
 
+    decay, theta, scale = _noise_filter(noise, rate_hz)
+    return np.asarray(lfilter([1.0, -decay], [1.0, -theta], values, axis=0) / scale)
+
+
+def _unwhitened(values: Floats, directions: NuisanceDirections) -> Floats:
+    from scipy.signal import lfilter
+
+    decay, theta, scale = _noise_filter(directions.noise, directions.rate_hz)
+    return np.asarray(lfilter([1.0, -theta], [1.0, -decay], values) * scale)
+
+
+def _noise_filter(noise: NoiseLevels, rate_hz: float) -> tuple[float, float, float]:
+    """Return pole, zero and scale of the noise, whose sum is an ARMA(1, 1) process."""
     decay = float(np.exp(-1 / (rate_hz * noise.correlation_s)))
     white, slow = noise.white_mN**2, noise.slow_mN**2 * (1 - decay**2)
     variance, lag = (1 + decay**2) * white + slow, decay * white
-    theta = (variance - np.sqrt(variance**2 - 4 * lag**2)) / (2 * lag)
-    return np.asarray(lfilter([1.0, -decay], [1.0, -theta], values, axis=0) / np.sqrt(lag / theta))
+    theta = float((variance - np.sqrt(variance**2 - 4 * lag**2)) / (2 * lag))
+    return decay, theta, float(np.sqrt(lag / theta))
 
 
 def nuisance_directions(campaign: BlindCampaign) -> NuisanceDirections:
@@ -114,6 +130,27 @@ def _with_step(specimen: HiddenSpecimen, name: str) -> HiddenSpecimen:
 
 def residual_chi2(directions: NuisanceDirections, residuals: Sequence[Floats]) -> float:
     """Return the squared norm of force residuals, one per run, beyond the directions within their priors."""
+    total, best, right = _fitted_directions(directions, residuals)
+    return total - float(best @ right)
+
+
+def beyond_nuisances(directions: NuisanceDirections, residuals: Sequence[Floats]) -> tuple[Floats, ...]:
+    """Return what of force residuals [mN], one per run, is left once the specimen and zero offsets are fitted.
+
+    Stiffness and μ of each run are not fitted: they would follow an ageing specimen far beyond how repeats differ.
+    """
+    offsets = replace(directions, own=tuple(own[:, :1] for own in directions.own))
+    best = _fitted_directions(offsets, residuals)[1]
+    remaining = []
+    for residual, shared, own in zip(residuals, directions.shared, offsets.own, strict=True):
+        left = whiten(residual, directions.noise, directions.rate_hz) - shared @ best
+        inner = np.linalg.solve(np.eye(own.shape[1]) + own.T @ own, own.T @ left)
+        remaining.append(_unwhitened(left - own @ inner, directions))
+    return tuple(remaining)
+
+
+def _fitted_directions(directions: NuisanceDirections, residuals: Sequence[Floats]) -> tuple[float, Floats, Floats]:
+    """Return the squared norm beyond each run's own directions, the shared ones' best sizes, and their right side."""
     count = directions.shared[0].shape[1]
     total, gram, right = 0.0, np.zeros((count, count)), np.zeros(count)
     for residual, shared, own in zip(residuals, directions.shared, directions.own, strict=True):
@@ -121,8 +158,7 @@ def residual_chi2(directions: NuisanceDirections, residuals: Sequence[Floats]) -
         inner = np.linalg.inv(np.eye(own.shape[1]) + own.T @ own)
         reduced = columns.T @ columns - (columns.T @ own) @ inner @ (own.T @ columns)
         gram, right, total = gram + reduced[:-1, :-1], right + reduced[:-1, -1], total + float(reduced[-1, -1])
-    best = np.linalg.solve(np.eye(len(gram)) + gram, right)
-    return total - float(best @ right)
+    return total, np.asarray(np.linalg.solve(np.eye(len(gram)) + gram, right), dtype=np.float64), right
 
 
 def effect_size(campaign: BlindCampaign, directions: NuisanceDirections | None = None) -> EffectSize:
@@ -131,3 +167,73 @@ def effect_size(campaign: BlindCampaign, directions: NuisanceDirections | None =
     force = residual_chi2(directions or nuisance_directions(campaign), [run.force for run in signatures])
     position = sum(float((run.position**2).sum()) for run in signatures) / COUNT_SD_MM**2
     return EffectSize(max(force, 0.0) ** 0.5, position**0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenShare:
+    """What one hidden cause adds to the runs, all others there: the plant's own budget.
+
+    Attributes
+    ----------
+    cause
+        Id of an effect, `specimen` where it was exchanged and no file says so, or `model` for a wrong nominal model.
+    channel
+        `force` or `position`. A cause of the position adds nothing to the force, which follows the measured position.
+    run_rms
+        Root mean square in each run [mN; mm in the position].
+    rms
+        The same over all samples.
+    refitted_rms
+        The same once the specimen, within its prior, and each run's zero offset have been fitted.
+    share
+        Of the sum of the squares of `refitted_rms` in its channel.
+    """
+
+    cause: str
+    channel: str
+    run_rms: tuple[float, ...]
+    rms: float
+    refitted_rms: float
+    share: float
+
+
+def hidden_shares(campaign: BlindCampaign, directions: NuisanceDirections | None = None) -> tuple[HiddenShare, ...]:
+    """Return what each hidden cause adds to a campaign's runs, noise-free; empty where nothing is hidden."""
+    causes = [*_hidden_causes(campaign)]
+    if not causes:
+        return ()
+    whole = [noise_free_run(campaign, index) for index in range(len(campaign.runs))]
+    known = directions or nuisance_directions(campaign)
+    found = []
+    for cause, channel, without in causes:
+        bare = [noise_free_run(without, index) for index in range(len(campaign.runs))]
+        if channel == "position":
+            added = [run.position - other.position for run, other in zip(whole, bare, strict=True)]
+            left: Sequence[Floats] = added
+        else:
+            added = [run.force - other.force for run, other in zip(whole, bare, strict=True)]
+            left = beyond_nuisances(known, added)
+        each = tuple(float(np.sqrt(np.mean(run**2))) for run in added)
+        found.append(HiddenShare(cause, channel, each, _rms(added), _rms(left), 0.0))
+    squares = {"force": 0.0, "position": 0.0}
+    for one in found:
+        squares[one.channel] += one.refitted_rms**2
+    return tuple(replace(one, share=one.refitted_rms**2 / (squares[one.channel] or 1.0)) for one in found)
+
+
+def _hidden_causes(campaign: BlindCampaign) -> Iterator[tuple[str, str, BlindCampaign]]:
+    """Yield each cause, the channel it shows in, and the campaign without it."""
+    for at, effect in enumerate(campaign.effects):
+        others = (*campaign.effects[:at], *campaign.effects[at + 1 :])
+        sizes = (*campaign.sizes[:at], *campaign.sizes[at + 1 :])
+        channel = "position" if effect.channel == "position" else "force"
+        yield effect.name, channel, replace(campaign, effects=others, sizes=sizes)
+    if campaign.second is not None and not campaign.exchange_recorded:
+        yield "specimen", "force", replace(campaign, second=campaign.specimen)
+    right = NominalErrors(blunt_s=campaign.nominal_errors.blunt_s)
+    if campaign.nominal_errors not in {right, replace(right, shape_form=campaign.nominal_errors.shape_form)}:
+        yield "model", "force", replace(campaign, nominal_errors=right)
+
+
+def _rms(runs: Sequence[Floats]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(runs) ** 2)))

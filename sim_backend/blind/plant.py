@@ -287,7 +287,7 @@ def _contact_forces(
         remaining = np.ones_like(x)
         for effect, speed in zip(gut.effects, speeds, strict=True):
             remaining = remaining * effect.contact(x / length, speed[wide])
-        rise = (length - x) / gut.capsule.radius_mm
+        rise = np.maximum(length - x, 0.0) / gut.capsule.radius_mm
         slant = rise ** (1 + gut.errors.slant) * 2 * np.pi * gut.capsule.radius_mm
         total[wide] += ((b - a) * weights * gut.pressure(x, ages) * slant * remaining).sum(axis=1)
     end = np.full_like(here, length)

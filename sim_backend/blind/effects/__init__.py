@@ -51,7 +51,7 @@ def _forms_by_name(*modules: ModuleType) -> dict[str, tuple[type[HiddenEffect], 
     forms: dict[str, tuple[type[HiddenEffect], ...]] = {}
     for module in modules:
         for form in vars(module).values():
-            if isinstance(form, type) and issubclass(form, HiddenEffect) and form is not HiddenEffect:
+            if isinstance(form, type) and issubclass(form, HiddenEffect) and hasattr(form, "name"):
                 forms[form.name] = (*forms.get(form.name, ()), form)
     return forms
 
@@ -63,11 +63,8 @@ CATALOGUE: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType(
 """Forms of every effect of the catalogue."""
 OUTSIDE: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType({name: _FORMS[name] for name in FOREIGN})
 """Forms of the effects that the catalogue does not have."""
-
-DRAWN: Mapping[str, type[HiddenEffect]] = MappingProxyType(
-    {name: forms[0] for name, forms in _forms_by_name(drawn_forms).items()}
-)
-"""The form of every effect of the catalogue whose law is drawn at random."""
+DRAWN: Mapping[str, tuple[type[HiddenEffect], ...]] = MappingProxyType(_forms_by_name(drawn_forms))
+"""Forms whose law is drawn at random, of every effect of the catalogue and of `outside`, one that it does not have."""
 
 
 def effect_group(effect_id: str) -> str:

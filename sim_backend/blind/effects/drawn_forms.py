@@ -4,6 +4,10 @@ A form keeps what the catalogue says of its effect: where it acts, of which coor
 that function is monotone, periodic or fading. All else is drawn: the function, what it scales, and when it acts.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 
 from dragrig.sim_backend.blind import Floats, RunPlan, SampledMotion
@@ -14,6 +18,7 @@ from dragrig.sim_backend.blind.effects.hidden_effect import (
     CapsuleForces,
     DrawnFrom,
     HiddenEffect,
+    OneOf,
     RunConditions,
     delayed,
     drawn,
@@ -27,19 +32,23 @@ from dragrig.sim_backend.blind.effects.hidden_effect import (
     signed,
 )
 from dragrig.sim_backend.blind.effects.random_laws import (
+    LawFamily,
     faded,
     fading,
+    hump,
     periodic,
     pulses,
     rising,
     rising_late,
     rising_soft,
+    steps,
+    wandering,
 )
 
 ANY_LAW = "drawn"
 """What the forms of this plant are called: they have no other name than their parameters and values."""
-TYPICAL_MN = 150.0
-"""Force that an absolute effect of relative amplitude 1 has: about that of the capsule in a drag run."""
+TYPICAL_ELASTIC_MN, TYPICAL_MN = 50.0, 105.0
+"""The elastic force and all of it in a drag run at 5 to 20 mm/s, by which what scales with them is normalised."""
 
 
 def in_motion(run: RunConditions, speed_mm_s: float = 0.1) -> Floats:
@@ -47,28 +56,20 @@ def in_motion(run: RunConditions, speed_mm_s: float = 0.1) -> Floats:
     return np.asarray(-np.expm1(-((run.speed / speed_mm_s) ** 2)))
 
 
-def while_held(run: RunConditions) -> Floats:
+def since_stop(run: RunConditions) -> Floats:
     """Return the time since the stop [s]; 0 before it."""
     return np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
 
 
 def scaled(effect: HiddenEffect, forces: CapsuleForces) -> Floats:
-    """Return what a drawn law of a drag force is multiplied by [mN]: one part of the force, all of it, or a constant.
-
-    The parameter `on` chooses: 0 the elastic force, 1 the whole force, 2 a constant, 3 the normal force's friction.
-    """
-    parts = (
-        forces.elastic,
-        forces.elastic + forces.viscous + np.abs(forces.coulomb),
-        np.full_like(forces.elastic, TYPICAL_MN),
-        np.abs(forces.coulomb) + 0.3 * forces.normal * 0.1,
-    )
-    return parts[int(effect.on)]
+    """Return what a drawn law is multiplied by, about 1: `on` is 0 for the elastic force, 1 for all of it, 2 for 1."""
+    whole = forces.elastic + forces.viscous + np.abs(forces.coulomb)
+    return (forces.elastic / TYPICAL_ELASTIC_MN, whole / TYPICAL_MN, np.ones_like(whole))[int(effect.on)]
 
 
 @drawn(
-    amplitude=(0.6, 1.0),
-    begin_mm_s=(6.0, 18.0),
+    amplitude=(0.7, 1.0),
+    begin_mm_s=(5.0, 15.0),
     reach=(0.55, 1.0),
     late_s=in_log(0.005, 0.15),
     speeds=rising,
@@ -94,7 +95,7 @@ def inertia_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunCondition
     """Add a force that grows about with the square of speed, alone or with the wall's elastic force."""
     part = run.speed / 60.0
     growth = part**effect.power * (1 + effect.bent * (effect.law("law")(part) - 0.5))
-    return np.asarray(effect.amplitude * run.direction * growth * scaled(effect, forces) / TYPICAL_MN)
+    return np.asarray(effect.amplitude * run.direction * growth * scaled(effect, forces))
 
 
 @drawn(amplitude=(0.35, 0.8), slower=(0.1, 0.8), late=rising_late, even=rising, steep=one_of(0.4, 0.6))
@@ -102,7 +103,7 @@ def inertia_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunCondition
 def hyperelastic_drawn(effect: HiddenEffect, strain: Floats) -> tuple[Floats, Floats, Floats]:
     """Moduli grow with strain, often far more steeply at its end, fast branches more than the spring."""
     grown = effect.law("late" if effect.steep else "even")(strain / 2.0)
-    more = effect.amplitude * (1.6 if effect.steep else 1.0) * grown
+    more = effect.amplitude * (1.3 if effect.steep else 1.0) * grown
     return 1 + more, 1 + more * effect.slower**0.5, 1 + more * effect.slower
 
 
@@ -156,7 +157,7 @@ def breakaway_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditi
 def presliding_drawn(effect: HiddenEffect, direction: Floats, run: RunConditions) -> Floats:
     """Friction builds up over a deflection and stays locked in at standstill, part of which may be lost in time."""
     built = 1 - faded(effect.law("law"), np.maximum(run.motion.p, 0.0) / effect.slip_mm)
-    left = 1 - effect.lost * (1 - faded(effect.law("release"), while_held(run) / effect.half_s))
+    left = 1 - effect.lost * (1 - faded(effect.law("release"), since_stop(run) / effect.half_s))
     return np.asarray((1 - effect.amplitude) * direction + effect.amplitude * built * left)
 
 
@@ -178,7 +179,7 @@ def film_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) 
 
 
 @drawn(
-    amplitude=(0.10, 0.24),
+    amplitude=(4.0, 11.0),
     period_mm=in_log(2.5, 10.0),
     phase=(0.0, 1.0),
     wander=(0.0, 0.05),
@@ -208,8 +209,8 @@ def tether_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions
     """Add a pull that grows beyond some position, and may relax while the capsule is held."""
     begin = effect.begin * effect.stroke_mm
     grown = effect.law("law")((run.motion.p - begin) / (effect.stroke_mm - begin))
-    held = while_held(run) / effect.half_s
-    size = scaled(effect, forces) / TYPICAL_MN
+    held = since_stop(run) / effect.half_s
+    size = scaled(effect, forces)
     return np.asarray(effect.amplitude * size * grown * (1 - effect.lost * held / (1 + held)))
 
 
@@ -226,7 +227,7 @@ def peristalsis_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunCondi
     """Pulses periodic in the session's time, while holding too."""
     turn = run.session_s / effect.period_s + effect.phase
     beat = effect.law("law")(turn + effect.wander * np.sin(1.9 * turn))
-    return np.asarray(effect.amplitude * scaled(effect, forces) / TYPICAL_MN * beat)
+    return np.asarray(effect.amplitude * scaled(effect, forces) * beat)
 
 
 @drawn(amplitude=signed(0.3, 0.6), law=rising, on=one_of(0.5, 0.25, 0.25), share=(0.4, 1.0))
@@ -264,8 +265,8 @@ class PreconditioningDrawn(HiddenEffect):
 def drift_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Zero that creeps one way during a run, somewhat differently in every run."""
     own = 1 + effect.spread * run.random("drift").uniform(-1.7, 1.7)
-    t = run.motion.t / effect.span_s
-    return np.asarray(force + effect.amplitude * own * (effect.law("law")(t) + np.maximum(t - 1, 0.0) * 0.3))
+    crept = effect.law("law")(-np.expm1(-run.motion.t / effect.span_s))
+    return np.asarray(force + effect.amplitude * own * crept)
 
 
 @drawn(amplitude=signed(0.05, 0.12), full_mN=(700.0, 1800.0), law=rising)
@@ -347,7 +348,7 @@ def compliance_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) ->
     amplitude=in_log(0.030, 0.110),
     dead=(0.0, 0.5),
     damping=(0.55, 1.4),
-    creeps=(0.0, 0.25),
+    creeps=(0.0, 0.3),
     creep_s=in_log(0.3, 3.0),
     grows=signed(0.0, 0.6),
 )
@@ -361,7 +362,7 @@ def lag_drawn(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -
 
     def follow(values: Floats) -> Floats:
         fast = low_pass(delayed(values, effect.dead * lag, t), time_s, effect.damping, t)
-        share = effect.creeps * effect.amplitude / 0.110
+        share = effect.creeps * effect.amplitude
         return (1 - share) * fast + share * first_order(values, effect.creep_s, t)
 
     return SampledMotion(t, follow(motion.p), follow(motion.v), follow(motion.a))
@@ -421,3 +422,129 @@ def scale_drawn(effect: HiddenEffect, position: Floats, force: Floats, run: RunC
     grown = effect.stroke_mm * (effect.law("law")(part) + np.minimum(part, 0.0) + np.maximum(part - 1, 0.0))
     warm = 1 - effect.warming * run.session_s / (run.session_s + effect.half_s)
     return np.asarray(position + effect.amplitude * grown * warm)
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """Where an effect outside the catalogue acts, of what it is a function, and of which kind that function is."""
+
+    place: str
+    coordinate: str
+    course: str
+    while_: str = "always"
+
+
+SENSOR = (
+    *(Combination("zero", "position", course) for course in ("rise", "hump", "wave", "levels", "wander")),
+    *(Combination("zero", "position", course, "in motion") for course in ("wave", "wander")),
+    *(Combination("zero", "speed", course) for course in ("rise", "hump")),
+    Combination("zero", "time in motion", "hump", "in motion"),
+    Combination("zero", "time held", "rise"),
+    Combination("zero", "session", "wave"),
+    *(Combination("gain", "position", course) for course in ("wave", "levels", "wander")),
+    *(Combination("gain", "position", course, "in motion") for course in ("levels", "wander")),
+    *(Combination("gain", "speed", course) for course in ("rise", "hump")),
+    Combination("gain", "run", "levels"),
+)
+GUT = (
+    *(Combination("capsule", "position", course) for course in ("hump", "wander", "levels")),
+    Combination("capsule", "position", "wander", "in motion"),
+    Combination("capsule", "speed", "hump"),
+    Combination("capsule", "time held", "rise"),
+    Combination("capsule", "time in motion", "hump"),
+    *(Combination("friction", "position", course) for course in ("hump", "wave", "wander")),
+    *(Combination("friction", "speed", course) for course in ("hump", "rise")),
+    Combination("friction", "session", "wave"),
+)
+ENCODER = (
+    Combination("encoder", "time", "rise"),
+    Combination("encoder", "time in motion", "hump"),
+    Combination("encoder", "position", "levels"),
+    Combination("encoder", "load", "rise"),
+    Combination("encoder", "time held", "rise"),
+    Combination("encoder", "session", "wave"),
+)
+"""What no effect of the catalogue is: monotone laws of speed on the capsule, for instance, are, and are left out."""
+PLACE_SIZES = {"zero": 20.0, "gain": 0.25, "capsule": 28.0, "friction": 0.8, "encoder": 0.3}
+"""Of amplitude 1: mN, relative, mN, relative, mm."""
+_FOREIGN: Mapping[str, DrawnFrom | OneOf | LawFamily] = {
+    "amplitude": signed(0.4, 1.0),
+    "combination": DrawnFrom(0.0, 1.0),
+    "period_mm": in_log(2.5, 12.0),
+    "period_s": in_log(4.0, 20.0),
+    "time_s": in_log(0.4, 3.0),
+    "phase": DrawnFrom(0.0, 1.0),
+    "rise": rising,
+    "hump": hump,
+    "wave": periodic,
+    "levels": steps,
+    "wander": wandering,
+}
+
+
+class OutsideDrawn(HiddenEffect):
+    """An effect that the catalogue does not have: a place, a coordinate and a course, combined at random."""
+
+    form, ranges = ANY_LAW, _FOREIGN
+    combinations: ClassVar[tuple[Combination, ...]]
+
+    @property
+    def combined(self) -> Combination:
+        """The combination that was drawn."""
+        return self.combinations[int(self.combination * len(self.combinations))]
+
+    @property
+    def described(self) -> str:
+        one = self.combined
+        return f"{one.place} by {one.coordinate}, {one.course}, {one.while_}"
+
+    def change(self, place: str, force: Floats, run: RunConditions) -> Floats | float:
+        """Return what is added at a place, shape `(N,)`; 0 where this effect does not act."""
+        one = self.combined
+        if one.place != place:
+            return 0.0
+        along = self._coordinate(one, force, run)
+        gate = in_motion(run) if one.while_ == "in motion" else 1.0
+        return np.asarray(self.amplitude * PLACE_SIZES[place] * self.law(one.course)(along) * gate)
+
+    def _coordinate(self, one: Combination, force: Floats, run: RunConditions) -> Floats:
+        t, p, (go, _, _, stop) = run.motion.t, run.motion.p, run.plan.bounds_s
+        coordinates: Mapping[str, Floats] = {
+            "position": p / self.period_mm + self.phase if one.course == "wave" else p / self.stroke_mm,
+            "speed": np.log(np.maximum(run.speed, 1e-9) / 0.4) / np.log(80.0 / 0.4),
+            "session": run.session_s / self.period_s + self.phase,
+            "time": t / 20.0,
+            "time in motion": np.clip((t - go) / (stop - go), 0.0, 1.0),
+            "time held": since_stop(run) / self.time_s,
+            "load": np.abs(force) / 1000.0,
+            "run": np.full_like(t, run.random("level").random()),
+        }
+        return coordinates[one.coordinate]
+
+
+class OutsideSensorDrawn(OutsideDrawn):
+    """An effect outside the catalogue in the force sensor: its zero or its gain."""
+
+    name, rank, combinations = "outside", 2, SENSOR
+
+    def sensor(self, force: Floats, run: RunConditions) -> Floats:
+        return force * (1 + self.change("gain", force, run)) + self.change("zero", force, run)
+
+
+class OutsideGutDrawn(OutsideDrawn):
+    """An effect outside the catalogue between gut and capsule: a force, or a change of friction."""
+
+    name, kinds, combinations = "outside", SLIDING_RUNS, GUT
+
+    def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
+        held = self.change("capsule", forces.elastic, run) if run.plan.kind == "drag" else 0.0
+        return held + forces.coulomb * self.change("friction", forces.elastic, run)
+
+
+class OutsideEncoderDrawn(OutsideDrawn):
+    """An effect outside the catalogue in the encoder."""
+
+    name, channel, combinations = "outside", "position", ENCODER
+
+    def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
+        return position + self.change("encoder", force, run)

@@ -130,6 +130,11 @@ class HiddenEffect:
             raise AttributeError(f"{type(self).__name__} has no parameter {name}")
         return self.parameters[name]
 
+    @property
+    def described(self) -> str:
+        """Its form in words."""
+        return self.form
+
     def law(self, name: str) -> RandomLaw:
         """Return a drawn function; raises `KeyError` where this form has none of this name."""
         return self.laws[name]

@@ -1,4 +1,4 @@
-"""Random functions with one promised property each: rising, fading, periodic, a single hump, or steps.
+"""Random functions with one promised property each: rising, fading, periodic, a single hump, steps, or without any.
 
 Every draw is another function: cumulative integrals of random positive densities, mixed with powers and soft steps;
 random Fourier series with uneven duty and sharpened crests. Nothing but the property is common to two draws.
@@ -110,9 +110,9 @@ def periodic(random: np.random.Generator) -> RandomLaw:
     """
     turn = np.linspace(0.0, 1.0, 2 * POINTS - 1)
     # The duty: the phase runs faster over one part of the period than over the other.
-    uneven, at = random.uniform(0.0, 0.7), random.random()
+    uneven, at = random.uniform(0.0, 0.9), random.random()
     warped = turn + uneven / (2 * np.pi) * (np.sin(2 * np.pi * (turn - at)) + np.sin(2 * np.pi * at))
-    order, decay = np.arange(1, 9), random.uniform(1.2, 3.0)
+    order, decay = np.arange(1, 9), random.uniform(0.9, 3.0)
     size = np.abs(random.normal(0.6, 0.4, order.size)) * order**-decay
     size[0] = 1.0
     wave = np.cos(2 * np.pi * np.outer(warped, order) + random.uniform(0.0, 2 * np.pi, order.size)) @ size
@@ -151,3 +151,11 @@ def steps(random: np.random.Generator) -> RandomLaw:
     if not values.any():
         values = np.where(np.arange(POINTS) < POINTS // 2, -1.0, 1.0)
     return RandomLaw(tuple((values / values.std()).tolist()), "steps")
+
+
+def wandering(random: np.random.Generator) -> RandomLaw:
+    """Draw a smooth function without mean, of unit size, that is neither monotone nor periodic."""
+    u = np.linspace(0.0, 1.0, POINTS)
+    values = np.cos(np.outer(u, random.normal(0.0, 14.0, 24)) + random.uniform(0.0, 2 * np.pi, 24)).sum(axis=1)
+    values = values - values.mean()
+    return RandomLaw(tuple((values / values.std()).tolist()))
