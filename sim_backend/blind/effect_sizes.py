@@ -36,6 +36,8 @@ COUNT_SD_MM = ENCODER_COUNT_MM / 12**0.5
 """Standard deviation of rounding to counts."""
 ZERO_PRIOR_MN = 100.0
 """Prior of a run's zero offset: practically free."""
+ZERO_SD_MN, REPEAT_SD_MN = 3.0, 2.0
+"""By how much zero offsets and repeats differ: what a refit of the specimen may follow, and how closely."""
 STIFFNESS_PRIOR, MU_PRIOR = 0.02, 0.015
 """Relative standard deviations between runs."""
 RELATIVE_STEP = 0.001
@@ -83,7 +85,7 @@ def _unwhitened(values: Floats, directions: NuisanceDirections) -> Floats:
     from scipy.signal import lfilter
 
     decay, theta, scale = _noise_filter(directions.noise, directions.rate_hz)
-    return np.asarray(lfilter([1.0, -theta], [1.0, -decay], values) * scale)
+    return np.asarray(lfilter([1.0, -theta], [1.0, -decay], values, axis=0) * scale)
 
 
 def _noise_filter(noise: NoiseLevels, rate_hz: float) -> tuple[float, float, float]:
@@ -130,27 +132,6 @@ def _with_step(specimen: HiddenSpecimen, name: str) -> HiddenSpecimen:
 
 def residual_chi2(directions: NuisanceDirections, residuals: Sequence[Floats]) -> float:
     """Return the squared norm of force residuals, one per run, beyond the directions within their priors."""
-    total, best, right = _fitted_directions(directions, residuals)
-    return total - float(best @ right)
-
-
-def beyond_nuisances(directions: NuisanceDirections, residuals: Sequence[Floats]) -> tuple[Floats, ...]:
-    """Return what of force residuals [mN], one per run, is left once the specimen and zero offsets are fitted.
-
-    Stiffness and μ of each run are not fitted: they would follow an ageing specimen far beyond how repeats differ.
-    """
-    offsets = replace(directions, own=tuple(own[:, :1] for own in directions.own))
-    best = _fitted_directions(offsets, residuals)[1]
-    remaining = []
-    for residual, shared, own in zip(residuals, directions.shared, offsets.own, strict=True):
-        left = whiten(residual, directions.noise, directions.rate_hz) - shared @ best
-        inner = np.linalg.solve(np.eye(own.shape[1]) + own.T @ own, own.T @ left)
-        remaining.append(_unwhitened(left - own @ inner, directions))
-    return tuple(remaining)
-
-
-def _fitted_directions(directions: NuisanceDirections, residuals: Sequence[Floats]) -> tuple[float, Floats, Floats]:
-    """Return the squared norm beyond each run's own directions, the shared ones' best sizes, and their right side."""
     count = directions.shared[0].shape[1]
     total, gram, right = 0.0, np.zeros((count, count)), np.zeros(count)
     for residual, shared, own in zip(residuals, directions.shared, directions.own, strict=True):
@@ -158,7 +139,26 @@ def _fitted_directions(directions: NuisanceDirections, residuals: Sequence[Float
         inner = np.linalg.inv(np.eye(own.shape[1]) + own.T @ own)
         reduced = columns.T @ columns - (columns.T @ own) @ inner @ (own.T @ columns)
         gram, right, total = gram + reduced[:-1, :-1], right + reduced[:-1, -1], total + float(reduced[-1, -1])
-    return total, np.asarray(np.linalg.solve(np.eye(len(gram)) + gram, right), dtype=np.float64), right
+    best = np.linalg.solve(np.eye(len(gram)) + gram, right)
+    return total - float(best @ right)
+
+
+def beyond_specimen(directions: NuisanceDirections, residuals: Sequence[Floats]) -> tuple[Floats, ...]:
+    """Return what of force residuals [mN], one per run, is left once the specimen and zero offsets are fitted.
+
+    By least squares of the force itself, every run counting alike, and as exact as repeats are. Stiffness and μ of each
+    run are not fitted: they would follow an ageing specimen far beyond how repeats differ.
+    """
+    count, runs = directions.shared[0].shape[1], len(residuals)
+    gram, right, columns = np.eye(count + runs), np.zeros(count + runs), []
+    for at, (residual, shared) in enumerate(zip(residuals, directions.shared, strict=True)):
+        zero = np.zeros((residual.size, runs))
+        zero[:, at] = ZERO_SD_MN
+        columns.append(np.column_stack([_unwhitened(shared, directions), zero]))
+        weight = 1 / (residual.size * REPEAT_SD_MN**2)
+        gram, right = gram + weight * columns[-1].T @ columns[-1], right + weight * columns[-1].T @ residual
+    best = np.linalg.solve(gram, right)
+    return tuple(residual - column @ best for residual, column in zip(residuals, columns, strict=True))
 
 
 def effect_size(campaign: BlindCampaign, directions: NuisanceDirections | None = None) -> EffectSize:
@@ -182,7 +182,7 @@ class HiddenShare:
     run_rms
         Root mean square in each run [mN; mm in the position].
     rms
-        The same over all samples.
+        The same over all runs, each counting alike.
     refitted_rms
         The same once the specimen, within its prior, and each run's zero offset have been fitted.
     share
@@ -212,7 +212,7 @@ def hidden_shares(campaign: BlindCampaign, directions: NuisanceDirections | None
             left: Sequence[Floats] = added
         else:
             added = [run.force - other.force for run, other in zip(whole, bare, strict=True)]
-            left = beyond_nuisances(known, added)
+            left = beyond_specimen(known, added)
         each = tuple(float(np.sqrt(np.mean(run**2))) for run in added)
         found.append(HiddenShare(cause, channel, each, _rms(added), _rms(left), 0.0))
     squares = {"force": 0.0, "position": 0.0}
@@ -236,4 +236,4 @@ def _hidden_causes(campaign: BlindCampaign) -> Iterator[tuple[str, str, BlindCam
 
 
 def _rms(runs: Sequence[Floats]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(runs) ** 2)))
+    return float(np.sqrt(np.mean([np.mean(run**2) for run in runs])))
