@@ -39,6 +39,11 @@ class AnswerKey(_Record):
     form: tuple[str, ...] = ()
     size: tuple[float, ...] = ()
     nominal_slightly_wrong: bool = False
+    case: str = ""
+    """Kind of the case in its exam's mix."""
+    conditions: tuple[str, ...] = ()
+    also_right: tuple[str, ...] = ()
+    """Names that are no mistake where nothing is hidden: an effect, or `specimen` or `model` as the largest cause."""
 
     @property
     def smallest_size(self) -> float:
@@ -89,6 +94,13 @@ class ScoredEvaluation(_Record):
     shrink: ScoredShrink
 
 
+class ScoredCause(_Record):
+    """A cause of the gap and its share."""
+
+    cause: str
+    share: float
+
+
 class ScoredDiagnosis(_Record):
     """The part of a diagnosis that is scored."""
 
@@ -98,6 +110,12 @@ class ScoredDiagnosis(_Record):
     confusable_with: tuple[str, ...] = ()
     where: ScoredWhere = ScoredWhere()
     shrink: ScoredShrink | None = None
+    budget: tuple[ScoredCause, ...] = ()
+
+    @property
+    def largest_cause(self) -> str:
+        """The cause with the largest share; empty where the diagnosis has no budget."""
+        return max(self.budget, key=lambda part: part.share).cause if self.budget else ""
 
     @property
     def probability(self) -> float:
@@ -145,7 +163,8 @@ class ScoredCase:
     def right(self) -> bool:
         """Whether the verdict is right: all effects named, or `no_gap` or `unknown` where that is the answer."""
         if not self.answer.effects:
-            return self.diagnosis.verdict == self.answer.verdict
+            found = set(self.diagnosis.effects) or {self.diagnosis.largest_cause}
+            return self.diagnosis.verdict == self.answer.verdict or found <= set(self.answer.also_right)
         return self.all_named or (self.diagnosis.verdict == NO_GAP and not self.answer.detectable)
 
     @property
@@ -209,7 +228,10 @@ def wilson_rate(name: str, outcomes: Sequence[bool]) -> Rate:
 
 def exam_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:
     """Return all rates of an exam, in the order of its table."""
-    return tuple(wilson_rate(name, [holds(case) for case in cases if counts(case)]) for name, counts, holds in _RATES)
+    met = tuple(rate for rate in _CONDITION_RATES if any(rate[1](case) for case in cases))
+    return tuple(
+        wilson_rate(name, [holds(case) for case in cases if counts(case)]) for name, counts, holds in (*_RATES, *met)
+    )
 
 
 def verdict_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:
@@ -221,14 +243,23 @@ _Condition = Callable[[ScoredCase], bool]
 
 
 def _hidden(low: float, high: float = inf, *, rough: bool = False) -> _Condition:
-    """Select single effects of a size from `low` to below `high`."""
+    """Select single effects of a size from `low` to below `high`, in campaigns without conditions."""
     return lambda case: (
-        case.single and low <= case.answer.smallest_size < high and case.answer.nominal_slightly_wrong == rough
+        case.single
+        and low <= case.answer.smallest_size < high
+        and case.answer.nominal_slightly_wrong == rough
+        and not case.answer.conditions
     )
 
 
 def _answer(verdict: VerdictName, *, rough: bool = False) -> _Condition:
-    return lambda case: case.answer.verdict == verdict and case.answer.nominal_slightly_wrong == rough
+    return lambda case: (
+        case.answer.verdict == verdict and case.answer.nominal_slightly_wrong == rough and not case.answer.conditions
+    )
+
+
+def _of_kind(kind: str) -> _Condition:
+    return lambda case: case.answer.case == kind
 
 
 _RATES: tuple[tuple[str, _Condition, _Condition], ...] = (
@@ -252,6 +283,12 @@ _RATES: tuple[tuple[str, _Condition, _Condition], ...] = (
     ("above 0.8, right", lambda case: case.diagnosis.probability > SURE_ABOVE, lambda case: case.right),
 )
 """Each rate: its name, the cases that count, and what holds of them."""
+_CONDITION_RATES = tuple(
+    (name, _of_kind(kind), lambda case: case.right)
+    for condition in ("incomplete", "programme", "exchanged", "model off", "noise")
+    for name, kind in ((f"{condition}, right name", condition), (f"{condition}, none, no gap", f"{condition} none"))
+)
+"""The same of campaigns under conditions, where an exam has such."""
 
 
 def withheld_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:

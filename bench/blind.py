@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from dragrig.api.gap import diagnose_many
-from dragrig.exam.blind_exam import draw_cases
+from dragrig.exam.hidden_cases import draw_cases
 from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw_campaign, write_campaign
 
 MANY = 1000

@@ -58,6 +58,34 @@ def test_every_rate_counts_what_it_says() -> None:
     ]  # fmt: skip
 
 
+def test_under_a_condition_the_condition_itself_may_be_named_and_rates_are_its_own() -> None:
+    off = {**truth(rough=True), "case": "model off none", "conditions": ["laws 10 % off"],
+           "also_right": ["specimen", "model"]}  # fmt: skip
+    hum = {**truth(), "case": "noise none", "conditions": ["hum"], "also_right": ["mains_hum"]}
+    model, rest = ({"cause": cause, "share": share} for cause, share in (("model", 0.7), ("unexplained", 0.3)))
+    unknown = diagnosis_record(verdict="unknown")
+    pairs = [
+        ("no gap", off, diagnosis_record(verdict="no_gap")),
+        ("the model", off, {**unknown, "budget": [rest, model]}),
+        ("unexplained", off, {**unknown, "budget": [{**rest, "share": 0.8}, {**model, "share": 0.2}]}),
+        ("no budget", off, unknown),
+        ("a wall", off, {**diagnosis_record("hyperelastic_wall", p=0.9), "budget": [model]}),
+        ("the hum", hum, diagnosis_record("mains_hum")),
+        ("more than the hum", hum, diagnosis_record("mains_hum", "force_drift")),
+        ("an effect", {**truth("folds"), "case": "noise", "conditions": ["jitter"]}, diagnosis_record("folds")),
+    ]
+    result = score_exam(pairs)
+    counts = {rate.name: (rate.held, rate.count) for rate in result.rates if rate.count}
+    assert counts == {
+        "model off, none, no gap": (2, 5),
+        "noise, right name": (1, 1),
+        "noise, none, no gap": (1, 2),
+        "all, wrong above 0.8": (4, 8),
+        "above 0.8, right": (4, 8),
+    }
+    assert [case.name for case in result.missed] == ["unexplained", "no budget", "a wall", "more than the hum"]
+
+
 def test_the_interval_is_wilsons() -> None:
     pairs = [(str(at), truth("folds"), diagnosis_record("folds" if at else "adhesion")) for at in range(40)]
     rate = score_exam(pairs)["full size, right name"]

@@ -261,6 +261,13 @@ def effects_command(as_json: bool) -> None:
     show_default=True,
     help="Mix of campaigns: realistic (exam), or with more hard cases for training (learning).",
 )
+@click.option(
+    "--plant",
+    type=click.Choice(["written", "drawn"]),
+    default="written",
+    show_default=True,
+    help="Effects in forms that are written down, to learn from, or with laws drawn at random, to judge by.",
+)
 @options.out("Folder of the exam, which a second call continues (default: a temporary one).")
 @options.workers("campaigns")
 @click.option(
@@ -274,6 +281,7 @@ def blind_command(
     cases: int,
     seed: int,
     kind: str,
+    plant: str,
     out: Path | None,
     workers: int | None,
     scheduler: str | None,
@@ -303,6 +311,7 @@ def blind_command(
             workers=workers,
             scheduler=scheduler,
             kind=kind,
+            plant=plant,
             without_true=without_true,
             progress=meter.at,
         )

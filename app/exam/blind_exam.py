@@ -18,121 +18,14 @@ from tempfile import mkdtemp
 from time import perf_counter
 from typing import TypeVar
 
-import numpy as np
-
 from dragrig.analysis import Progress, no_progress
 from dragrig.config import AnalysisError, OutputError, SettingsError
 from dragrig.exam.examinee import BlindDiagnosis, BlindTask, diagnose_blind, evaluate_blind
+from dragrig.exam.hidden_cases import EXAM_MIX, MIXES, WRITTEN_PLANT, HiddenCase, draw_cases, hidden_amounts
 from dragrig.parallel import open_executor, parallel_map, worker_count
 from dragrig.present import score_json
 from dragrig.scoring import ExamScore, score_exam
-from dragrig.sim_backend.blind import (
-    CATALOGUE,
-    OUTSIDE,
-    BlindCampaign,
-    draw_campaign,
-    effect_group,
-    true_answer,
-    write_campaign,
-)
-
-EXAM_MIX, LEARNING_MIX = "exam", "learning"
-EXAM_SHARES = {
-    "full": 0.40,
-    "third": 0.15,
-    "tenth": 0.10,
-    "none": 0.10,
-    "outside": 0.10,
-    "pair": 0.07,
-    "rough": 0.08 * 2 / 3,
-    "rough none": 0.08 / 3,
-}
-"""Share of each kind of case; single effects cycle through the whole catalogue of the plant."""
-MIXES = {
-    EXAM_MIX: EXAM_SHARES,
-    LEARNING_MIX: {
-        "full": 0.35,
-        "third": 0.13,
-        "tenth": 0.06,
-        "none": 0.06,
-        "outside": 0.14,
-        "pair": 0.16,
-        "rough": 0.07,
-        "rough none": 0.03,
-    },
-}
-"""An exam has campaigns as rigs may have them; to learn from, there are more hard cases."""
-
-
-@dataclass(frozen=True, slots=True)
-class HiddenCase:
-    """What is hidden in one campaign."""
-
-    number: int
-    kind: str
-    """One of `EXAM_SHARES`: an effect at full size, a third or a tenth of it; nothing; an effect that the catalogue
-    does not have; two effects; and with nominal equations that are slightly wrong, an effect or nothing.
-    """
-    seed: int
-    effects: tuple[str, ...]
-    sizes: tuple[float, ...]
-    rough: bool
-
-    @property
-    def name(self) -> str:
-        """The number as in names of folders and files."""
-        return f"{self.number:04d}"
-
-    @property
-    def secret(self) -> BlindCampaign:
-        """The campaign with its hidden effects."""
-        return draw_campaign(self.seed, effects=self.effects, size=self.sizes, rough=self.rough)
-
-    @property
-    def single(self) -> bool:
-        """Whether one effect of the catalogue is hidden."""
-        return len(self.effects) == 1 and self.effects[0] in CATALOGUE
-
-
-def draw_cases(cases: int, seed: int, which: str = EXAM_MIX) -> list[HiddenCase]:
-    """Return a balanced mix in random order; counts follow the shares as nearly as whole numbers allow."""
-    random = np.random.default_rng(seed)
-    shares = MIXES[which]
-    exact = np.array([share * cases for share in shares.values()])
-    counts = np.floor(exact).astype(int)
-    counts[np.argsort(counts - exact)[: cases - int(counts.sum())]] += 1
-    kinds = [kind for kind, count in zip(shares, counts.tolist(), strict=True) for _ in range(count)]
-    singles, foreign = _shuffled_cycle(tuple(CATALOGUE), random), _shuffled_cycle(tuple(OUTSIDE), random)
-    hidden = [(kind, *_draw_effects(kind, singles, foreign, random)) for kind in kinds]
-    order = random.permutation(len(hidden)).tolist()
-    seeds = random.integers(1, 2**31, len(hidden)).tolist()
-    return [
-        HiddenCase(number, kind, case_seed, effects, sizes, rough=kind.startswith("rough"))
-        for number, (case_seed, (kind, effects, sizes)) in enumerate(
-            zip(seeds, (hidden[place] for place in order), strict=True), 1
-        )
-    ]
-
-
-def _shuffled_cycle(names: Sequence[str], random: np.random.Generator) -> Iterator[str]:
-    while True:
-        yield from random.permutation(np.array(names)).tolist()
-
-
-def _draw_effects(
-    kind: str, singles: Iterator[str], foreign: Iterator[str], random: np.random.Generator
-) -> tuple[tuple[str, ...], tuple[float, ...]]:
-    if kind in {"none", "rough none"}:
-        return (), ()
-    if kind == "outside":
-        return (next(foreign),), (1.0,)
-    if kind == "pair":
-        first, second = next(singles), next(singles)
-        while effect_group(first) == effect_group(second):
-            second = next(singles)
-        return (first, second), (1.0, 1.0 if random.random() < 0.5 else 1 / 3)
-    return (next(singles),), ({"third": 1 / 3, "tenth": 1 / 10}.get(kind, 1.0),)
-
+from dragrig.sim_backend.blind import PLANTS, true_answer, write_campaign
 
 UNFINISHED_SUFFIX = ".begun"
 """Suffix of the hidden folder in which an unfinished campaign is written."""
@@ -179,14 +72,6 @@ def remove_unfinished(order: CampaignOrder) -> None:
             shutil.rmtree(unfinished, ignore_errors=True)
 
 
-def hidden_d_prime(case: HiddenCase) -> float:
-    """Return the larger d′ of the hidden effects, in the force or in the position."""
-    from dragrig.sim_backend.blind import effect_size
-
-    size = effect_size(case.secret)
-    return max(size.force, size.position)
-
-
 EXAM_FILE, SEAL_FILE, ANSWERS_FILE = "exam.json", "answers.sha256", "answers.json"
 EXAM_FORMAT, EXAM_VERSION = "dragrig-blind", 1
 
@@ -222,12 +107,12 @@ class ExamFolder:
         return self.root / "achieved" / f"{name}.json"
 
     def amount(self, name: str) -> Path:
-        """Return the file of the hidden effect's d′."""
+        """Return the file of the hidden effects' d′ and of the plant's own budget."""
         return self.root / "amounts" / f"{name}.json"
 
 
 @contextmanager
-def open_exam_folder(out: Path, cases: int, seed: int, mix: str) -> Iterator[ExamFolder]:
+def open_exam_folder(out: Path, cases: int, seed: int, mix: str, plant: str = WRITTEN_PLANT) -> Iterator[ExamFolder]:
     """Lock and yield an exam's folder: a new one, or one started with the same numbers.
 
     Raises
@@ -244,8 +129,8 @@ def open_exam_folder(out: Path, cases: int, seed: int, mix: str) -> Iterator[Exa
         existing = _read_exam_numbers(out)
         if existing is None and any(path.name != ".lock" for path in out.iterdir()):
             raise OutputError(f"{out}: holds something that is no exam; name an empty or a new folder.")
-        if existing is not None and existing != (cases, seed, mix):
-            numbers = f"--cases {existing[0]} --seed {existing[1]} --mix {existing[2]}"
+        if existing is not None and existing != (cases, seed, mix, plant):
+            numbers = f"--cases {existing[0]} --seed {existing[1]} --mix {existing[2]} --plant {existing[3]}"
             raise SettingsError(
                 f"{out}: holds an exam of {existing[0]} cases with seed {existing[1]}; give {numbers} to continue "
                 "it, or name another folder."
@@ -253,7 +138,14 @@ def open_exam_folder(out: Path, cases: int, seed: int, mix: str) -> Iterator[Exa
         with FileLock(out / ".lock", timeout=0):
             write_json(
                 out / EXAM_FILE,
-                {"format": EXAM_FORMAT, "version": EXAM_VERSION, "cases": cases, "seed": seed, "mix": mix},
+                {
+                    "format": EXAM_FORMAT,
+                    "version": EXAM_VERSION,
+                    "cases": cases,
+                    "seed": seed,
+                    "mix": mix,
+                    "plant": plant,
+                },
             )
             yield ExamFolder(out)
     except Timeout as error:
@@ -263,11 +155,11 @@ def open_exam_folder(out: Path, cases: int, seed: int, mix: str) -> Iterator[Exa
         raise OutputError(f"{place}: cannot be written ({error.strerror}); name another folder.") from error
 
 
-def _read_exam_numbers(out: Path) -> tuple[int, int, str] | None:
-    """Return number of cases, seed and mix of the exam in a folder; None where there is none."""
+def _read_exam_numbers(out: Path) -> tuple[int, int, str, str] | None:
+    """Return number of cases, seed, mix and plant of the exam in a folder; None where there is none."""
     try:
         exam = json.loads((out / EXAM_FILE).read_text("utf-8"))
-        return int(exam["cases"]), int(exam["seed"]), str(exam["mix"])
+        return int(exam["cases"]), int(exam["seed"]), str(exam["mix"]), str(exam.get("plant", WRITTEN_PLANT))
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError) as error:
@@ -384,6 +276,7 @@ def gap_blind(
     workers: int | None = None,
     scheduler: str | None = None,
     kind: str = EXAM_MIX,
+    plant: str = WRITTEN_PLANT,
     without_true: bool = False,
     sizes: bool = True,
     progress: Progress = no_progress,
@@ -405,6 +298,9 @@ def gap_blind(
         Address of a Dask cluster to use in their place; its workers must see `out`, which is then needed.
     kind
         Mix of campaigns: `exam`, or `learning`, which has more hard cases.
+    plant
+        `written`, whose effects have forms that are written down, or `drawn`, whose laws are drawn at random; its
+        campaigns have a mix of their own, under many conditions.
     without_true
         Whether campaigns with one effect are diagnosed again without it.
     sizes
@@ -434,13 +330,19 @@ def gap_blind(
         raise SettingsError(f"--seed {seed}: is a whole number from 0 on.")
     if kind not in MIXES:
         raise SettingsError(f"--mix {kind}: there is {' and '.join(MIXES)}.")
+    if plant not in PLANTS:
+        raise SettingsError(f"--plant {plant}: there is {' and '.join(PLANTS)}.")
+    if plant != WRITTEN_PLANT and kind != EXAM_MIX:
+        raise SettingsError(f"--mix {kind}: the plant {plant} judges, and nothing is learnt from it; leave one out.")
     worker_count(workers, scheduler)
     if scheduler is not None and out is None:
         raise SettingsError(f"--scheduler {scheduler}: needs --out, a folder that the cluster's workers see too.")
     start = perf_counter()
     place = tempfile.TemporaryDirectory(prefix="dragrig-blind-") if out is None else nullcontext(str(out))
-    with place as root, open_exam_folder(Path(root).absolute(), cases, seed, kind) as folder:
-        exam = _RunningExam(folder, draw_cases(cases, seed, kind), workers, scheduler, _WeightedProgress(progress))
+    with place as root, open_exam_folder(Path(root).absolute(), cases, seed, kind, plant) as folder:
+        exam = _RunningExam(
+            folder, draw_cases(cases, seed, kind, plant), workers, scheduler, _WeightedProgress(progress)
+        )
         digest, diagnoses = exam.run(without_true=without_true, sizes=sizes)
         score, failed = exam.score(diagnoses, without_true=without_true)
         timings_s = {**_median_timings(diagnoses.values()), "this call": perf_counter() - start}
@@ -476,6 +378,7 @@ class _RunningExam:
         """Do what is not done yet; return the hash of the answers, and the diagnoses by the campaigns' names."""
         folder, names = self.folder, [case.name for case in self.cases]
         single = [case for case in self.cases if case.single]
+        measured = [case for case in self.cases if case.single or case.plant != WRITTEN_PLANT]
         orders = [CampaignOrder(case, folder.campaign(case.name), folder.fresh(case.name)) for case in self.cases]
         to_simulate = [order for order in orders if not (order.campaign.is_dir() and order.fresh.is_dir())]
         to_diagnose = {
@@ -486,7 +389,7 @@ class _RunningExam:
             for case in single
             if without_true and not folder.withheld(case.name).exists()
         }
-        to_measure = [case for case in single if sizes and not folder.amount(case.name).exists()]
+        to_measure = [case for case in measured if sizes and not folder.amount(case.name).exists()]
         self.meter.expect(SIMULATE_COST_S, len(to_simulate))
         self.meter.expect(DIAGNOSE_COST_S, len(to_diagnose) + len(to_repeat))
         self.meter.expect(D_PRIME_COST_S, len(to_measure))
@@ -511,9 +414,9 @@ class _RunningExam:
         )
         self._map(
             D_PRIME_COST_S,
-            hidden_d_prime,
+            hidden_amounts,
             to_measure,
-            lambda case, d_prime: write_json(folder.amount(case.name), {"d": d_prime}),
+            lambda case, amounts: write_json(folder.amount(case.name), amounts),
         )
         return digest, {name: read_json(folder.diagnosis_file(name)) for name in names}
 

@@ -119,6 +119,10 @@ def _read_exam(folder: Path) -> _ReadExam:
     try:
         exam = json.loads((folder / "exam.json").read_text("utf-8"))
         seed, numbers = int(exam["seed"]), f"--cases {exam['cases']} --seed {exam['seed']} --mix {exam['mix']}"
+        if exam.get("plant", "written") != "written":
+            raise AnalysisError(
+                f"{folder}: is an exam by the plant {exam['plant']}, which judges; learn from one with --plant written."
+            )
         answers = TypeAdapter(dict[str, AnswerKey]).validate_json((folder / "answers.json").read_text("utf-8"))
         for path in sorted((folder / "said").glob("*.json")):
             # None where a campaign could not be diagnosed.

@@ -81,6 +81,9 @@ from .numbers import percent_difference as percent_difference
 from .numbers import probability_text as probability_text
 from .numbers import range_text as range_text
 from .numbers import rounded_to_error as rounded_to_error
+from .numbers import run_problem as run_problem
+from .numbers import run_subtitle as run_subtitle
+from .numbers import run_title as run_title
 from .numbers import shortest as shortest
 from .numbers import shortest_percent as shortest_percent
 from .numbers import significant as significant
@@ -112,6 +115,3 @@ from .rig_results import rig_check_document as rig_check_document
 from .run import InspectedFile as InspectedFile
 from .run import files_document as files_document
 from .run import run_document as run_document
-from .run_titles import run_problem as run_problem
-from .run_titles import run_subtitle as run_subtitle
-from .run_titles import run_title as run_title

@@ -1,4 +1,4 @@
-"""How numbers, times and sizes are written for a reader; exact values stay in JSON, CSV and run files.
+"""How numbers, times, sizes and titles of runs are written for a reader; exact values stay in JSON, CSV and run files.
 
 `to_json_value` gives values as JSON knows them: dataclasses become objects, NaN and infinities null.
 """
@@ -11,6 +11,7 @@ from math import floor, isfinite, log10
 from typing import TYPE_CHECKING, TypeAlias
 
 from dragrig.analysis import UNKNOWN, significant_text, with_minus_sign
+from dragrig.rig import Attribute, RunInfo, RunStatus
 
 if TYPE_CHECKING:
     from dragrig.analysis import Estimate, EstimatedQuantity, Exclusion
@@ -190,3 +191,47 @@ def _scalar(value: object) -> str | float | bool | None:
 def exclusions_json(left_out: "Iterable[Exclusion]") -> list[dict[str, object]]:
     """Return what was left out, and why."""
     return [{"what": exclusion.item, "reason": exclusion.reason} for exclusion in left_out]
+
+
+_KIND_TITLES = {
+    "drag": "Drag",
+    "coulomb": "Coulomb friction",
+    "blank": "Blank run",
+    "return": "Return",
+    "motion": "Motion",
+    "relaxation": "Relaxation",
+}
+
+
+def run_title(info: RunInfo) -> str:
+    """Say in a few words what a run is: its kind, its speed or strain, its specimen."""
+    kind = _KIND_TITLES.get(info.kind, info.kind.replace("_", " ").capitalize())
+    parameters = info.header.protocol
+    speed, strain = _numeric_attribute(parameters, "speed_mm_s"), _numeric_attribute(parameters, "shear_strain")
+    if info.kind == "relaxation" and strain is not None:
+        kind += f" at {100 * strain:g} % shear strain"
+    elif speed is not None:
+        kind += f" at {speed:g} mm/s"
+    name = str(info.header.specimen.get("name", "")).strip()
+    return f"{kind} · {name}" if name else kind
+
+
+def run_subtitle(info: RunInfo) -> str:
+    """Say when a run began and which file it is."""
+    began = info.header.start_time.strftime("%Y-%m-%d %H:%M:%S")
+    offset = info.header.start_time.isoformat()[-6:]
+    return f"{began} {offset}  ·  run {info.header.run_id[:8]}  ·  {info.path.name}"
+
+
+def run_problem(info: RunInfo, bad_reason: str | None = None) -> str:
+    """Say what is wrong with a run: that it was marked bad, or how it ended early; empty for a good one."""
+    if bad_reason is not None:
+        return f"marked bad: {bad_reason}"
+    if info.status is RunStatus.COMPLETE:
+        return ""
+    return f"{info.status}: {info.reason}" if info.reason else str(info.status)
+
+
+def _numeric_attribute(parameters: Mapping[str, Attribute], name: str) -> float | None:
+    value = parameters.get(name)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

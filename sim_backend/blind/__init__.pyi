@@ -1,4 +1,5 @@
 from .blind_campaign import CONDITIONS as CONDITIONS
+from .blind_campaign import PLANTS as PLANTS
 from .blind_campaign import BlindCampaign as BlindCampaign
 from .blind_campaign import draw_campaign as draw_campaign
 from .blind_campaign import parallel_session as parallel_session

@@ -472,7 +472,15 @@ def _conditions_answer(campaign: BlindCampaign) -> dict[str, Json]:
         {name: {"course": law.course, "values": list(law.values)} for name, law in effect.laws.items()}
         for effect in campaign.effects
     ]
-    return {"plant": campaign.plant, "conditions": list(campaign.conditions), "laws": laws}
+    off = any(name.endswith("% off") for name in campaign.conditions)
+    exchanged = campaign.second is not None and not campaign.exchange_recorded
+    also_right = (["specimen", "model"] if off or exchanged else []) + (["mains_hum"] if campaign.noise.hum_mN else [])
+    return {
+        "plant": campaign.plant,
+        "conditions": list(campaign.conditions),
+        "also_right": also_right,
+        "laws": laws,
+    }
 
 
 def _draw_effect(seed: int, name: str, size: float, plant: str, runs: Sequence[RunPlan]) -> HiddenEffect:

@@ -56,7 +56,10 @@ def rising(random: np.random.Generator) -> RandomLaw:
 
 def rising_late(random: np.random.Generator) -> RandomLaw:
     """Draw a function that rises from 0 to 1 far more steeply at its end: the last third has most of the rise."""
-    return _rising(random, tilt=float(random.uniform(3.0, 6.0)), stepped=0.0)
+    law = _rising(random, tilt=float(random.uniform(3.0, 6.0)), stepped=0.0)
+    early = float(law(2 / 3))
+    power = max(np.log(0.45) / np.log(early), 1.0)
+    return RandomLaw(tuple((np.array(law.values) ** power).tolist()))
 
 
 def rising_soft(random: np.random.Generator) -> RandomLaw:
