@@ -2,8 +2,9 @@
 
 `python bench/blind.py scale --campaigns 10 40 --workers 1 2` diagnoses campaigns side by side and prints how long it
 takes; run it on a machine that does nothing else. `python bench/blind.py sizes --draws 4 stribeck` prints how large
-effects are, form by form. `python bench/blind.py diagnose DIR` and `python bench/blind.py score DIR` diagnose and score
-campaigns DIR/NAME whose answers somebody else wrote to DIR/answers.json. An exam is held by `dragrig gap blind`.
+effects are, form by form; with `--plant drawn` those whose laws are drawn at random. `python bench/blind.py diagnose
+DIR` and `python bench/blind.py score DIR` diagnose and score campaigns DIR/NAME whose answers somebody else wrote to
+DIR/answers.json. An exam is held by `dragrig gap blind`.
 """
 
 import os
@@ -81,12 +82,15 @@ def print_score(folder: Path) -> None:
     print_document(Document("How often the diagnosis is right", (Section("rates", "", tables),)))
 
 
-def print_sizes(draws: int, names: Sequence[str]) -> None:
+def print_sizes(draws: int, names: Sequence[str], plant: str) -> None:
     """Print d′ of every form at full size: median, least and largest of some draws."""
     from dataclasses import replace
 
     from dragrig.sim_backend.blind.effect_sizes import effect_size, nuisance_directions
 
+    if plant == "drawn":
+        print_drawn_sizes(draws, names)
+        return
     bases = [draw_campaign(7 + at) for at in range(draws)]
     nominal = [nuisance_directions(base) for base in bases]
     print(f"{'effect':20s} {'form':28s} {'force':>6s} {'least':>6s} {'most':>6s}  position")
@@ -101,6 +105,23 @@ def print_sizes(draws: int, names: Sequence[str]) -> None:
             print(f"{name:20s} {form.form:28s} {np.median(force):6.0f} {force[0]:6.0f} {force[-1]:6.0f}  {place:.0f}")
 
 
+def print_drawn_sizes(draws: int, names: Sequence[str]) -> None:
+    """Print d′ of effects at full size whose laws are drawn: sorted, one a draw, at 100 Hz."""
+    from dataclasses import replace
+
+    from dragrig.sim_backend.blind.effect_sizes import effect_size, nuisance_directions
+
+    base = draw_campaign(7, conditions=["100 Hz"])
+    nominal = nuisance_directions(base)
+    for name in names or (*CATALOGUE, "outside"):
+        result = []
+        for seed in range(100, 100 + draws):
+            effects = draw_campaign(seed, effects=[name], plant="drawn").effects
+            size = effect_size(replace(base, effects=effects, sizes=(1.0,)), nominal)
+            result.append(size.force if effects[0].channel == "force" else max(size.force, size.position))
+        print(f"{name:20s} " + " ".join(f"{value:6.0f}" for value in sorted(result)), flush=True)
+
+
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -113,6 +134,7 @@ def main() -> None:
         commands.add_parser(name, help=answer).add_argument("folder", type=Path)
     sizer = commands.add_parser("sizes", help="print how large the effects are")
     sizer.add_argument("--draws", type=int, default=4)
+    sizer.add_argument("--plant", choices=["written", "drawn"], default="written")
     sizer.add_argument("effects", nargs="*")
     options = parser.parse_args()
     if options.command == "scale":
@@ -122,7 +144,7 @@ def main() -> None:
     elif options.command == "score":
         print_score(options.folder)
     else:
-        print_sizes(options.draws, options.effects)
+        print_sizes(options.draws, options.effects, options.plant)
 
 
 if __name__ == "__main__":
