@@ -81,7 +81,7 @@ def test_every_word_stays_on_the_page_and_clear_of_the_others(drawn: JointFit) -
 
 
 def test_parameters_stand_where_their_priors_have_them() -> None:
-    axes = panel(joint_fit_figure(fit()), "prior")
+    axes = panel(joint_fit_figure(fit()), "before")
     middles = [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o"]
     nominal = np.sqrt(0.75 * 1.34)
     log_sd = np.log(1.34 / 0.75) / (2 * 1.96)
@@ -91,7 +91,7 @@ def test_parameters_stand_where_their_priors_have_them() -> None:
 
 def test_what_lies_far_outside_is_pointed_at() -> None:
     far = replace(STIFFNESS, value=9.0, interval=(8.9, 9.1))
-    axes = panel(joint_fit_figure(fit(parameters=(far, ANGLE))), "prior")
+    axes = panel(joint_fit_figure(fit(parameters=(far, ANGLE))), "before")
     arrows = [line for line in axes.lines if line.get_marker() == ">"]
     assert [line.get_xdata()[0] for line in arrows] == [axes.get_xlim()[1]]
 
@@ -102,13 +102,13 @@ def dots(axes: Axes) -> int:
 
 def test_no_number_stands_where_runs_say_nothing() -> None:
     unknown = replace(ANGLE, learnt=0.05)
-    axes = panel(joint_fit_figure(fit(parameters=(STIFFNESS, unknown))), "prior")
+    axes = panel(joint_fit_figure(fit(parameters=(STIFFNESS, unknown))), "before")
     assert [text.get_text() for text in axes.texts] == ["1.050 ± 0.030", "not determined"]
     assert dots(axes) == 1
 
 
 def test_no_interval_stands_where_the_fit_did_not_converge() -> None:
-    axes = panel(joint_fit_figure(replace(fit(), converged=False)), "prior")
+    axes = panel(joint_fit_figure(replace(fit(), converged=False)), "before")
     assert [text.get_text() for text in axes.texts] == ["1.05", "−0.2 deg"]
     assert dots(axes) == 2
     assert all(np.ptp(line.get_xdata()) == 0 for line in axes.lines)
@@ -118,13 +118,13 @@ def test_runs_that_are_left_badly_are_shown_on_a_scale_for_all() -> None:
     axes = panel(joint_fit_figure(fit(run("a.h5", 4020.0), run("b.h5", 1.0))), "each run")
     assert axes.get_xscale() == "log"
     assert "1000" in [get_xticklabel.get_text() for get_xticklabel in axes.get_xticklabels()]
-    assert names(axes) == ["a.h5", "b.h5"]
+    assert names(axes) == ["a", "b"]
 
 
 def test_of_very_many_runs_those_are_shown_that_are_left_worst() -> None:
     runs = [run(f"{number:03d}.h5", 1.0 + number / 100) for number in range(3 * JOINT_MAX_RUNS)]
     figure = joint_fit_figure(fit(*runs))
-    assert names(panel(figure, "each run")) == [entry.file for entry in runs[-JOINT_MAX_RUNS:]]
+    assert names(panel(figure, "each run")) == [entry.file.removesuffix(".h5") for entry in runs[-JOINT_MAX_RUNS:]]
     assert any(
         f"{3 * JOINT_MAX_RUNS} runs, the {JOINT_MAX_RUNS} with the largest" in text.get_text() for text in figure.texts
     )
@@ -132,5 +132,5 @@ def test_of_very_many_runs_those_are_shown_that_are_left_worst() -> None:
 
 def test_channels_are_named_where_there_are_several() -> None:
     figure = joint_fit_figure(fit(run("a.h5"), run("a.h5", channel="motor_force")))
-    assert names(panel(figure, "each run")) == ["a.h5 force", "a.h5 motor_force"]
+    assert names(panel(figure, "each run")) == ["a force", "a motor_force"]
     assert any(text.get_text().endswith("1 run") for text in figure.texts)

@@ -393,7 +393,7 @@ def _add_label_row(
 def _leader_line(colour: str, anchor: tuple[float, float]) -> dict[str, object]:
     """Return a thin line from a label to its point; `anchor` is its start, in shares of the label's box."""
     line = {"arrowstyle": "-", "color": colour, "linewidth": 0.8}
-    return {**line, "relpos": anchor, "patchA": None, "shrinkA": 0, "shrinkB": 0}
+    return {**line, "relpos": anchor, "patchA": None, "shrinkA": 3, "shrinkB": 0}
 
 
 def _spread_row(axes: Axes, index: int, labels: Sequence[Annotation]) -> None:

@@ -52,6 +52,7 @@ from dragrig.present import (
     label_curves,
     new_figure,
     set_log_x,
+    significant,
     value_with_error,
 )
 from dragrig.present.model_figures import TABLE1_DASHES, model_text
@@ -89,8 +90,8 @@ def joint_fit_figure(fit: JointFit) -> Figure:
     runs = _largest_chi2_runs(fit.runs)
     left = [0.36 * len(rows) for rows in (fit.parameters, fit.combinations) if rows]
     right = len(runs) * (0.36 if len(runs) <= JOINT_ROOMY_RUNS else 0.23)
-    # Title and label of a second panel are about 0.9 in high.
-    left_in = sum(left) + 0.9 * (len(left) - 1)
+    # Title and label of a second panel are about 1.1 in high.
+    left_in = sum(left) + 1.1 * (len(left) - 1)
     body_in = max(left_in, right)
     with figure_style():
         figure = new_figure(
@@ -113,7 +114,7 @@ def joint_fit_figure(fit: JointFit) -> Figure:
 def _rows_from_top(figure: Figure, column: SubplotSpec, heights_in: Sequence[float], spare_in: float) -> list[Axes]:
     """Return panels of these heights above an empty rest, so that rows are equally high in both columns."""
     ratios = [*heights_in, spare_in] if spare_in > 0.5 else list(heights_in)
-    grid = column.subgridspec(len(ratios), 1, height_ratios=ratios)
+    grid = column.subgridspec(len(ratios), 1, height_ratios=ratios, hspace=0.08)
     return [figure.add_subplot(grid[row]) for row in range(len(heights_in))]
 
 
@@ -158,7 +159,8 @@ def _identified_text(parameter: ParameterEstimate, fit: JointFit) -> str:
 
 def _run_names(runs: Sequence[RunResidual]) -> list[str]:
     several = len({run.channel for run in runs}) > 1
-    return [f"{run.file} {run.channel}" if several else run.file for run in runs]
+    names = [run.file.removesuffix(".h5") for run in runs]
+    return [f"{name} {run.channel}" if several else name for name, run in zip(names, runs, strict=True)]
 
 
 def _draw_joint_parameters(axes: Axes, fit: JointFit) -> None:
@@ -168,7 +170,7 @@ def _draw_joint_parameters(axes: Axes, fit: JointFit) -> None:
     axes.axvline(0.0, color=PALE, linewidth=1.0)
     _draw_intervals(axes, fit, fit.parameters, places, reach, BLUE)
     axes.set_xlabel("Difference from the prior mean (standard deviations)")
-    axes.set_title("95 % intervals: prior (grey) and after the runs")
+    axes.set_title("95 % intervals before (grey) and after the runs")
 
 
 def _in_prior_sd(parameter: ParameterEstimate) -> tuple[float, float, float]:
@@ -416,13 +418,14 @@ def _first_motion_s(experiment: Experiment) -> float:
 
 
 def _time_constants_text(fit: RelaxationFit) -> str:
-    fast, slow = (f"{1e3 * tau.value:.3g} ms" if tau.value < 0.1 else f"{tau.value:.3g} s" for tau in fit.times)
+    digits = significant(3)
+    fast, slow = (f"{digits(1e3 * tau.value)} ms" if tau.value < 0.1 else f"{digits(tau.value)} s" for tau in fit.times)
     return f"τ₁ {fast}\nτ₂ {slow}"
 
 
 def _fit_quality_text(fit: RelaxationFit) -> str:
     per_degree = (fit.chi2 or 0.0) / max(fit.degrees, 1)
-    quality = f"χ²/ν {per_degree:.3g}" if per_degree < 1000 else f"χ²/ν {per_degree:.0f}"
+    quality = f"χ²/ν {_chi2_text(per_degree)}"
     if fit.test is None or fit.test.suffices is None:
         return quality
     return f"{quality} · five suffice" if fit.test.suffices else f"{quality} · a third branch shows"
@@ -507,10 +510,10 @@ def drag_figure(
     low, high = min(speeds) / DRAG_MARGIN, max(speeds) * DRAG_MARGIN
     speed = np.geomspace(low, high, 400)
     curve = steady_force_parts(DragSetup(capsule, wall_thickness_mm), model, speed)
+    measured = "points: measured, 95 % intervals  ·  " if points else ""
+    subtitle = f"{measured}line: {model_text(model)}"
     with figure_style():
-        figure = new_figure(
-            12.4, 8.2, "Drag against speed, measured and by the model", model_text(model), backend=backend
-        )
+        figure = new_figure(12.4, 8.2, "Drag against speed, measured and by the model", subtitle, backend=backend)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4.9, 2.2))
         figure.align_ylabels()
         labels = _draw_model_parts(above, speed, curve)
@@ -526,9 +529,6 @@ def drag_figure(
             labels.append(CurveLabel(float(truth[-1]), "as simulated", GREY))
         _draw_drag_points(above, points, [0.0] * len(points))
         _draw_drag_points(below, points, [point.model_mN for point in points])
-        if points:
-            fastest = max(points, key=lambda point: abs(point.speed_mm_s))
-            labels.append(CurveLabel(float(fastest.force.value or 0.0), "measured", BLACK))
         _finish_drag_axes(above, below, (low, high), accuracy_mN)
         _draw_boundaries(above, below, drag.boundary, boundary_mm_s)
         label_curves(above, labels)
