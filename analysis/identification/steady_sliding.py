@@ -303,7 +303,7 @@ def _remarks(
     share = slow[0].viscous_share
     if share is not None:
         yield (
-            f"μ by the paper's definition includes the viscous friction: {share:.1%} of the force at "
+            f"μ by the paper's definition includes the viscous friction: {100 * share:.1f} % of the force at "
             f"{abs(slow[0].speed_mm_s):.3g} mm/s by the model"
         )
     mean = pooled.mean.value or float("nan")
@@ -617,4 +617,6 @@ def _law_remarks(points: Sequence[SpeedPoint], law: LogLaw | None) -> Iterator[s
         where = "" if bend.speed_mm_s is None else f"; they bend away at {bend.speed_mm_s:.3g} mm/s"
         if bend.interval is not None:
             where += f" (95 %: {bend.interval[0]:.3g} to {bend.interval[1]:.3g})"
-        yield f"the forces do not lie on a straight line in ln v (p = {law.lack_of_fit_p:.2g}){where}"
+        p_value = law.lack_of_fit_p or 0.0
+        p_text = "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
+        yield f"the forces do not lie on a straight line in ln v ({p_text}){where}"
