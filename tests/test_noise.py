@@ -8,6 +8,7 @@ from relaxations import relaxation
 from sliding_runs import noise, slid
 
 from dragrig.analysis.gap.position_channel import position_errors
+from dragrig.analysis.gap.spectral_lines import SpectralLine
 from dragrig.analysis.linear_gaussian import prepare_channels
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
@@ -214,3 +215,15 @@ def test_what_the_motion_does_at_its_begin_in_every_run_is_no_impulse() -> None:
         once.append(changed(run, "force", pulse if number == 2 else force))
     assert not any(experiment.faulty.any() for experiment in select_loaded_runs(everywhere).experiments)
     assert [int(experiment.faulty.sum()) for experiment in select_loaded_runs(once).experiments] == [0, 0, 2, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "rate_hz", "source_hz"),
+    [(50.3, 500.0, 50.0), (150.0, 1000.0, 150.0), (40.0, 100.0, 60.0), (10.2, 50.0, 60.0), (23.0, 100.0, None)],
+)
+def test_hum_is_known_by_its_alias(frequency_hz: float, rate_hz: float, source_hz: float | None) -> None:
+    line = SpectralLine(frequency_hz, 1.0, 100.0, rate_hz)
+    assert line.mains_multiple_hz == source_hz
+    assert line.is_mains is (source_hz is not None)
+    aliased = source_hz is not None and 2 * source_hz > rate_hz
+    assert line.source_hz == (source_hz if aliased else frequency_hz)

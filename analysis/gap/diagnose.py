@@ -185,7 +185,7 @@ def hypothesis_parameters(
 def _hum_values(lines: SpectralLines) -> dict[str, float]:
     """Return the parameters of hum that a spectral line has; its phase differs from run to run."""
     hum, line = hum_effect(), lines.mains
-    return {hum.size.name: line.amplitude, hum.period_parameter: line.frequency_hz}
+    return {hum.size.name: line.amplitude, hum.period_parameter: line.source_hz}
 
 
 def _quantities(candidate: Candidate, errors: Sequence[float], several: bool) -> Iterator[EstimatedQuantity]:

@@ -24,6 +24,8 @@ BACKGROUND_FACTOR = 1.6
 MAINS_HZ = (50.0, 60.0)
 MAINS_TOLERANCE_HZ = 1.1
 """Largest distance of a mains line from a multiple of the mains frequency."""
+ALIASED_MULTIPLES = 3
+"""Multiples of the mains frequency whose aliases are recognised, at rates too slow for them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +38,32 @@ class SpectralLine:
     """Its amplitude, in the channel's unit."""
     llr: float
     """Log likelihood ratio against noise alone, over all segments."""
+    rate_hz: float = 0.0
+    """Sampling rate of the channel, 0 where it is not known."""
+
+    @property
+    def mains_multiple_hz(self) -> float | None:
+        """The multiple of 50 or 60 Hz that it is, or that it is the alias of where sampling is slow; None for neither."""
+        near = [mains * max(round(self.frequency_hz / mains), 1) for mains in MAINS_HZ]
+        slow = [mains * multiple for mains in MAINS_HZ for multiple in range(1, ALIASED_MULTIPLES + 1)]
+        sources = [(source, source) for source in near]
+        sources += [
+            (source, abs(source - round(source / self.rate_hz) * self.rate_hz)) for source in slow if self.rate_hz
+        ]
+        found = (source for source, shown in sources if abs(self.frequency_hz - shown) <= MAINS_TOLERANCE_HZ)
+        return next(found, None)
 
     @property
     def is_mains(self) -> bool:
-        """Whether it is at a multiple of 50 or 60 Hz."""
-        multiples = (mains * max(round(self.frequency_hz / mains), 1) for mains in MAINS_HZ)
-        return any(abs(self.frequency_hz - multiple) <= MAINS_TOLERANCE_HZ for multiple in multiples)
+        """Whether it is at a multiple of 50 or 60 Hz, or at the alias of one."""
+        return self.mains_multiple_hz is not None
+
+    @property
+    def source_hz(self) -> float:
+        """Frequency of what it shows, its own unless it is an alias of the mains."""
+        multiple = self.mains_multiple_hz
+        aliased = multiple is not None and 0.0 < self.rate_hz < 2 * multiple
+        return multiple if multiple is not None and aliased else self.frequency_hz
 
 
 NO_LINE = SpectralLine(0.0, 0.0, 0.0)
@@ -64,7 +86,10 @@ def find_spectral_lines(experiments: Sequence[Experiment], channel: str) -> Spec
     ratio = mean / background
     llr = np.where(ratio > 1, spectrum.segments * (ratio - 1 - np.log(np.maximum(ratio, 1e-12))), 0.0)
     amplitude = 2 * np.sqrt(np.maximum(mean - background, 0.0) / spectrum.segment_samples)
-    lines = [SpectralLine(float(f), float(a), float(g)) for f, a, g in zip(frequency, amplitude, llr, strict=True)]
+    lines = [
+        SpectralLine(float(hertz), float(size), float(ratio), spectrum.rate_hz)
+        for hertz, size, ratio in zip(frequency, amplitude, llr, strict=True)
+    ]
     mains = max((line for line in lines if line.is_mains), key=lambda line: line.llr, default=NO_LINE)
     non_mains = max((line for line in lines if not line.is_mains), key=lambda line: line.llr, default=NO_LINE)
     return SpectralLines(mains, non_mains)
@@ -93,6 +118,7 @@ class _Spectrum:
     background: FloatArray
     segments: float
     segment_samples: float
+    rate_hz: float
 
 
 def _spectrum(experiments: Sequence[Experiment], channel: str) -> _Spectrum | None:
@@ -108,7 +134,7 @@ def _spectrum(experiments: Sequence[Experiment], channel: str) -> _Spectrum | No
     mean = np.average(power, axis=0, weights=weights)
     effective_count = float(weights.sum() ** 2 / np.sum(weights**2))
     samples = float(np.average(weights, weights=weights))
-    return _Spectrum(frequency, mean, _background(frequency, mean), effective_count, samples)
+    return _Spectrum(frequency, mean, _background(frequency, mean), effective_count, samples, rate)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

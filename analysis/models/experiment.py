@@ -53,6 +53,10 @@ MAX_WANDER_MM = 0.02
 """A larger span is a motion, unless it is from one count to the next."""
 MIN_COUNT_MM = 0.001
 """Smallest count of an encoder, and the default."""
+MAX_BEND_SHARE = 0.1
+"""Share of the samples at which a programmed motion bends, sampled slowly."""
+FLOAT32_ROUNDING = 8 * float(np.finfo(np.float32).eps)
+"""Relative rounding of differences of positions in single precision."""
 MIN_JITTER_SAMPLES = 25
 """Fewer samples of steady motion do not show whether deviations are those of a clock."""
 MAX_JITTER_S = 0.002
@@ -183,6 +187,13 @@ def _rest_windows(grid_s: FloatArray, command_mm: FloatArray, window: int) -> Ma
     return np.asarray(still & settled)
 
 
+def _moves_in_few_pieces(command_mm: FloatArray) -> bool:
+    """Whether hardly any two neighbouring steps of an evenly sampled command differ, as they do in counts."""
+    steps = np.diff(command_mm)
+    bends = np.abs(np.diff(steps)) > FLOAT32_ROUNDING * float(np.abs(command_mm).max(initial=0.0))
+    return bool(steps.any()) and float(np.mean(bends)) < MAX_BEND_SHARE
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """A run with its measured motion. Times and positions count from the first sample; units mm, s, mN, g."""
@@ -280,7 +291,8 @@ class Experiment:
         """Whether the stage followed its command to the encoder's count, so that the command is the better record.
 
         A position that wanders at rest, or that a jittering clock samples, may deviate by as much more, but not for
-        long. A position that equals the command was derived from it, as in foreign records.
+        long. Where position and command are equal, one was derived from the other, as in foreign records; the command
+        then is the better record if it moves in few pieces of constant velocity, as where all samples are whole counts.
         """
         from scipy.ndimage import uniform_filter1d
 
@@ -294,7 +306,7 @@ class Experiment:
         deviation = np.abs(position - command[recorded])
         allowed_mm = MAX_FOLLOWING_COUNTS * self.count_mm
         if float(deviation.max(initial=0.0)) <= allowed_mm:
-            return bool(deviation.any())
+            return bool(deviation.any()) or _moves_in_few_pieces(command)
         jitter_mm = self.clock_jitter_s * np.abs(np.gradient(command[recorded], time_s))
         wander_mm = self.wander_mm - count_jitter_mm(self.count_mm)
         if np.any(deviation > allowed_mm + wander_mm + JITTER_SIGMAS * jitter_mm):
