@@ -8,7 +8,7 @@ from relaxations import relaxation
 from sliding_runs import noise, slid
 
 from dragrig.analysis.gap.position_channel import position_errors
-from dragrig.analysis.gap.spectral_lines import SpectralLine
+from dragrig.analysis.gap.spectral_lines import SpectralLine, SpectralLines, lines_that_matter
 from dragrig.analysis.linear_gaussian import prepare_channels
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
@@ -227,3 +227,9 @@ def test_hum_is_known_by_its_alias(frequency_hz: float, rate_hz: float, source_h
     assert line.is_mains is (source_hz is not None)
     aliased = source_hz is not None and 2 * source_hz > rate_hz
     assert line.source_hz == (source_hz if aliased else frequency_hz)
+
+
+def test_a_line_below_the_tolerance_is_noise() -> None:
+    lines = SpectralLines(SpectralLine(50.0, 0.6, 400.0), SpectralLine(33.0, 0.8, 400.0))
+    kept = lines_that_matter(lines, 0.5)
+    assert (kept.mains.llr, kept.non_mains.llr) == (0.0, 400.0)

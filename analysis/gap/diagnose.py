@@ -62,6 +62,7 @@ from dragrig.analysis.gap.spectral_lines import (
     hum_effect,
     known_effects,
     lines_beyond_known,
+    lines_that_matter,
 )
 from dragrig.analysis.gap.studies import CapsuleStudy, prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
@@ -341,6 +342,7 @@ def diagnose(
         else search_effects(with_hum)
     )
     progress(4, DIAGNOSIS_STEPS)
+    lines = lines_that_matter(lines, settings.tolerance_mN)
     inputs = decision_inputs(search, position, lines, settings.excluded)
     classification = classify(inputs, settings.tolerance_mN, _calibration_for(study, settings))
     classified = perf_counter()

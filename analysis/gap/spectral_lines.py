@@ -43,7 +43,7 @@ class SpectralLine:
 
     @property
     def mains_multiple_hz(self) -> float | None:
-        """The multiple of 50 or 60 Hz that it is, or that it is the alias of where sampling is slow; None for neither."""
+        """The multiple of 50 or 60 Hz that it is, or of which it is the alias at a slow rate; None for neither."""
         near = [mains * max(round(self.frequency_hz / mains), 1) for mains in MAINS_HZ]
         slow = [mains * multiple for mains in MAINS_HZ for multiple in range(1, ALIASED_MULTIPLES + 1)]
         sources = [(source, source) for source in near]
@@ -75,6 +75,15 @@ class SpectralLines:
 
     mains: SpectralLine
     non_mains: SpectralLine
+
+
+def lines_that_matter(lines: SpectralLines, tolerance_mN: float) -> SpectralLines:
+    """Drop lines whose rms is below the tolerance: they are noise, and no gap."""
+    mains, non_mains = (
+        line if line.amplitude >= np.sqrt(2.0) * tolerance_mN else replace(line, llr=0.0)
+        for line in (lines.mains, lines.non_mains)
+    )
+    return SpectralLines(mains, non_mains)
 
 
 def find_spectral_lines(experiments: Sequence[Experiment], channel: str) -> SpectralLines:
