@@ -10,6 +10,7 @@ import argparse
 import time
 from collections.abc import Callable, Mapping
 from threading import Event
+from typing import cast
 
 import numpy as np
 import psutil
@@ -24,7 +25,7 @@ from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+from dragrig.sim_backend.doubles.simulated_bench import FaultInjector, SimulatedBench
 
 RATE_HZ = 83_333.0
 STEP_V = 20.0 / 2**16
@@ -113,7 +114,7 @@ def main() -> None:
     duration_s = 60.0 * parser.parse_args().minutes
     inputs = [{"name": name, "channel": f"ai{place}", "unit": "V"} for place, name in enumerate(INPUTS, 1)]
     rig = RigSettings.model_validate({"sampling": {"rate_hz": RATE_HZ}, "hardware": {"card": {"inputs": inputs}}})
-    card = Card(CountingBench(rig))
+    card = Card(cast("SimulatedBench", CountingBench(rig)))
     double = Stopwatch(card)
     process = psutil.Process()
     with c_library.installed(card):

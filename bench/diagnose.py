@@ -135,8 +135,10 @@ def commanded(folder: Path) -> float:
 
 def line(name: str, result: dict[str, object]) -> str:
     """Return one measurement as a line."""
-    return "  {:>10}  {used:>5}  {read:5.1f}  {wall:6.1f}  {cpu:6.1f}  {peak_MB:7.0f}  {verdict} {effects}".format(
-        name, **result
+    return (
+        "  {name:>10}  {used:>5}  {read:5.1f}  {wall:6.1f}  {cpu:6.1f}  {peak_MB:7.0f}  {verdict} {effects}".format_map(
+            {"name": name, **result}
+        )
     )
 
 

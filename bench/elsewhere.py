@@ -11,7 +11,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import sys
 from dataclasses import dataclass
-from math import pi
+from math import pi, sqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -62,9 +62,16 @@ def diagnosed(source: Source, data: Path, folder: Path) -> None:
     """Import a trace, diagnose it, and print what is said."""
     began = perf_counter()
     for from_s, to_s in source.stretches_s:
-        limits = {key: value for key, value in (("from_s", from_s), ("to_s", to_s)) if value is not None}
-        arguments = {"resample_hz": source.resample_hz, "specimen": source.name, "steady": source.steady, **limits}
-        dragrig.import_run(data / source.file, folder, source.columns, **arguments)
+        dragrig.import_run(
+            data / source.file,
+            folder,
+            source.columns,
+            resample_hz=source.resample_hz,
+            specimen=source.name,
+            steady=source.steady,
+            from_s=from_s,
+            to_s=to_s,
+        )
     imported = perf_counter()
     diagnosis = dragrig.diagnose(folder, nominal=source.nominal)
     done = perf_counter()
@@ -89,7 +96,7 @@ def strays_mm(folder: Path) -> float:
     """Return the root mean square by which runs stray from their commands."""
     runs = [dragrig.load(path) for path in sorted(folder.glob("*.h5"))]
     squares = [float(((run.trace.position - run.trace.command) ** 2).mean()) for run in runs]
-    return (sum(squares) / len(squares)) ** 0.5
+    return sqrt(sum(squares) / len(squares))
 
 
 def main(data: Path, names: list[str]) -> None:

@@ -15,6 +15,7 @@ from dragrig.analysis.computation import no_progress
 from dragrig.analysis.export import CsvStyle, ExportColumn, ExportContent, write_csv
 from dragrig.analysis.importing.readers import read_text
 from dragrig.analysis.savgol import SavgolSettings, SavgolStream, smooth
+from dragrig.rig.arrays import AnyFloatArray
 
 
 def best(action: Callable[[], object], repeats: int = 3) -> float:
@@ -50,7 +51,10 @@ def tables(rows: int = 300_000) -> None:
     """Write and read a text table of four columns with decimal commas, here and by pandas."""
     rng = np.random.default_rng(2)
     names = ("time_s", "force_mN", "position_mm", "command_mm")
-    values = [np.arange(rows) / 1000, *(rng.normal(size=rows).astype(np.float32) for _ in names[1:])]
+    values: list[AnyFloatArray] = [
+        np.arange(rows) / 1000,
+        *(rng.normal(size=rows).astype(np.float32) for _ in names[1:]),
+    ]
     columns = tuple(ExportColumn(name, name, "", value) for name, value in zip(names, values, strict=True))
     frame = pd.DataFrame(dict(zip(names, values, strict=True)))
     with tempfile.TemporaryDirectory() as folder:

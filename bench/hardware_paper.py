@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import dragrig
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.arrays import BoolArray
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.runfile.model import Run, RunStatus
 
@@ -57,11 +57,11 @@ def crossing_s(run: Run, position_mm: float) -> float:
     return float(np.interp(position_mm if position[-1] > position[0] else -position_mm, forward, run.trace.time))
 
 
-def quiet(run: Run) -> FloatArray:
+def quiet(run: Run) -> BoolArray:
     """Which samples are away from changes of phase."""
     changes = run.trace.time[1:][np.diff(run.trace.phase.astype(int)) != 0]
     apart = np.abs(run.trace.time[:, None] - changes[None, :]).min(axis=1) if len(changes) else run.trace.time + 1
-    return apart > AWAY_FROM_STEPS_S
+    return np.asarray(apart > AWAY_FROM_STEPS_S)
 
 
 def difference(first: Run, second: Run) -> Difference:

@@ -66,7 +66,8 @@ class Photographer:
     @contextmanager
     def nobodys_folder(self) -> Iterator[None]:
         """Show folders as if the lab were at home; where the pictures are made is nobody's business."""
-        answer = [(button, button.text()) for kind in (QLineEdit, QLabel) for button in self.window.findChildren(kind)]
+        widgets: list[QLineEdit | QLabel] = [*self.window.findChildren(QLineEdit), *self.window.findChildren(QLabel)]
+        answer = [(button, button.text()) for button in widgets]
         answer = [(entry, text) for entry, text in answer if str(self.place) in text]
         for button, text in answer:
             button.blockSignals(True)

@@ -15,9 +15,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import cast
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject
+from PySide6.QtWidgets import QAbstractScrollArea
 
 from dragrig.engine_host.messages import LiveSamples
 from dragrig.window.live_view import LiveView
@@ -37,7 +39,7 @@ class Paints(QObject):
     def __init__(self, *plots: TimePlot) -> None:
         super().__init__()
         self.count = 0
-        self._views = [plot.widget.viewport() for plot in plots]
+        self._views = [cast("QAbstractScrollArea", plot.widget).viewport() for plot in plots]
         for view in self._views:
             view.installEventFilter(self)
 

@@ -318,7 +318,7 @@ def import_run(
         Column and unit of each quantity: `{"time": "t:s", "force": "Load:N"}`; an export of this software needs none.
     settings
         TOML file with the same keys, for recurring measurements.
-    given
+    options
         Further settings: `decimal`, `delimiter`, `encoding`, `sample_rate_hz`, `resample_hz`, `kind`, …. In a
         folder, `order` continues that of its runs.
 
