@@ -12,7 +12,7 @@ import pytest
 import dragrig
 from dragrig.analysis import linear_gaussian
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
-from dragrig.analysis.models.experiment import Experiment, insert_reversals, session_starts
+from dragrig.analysis.models.experiment import Experiment, fit_kinematics, insert_reversals, session_starts
 from dragrig.analysis.noise import NoiseModel
 from dragrig.rig import FloatArray
 
@@ -259,3 +259,65 @@ def test_a_zero_that_is_taken_as_less_certain_than_stated_is_told(tmp_path: Path
         dragrig.import_run(table(tmp_path, columns, f"{number}.csv"), runs, specimen="steel")
     limitations = " ".join(diagnosed(runs, plain_model(tmp_path)).limitations)
     assert re.search(r"zero known to 5 mN \(zero_sd_mN\) allows: the zero was taken as known to 30\d mN", limitations)
+
+
+def polynomial(time_s: FloatArray, travel_mm: float, seconds: float) -> tuple[FloatArray, FloatArray]:
+    """Return a motion without a jump of the acceleration or its derivative, after 0.5 s, and its acceleration."""
+    share = np.clip((time_s - 0.5) / seconds, 0.0, 1.0)
+    position = travel_mm * (35 * share**4 - 84 * share**5 + 70 * share**6 - 20 * share**7)
+    acceleration = travel_mm / seconds**2 * (420 * share**2 - 1680 * share**3 + 2100 * share**4 - 840 * share**5)
+    return position, acceleration
+
+
+@pytest.mark.parametrize(("seconds", "noise_mm", "highest"), [(0.5, 0.0, 15.0), (0.5, 0.003, 25.0), (2.0, 0.001, 2.0)])
+def test_a_smooth_motion_has_a_smooth_acceleration(
+    seconds: float, noise_mm: float, highest: float, tmp_path: Path
+) -> None:
+    time = np.arange(0.0, seconds + 1.0, 1e-3)
+    position, acceleration = polynomial(time, 100.0, seconds)
+    recorded = np.round(position + np.random.default_rng(1).normal(0.0, 1.0, time.size) * noise_mm, 3)
+    columns = {"time_s": time, "force_mN": np.random.default_rng(2).normal(size=time.size), "position_mm": recorded}
+    experiment = Experiment(dragrig.load(dragrig.import_run(table(tmp_path, columns), tmp_path / "run.h5").path))
+    motion = fit_kinematics(experiment)
+    inside = (time > 0.05) & (time < time[-1] - 0.05)
+    error = (motion.acceleration(time) - acceleration)[inside]
+    assert float(np.sqrt(np.mean(error**2))) < highest
+    assert np.all(np.diff(motion.joints_s) > 0)
+    assert motion.velocity(np.array([0.1]))[0] == 0.0
+
+
+def test_ramps_keep_their_edges(tmp_path: Path) -> None:
+    imported = dragrig.import_run(table(tmp_path, recording()), tmp_path / "run.h5")
+    motion = fit_kinematics(Experiment(dragrig.load(imported.path)))
+    assert motion.smooth is None
+    np.testing.assert_allclose(np.unique(np.round(motion.acceleration(np.array([0.5, 1.025, 2.0])))), [0, 200], atol=5)
+
+
+def heavy_strokes(folder: Path, asymmetry: float) -> Path:
+    """Import strokes there and back of a stage of 95 kg, whose friction differs with direction, on smooth motions."""
+    runs = folder / "runs"
+    runs.mkdir()
+    for number, (travel, seconds) in enumerate(
+        [(100, 0.6), (-100, 0.6), (60, 0.8), (-60, 0.8), (100, 1.2), (-100, 1.2)]
+    ):
+        time = np.arange(0.0, seconds + 1.0, 1e-3)
+        position, acceleration = polynomial(time, travel, seconds)
+        velocity = np.gradient(position, time)
+        friction = 8000.0 * np.tanh(velocity / 0.05) + 20.0 * velocity
+        force = 95.0 * acceleration + friction + asymmetry * np.abs(friction)
+        force += np.random.default_rng(number).normal(0.0, 200.0, time.size)
+        columns = {"time_s": time, "motor_force_mN": force, "position_mm": np.round(position, 3)}
+        dragrig.import_run(table(folder, columns, f"{number}.csv"), runs, specimen="axis")
+    return runs
+
+
+def test_a_heavy_stage_on_a_smooth_motion_shows_friction_that_differs_with_direction(tmp_path: Path) -> None:
+    result = diagnosed(heavy_strokes(tmp_path, 0.1), "drive")
+    assert result.effects == ("direction_asymmetry",), result.ranking[:3]
+    (size,) = result.ranking[0].parameters
+    assert size.value == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_heavy_stage_on_a_smooth_motion_shows_nothing_else(tmp_path: Path) -> None:
+    result = diagnosed(heavy_strokes(tmp_path, 0.0), "drive")
+    assert not result.effects, result.ranking[:3]

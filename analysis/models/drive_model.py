@@ -144,7 +144,7 @@ class DriveModel(NominalModel):
         if MOTOR_FORCE_CHANNEL not in experiment.run.trace.channels:
             return {}
         motion = fit_kinematics(experiment)
-        return {MOTOR_FORCE_CHANNEL: DrivePredictor(motion, MeasuredLoad.of(experiment, motion.joints_s))}
+        return {MOTOR_FORCE_CHANNEL: DrivePredictor(motion, MeasuredLoad.of(experiment, motion.events_s))}
 
     def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
         """Return rig settings with which the simulated stage equals this one; negative friction becomes 0."""
@@ -163,7 +163,7 @@ class DrivePredictor(Predictor):
     @property
     def events_s(self) -> FloatArray:
         """Times at which the acceleration changes."""
-        return self.motion.joints_s
+        return self.motion.events_s
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         """Predict the motor force."""

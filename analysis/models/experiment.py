@@ -4,7 +4,9 @@
 in counts is noise; smoothed first, ramps lose their edges, and the identified mass a part of itself. A stage cannot
 change its velocity at once, so the motion is modelled as pieces of constant acceleration whose velocities join, and
 vanish where it rests: a chain of straight lines of velocity. The times of the joints belong to the fit, which finds
-those of a programmed stroke from 1 µm counts to a small part of a sample.
+those of a programmed stroke from 1 µm counts to a small part of a sample. A motion whose acceleration changes gradually
+(a polynomial, a sine, an S-curve) is no such chain: where a smoothing spline predicts samples that were held out
+better, the spline is taken.
 """
 
 import tomllib
@@ -447,7 +449,11 @@ MAX_FITS = 4
 
 
 def fit_velocity(
-    motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray, wander_mm: float = ENCODER_JITTER_MM
+    motion: RecordedMotion,
+    time_s: FloatArray,
+    position_mm: FloatArray,
+    wander_mm: float = ENCODER_JITTER_MM,
+    rival_squares_mm2: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
     """Fit a measured position.
 
@@ -459,6 +465,8 @@ def fit_velocity(
         The record, from its first sample on, shape `(N,)`.
     wander_mm
         Range of the recorded position at rest.
+    rival_squares_mm2
+        Mean squared residual of another description: the search for further joints ends early where it stays far above.
 
     Returns
     -------
@@ -466,7 +474,9 @@ def fit_velocity(
     """
     chain = _first_guess(motion)
     if len(chain.joints_s) <= MAX_JOINTS:
-        chain = _simplify(*_refine(chain, time_s, position_mm, wander_mm), time_s, position_mm, wander_mm)
+        chain, squares = _refine(chain, time_s, position_mm, wander_mm, rival_squares_mm2)
+        if not _is_beaten(squares, rival_squares_mm2):
+            chain = _simplify(chain, squares, time_s, position_mm, wander_mm)
     return chain.joints_s, chain.velocity_mm_s
 
 
@@ -519,12 +529,23 @@ def _far_apart(times: FloatArray, resting: Mask) -> Mask:
     return mask
 
 
+BEATEN_FACTOR, JOINTS_BEFORE_BEATEN = 4.0, 4
+"""A chain whose squares exceed another description's by this factor, after so many further joints, does not hold."""
+
+
+def _is_beaten(squares: float, rival_squares: float) -> bool:
+    return 0.0 < BEATEN_FACTOR * rival_squares < squares
+
+
 def _refine(
-    chain: _VelocityChain, time_s: FloatArray, position_mm: FloatArray, wander_mm: float
+    chain: _VelocityChain, time_s: FloatArray, position_mm: FloatArray, wander_mm: float, rival_squares: float
 ) -> tuple[_VelocityChain, float]:
     """Fit a chain, adding joints while it deviates from the record by more than the wander."""
     chain, squares = _fit_chain(chain, time_s, position_mm)
+    first = len(chain.joints_s)
     while squares > wander_mm**2 and len(chain.joints_s) < MAX_JOINTS:
+        if len(chain.joints_s) >= first + JOINTS_BEFORE_BEATEN and _is_beaten(squares, rival_squares):
+            break
         off = position_mm - chain.moved(time_s)
         off = np.abs(off - off.mean())
         off[np.abs(time_s[:, None] - chain.joints_s).min(axis=1) < MIN_JOINT_DISTANCE_S] = 0.0
@@ -628,15 +649,134 @@ def _displacement_basis(joints_s: FloatArray, time_s: FloatArray) -> tuple[Float
     return np.vstack((nothing, rising)), np.vstack((elapsed - rising, nothing))
 
 
+KNOT_STEP_S, MIN_SAMPLES_PER_KNOT, MAX_KNOTS = 0.01, 4, 2000
+"""Distance of a spline's knots, and its limits."""
+SPLINE_DEGREE, PENALISED_DERIVATIVE = 5, 3
+"""A quintic spline whose third derivative is penalised has an acceleration that changes gradually."""
+PENALTIES = np.geomspace(1e-6, 1e8, 15)
+"""Weights of the penalty that are tried, relative to that of the data."""
+HELD_OUT_FOLDS, HELD_OUT_SAMPLES = 5, 3
+"""Every fifth stretch of three samples is held out at a time."""
+BETTER_SIGMAS, STRETCH_SAMPLES = 4.0, 15
+"""A spline is taken where it predicts held-out samples better than the chain by so much, over stretches of samples."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SmoothMotion:
+    """A measured position as a penalised spline."""
+
+    knots: FloatArray
+    coefficients: FloatArray
+    held_out_mm: FloatArray
+    """Errors of the samples when they were held out, shape `(N,)`."""
+    factor: FloatArray
+    """Banded Cholesky factor of the normal equations, of unit noise."""
+    less_smooth: FloatArray
+    """Coefficients with a tenth of the penalty, which show what the penalty takes away."""
+
+    def derivative(self, time_s: FloatArray, order: int) -> FloatArray:
+        """Return a derivative at times of shape `(n,)`."""
+        from scipy.interpolate import BSpline
+
+        return np.asarray(BSpline(self.knots, self.coefficients, SPLINE_DEGREE)(time_s, nu=order))
+
+    def acceleration_sd(self, time_s: FloatArray) -> FloatArray:
+        """Return the standard deviation of the acceleration, with what smoothing takes away [mm/s²], shape `(n,)`."""
+        from scipy.interpolate import BSpline
+        from scipy.linalg import cho_solve_banded
+
+        identity = np.eye(len(self.coefficients))
+        rows = np.asarray(BSpline(self.knots, identity, SPLINE_DEGREE)(time_s, nu=2), dtype=np.float64)
+        variance = np.einsum("nk,kn->n", rows, cho_solve_banded((self.factor, True), rows.T))
+        taken_away = np.abs(rows @ (self.coefficients - self.less_smooth))
+        taken_away = np.maximum(taken_away, np.maximum(np.append(taken_away[1:], 0.0), np.append(0.0, taken_away[:-1])))
+        random = np.sqrt(np.maximum(float(np.mean(self.held_out_mm**2)) * variance, 0.0))
+        return np.asarray(np.hypot(random, taken_away))
+
+
+def _fit_smooth(time_s: FloatArray, position_mm: FloatArray) -> _SmoothMotion | None:
+    """Fit a spline whose penalty predicts held-out samples best; None for too short a record."""
+    from scipy.interpolate import BSpline
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
+    span = float(time_s[-1] - time_s[0])
+    step = max(KNOT_STEP_S, MIN_SAMPLES_PER_KNOT * span / len(time_s), span / MAX_KNOTS)
+    intervals = int(span / step)
+    if intervals < SPLINE_DEGREE:
+        return None
+    width = span / intervals
+    knots = time_s[0] + width * np.arange(-SPLINE_DEGREE, intervals + SPLINE_DEGREE + 1)
+    knots[SPLINE_DEGREE + intervals] = max(knots[SPLINE_DEGREE + intervals], time_s[-1])
+    design = BSpline.design_matrix(time_s, knots, SPLINE_DEGREE).tocsr()
+    count = design.shape[1]
+    differences = np.diff(np.eye(count), PENALISED_DERIVATIVE, axis=0)
+    penalty = _lower_bands(differences.T @ differences)
+    fold = np.arange(len(time_s)) // HELD_OUT_SAMPLES % HELD_OUT_FOLDS
+    parts = [(design[fold == number], position_mm[fold == number]) for number in range(HELD_OUT_FOLDS)]
+    grams = [_lower_bands((rows.T @ rows).toarray()) for rows, _ in parts]
+    moments = [rows.T @ values for rows, values in parts]
+    total, moment = np.sum(grams, axis=0), np.sum(moments, axis=0)
+    errors = np.zeros((len(PENALTIES), len(time_s)))
+    for error, weight in zip(errors, PENALTIES, strict=True):
+        for number, (rows, values) in enumerate(parts):
+            factor = cholesky_banded(total - grams[number] + weight * penalty + _ridge(total), lower=True)
+            error[fold == number] = rows @ cho_solve_banded((factor, True), moment - moments[number]) - values
+    best = int(np.argmin((errors**2).sum(axis=1)))
+    less, factor = (
+        cholesky_banded(total + weight * penalty + _ridge(total), lower=True)
+        for weight in (PENALTIES[max(best - 1, 0)], PENALTIES[best])
+    )
+    coefficients, less_smooth = (cho_solve_banded((root, True), moment) for root in (factor, less))
+    return _SmoothMotion(knots, coefficients, errors[best], factor, less_smooth)
+
+
+def _lower_bands(matrix: FloatArray) -> FloatArray:
+    """Return the diagonal and the bands below it, as banded solvers take them, shape `(degree + 1, n)`."""
+    return np.array([np.append(np.diag(matrix, -band), np.zeros(band)) for band in range(SPLINE_DEGREE + 1)])
+
+
+def _ridge(bands: FloatArray) -> FloatArray:
+    """Return a diagonal that keeps a coefficient without samples from being undetermined."""
+    ridge = np.zeros_like(bands)
+    ridge[0] = 1e-9 * bands[0].mean()
+    return ridge
+
+
+def _chain_held_out(chain: tuple[FloatArray, FloatArray], time_s: FloatArray, position_mm: FloatArray) -> FloatArray:
+    """Return the errors of held-out samples of a chain whose joints stay where they are, shape `(N,)`."""
+    joints, velocity = chain
+    moving = velocity != 0
+    before, after = _displacement_basis(joints, time_s)
+    columns = np.vstack((np.ones((1, len(time_s))), (before + after)[moving])).T
+    fold = np.arange(len(time_s)) // HELD_OUT_SAMPLES % HELD_OUT_FOLDS
+    columns /= np.linalg.norm(columns, axis=0)
+    gram, moment = columns.T @ columns + 1e-12 * np.eye(columns.shape[1]), columns.T @ position_mm
+    errors = np.zeros(len(time_s))
+    for number in range(HELD_OUT_FOLDS):
+        rows, values = columns[fold == number], position_mm[fold == number]
+        errors[fold == number] = rows @ np.linalg.solve(gram - rows.T @ rows, moment - rows.T @ values) - values
+    return errors
+
+
+def _predicts_better(errors: FloatArray, rival: FloatArray) -> bool:
+    """Whether errors of held-out samples are smaller than a rival's, beyond chance; neighbours err alike."""
+    gain = rival**2 - errors**2
+    stretches = np.add.reduceat(gain, np.arange(0, len(gain), STRETCH_SAMPLES))
+    scatter = float(stretches.std()) * float(np.sqrt(len(stretches)))
+    return float(stretches.sum()) > BETTER_SIGMAS * scatter
+
+
 RAMP_LENGTH_WANDERS = 4 / 3
 """Error of a ramp's length in units of the wander: a count at either end."""
+GENTLE_WANDERS, MAX_GENTLE_START_S = 8.0, 0.1
+"""Wanders over speed by which a smooth motion may begin before it shows, and the longest such time."""
 MAX_JOINT_TIMING_S = 0.01
 """Uncertainty of a joint's time in the slowest motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kinematics:
-    """A motion whose velocity is a chain of straight lines."""
+    """A motion whose velocity is a chain of straight lines, close to each other where it is a smooth function."""
 
     joints_s: FloatArray
     """Times at which the lines join, from the first sample to the last, shape `(K,)`."""
@@ -646,6 +786,13 @@ class Kinematics:
     """Time between samples."""
     wander_mm: float = ENCODER_JITTER_MM
     """Range of the recorded position at rest."""
+    smooth: "SmoothAcceleration | None" = None
+    """The acceleration where it is a smooth function; None where it is that of the straight lines."""
+
+    @property
+    def events_s(self) -> FloatArray:
+        """Times at which a force that depends on the motion may jump or bend, shape `(E,)`."""
+        return self.joints_s if self.smooth is None else self.smooth.events_s
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
         """Velocity [mm/s] at times of shape `(n,)`."""
@@ -653,6 +800,8 @@ class Kinematics:
 
     def acceleration(self, time_s: FloatArray) -> FloatArray:
         """Acceleration [mm/s²] at times of shape `(n,)`; at a joint, that of the piece that begins there."""
+        if self.smooth is not None:
+            return np.interp(time_s, self.joints_s, self.smooth.acceleration_mm_s2)
         slope = np.diff(self.velocity_mm_s) / np.diff(self.joints_s)
         return np.asarray(slope[self._piece(time_s)])
 
@@ -662,6 +811,8 @@ class Kinematics:
         A count more or less moves the ends of a ramp, and the errors of all its samples are equal; the error is
         widened so that samples taken as independent weigh no more than the ramp as a whole.
         """
+        if self.smooth is not None:
+            return np.interp(time_s, self.joints_s, self.smooth.sd_mm_s2)
         length, change = np.diff(self.joints_s), np.abs(np.diff(self.velocity_mm_s))
         fastest = np.maximum(np.abs(self.velocity_mm_s[1:]), np.abs(self.velocity_mm_s[:-1]))
         stretched = RAMP_LENGTH_WANDERS * self.wander_mm / np.maximum(fastest, 1e-9) / length
@@ -681,30 +832,102 @@ class Kinematics:
         time_s
             Rising times.
         """
-        speed = np.abs(self.velocity_mm_s)
-        fastest = np.maximum(speed, np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1])))
-        timing = self.step_s + np.minimum(self.wander_mm / np.maximum(fastest, 1e-9), MAX_JOINT_TIMING_S)
-        nearest = np.searchsorted(0.5 * (self.joints_s[1:] + self.joints_s[:-1]), time_s)
+        if self.smooth is None:
+            joints, speed = self.joints_s, np.abs(self.velocity_mm_s)
+            fastest = np.maximum(speed, np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1])))
+            timing = self.step_s + np.minimum(self.wander_mm / np.maximum(fastest, 1e-9), MAX_JOINT_TIMING_S)
+        else:
+            joints, timing = self._turns()
+        nearest = np.searchsorted(0.5 * (joints[1:] + joints[:-1]), time_s)
         shift = timing[nearest]
         change = np.zeros(len(time_s))
         unshifted = quantity(time_s)
-        for shifted_s in (np.maximum.accumulate(time_s - shift), np.maximum.accumulate(time_s + shift)):
+        # Where parts of the quantity cancel after one shift, they do not after another.
+        for share in (-1.0, 1.0) if self.smooth is None else (-1.0, -0.5, 0.5, 1.0):
+            shifted_s = np.maximum.accumulate(time_s + share * shift)
             shifted = quantity(np.clip(shifted_s, self.joints_s[0], self.joints_s[-1]))
             change = np.maximum(change, np.abs(shifted - unshifted))
-        return np.where(np.abs(time_s - self.joints_s[nearest]) <= shift, change, 0.0)
+        return np.where(np.abs(time_s - joints[nearest]) <= shift, change, 0.0)
+
+    def _turns(self) -> tuple[FloatArray, FloatArray]:
+        """Return when a smooth motion starts, stops or turns, and how well that is known [s], shapes `(T,)`.
+
+        Such a motion sets in so gently that it shows only after it has left the encoder's wander: where it grows with
+        a power n of the time, it began n + 1 wanders over its speed before.
+        """
+        still = self.velocity_mm_s == 0
+        before, after = np.append(True, still[:-1]), np.append(still[1:], True)
+        turns = np.flatnonzero(still & ~(before & after))
+        turns = np.union1d(turns, [0, len(still) - 1])
+        speed = np.abs(self.velocity_mm_s)
+        beside = np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))[turns]
+        gentle_s = np.minimum(GENTLE_WANDERS * self.wander_mm / np.maximum(beside, 1e-9), MAX_GENTLE_START_S)
+        return self.joints_s[turns], self.step_s + np.where(beside > 0, gentle_s, 0.0)
 
     def _piece(self, time_s: FloatArray) -> IndexArray:
         piece = np.searchsorted(self.joints_s, time_s, side="right") - 1
         return np.clip(piece, 0, len(self.joints_s) - 2)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothAcceleration:
+    """An acceleration that changes gradually, at the joints of a `Kinematics`, shapes `(K,)`."""
+
+    acceleration_mm_s2: FloatArray
+    sd_mm_s2: FloatArray
+    """`acceleration_mm_s2`, `sd_mm_s2`: the acceleration and its error, one standard deviation."""
+    events_s: FloatArray
+    """Starts, stops, turns, and moments between them that are close enough for a force to be nearly straight."""
+
+
+MAX_SMOOTHED_SAMPLES = 20_000
+"""A longer record is thinned for its spline, whose knots are further apart then."""
+SMOOTH_EVENTS = 24
+"""Moments of a smooth motion between which a force is taken as nearly straight."""
+ERROR_TIMES = 200
+"""Times at which a spline's error is computed."""
+
+
 def fit_kinematics(experiment: Experiment) -> Kinematics:
     """Fit the measured position of a run; raises `AnalysisError` where its motion cannot be used."""
     position = np.asarray(experiment.run.trace.position, dtype=np.float64)
     finite = np.isfinite(position)
-    wander_mm = experiment.wander_mm
-    fitted = fit_velocity(experiment.motion, experiment.time_s[finite], position[finite], wander_mm)
-    return Kinematics(*insert_reversals(*fitted), 1.0 / experiment.run.trace.sample_rate_hz, wander_mm)
+    time_s, position = experiment.time_s[finite], position[finite]
+    wander_mm, step_s = experiment.wander_mm, 1.0 / experiment.run.trace.sample_rate_hz
+    thinned = slice(None, None, 1 + len(time_s) // MAX_SMOOTHED_SAMPLES)
+    smooth = _fit_smooth(time_s[thinned], position[thinned])
+    rival = 0.0 if smooth is None else float(np.mean(smooth.held_out_mm**2))
+    chain = fit_velocity(experiment.motion, time_s, position, wander_mm, rival)
+    by_chain = _chain_held_out(chain, time_s[thinned], position[thinned])
+    if smooth is None or not _predicts_better(smooth.held_out_mm, by_chain):
+        return Kinematics(*insert_reversals(*chain), step_s, wander_mm)
+    return _smooth_kinematics(smooth, experiment.motion, time_s, step_s, wander_mm)
+
+
+def _smooth_kinematics(
+    smooth: _SmoothMotion, motion: RecordedMotion, time_s: FloatArray, step_s: float, wander_mm: float
+) -> Kinematics:
+    """Return a spline as a fine chain that is still where the stage rests."""
+    rest = (motion.signs == 0) & (np.diff(motion.breaks_s) >= 0.5 * SMOOTHING_WINDOW_S)
+    starts, stops = motion.breaks_s[:-1][rest], motion.breaks_s[1:][rest]
+    width = smooth.knots[1] - smooth.knots[0]
+    fine = np.linspace(time_s[0], time_s[-1], 2 * int((time_s[-1] - time_s[0]) / width) + 2)
+    joints = np.union1d(fine, np.concatenate((starts, stops)))
+    joints = joints[np.append(True, np.diff(joints) > 1e-9)]
+    still = np.any((joints[:, None] >= starts - 1e-9) & (joints[:, None] <= stops + 1e-9), axis=1)
+    joints, velocity = insert_reversals(joints, np.where(still, 0.0, smooth.derivative(joints, 1)))
+    still = np.any((joints[:, None] >= starts - 1e-9) & (joints[:, None] <= stops + 1e-9), axis=1)
+    inside = still & np.append(True, still[:-1]) & np.append(still[1:], True)
+    turns = joints[(velocity == 0) & ~inside]
+    at = np.linspace(time_s[0], time_s[-1], ERROR_TIMES)
+    # Blocks are taken as independent, the errors of an acceleration within a knot's reach are equal.
+    sd = float(np.sqrt(max(width / step_s, 1.0))) * np.interp(joints, at, smooth.acceleration_sd(at))
+    smooth_acceleration = SmoothAcceleration(
+        np.where(still, 0.0, smooth.derivative(joints, 2)),
+        np.where(still, 0.0, sd),
+        np.union1d(np.linspace(time_s[0], time_s[-1], SMOOTH_EVENTS + 2), turns),
+    )
+    return Kinematics(joints, velocity, step_s, wander_mm, smooth_acceleration)
 
 
 def insert_reversals(joints_s: FloatArray, velocity_mm_s: FloatArray) -> tuple[FloatArray, FloatArray]:

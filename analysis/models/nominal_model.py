@@ -303,8 +303,8 @@ class _ChannelPredictor(Predictor):
     def events_s(self) -> FloatArray:
         begin, end = self.motion.joints_s[[0, -1]].tolist()
         if not self.model.follows_s < end - begin:
-            return self.motion.joints_s
-        return np.union1d(self.motion.joints_s, np.arange(begin, end, self.model.follows_s))
+            return self.motion.events_s
+        return np.union1d(self.motion.events_s, np.arange(begin, end, self.model.follows_s))
 
     def predict(self, values: FloatArray, time_s: FloatArray) -> Prediction:
         total = self._total(values, time_s)
