@@ -131,6 +131,7 @@ from .segments import in_phase as in_phase
 from .segments import mask_spans as mask_spans
 from .segments import steady_stretch as steady_stretch
 from .selection import RETURN_KIND as RETURN_KIND
+from .selection import RETURN_REASON as RETURN_REASON
 from .selection import RunSelection as RunSelection
 from .selection import incomplete_reason as incomplete_reason
 from .selection import select_loaded_runs as select_loaded_runs

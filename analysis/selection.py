@@ -32,6 +32,7 @@ MIN_MOVING_MM_S = 0.05
 SHEARED_SHARE = 0.5
 BLANK_KIND, RETURN_KIND, FORCE_CHANNEL = "blank", "return", "force"
 
+RETURN_REASON = "it is a return stroke, through wall that the stroke before has just slid over"
 RunFilter = Callable[[Sequence[RunInfo]], Sequence[RunInfo]]
 
 
@@ -134,7 +135,7 @@ def _usable_infos(infos: Iterable[RunInfo], marks: Mapping[Path, str], left_out:
     for info in infos:
         reason = f"it is marked bad: {marks[info.path]}" if info.path in marks else incomplete_reason(info)
         if not reason and info.kind == RETURN_KIND:
-            reason = "it is a return stroke, through wall that the stroke before has just slid over"
+            reason = RETURN_REASON
         if not reason and info.header.run_id in first_of_run:
             reason = f"it is the same run as {first_of_run[info.header.run_id]}, which counts once"
         if reason:

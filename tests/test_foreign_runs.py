@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -11,9 +11,14 @@ import pytest
 
 import dragrig
 from dragrig.analysis import linear_gaussian
-from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.estimates import Exclusion
+from dragrig.analysis.gap.diagnosis import Diagnosis, GapReduction, R2BeforeAfter, Verdict
 from dragrig.analysis.models.experiment import Experiment, fit_kinematics, insert_reversals, session_starts
 from dragrig.analysis.noise import NoiseModel
+from dragrig.analysis.selection import RETURN_REASON
+from dragrig.config.errors import DragrigError
+from dragrig.present.diagnosis_sentences import shrink_sentences
+from dragrig.present.numbers import listed_exclusions, range_text
 from dragrig.rig import FloatArray
 
 RATE_HZ = 500.0
@@ -321,3 +326,80 @@ def test_a_heavy_stage_on_a_smooth_motion_shows_friction_that_differs_with_direc
 def test_a_heavy_stage_on_a_smooth_motion_shows_nothing_else(tmp_path: Path) -> None:
     result = diagnosed(heavy_strokes(tmp_path, 0.0), "drive")
     assert not result.effects, result.ranking[:3]
+
+
+def test_all_ways_back_are_one_line_and_runs_marked_bad_are_named() -> None:
+    left_out = [Exclusion(f"00{number}-return.h5", RETURN_REASON) for number in range(3)]
+    left_out.insert(1, Exclusion("007-drag.h5", "it is marked bad: slipped"))
+    listed = listed_exclusions(left_out)
+    assert [exclusion.item for exclusion in listed] == ["007-drag.h5", "000-return.h5 and 2 more"]
+    assert listed[0].reason == "it is marked bad: slipped"
+
+
+def test_an_interval_without_width_is_not_written() -> None:
+    assert range_text((44.77, 44.77), 0.0) == ""
+    assert range_text((44.0, 45.0), 0.25) == "44.00 to 45.00"
+
+
+def test_a_share_that_closes_in_the_position_is_told_with_sizes_of_the_position() -> None:
+    nothing = R2BeforeAfter(None, None, None, None)
+    shrink = GapReduction(5502.0, 5502.0, 90.0, 0.947, (0.93, 0.96), None, nothing, nothing, (), (93.0, 21.4))
+    text = " ".join(shrink_sentences(shrink))
+    assert "Position error (rms): 93 µm without the effect, 21.4 µm with it." in text
+    assert "5502" not in text
+
+
+Columns = dict[str, FloatArray]
+
+
+def uneven(columns: Columns) -> Columns:
+    late = np.random.default_rng(1).uniform(-1e-3, 1e-3, columns["time_s"].size)
+    return {**columns, "time_s": np.sort(columns["time_s"] + late)}
+
+
+def stepping(columns: Columns) -> Columns:
+    return {**columns, "position_mm": np.where(columns["time_s"] < 2.0, 0.0, 10.0)}
+
+
+def in_rows(rows: slice) -> Callable[[Columns], Columns]:
+    return lambda columns: {key: values[rows] for key, values in columns.items()}
+
+
+ODD: dict[str, tuple[Callable[[Columns], Columns], dict[str, float]]] = {
+    "uneven": (uneven, {"resample_hz": 500.0}),
+    "repeated": (
+        lambda columns: {**columns, "time_s": np.repeat(columns["time_s"][::2], 2)},
+        {"sample_rate_hz": 500.0},
+    ),
+    "step": (stepping, {}),
+    "short": (in_rows(slice(600, 604)), {}),
+    "ten rows": (in_rows(slice(600, 610)), {}),
+    "slow": (in_rows(slice(None, None, 100)), {}),
+    "no rests": (in_rows(slice(600, 1800)), {}),
+    "constant": (lambda columns: {**columns, "force_mN": np.full_like(columns["time_s"], 5.0)}, {}),
+    "holes": (
+        lambda columns: {key: np.delete(values, np.arange(1000, 1400)) for key, values in columns.items()},
+        {},
+    ),
+    "no position": (in_rows(slice(None)), {}),
+    "metres": (lambda columns: {**columns, "position_mm": 1000.0 * columns["position_mm"]}, {}),
+}
+"""What is odd of a recording, and the options of its import."""
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_any_recording_gets_a_diagnosis_or_one_sentence(name: str, tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    change, options = ODD[name]
+    columns = change(recording())
+    if name == "no position":
+        del columns["position_mm"]
+    dragrig.import_run(table(tmp_path, columns), runs, **options)
+    for nominal in (plain_model(tmp_path), "drive", "capsule"):
+        told = ""
+        try:
+            assert diagnosed(runs, nominal).runs == 1
+        except DragrigError as error:
+            told = str(error)
+        assert "\n" not in told

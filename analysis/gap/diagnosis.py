@@ -293,6 +293,8 @@ class GapReduction:
         Speed boundary of the coefficients of determination; None without drag runs on both sides.
     r2_eq15, r2_corr
         Of steady drag forces, by Eq. 15 of the paper and as squared correlation.
+    position_um
+        Rms position error without and with the effects [µm], where `closed` is the share of that; else None.
     """
 
     gap_before_mN: float
@@ -304,6 +306,7 @@ class GapReduction:
     r2_eq15: R2BeforeAfter
     r2_corr: R2BeforeAfter
     runs: tuple[str, ...] = ()
+    position_um: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -519,4 +519,5 @@ def closed_share_in_position(
     all_runs = np.arange(len(runs))
     samples = np.random.default_rng(seed).integers(len(runs), size=(POSITION_BOOTSTRAP_SAMPLES, len(runs)))
     low, high = np.quantile([share(sample) for sample in samples], (0.025, 0.975)).tolist()
-    return replace(force, closed=share(all_runs), closed_95ci=(low, high))
+    sizes = (1e3 * float(np.sqrt(np.mean(rows + floor))) for rows in (before, after))
+    return replace(force, closed=share(all_runs), closed_95ci=(low, high), position_um=(next(sizes), next(sizes)))

@@ -143,6 +143,8 @@ MIN_DECAY_SHARE = 0.5
 """Smallest share of the squares beyond a straight line that an exponential must explain."""
 MAX_DECAY_FRACTION = 0.5
 """An exponential longer than this fraction of the motion is no more than curvature."""
+MAX_EXTRAPOLATION = 2.0
+"""An exponential that begins at more than this many times the range of what is measured is not described."""
 MIN_SHARE_DIFFERENCE = 0.03
 """Travel and time are not separable where their explained shares differ by less."""
 
@@ -199,6 +201,9 @@ def fit_decay(region: GapRegion) -> ExponentialDecay | None:
         else (in_time, in_travel, False)
     )
     if fit.share < MIN_DECAY_SHARE or fit.at_end:
+        return None
+    largest = max(float(np.ptp(blocks.residual[_steady_mask(blocks)])) for blocks in runs)
+    if abs(float(np.median(fit.starts))) > MAX_EXTRAPOLATION * largest:
         return None
     return ExponentialDecay(
         length=fit.length,

@@ -412,7 +412,8 @@ class Experiment:
         sizes = {key: attribute_number(header, key) for key in keys}
         missing = [key for key, value in sizes.items() if value is None]
         if missing:
-            raise AnalysisError(f"{self.file}: the run does not state its capsule's {' and '.join(missing)}")
+            hint = ", as no import does; name another model with --nominal" if self.imported else ""
+            raise AnalysisError(f"{self.file}: the run does not state its capsule's {' and '.join(missing)}{hint}")
         surface = "rough" if self.contact is Contact.STICKING else "smooth"
         name = str(header.get("name") or "capsule")
         return Capsule.model_validate({"name": name, "surface": surface, **sizes})

@@ -60,6 +60,9 @@ def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, 
     floor = f"noise and repeatability alone: {force_text(shrink.noise_floor_mN)}"
     before, after = force_text(shrink.gap_before_mN), force_text(shrink.gap_after_mN)
     sizes = f"Residual (rms){runs}: {before} without the effect, {after} with it; {floor}."
+    if shrink.position_um is not None:
+        without, with_effects = (f"{value:.3g} µm" for value in shrink.position_um)
+        sizes = f"Position error (rms){runs}: {without} without the effect, {with_effects} with it."
     if not named and shrink.closed is not None:
         return (f"Residual (rms){runs}: {before}; {floor}.",)
     if shrink.closed is None or not isfinite(shrink.closed):

@@ -3,8 +3,8 @@
 `to_json_value` gives values as JSON knows them: dataclasses become objects, NaN and infinities null.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from datetime import date
 from functools import partial
 from math import floor, isfinite, log10
@@ -85,10 +85,11 @@ def estimate_text(estimate: "Estimate") -> str:
 
 
 def range_text(interval: tuple[float, float] | None, error: float | None) -> str:
-    """Write an interval to the second digit of the error: 3.242 to 3.290; nothing where it is not known."""
+    """Write an interval to the second digit of the error: 3.242 to 3.290; nothing without width."""
     if interval is None or not all(map(isfinite, interval)):
         return ""
-    return " to ".join(rounded_to_error(end, error) for end in interval)
+    low, high = (rounded_to_error(end, error) for end in interval)
+    return "" if low == high else f"{low} to {high}"
 
 
 def interval_text(quantity: "EstimatedQuantity") -> str:
@@ -186,6 +187,19 @@ def _scalar(value: object) -> str | float | bool | None:
             return value.isoformat()
         case _:
             return str(value)
+
+
+def listed_exclusions(left_out: "Sequence[Exclusion]") -> "tuple[Exclusion, ...]":
+    """Return what was left out as listed for a reader: each by itself, and all ways back in one line."""
+    from dragrig.analysis import RETURN_REASON
+
+    returns = [exclusion for exclusion in left_out if exclusion.reason == RETURN_REASON]
+    others = [exclusion for exclusion in left_out if exclusion.reason != RETURN_REASON]
+    if len(returns) < 2:
+        return (*others, *returns)
+    item, reason = f"{returns[0].item} and {len(returns) - 1} more", RETURN_REASON.replace("it is a", "each is a")
+    ways_back = replace(returns[0], item=item, reason=reason)
+    return (*others, ways_back)
 
 
 def exclusions_json(left_out: "Iterable[Exclusion]") -> list[dict[str, object]]:
