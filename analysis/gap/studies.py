@@ -39,6 +39,7 @@ from dragrig.sim_backend.effects import (
     Effect,
     EffectChain,
     Location,
+    Role,
     RunState,
     ShearedWall,
     SlipHistory,
@@ -256,6 +257,51 @@ def predicted_scene(run: RunData, predicted: FloatArray, parts: Mapping[ForcePar
         shear=parts.get(ForcePart.RELAXATION, zeros),
         predicted=predicted,
     )
+
+
+USUAL_TRAVEL_MM, USUAL_SPEED_MM_S = (5.0, 80.0), (5.0, 200.0)
+"""Longest travels and highest speeds for which the catalogue's lengths and speeds are meant."""
+
+
+def scaled_to_runs(effects: Sequence[Effect], runs: Sequence[RunData]) -> list[Effect]:
+    """Return effects whose lengths and speeds are searched around those of the runs, too.
+
+    A drive may turn or creep, and an import may count its travel in any unit: a distance of friction is a share of the
+    travel as often as it is tenths of a millimetre. The search starts from both.
+    """
+    travel = max(float(np.ptp(run.coordinates.position_mm)) for run in runs)
+    speed = max(float(run.coordinates.top_speed_mm_s[0]) for run in runs)
+    factors = {"mm": _factor_beyond(travel, USUAL_TRAVEL_MM), "mm/s": _factor_beyond(speed, USUAL_SPEED_MM_S)}
+    return [_with_scaled_shapes(effect, factors) for effect in effects]
+
+
+def _factor_beyond(value: float, usual: tuple[float, float]) -> float:
+    """Return by how much a value is beyond the middle of a usual range; 1 within the range, and for 0."""
+    low, high = usual
+    return 1.0 if value <= 0 or low <= value <= high else value / float(np.sqrt(low * high))
+
+
+def _with_scaled_shapes(effect: Effect, factors: Mapping[str, float]) -> Effect:
+    parameters = []
+    for parameter in effect.parameters:
+        factor = factors.get(parameter.unit, 1.0)
+        if parameter.role is Role.SHAPE and factor != 1.0:
+            values = parameter.start_values
+            parameters.append(
+                replace(
+                    parameter,
+                    low=parameter.low * min(factor, 1.0),
+                    high=parameter.high * max(factor, 1.0),
+                    grid=tuple(sorted({*values, *(factor * value for value in values)})),
+                )
+            )
+        else:
+            parameters.append(parameter)
+    if tuple(parameters) == effect.parameters:
+        return effect
+    kind = type(effect)
+    scaled: Effect = type(kind.__name__, (kind,), {"parameters": tuple(parameters)})()
+    return scaled
 
 
 def effects_that_act(study: Study, effects: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -601,9 +647,8 @@ class StageStudy(PredictedStudy):
         """Prepare all runs; raises `AnalysisError` where none recorded a motor force."""
         problem, why_not = empirical_priors(JointProblem.of(selection, nominal, MAX_BLOCK_MM))
         bare = cls(problem, run_data_of(problem.channels), (), why_not)
-        return replace(
-            bare, effects=effects_that_act(bare, [effect for effect in effects if effect.nominal in {"", nominal.name}])
-        )
+        own = [effect for effect in effects if effect.nominal in {"", nominal.name}]
+        return replace(bare, effects=effects_that_act(bare, scaled_to_runs(own, bare.runs)))
 
     def limitations(self) -> Iterator[str]:
         """Yield what these runs cannot answer, a sentence each."""
@@ -668,7 +713,7 @@ class OwnModelStudy(PredictedStudy):
         # The motor's own effects show in its force, whoever models it.
         belongs_to = {"", DriveModel().name} if channel == MOTOR_FORCE_CHANNEL else {""}
         tried = [effect for effect in effects if effect.channel is Channel.FORCE and effect.nominal in belongs_to]
-        return replace(bare, effects=effects_that_act(bare, tried))
+        return replace(bare, effects=effects_that_act(bare, scaled_to_runs(tried, runs)))
 
     def untried_lookalikes(self, design: Design) -> int:
         """Return the number of untried effects if the candidates look like friction along the stroke."""
