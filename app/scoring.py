@@ -95,10 +95,25 @@ class ScoredEvaluation(_Record):
 
 
 class ScoredCause(_Record):
-    """A cause of the gap and its share."""
+    """A cause of the gap and its share, as a diagnosis states it or as the plant has it."""
 
     cause: str
     share: float
+    channel: str = ""
+    """Empty where the diagnosis has one channel."""
+    share_95ci: tuple[float, float] | None = None
+    not_separable_from: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The cause and what it cannot be told from."""
+        return frozenset((*self.cause.split("+"), *self.not_separable_from))
+
+
+class PlantBudget(_Record):
+    """The plant's own shares."""
+
+    budget: tuple[ScoredCause, ...] = ()
 
 
 class ScoredDiagnosis(_Record):
@@ -111,6 +126,7 @@ class ScoredDiagnosis(_Record):
     where: ScoredWhere = ScoredWhere()
     shrink: ScoredShrink | None = None
     budget: tuple[ScoredCause, ...] = ()
+    presence: Mapping[str, float] = Field(default_factory=dict)
 
     @property
     def largest_cause(self) -> str:
@@ -148,6 +164,8 @@ class ScoredCase:
     """How far the amended model closes the gap on fresh runs; None where there is none."""
     d_prime: float | None = None
     """d′ of the hidden effect; None where it was not computed."""
+    budget: tuple[ScoredCause, ...] = ()
+    """The plant's own shares; empty where nothing is hidden, or they were not computed."""
 
     @property
     def single(self) -> bool:
@@ -289,6 +307,46 @@ _CONDITION_RATES = tuple(
     for name, kind in ((f"{condition}, right name", condition), (f"{condition}, none, no gap", f"{condition} none"))
 )
 """The same of campaigns under conditions, where an exam has such."""
+
+
+SHARE_TOLERANCE = 0.1
+PRESENCE_EDGES = (0.0, 0.1, 0.3, 0.5, 0.8, 0.95, 1.0)
+UNEXPLAINED = "unexplained"
+
+
+def budget_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:
+    """Return how often stated shares are the plant's own, and how often effects are there by their stated presence.
+
+    A cause that is no effect of the catalogue should be `unexplained`; of inseparable causes the sum counts.
+    """
+    from dragrig.sim_backend.effects import catalogue
+
+    known = {*catalogue(), "specimen", "model"}
+    close, covered = [], []
+    for case in cases:
+        for stated in case.diagnosis.budget if case.budget else ():
+            true_share = sum(
+                part.share
+                for part in case.budget
+                if (part.cause if part.cause in known else UNEXPLAINED) in stated.names
+                and stated.channel in {"", part.channel}
+            )
+            close.append(abs(stated.share - true_share) <= SHARE_TOLERANCE)
+            if stated.share_95ci is not None:
+                covered.append(stated.share_95ci[0] <= true_share <= stated.share_95ci[1])
+    present = [
+        (probability, name in case.answer.effects or name in case.answer.also_right)
+        for case in cases
+        for name, probability in case.diagnosis.presence.items()
+    ]
+    rates = [
+        wilson_rate(f"budget, share within {SHARE_TOLERANCE:g}", close),
+        wilson_rate("budget, share in its 95 % interval", covered),
+    ]
+    for low, high in pairwise(PRESENCE_EDGES):
+        inside = [there for probability, there in present if low < probability <= high or probability == low == 0]
+        rates.append(wilson_rate(f"presence {low:g} to {high:g}, there", inside))
+    return tuple(rate for rate in rates if rate.count)
 
 
 def withheld_rates(cases: Sequence[ScoredCase]) -> tuple[Rate, ...]:
@@ -549,6 +607,7 @@ def score_exam(
     withheld: Mapping[str, Mapping[str, object]] | None = None,
     achieved: Mapping[str, Mapping[str, object]] | None = None,
     amounts: Mapping[str, float] | None = None,
+    budgets: Mapping[str, Mapping[str, object]] | None = None,
 ) -> ExamScore:
     """Score diagnoses against what was hidden.
 
@@ -562,6 +621,8 @@ def score_exam(
         What `dragrig gap evaluate --json` prints of fresh runs, by the campaign's name.
     amounts
         d′ of the hidden effects, by the campaign's name.
+    budgets
+        The plant's own shares, by the campaign's name: `budget` with `cause`, `channel` and `share` of each cause.
 
     Raises
     ------
@@ -577,11 +638,12 @@ def score_exam(
             _parse(ScoredDiagnosis, without_true[name], name, "diagnosis") if name in without_true else None,
             _parse(ScoredEvaluation, fresh[name], name, "evaluation") if name in fresh else None,
             d_primes.get(name),
+            _parse(PlantBudget, (budgets or {}).get(name, {}), name, "budget").budget,
         )
         for name, answer, diagnosis in pairs
     ]
     return ExamScore(
-        exam_rates(cases),
+        (*exam_rates(cases), *budget_rates(cases)),
         tuple(case for case in cases if not case.right),
         confusion_matrix(cases),
         detection_bins(cases),
@@ -591,7 +653,7 @@ def score_exam(
     )
 
 
-RecordT = TypeVar("RecordT", AnswerKey, ScoredDiagnosis, ScoredEvaluation)
+RecordT = TypeVar("RecordT", AnswerKey, PlantBudget, ScoredDiagnosis, ScoredEvaluation)
 
 
 def _parse(kind: type[RecordT], content: object, name: str, noun: str) -> RecordT:

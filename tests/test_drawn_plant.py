@@ -244,7 +244,8 @@ def test_conditions_do_what_they_say() -> None:
     assert exchanged.specimen_of(second[0]) != exchanged.specimen
     hidden = drawn(5, conditions=("exchanged, not recorded",))
     assert [run.order for run in hidden.runs] == list(range(len(hidden.runs)))
-    assert drawn(5, conditions=("other capsule",)).capsule.radius_mm != 6.45
+    capsules = [drawn(seed, conditions=("other capsule",)).capsule for seed in (5, 5, 6)]
+    assert capsules[0] == capsules[1] != capsules[2] != drawn(5).capsule
     with pytest.raises(ValueError, match="'wet' is no condition"):
         drawn(5, conditions=("wet",))
     with pytest.raises(ValueError, match="'other' is not a plant"):

@@ -58,6 +58,47 @@ def test_every_rate_counts_what_it_says() -> None:
     ]  # fmt: skip
 
 
+def test_stated_shares_and_presences_are_compared_with_the_plants_own() -> None:
+    def share(cause: str, part: float, channel: str = "force", **more: object) -> dict[str, object]:
+        return {"cause": cause, "share": part, "channel": channel, **more}
+
+    truths = {
+        "pair": {"budget": [share("stribeck", 0.6), share("folds", 0.4), share("servo_lag", 1.0, "position")]},
+        "foreign": {"budget": [share("outside", 1.0)]},
+    }
+    said = {
+        "pair": [share("stribeck", 0.65, share_95ci=[0.5, 0.62]), share("folds", 0.35, share_95ci=[0.3, 0.38]),
+                 share("unexplained", 0.0), share("servo_lag", 0.7, "position"),
+                 share("unexplained", 0.3, "position")],
+        "foreign": [share("unexplained", 0.55, channel=""),
+                    share("stribeck+adhesion", 0.45, channel="", not_separable_from=["film_depletion"])],
+    }  # fmt: skip
+    pairs = [
+        ("pair", truth("stribeck", "folds", "servo_lag"),
+         {**diagnosis_record("stribeck", "folds"), "budget": said["pair"],
+          "presence": {"stribeck": 0.99, "folds": 0.6, "adhesion": 0.05}}),
+        ("foreign", truth(outside=True),
+         {**diagnosis_record(verdict="unknown"), "budget": said["foreign"], "presence": {"stribeck": 0.96}}),
+        ("no truth", truth(), {**diagnosis_record(verdict="no_gap"), "budget": [share("unexplained", 1.0)]}),
+    ]  # fmt: skip
+    result = score_exam(pairs, budgets=truths)
+    counts = {rate.name: (rate.held, rate.count) for rate in result.rates if rate.name.startswith(("bud", "pres"))}
+    assert counts == {
+        "budget, share within 0.1": (3, 7),
+        "budget, share in its 95 % interval": (1, 2),
+        "presence 0 to 0.1, there": (0, 1),
+        "presence 0.5 to 0.8, there": (1, 1),
+        "presence 0.95 to 1, there": (1, 2),
+    }
+    joint = [share("stribeck", 1.0, not_separable_from=["folds"])]
+    [rate] = [
+        rate
+        for rate in score_exam([("pair", pairs[0][1], {**pairs[0][2], "budget": joint})], budgets=truths).rates
+        if rate.name == "budget, share within 0.1"
+    ]
+    assert (rate.held, rate.count) == (1, 1)
+
+
 def test_under_a_condition_the_condition_itself_may_be_named_and_rates_are_its_own() -> None:
     off = {**truth(rough=True), "case": "model off none", "conditions": ["laws 10 % off"],
            "also_right": ["specimen", "model"]}  # fmt: skip

@@ -231,6 +231,8 @@ class BlindExam:
         Why campaigns were not diagnosed, by their names; they are not in the score.
     timings_s
         Of this call; the only part that differs between two exams with the same seed.
+    plant
+        What made the campaigns: `written` or `drawn`.
     """
 
     cases: int
@@ -239,6 +241,7 @@ class BlindExam:
     score: ExamScore
     failed: Mapping[str, str] = field(default_factory=dict)
     timings_s: Mapping[str, float] = field(default_factory=dict)
+    plant: str = WRITTEN_PLANT
 
     def document(self) -> Mapping[str, object]:
         """Return the result as JSON."""
@@ -247,6 +250,7 @@ class BlindExam:
             "version": EXAM_VERSION,
             "cases": self.cases,
             "seed": self.seed,
+            "plant": self.plant,
             "answers_sha256": self.answers_sha256,
             **score_json(self.score),
             "failed": dict(self.failed),
@@ -346,7 +350,7 @@ def gap_blind(
         digest, diagnoses = exam.run(without_true=without_true, sizes=sizes)
         score, failed = exam.score(diagnoses, without_true=without_true)
         timings_s = {**_median_timings(diagnoses.values()), "this call": perf_counter() - start}
-        result = BlindExam(cases, seed, digest, score, failed, timings_s)
+        result = BlindExam(cases, seed, digest, score, failed, timings_s, plant)
         write_json(folder.root / "score.json", result.document())
     return result
 
@@ -436,6 +440,7 @@ class _RunningExam:
             withheld=self._existing(folder.withheld, "verdict") if without_true else {},
             achieved=self._existing(folder.achieved, "shrink"),
             amounts={name: float(str(content["d"])) for name, content in d_primes.items()},
+            budgets=self._existing(folder.amount, "budget"),
         )
         return score, failed
 
