@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from dragrig.sim_backend.blind.effects import CATALOGUE, DRAWN, OUTSIDE
-from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect
+from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect, one_of
 from dragrig.sim_backend.blind.run_plans import Capsule, RunList, RunPlan, draw_programme, in_session
 
 
@@ -487,7 +487,9 @@ def _draw_effect(seed: int, name: str, size: float, plant: str, runs: Sequence[R
     random = _random(seed, f"effect {name}")
     if plant == "drawn" and name in DRAWN:
         kinds = DRAWN[name]
-        effect = kinds[int(random.integers(len(kinds))) if len(kinds) > 1 else 0].drawn(random, size)
+        effect = kinds[int(one_of(*(kind.weight for kind in kinds))(random)) if len(kinds) > 1 else 0].drawn(
+            random, size
+        )
         # What laws of position and of the session's time refer to: the first session's own stroke and length.
         stroke = max(run.travel_mm for run in runs if run.strain is None or len(runs) == 1)
         length = max(600.0, *(run.session_s for run in runs))

@@ -526,6 +526,7 @@ class OutsideSensorDrawn(OutsideDrawn):
     """An effect outside the catalogue in the force sensor: its zero or its gain."""
 
     name, rank, combinations = "outside", 2, SENSOR
+    weight = float(len(SENSOR))
 
     def sensor(self, force: Floats, run: RunConditions) -> Floats:
         return force * (1 + self.change("gain", force, run)) + self.change("zero", force, run)
@@ -535,6 +536,7 @@ class OutsideGutDrawn(OutsideDrawn):
     """An effect outside the catalogue between gut and capsule: a force, or a change of friction."""
 
     name, kinds, combinations = "outside", SLIDING_RUNS, GUT
+    weight = float(len(GUT))
 
     def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
         held = self.change("capsule", forces.elastic, run) if run.plan.kind == "drag" else 0.0
@@ -545,6 +547,7 @@ class OutsideEncoderDrawn(OutsideDrawn):
     """An effect outside the catalogue in the encoder."""
 
     name, channel, combinations = "outside", "position", ENCODER
+    weight = float(len(ENCODER))
 
     def position(self, position: Floats, force: Floats, run: RunConditions) -> Floats:
         return position + self.change("encoder", force, run)

@@ -123,6 +123,8 @@ class HiddenEffect:
     rank: ClassVar[int] = 0
     """Order in the chain from the force to the record: 0 mechanics, 1 sensor, 2 amplifier, 3 acquisition."""
     channel: ClassVar[str] = "force"
+    weight: ClassVar[float] = 1.0
+    """How often it is drawn beside other forms of its name, where a plant weighs them."""
     ranges: ClassVar[Mapping[str, DrawnFrom | OneOf | LawFamily]]
 
     def __getattr__(self, name: str) -> float:
