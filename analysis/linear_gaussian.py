@@ -6,7 +6,7 @@ fitted, then linearised again, until nothing moves; so a weaker model cannot buy
 """
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
 from typing import TypeVar, cast
@@ -14,7 +14,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from dragrig.analysis.models import Experiment, NominalModel, Parameter, Prediction, Predictor
-from dragrig.analysis.noise import BlockMeans, NoiseModel, average_in_blocks, estimate_noise
+from dragrig.analysis.noise import BlockMeans, NoiseModel, added_white_in_motion, average_in_blocks, estimate_noise
 from dragrig.analysis.selection import RunSelection
 from dragrig.config import AnalysisError
 from dragrig.rig import BoolArray, FloatArray
@@ -80,13 +80,20 @@ class ChannelBlocks:
     channel: str
     predictor: Predictor
     blocks: BlockMeans
+    moving_white: float = 0.0
+    """White noise that motion adds, standard deviation of one sample in the channel's unit."""
 
     @property
     def equivalence_key(self) -> Hashable:
         """Equal where the model predicts the same for the same blocks, whatever was measured in them."""
         blocks = self.blocks
         layout = (blocks.start_s, blocks.end_s, blocks.samples, blocks.nodes_s)
-        return self.channel, self.predictor.equivalence_key, tuple(array.tobytes() for array in layout)
+        return (
+            self.channel,
+            self.moving_white,
+            self.predictor.equivalence_key,
+            tuple(array.tobytes() for array in layout),
+        )
 
     def predict(self, values: FloatArray) -> Prediction:
         """Predict the means of the blocks."""
@@ -96,7 +103,11 @@ class ChannelBlocks:
     def uncertainty(self, values: FloatArray) -> FloatArray:
         """Return how well they can be predicted, one standard deviation."""
         at_nodes = self.predictor.uncertainty(values, self.blocks.nodes_s)
-        return np.hypot(np.sqrt(self.blocks.of(at_nodes**2)), self._jitter_uncertainty(values))
+        of_motion = np.hypot(np.sqrt(self.blocks.of(at_nodes**2)), self._jitter_uncertainty(values))
+        if self.moving_white == 0.0:
+            return of_motion
+        moves = np.abs(self.experiment.velocity(self.blocks.middle_s)) > 0
+        return np.hypot(of_motion, self.moving_white * moves / np.sqrt(self.blocks.samples))
 
     def _jitter_uncertainty(self, values: FloatArray) -> FloatArray:
         """Return the standard deviation from a clock whose times scatter, where the prediction changes fast."""
@@ -241,6 +252,8 @@ class JointProblem:
             )
         names = dict.fromkeys(blocks.channel for blocks in channels)
         noises = {name: estimate_noise(experiments, name) for name in names}
+        added = {name: added_white_in_motion(experiments, name) for name in names}
+        channels = tuple(replace(blocks, moving_white=added[blocks.channel]) for blocks in channels)
         zero_sds = {name: _zero_sd(channels, name, nominal) for name in names}
         return cls(
             nominal,

@@ -34,6 +34,9 @@ MAX_POOLING_LOSS = 9.0
 """Twice the log likelihood ratio that rests may lose where slow motion shows the same noise: 1 % by chance."""
 MIN_MOVING_SAMPLES = 100
 """Samples of steady motion that show white noise where nothing rests."""
+MIN_RUNS_IN_MOTION = 4
+CLEAR_ADDED_SHARE = 0.4
+"""Motion adds noise where its variance exceeds that at rest by this share; a 12-bit converter makes a third of it."""
 NORMAL_MEDIAN = 0.6745
 """Median over standard deviation of a normal distribution's magnitudes."""
 MIN_WHITE_SHARE = 1e-5
@@ -262,6 +265,32 @@ def _estimate_in_motion(experiments: Sequence[Experiment], channel: str) -> Nois
         return DEFAULT_NOISE
     white = max(float(np.median(curvature)) / NORMAL_MEDIAN, MIN_WHITE_SHARE * largest, 1e-9)
     return NoiseModel(white, DEFAULT_SLOW_SHARE * white, DEFAULT_CORRELATION_S, 0)
+
+
+def added_white_in_motion(experiments: Iterable[Experiment], channel: str) -> float:
+    """Return the standard deviation of the white noise that steady motion adds to that of the rests; 0 for none.
+
+    Both are read from how samples differ from the straight line between their neighbours, so that what changes slowly
+    is no noise; the median of the runs counts, so that it is not what one speed or place does.
+    """
+    moving, resting = list[float](), list[float]()
+    for experiment in experiments:
+        trace = experiment.run.trace
+        if channel not in trace.channels:
+            continue
+        values = np.asarray(trace.channels[channel], dtype=np.float64)
+        usable = experiment.valid & np.isfinite(values)
+        for phase_values, mask in ((moving, in_phase(trace, Phase.STEADY)), (resting, at_rest(trace))):
+            bends = [np.diff(values[start:stop], 2) for start, stop in mask_spans(mask & usable) if stop - start > 2]
+            samples = np.concatenate(bends) if bends else np.zeros(0)
+            if samples.size >= MIN_MOVING_SAMPLES:
+                half_squares, count = _difference_squares(samples)
+                phase_values.append(half_squares / (3.0 * count))
+    if min(len(moving), len(resting)) < MIN_RUNS_IN_MOTION:
+        return 0.0
+    at_rest_variance = float(np.mean(resting))
+    added = float(np.median(moving)) - at_rest_variance
+    return float(np.sqrt(added)) if added > CLEAR_ADDED_SHARE * at_rest_variance else 0.0
 
 
 def _quiet_stretches(experiments: Iterable[Experiment], channel: str) -> Iterator[_QuietStretch]:

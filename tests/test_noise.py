@@ -9,7 +9,7 @@ from sliding_runs import noise, slid
 
 from dragrig.analysis.gap.position_channel import position_errors
 from dragrig.analysis.gap.spectral_lines import SpectralLine, SpectralLines, lines_that_matter
-from dragrig.analysis.linear_gaussian import prepare_channels
+from dragrig.analysis.linear_gaussian import JointProblem, prepare_channels
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.noise import FLICKER_TIMES_S, NoiseModel, estimate_noise
@@ -233,3 +233,21 @@ def test_a_line_below_the_tolerance_is_noise() -> None:
     lines = SpectralLines(SpectralLine(50.0, 0.6, 400.0), SpectralLine(33.0, 0.8, 400.0))
     kept = lines_that_matter(lines, 0.5)
     assert (kept.mains.llr, kept.non_mains.llr) == (0.0, 400.0)
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_noise_that_motion_adds_is_read_from_the_motion(factor: float) -> None:
+    runs = []
+    for seed in range(5):
+        run = slid("coulomb", 2.0, seed=seed, travel_mm=10.0, repeat=seed)
+        moves = np.asarray(run.trace.phase) == int(Phase.STEADY)
+        more = 1.5 * np.sqrt(factor**2 - 1) * np.random.default_rng(seed).normal(size=moves.size)
+        runs.append(changed(run, "force", np.asarray(run.trace.force) + more * moves))
+    problem = JointProblem.of(select_loaded_runs(runs), MODEL)
+    blocks = problem.channels[0]
+    added = 1.5 * np.sqrt(factor**2 - 1)
+    assert blocks.moving_white == pytest.approx(added, rel=0.1, abs=0.1)
+    steady = (blocks.blocks.middle_s > 2.0) & (blocks.blocks.middle_s < 5.0)
+    expected = added / np.sqrt(blocks.blocks.samples)
+    assert blocks.uncertainty(NOMINAL)[steady] == pytest.approx(expected[steady], rel=0.1, abs=0.02)
+    assert problem.noises[0].white == pytest.approx(1.5, rel=0.05)

@@ -621,7 +621,9 @@ class PredictedStudy(Study):
 
     def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray:
         """Return blocks whose uncertainty from the motion is below the noise of a single sample."""
-        return motion_sd <= self.problem.noises[number].white
+        return motion_sd <= float(
+            np.hypot(self.problem.noises[number].white, self.runs[number].block_data.moving_white)
+        )
 
     def naming_obstacle(self, design: Design) -> str:
         """Return why these runs do not establish a design's candidates."""
