@@ -49,11 +49,19 @@ DEFAULT_WHITE = 2.0
 """White noise [mN] where no run shows any, at the upper end for such sensors."""
 FLICKER_TIMES_S = tuple(40.0 * 0.25**number for number in range(8))
 """Correlation times whose noises, of equal variance, add up to 1/f noise from 0.004 to 70 Hz within 5 %."""
-MIN_FLICKER_GAIN = 3.0
-"""Twice the log likelihood ratio above which there is 1/f noise; 15 campaigns without it reached 0.1 at most."""
-FIRST_FLICKER_FACTORS = ((1.0, 0.1), (1.0, 0.4), (0.6, 0.4), (0.3, 1.0), (0.3, 3.0))
-"""Factors on slow noise as it was and on 1/f noise of a usual size, one of which must be likelier than no 1/f noise, or
-it is not fitted."""
+MIN_FLICKER_GAIN = 1.5
+"""Twice the log likelihood ratio above which there is 1/f noise; 11 campaigns without it reached 0.1 at most."""
+FIRST_FLICKER_FACTORS = (
+    (0.9, 1.0, 0.3),
+    (0.8, 1.0, 0.6),
+    (0.8, 2.0, 0.6),
+    (0.6, 2.0, 1.0),
+    (0.3, 1.0, 1.0),
+    (0.3, 1.0, 3.0),
+)
+MAX_FIRST_LOSS = 20.0
+"""`FIRST_FLICKER_FACTORS`: factors on slow noise as it was, on its time, and on 1/f noise of a usual size, one of which
+must be likelier than no 1/f noise less `MAX_FIRST_LOSS`, or it is not fitted."""
 MAX_FLICKER_BLOCKS = 240
 """Longer stretches have wider blocks in the search for 1/f noise."""
 MIN_WHITE_PART = 0.1
@@ -79,12 +87,20 @@ class NoiseModel:
     hum_hz: float = 0.0
     """`hum`, `hum_hz`: amplitude and frequency of a known line, 0 for none; its phase is not known."""
     flicker: float = 0.0
-    """Standard deviation of 1/f noise within each of `FLICKER_TIMES_S`, 0 for none."""
+    step_s: float = 0.0
+    """`flicker`, `step_s`: standard deviation of 1/f noise within each of `FLICKER_TIMES_S`, 0 for none, and the time
+    between samples; what is faster than that counts as white.
+    """
+
+    @property
+    def flicker_times_s(self) -> tuple[float, ...]:
+        """Correlation times of the 1/f noise, the longest first."""
+        return tuple(time_s for time_s in FLICKER_TIMES_S if time_s >= self.step_s)
 
     @property
     def slow_sd(self) -> float:
         """Standard deviation of all slow noise."""
-        return float(np.hypot(self.slow, np.sqrt(len(FLICKER_TIMES_S)) * self.flicker))
+        return float(np.hypot(self.slow, np.sqrt(len(self.flicker_times_s)) * self.flicker))
 
     def covariance(self, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the covariance of means over successive stretches of time, shapes `(B,)` to `(B, B)`."""
@@ -94,7 +110,7 @@ class NoiseModel:
         covariance = self.slow**2 * _means_correlation(np.exp(-apart / self.correlation_s), width, self.correlation_s)
         if self.flicker > 0:
             decay = np.exp(-apart / FLICKER_TIMES_S[0])
-            for number, time_s in enumerate(FLICKER_TIMES_S):
+            for number, time_s in enumerate(self.flicker_times_s):
                 # Each time is a quarter of the one before.
                 decay = (decay**2) ** 2 if number else decay
                 covariance += self.flicker**2 * _means_correlation(decay, width, time_s)
@@ -372,14 +388,14 @@ def _with_flicker(noise: NoiseModel, groups: dict[_BlockLayout, list[FloatArray]
 
     stacks = [_coarser(layout, np.array(means)) for layout, means in groups.items()]
     step_s = min(layout.width_s / layout.samples for layout, _ in stacks)
-    without_line = replace(noise, hum=0.0)
+    without_line = replace(noise, hum=0.0, step_s=step_s)
     start = np.log([max(noise.slow / noise.white, 0.05), noise.correlation_s, 0.3])
 
     def noise_at(logs: FloatArray) -> NoiseModel:
         slow, flicker = (noise.white * float(np.exp(np.clip(value, -6.0, 3.0))) for value in (logs[0], logs[2]))
         correlation_s = float(np.exp(np.clip(logs[1], np.log(0.01), np.log(MAX_CORRELATION_S))))
         # What neighbouring samples differ by is white noise, and the fast part of the 1/f noise.
-        fast = flicker**2 * float(-np.sum(np.expm1(-step_s / np.array(FLICKER_TIMES_S))))
+        fast = flicker**2 * float(-np.sum(np.expm1(-step_s / np.array(without_line.flicker_times_s))))
         white = np.sqrt(max(noise.white**2 - fast, (MIN_WHITE_PART * noise.white) ** 2))
         return replace(without_line, white=float(white), slow=slow, correlation_s=correlation_s, flicker=flicker)
 
@@ -388,12 +404,18 @@ def _with_flicker(noise: NoiseModel, groups: dict[_BlockLayout, list[FloatArray]
         return _dense_likelihood(noise_at(logs), stacks) + float(prior[:2].sum() + prior[2] / 4.0)
 
     without = _dense_likelihood(without_line, stacks)
-    tried = [start + np.log([slow, 1.0, flicker]) for slow, flicker in FIRST_FLICKER_FACTORS]
+    tried = [start + np.log(factors) for factors in FIRST_FLICKER_FACTORS]
     likelihoods = [_dense_likelihood(noise_at(logs), stacks) for logs in tried]
-    if min(likelihoods) > without:
+    if min(likelihoods) > without + MAX_FIRST_LOSS:
         return noise
     best = tried[int(np.argmin(likelihoods))]
-    optimum = minimize(misfit, best, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.1, "maxfev": 120})
+    simplex = np.asarray(best + np.vstack((np.zeros(3), np.diag([-0.4, 0.6, 0.6]))), dtype=np.float64)
+    optimum = minimize(
+        misfit,
+        best,
+        method="Nelder-Mead",
+        options={"xatol": 0.05, "fatol": 0.1, "maxfev": 160, "initial_simplex": simplex},
+    )
     if without - _dense_likelihood(noise_at(optimum.x), stacks) < MIN_FLICKER_GAIN:
         return noise
     return replace(noise_at(optimum.x), hum=noise.hum)
