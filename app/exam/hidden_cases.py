@@ -13,6 +13,8 @@ import numpy as np
 
 from dragrig.sim_backend.blind import (
     CATALOGUE,
+    IN_DRAGS,
+    IN_ONE_STROKE,
     OUTSIDE,
     PLANTS,
     BlindCampaign,
@@ -88,11 +90,6 @@ CONDITIONS_OF: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """Conditions that a kind of case takes in turn."""
-EVERYWHERE = ("payload_inertia", "arm_compliance", "servo_lag", "velocity_ripple", "encoder_scale", "force_hysteresis")
-IN_ONE_STROKE = ("folds", "velocity_ripple")
-"""Effects that a single stroke can show; what falls or grows in one could be anything."""
-IN_DRAGS = ("folds", "peristalsis", "mesentery_tether", "stribeck", "film_depletion", *EVERYWHERE)
-"""Effects that show without relaxations, Coulomb and blank runs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,8 @@ from .effect_sizes import effect_signatures as effect_signatures
 from .effect_sizes import effect_size as effect_size
 from .effect_sizes import hidden_shares as hidden_shares
 from .effects import CATALOGUE as CATALOGUE
+from .effects import IN_DRAGS as IN_DRAGS
+from .effects import IN_ONE_STROKE as IN_ONE_STROKE
 from .effects import OUTSIDE as OUTSIDE
 from .effects import effect_group as effect_group
 from .plant import write_campaign as write_campaign

@@ -24,6 +24,12 @@ GROUPS = {
 }
 """Effects of the catalogue by what they act on; their order decides what a seed draws."""
 
+EVERYWHERE = ("payload_inertia", "arm_compliance", "servo_lag", "velocity_ripple", "encoder_scale", "force_hysteresis")
+IN_ONE_STROKE = ("folds", "velocity_ripple")
+"""Effects that a single stroke can show; what falls or grows in one could be anything."""
+IN_DRAGS = ("folds", "peristalsis", "mesentery_tether", "stribeck", "film_depletion", *EVERYWHERE)
+"""Effects that show without relaxations, Coulomb and blank runs."""
+
 FOREIGN = (
     "amplifier_saturates",
     "stick_slip",
