@@ -11,10 +11,10 @@ from math import floor, isfinite, log10
 from typing import TYPE_CHECKING, TypeAlias
 
 from dragrig.analysis import UNKNOWN, significant_text, with_minus_sign
-from dragrig.rig import Attribute, RunInfo, RunStatus
 
 if TYPE_CHECKING:
     from dragrig.analysis import Estimate, EstimatedQuantity, Exclusion
+    from dragrig.rig import Attribute, RunInfo
 
 
 NumberFormat: TypeAlias = Callable[[float], str]
@@ -217,7 +217,7 @@ _KIND_TITLES = {
 }
 
 
-def run_title(info: RunInfo) -> str:
+def run_title(info: "RunInfo") -> str:
     """Say in a few words what a run is: its kind, its speed or strain, its specimen."""
     kind = _KIND_TITLES.get(info.kind, info.kind.replace("_", " ").capitalize())
     parameters = info.header.protocol
@@ -230,22 +230,24 @@ def run_title(info: RunInfo) -> str:
     return f"{kind} · {name}" if name else kind
 
 
-def run_subtitle(info: RunInfo) -> str:
+def run_subtitle(info: "RunInfo") -> str:
     """Say when a run began and which file it is."""
     began = info.header.start_time.strftime("%Y-%m-%d %H:%M:%S")
     offset = info.header.start_time.isoformat()[-6:]
     return f"{began} {offset}  ·  run {info.header.run_id[:8]}  ·  {info.path.name}"
 
 
-def run_problem(info: RunInfo, bad_reason: str | None = None) -> str:
+def run_problem(info: "RunInfo", bad_reason: str | None = None) -> str:
     """Say what is wrong with a run: that it was marked bad, or how it ended early; empty for a good one."""
     if bad_reason is not None:
         return f"marked bad: {bad_reason}"
+    from dragrig.rig import RunStatus  # loads numpy, which a command line's help has no use for
+
     if info.status is RunStatus.COMPLETE:
         return ""
     return f"{info.status}: {info.reason}" if info.reason else str(info.status)
 
 
-def _numeric_attribute(parameters: Mapping[str, Attribute], name: str) -> float | None:
+def _numeric_attribute(parameters: "Mapping[str, Attribute]", name: str) -> float | None:
     value = parameters.get(name)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
