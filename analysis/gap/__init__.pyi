@@ -8,7 +8,9 @@ from .classifier import fit_gate as fit_gate
 from .classifier import fit_weights as fit_weights
 from .diagnose import DiagnosisOptions as DiagnosisOptions
 from .diagnosis import AxisLocation as AxisLocation
+from .diagnosis import BudgetEntry as BudgetEntry
 from .diagnosis import Diagnosis as Diagnosis
+from .diagnosis import GapBudget as GapBudget
 from .diagnosis import GapLocation as GapLocation
 from .diagnosis import GapReduction as GapReduction
 from .diagnosis import NextExperiment as NextExperiment

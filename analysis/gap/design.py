@@ -576,6 +576,14 @@ def rank_effects(projected: ProjectedDictionary, dictionary: Sequence[EffectVari
     return tuple(sorted(best.values(), key=lambda ranked: -ranked.llr))
 
 
+def score_variants(projected: ProjectedDictionary, dictionary: Sequence[EffectVariant]) -> FloatArray:
+    """Return the log likelihood ratio of each variant, of a periodic one with its quadrature, shape `(S,)`."""
+    values = np.zeros(len(dictionary))
+    for ranked in _scored_variants(projected, dictionary):
+        values[list(ranked.variants)] = ranked.llr
+    return values
+
+
 def _scored_variants(projected: ProjectedDictionary, dictionary: Sequence[EffectVariant]) -> Iterator[RankedEffect]:
     numbered = list(enumerate(dictionary))
     for _, group in groupby(numbered, key=lambda pair: (pair[1].effect.id, pair[1].quadrature_key)):

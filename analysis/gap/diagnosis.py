@@ -347,6 +347,67 @@ class UnexplainedGap:
     held_out_share: float | None = None
 
 
+UNEXPLAINED, MODEL, SPECIMEN = "unexplained", "model", "specimen"
+"""Causes of a budget beside effects."""
+ESTABLISHED = 0.5
+"""Probability of presence from which on a cause is named."""
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetEntry:
+    """A part of the gap.
+
+    Attributes
+    ----------
+    cause
+        Id of an effect, `model`, `specimen` or `unexplained`.
+    channel
+        `force` or `position`.
+    share, share_95ci
+        Share of the gap in its channel on held-out runs, with its bootstrap interval over runs; None where a single run
+        gives none.
+    rms_mN
+        Root mean square of its contribution to the force; None in the position.
+    presence
+        Probability that it is there; None for the rest.
+    what
+        What the part looks like, in plain words: directions of a model, or what the unexplained rest depends on.
+    not_separable_from
+        Effects that these runs cannot tell from it.
+    """
+
+    cause: str
+    channel: str
+    share: float
+    share_95ci: tuple[float, float] | None
+    rms_mN: float | None
+    presence: float | None = None
+    what: str = ""
+    not_separable_from: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class GapBudget:
+    """The gap of a campaign by causes.
+
+    Attributes
+    ----------
+    presence
+        Probability that each effect of the catalogue is there, given all else that may be there.
+    entries
+        Parts of the gap, the largest first and the unexplained rest last, by channel; empty without a gap.
+    gap_mN
+        Root mean square of the force's gap above noise on the runs.
+    held_out
+        Whether shares are of runs that took no part in the fit; False for too few runs.
+    """
+
+    presence: Mapping[str, float]
+    entries: tuple[BudgetEntry, ...]
+    gap_mN: float
+    held_out: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
     """Result of a diagnosis.
@@ -371,6 +432,8 @@ class Diagnosis:
         Amended model; None without named effects or for other models than the friction model.
     decision_inputs
         Numbers that the verdict is based on, for training.
+    budget
+        The gap by causes, with the probability that each effect is there.
     """
 
     specimen: str
@@ -397,6 +460,7 @@ class Diagnosis:
     decision_inputs: DecisionInputs | None = None
     timings_s: Mapping[str, float] = field(default_factory=dict)
     next_experiment: NextExperiment | None = None
+    budget: GapBudget | None = None
 
 
 NAMES_WITHOUT_EFFECT = {"no_gap": "no gap", "unknown": "none of the catalogue"}

@@ -1,0 +1,496 @@
+"""Which causes of a gap are there, each judged beside all others that may be there, the unnamed ones included.
+
+The force after the nominal model is taken as a sum of causes, of which each may be there or not. A cause is a Gaussian
+random function of the runs: columns with independent standard normal coefficients, times a scale in mN that is itself
+unknown. An effect of the catalogue is its own law, a smooth modulation of it, and a part of the free law of its
+coordinate; an unnamed cause is a free function of one coordinate at one place; the nominal model's own parameters,
+laws and form may be off by more than their priors allow. With Gaussian noise the evidence of each set of causes follows
+by linear algebra (Bayesian variable selection; O'Hagan & Forster, Kendall's Advanced Theory of Statistics 2B, ch. 9),
+and the probability that a cause is there is the sum over all sets that contain it.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+from itertools import pairwise
+from math import log
+
+import numpy as np
+
+from dragrig.analysis import Whitening
+from dragrig.analysis.gap.candidates import Candidate, EffectVariant, added_force, chain_with, parameter_derivatives
+from dragrig.analysis.gap.design import (
+    NUISANCES,
+    ColumnKind,
+    Design,
+    Study,
+    linearise,
+    project_dictionary,
+    schur_complement,
+    score_variants,
+)
+from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearchResult, nonparametric_columns
+from dragrig.analysis.gap.gap_reduction import nominal_residuals
+from dragrig.analysis.gap.run_data import SESSION_MODULATION, rms_where_active
+from dragrig.rig import BoolArray, FloatArray, IndexArray
+from dragrig.sim_backend.effects import Effect, Role
+
+SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to the largest forces."""
+MODEL_SCALES = (3.0, 10.0, 30.0)
+"""Factors on the priors of the nominal model: with priors of 2 % to 15 %, a model off by up to half."""
+RUN_GAIN_SCALES = (0.03, 0.1, 0.3)
+"""Relative scatter of a gain that each run has of its own, beyond that of the nominal model."""
+MODULATION_SD = 0.3
+"""Smooth relative deviation of a real effect from the catalogue's law: real ones leave 10 to 40 % of its form."""
+FREE_LAW_SD = 0.3
+"""The same for the free law of the effect's own coordinate."""
+FORM_ERROR = 0.1
+"""Error of each block relative to the gap there: what no smooth function of any coordinate covers."""
+MODEL_FORM_SD = 0.02
+"""Smooth relative error of the nominal force, as the model's other laws (`studies.LAW_SHAPE_SD`)."""
+PRIOR_ODDS = {"effect": 0.08, "law": 0.03, "run": 0.03, "model": 0.15}
+KEPT_VARIANCE, MAX_CORE_COLUMNS = 0.999, 8
+"""The variants of an effect span a space, of which this share of the whitened variance is kept."""
+PERIODS_TRIED = 4
+"""Best periods of a periodic effect, beside the nominal model and beside the best effect."""
+SMOOTHING_BLOCKS = 5
+MAX_CAUSES = 6
+MAX_SETS_EXPANDED = 40
+LOG_ODDS_WINDOW = 7.0
+"""Sets are expanded down to these log odds against the best one: less likely ones cannot change a probability by more
+than 0.1 % each."""
+
+
+class CauseKind(StrEnum):
+    """Kind of a cause."""
+
+    EFFECT = "effect"
+    LAW = "law"
+    RUN = "run"
+    MODEL = "model"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cause:
+    """A cause that may be there."""
+
+    name: str
+    """Id of an effect, or what an unnamed cause is a function of; several causes of a name exclude each other."""
+    kind: CauseKind
+    columns: IndexArray
+    """Indices of its `k` columns."""
+    sds: FloatArray
+    """Prior standard deviations of their coefficients at scale 1, shape `(k,)`."""
+    scales: tuple[float, ...]
+    """Its possible scales."""
+    direction: FloatArray | None = None
+    """Direction of the coefficients in which it must be positive, shape `(k,)`; None for causes of either sign."""
+    alternatives: int = 1
+    """Number of causes of this name, among which its prior probability is shared."""
+
+    @property
+    def log_prior_odds(self) -> float:
+        """Prior log odds of one scale of this cause."""
+        prior = PRIOR_ODDS[self.kind]
+        return log(prior / (1 - prior)) - log(len(self.scales) * self.alternatives)
+
+
+CauseSet = tuple[tuple[int, int], ...]
+"""Indices of causes, each with the index of its scale, ascending."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Competition:
+    """All causes that may be there, with the data that decide between them."""
+
+    causes: tuple[Cause, ...]
+    products: FloatArray
+    """Products of residual (first) and columns, whitened, nuisances projected out, shape `(1 + C, 1 + C)`."""
+    columns: FloatArray
+    """Columns at all blocks of all runs, shape `(N, C)` [mN per unit]."""
+    whitenings: tuple[Whitening, ...]
+    """Whitening of each run, the form error included."""
+    design: Design
+    """Campaign around the parameters of the best hypothesis, with its nuisances."""
+
+    def scaled_columns(self, causes: CauseSet) -> tuple[IndexArray, FloatArray]:
+        """Return the rows of a set's columns in `products`, and the prior sds of their coefficients."""
+        rows = [1 + self.causes[index].columns for index, _ in causes]
+        sds = [self.causes[index].sds * self.causes[index].scales[scale] for index, scale in causes]
+        return np.concatenate((*rows, np.zeros(0, dtype=np.intp))), np.concatenate((*sds, np.zeros(0)))
+
+
+class _ColumnStore:
+    """Collects columns and the causes that they belong to."""
+
+    def __init__(self) -> None:
+        self.columns: list[FloatArray] = []
+        self.causes: list[Cause] = []
+        self._count = 0
+
+    def add(self, columns: FloatArray) -> IndexArray:
+        self.columns.append(columns)
+        self._count += columns.shape[1]
+        return np.arange(self._count - columns.shape[1], self._count)
+
+    def add_free(self, name: str, kind: CauseKind, columns: FloatArray, scales: tuple[float, ...]) -> None:
+        """Add a cause whose columns all have prior sd 1 at scale 1; columns of zeros are dropped."""
+        acting = columns[:, np.abs(columns).sum(axis=0) > 0]
+        if acting.shape[1]:
+            self.causes.append(Cause(name, kind, self.add(acting), np.ones(acting.shape[1]), scales))
+
+
+def prepare_competition(search: ForceSearchResult) -> Competition:
+    """Return all causes that may act on the force of a campaign, beside its nominal model."""
+    study = search.study
+    fits = sorted(search.fits, key=lambda fit: fit.chi2)
+    design = search.nominal
+    if fits:
+        # Far from the truth the signatures would be those of another specimen.
+        design = linearise(study, fits[0].parameters.z, dictionary=True, reference=search.nominal)
+    whitenings = tuple(
+        run.whitening.with_form_error(FORM_ERROR * _smoothed_size(residual))
+        for run, residual in zip(design.runs, nominal_residuals(search.nominal), strict=True)
+    )
+    store = _ColumnStore()
+    free_laws = dict(_add_unnamed_causes(store, study, design))
+    effects = _EffectCauses(store, study, design, whitenings, free_laws)
+    for variants, alternatives in _variant_groups(search, design):
+        effects.add_variants(variants, alternatives)
+    fitted = [(candidate, fit.parameters.z) for fit in search.fits for candidate in fit.parameters.candidates]
+    for candidate, z in fitted:
+        effects.add_fitted(candidate, z)
+    return _compete(design, whitenings, store)
+
+
+def _smoothed_size(residual: FloatArray) -> FloatArray:
+    from scipy.ndimage import uniform_filter1d
+
+    mean_square = uniform_filter1d(residual**2, SMOOTHING_BLOCKS, mode="nearest")
+    return np.asarray(np.sqrt(np.maximum(mean_square, 0.0)))
+
+
+def _compete(design: Design, whitenings: tuple[Whitening, ...], store: _ColumnStore) -> Competition:
+    columns = np.concatenate(store.columns, axis=1)
+    nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
+    total, first = np.zeros((1 + nuisances.size + columns.shape[1],) * 2), 0
+    for run, whitening in zip(design.runs, whitenings, strict=True):
+        rows = slice(first, first + run.residual.size)
+        white = whitening.whiten(np.column_stack((run.residual, run.columns[:, nuisances], columns[rows])))
+        total += white.T @ white
+        first = rows.stop
+    products = schur_complement(
+        design, total, nuisances, np.arange(1 + nuisances.size, len(total)), 1 + np.arange(nuisances.size)
+    )
+    names = [cause.name for cause in store.causes]
+    causes = tuple(
+        replace(cause, alternatives=max(cause.alternatives, names.count(cause.name))) for cause in store.causes
+    )
+    return Competition(causes, products, columns, whitenings, design)
+
+
+def _add_unnamed_causes(store: _ColumnStore, study: Study, design: Design) -> Iterator[tuple[str, IndexArray]]:
+    """Add free laws, gains of the runs, and errors of the model; yield the columns of each free law by its name."""
+    predicted = [run.predicted for run in design.runs]
+    for name, columns in nonparametric_columns(study.runs, predicted, 0.0).items():
+        values = np.concatenate(columns) / KNOT_PRIOR_SD_MN
+        store.add_free(name, CauseKind.LAW, values, SCALES_MN)
+        if store.causes[-1].name == name:
+            yield name, store.causes[-1].columns
+    force = np.concatenate(predicted)[:, None]
+    of_run = np.repeat(np.arange(len(predicted)), [values.size for values in predicted])
+    store.add_free("gain of a run", CauseKind.RUN, force * (of_run[:, None] == np.arange(len(predicted))), RUN_GAIN_SCALES)
+    for name, columns in _model_columns(study, design, force):
+        store.add_free(name, CauseKind.MODEL, columns, MODEL_SCALES)
+
+
+def _model_columns(study: Study, design: Design, force: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the directions in which the nominal model may be off, of all runs alike and of the relaxations alone.
+
+    What is wrong in the relaxations need not be wrong in the drags: other strains, and another clamping.
+    """
+    sheared = np.concatenate([np.full(run.coordinates.time_s.size, run.experiment.kind == "relaxation") for run in study.runs])
+    smooth = np.concatenate([values.T for values in study.modulations])
+    # The model is no function of the session: what changes with it is an effect.
+    smooth = np.delete(smooth, SESSION_MODULATION, axis=1)
+    directions = {
+        "parameters": np.concatenate(design.run_columns(ColumnKind.NOMINAL)),
+        "laws": np.concatenate(design.run_columns(ColumnKind.MODEL_ERROR)),
+        "form": MODEL_FORM_SD * force * smooth,
+    }
+    for name, columns in directions.items():
+        yield f"{name} of the model", columns
+        yield f"{name} of the model in relaxations", columns * sheared[:, None]
+
+
+def _variant_groups(search: ForceSearchResult, design: Design) -> Iterator[tuple[tuple[int, ...], int]]:
+    """Yield the variants that make up each cause, and how many causes the effect could have.
+
+    All shapes of an effect span one cause. Periods are tried one by one: their sum would be any function at all.
+    """
+    projected = project_dictionary(search.nominal, search.nominal.total_gram(), *NUISANCES)
+    scored = score_variants(projected, design.variants)
+    beside_best = scored
+    if scored.any():
+        best = next(ranked for ranked in search.ranked if scored[ranked.variants[0]] > 0)
+        beside_best = score_variants(projected.without(best.variants), design.variants)
+    by_effect: dict[str, list[int]] = {}
+    for index, variant in enumerate(design.variants):
+        by_effect.setdefault(variant.effect.id, []).append(index)
+    for indices in by_effect.values():
+        effect = design.variants[indices[0]].effect
+        if effect.phase is None:
+            yield tuple(indices), 1
+            continue
+        groups: dict[float, list[int]] = {}
+        for index in indices:
+            groups.setdefault(design.variants[index].values[effect.period_parameter], []).append(index)
+        chosen: dict[tuple[int, ...], None] = {}
+        for llr in (scored, beside_best):
+            ordered = sorted(groups.values(), key=lambda group: -float(llr[group].max()))  # noqa: B023
+            chosen |= {tuple(group): None for group in ordered[:PERIODS_TRIED]}
+        for group in chosen:
+            yield group, len(groups)
+
+
+class _EffectCauses:
+    """Adds causes that are effects of the catalogue."""
+
+    def __init__(
+        self,
+        store: _ColumnStore,
+        study: Study,
+        design: Design,
+        whitenings: tuple[Whitening, ...],
+        free_laws: Mapping[str, IndexArray],
+    ) -> None:
+        self._store, self._study, self._design, self._whitenings = store, study, design, whitenings
+        self._free_laws = free_laws
+        self._widths_s = np.concatenate([run.coordinates.width_s for run in study.runs])
+        self._modulations = np.concatenate([values.T for values in study.modulations])
+        self._signatures = np.concatenate(design.run_columns(ColumnKind.VARIANT))
+
+    def add_variants(self, variants: Sequence[int], alternatives: int) -> None:
+        """Add the space that variants span; each has rms 1 mN where it acts."""
+        values = self._signatures[:, list(variants)]
+        sizes = np.array([rms_where_active(column, self._widths_s) for column in values.T])
+        acting = sizes > 0
+        if not acting.any():
+            return
+        values = values[:, acting] / (sizes[acting] * np.sqrt(acting.sum()))
+        white = self._whitened(values)
+        variances, vectors = np.linalg.eigh(white.T @ white)
+        variances, vectors = variances[::-1], vectors[:, ::-1]
+        kept = int(np.searchsorted(np.cumsum(variances), KEPT_VARIANCE * variances.sum())) + 1
+        vectors = vectors[:, : min(kept, MAX_CORE_COLUMNS)]
+        variant: EffectVariant = self._design.variants[variants[0]]
+        direction = vectors.sum(axis=0) if variant.one_signed else None
+        modulated = 1 if variant.effect.phase is None else 2
+        self._add(variant.effect, values @ vectors, direction, modulated, alternatives)
+
+    def add_fitted(self, candidate: Candidate, z: FloatArray) -> None:
+        """Add an effect with fitted parameters, and its derivatives by the uncertain ones."""
+        study, chain = self._study, self._study.chain
+        force, slopes = [], []
+        for run, (scene, gain) in zip(study.runs, study.scenes(z), strict=True):
+            change = added_force(chain_with([candidate], chain), scene, gain) - added_force(chain, scene, gain)
+            force.append(run.block_means(change))
+            slopes.append(run.block_means(parameter_derivatives([candidate], chain, scene, gain)).T)
+        values = np.concatenate(force)
+        size = rms_where_active(values, self._widths_s)
+        if size == 0.0:
+            return
+        parameters = candidate.fitted_parameters
+        shapes = [index for index, parameter in enumerate(parameters) if parameter.role is not Role.SIZE]
+        sds = 0.5 * np.minimum(candidate.prior_sds(), [1.0 if p.role is Role.PHASE else np.inf for p in parameters])
+        core = np.column_stack((values, (np.concatenate(slopes) * sds)[:, shapes])) / size
+        core = core[:, np.abs(core).sum(axis=0) > 0]
+        direction = np.eye(core.shape[1])[0] if candidate.effect.size.low >= 0 else None
+        self._add(candidate.effect, core, direction, 1, 1)
+
+    def _whitened(self, values: FloatArray) -> FloatArray:
+        edges = np.cumsum([0, *(run.residual.size for run in self._design.runs)]).tolist()
+        pairs = zip(self._whitenings, pairwise(edges), strict=True)
+        return np.concatenate([whitening.whiten(values[low:high]) for whitening, (low, high) in pairs])
+
+    def _add(
+        self, effect: Effect, core: FloatArray, direction: FloatArray | None, modulated: int, alternatives: int
+    ) -> None:
+        forms = [MODULATION_SD * column[:, None] * self._modulations for column in core.T[:modulated]]
+        own = self._store.add(np.concatenate((core, *forms), axis=1))
+        free = self._free_laws.get(effect.free_law, np.zeros(0, dtype=np.intp))
+        columns = np.concatenate((own, free))
+        sds = np.concatenate((np.ones(own.size), np.full(free.size, FREE_LAW_SD)))
+        signed = None if direction is None else np.append(direction, np.zeros(columns.size - direction.size))
+        self._store.causes.append(
+            Cause(effect.id, CauseKind.EFFECT, columns, sds, SCALES_MN, signed, alternatives)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Presence:
+    """Probabilities of causes, and the sets of causes that they come from."""
+
+    probabilities: Mapping[str, float]
+    """Probability that each cause is there, by name, of all that were tried."""
+    kinds: Mapping[str, CauseKind]
+    """Kind of each cause."""
+    log_odds: Mapping[CauseSet, float]
+    """Log posterior odds of every set that was compared, against the empty one."""
+
+    def most_likely_with(self, names: Sequence[str], competition: Competition) -> CauseSet:
+        """Return the most likely set that contains causes of these names; missing ones are added at their best scale."""
+        wanted = set(names)
+        causes = competition.causes
+
+        def missing(key: CauseSet) -> int:
+            return len(wanted - {causes[index].name for index, _ in key})
+
+        chosen = min(self.log_odds, key=lambda key: (missing(key), -self.log_odds[key]))
+        for _ in range(missing(chosen)):
+            present = {causes[index].name for index, _ in chosen}
+            larger = [
+                (value, key)
+                for key, value in _SetEvidence(competition).with_further_cause(chosen)
+                if any(causes[index].name in wanted - present for index, _ in key)
+            ]
+            chosen = max(larger, default=(0.0, chosen))[1]
+        return chosen
+
+    def of_kind(self, kind: CauseKind) -> Mapping[str, float]:
+        """Return the probabilities of the causes of a kind, the most likely first."""
+        chosen = [name for name in self.probabilities if self.kinds[name] is kind]
+        return {name: self.probabilities[name] for name in sorted(chosen, key=lambda name: -self.probabilities[name])}
+
+
+def judge_presence(competition: Competition) -> Presence:
+    """Return the probability that each cause is there.
+
+    Sets are compared from the empty one on: the most likely set whose neighbours are not known is expanded by every
+    further cause and by leaving out each of its own, until all likely sets are known.
+    """
+    evidence = _SetEvidence(competition)
+    log_odds: dict[CauseSet, float] = {(): 0.0}
+    expanded: set[CauseSet] = set()
+    for _ in range(MAX_SETS_EXPANDED):
+        best = max(log_odds.values())
+        open_sets = [key for key, value in log_odds.items() if key not in expanded and value > best - LOG_ODDS_WINDOW]
+        if not open_sets:
+            break
+        current = max(open_sets, key=lambda key: log_odds[key])
+        expanded.add(current)
+        if len(current) < MAX_CAUSES:
+            for larger, value in evidence.with_further_cause(current):
+                log_odds.setdefault(larger, value)
+        for dropped in range(len(current)):
+            smaller = current[:dropped] + current[dropped + 1 :]
+            if smaller not in log_odds:
+                log_odds[smaller] = evidence.log_odds(smaller)
+    sets = list(log_odds)
+    values = np.array([log_odds[key] for key in sets])
+    weights = np.exp(values - values.max())
+    weights /= weights.sum()
+    probabilities = dict.fromkeys((cause.name for cause in competition.causes), 0.0)
+    for key, weight in zip(sets, weights.tolist(), strict=True):
+        for index, _ in key:
+            probabilities[competition.causes[index].name] += weight
+    return Presence(
+        {name: min(value, 1.0) for name, value in probabilities.items()},
+        {cause.name: cause.kind for cause in competition.causes},
+        log_odds,
+    )
+
+
+@dataclass(frozen=True)
+class _SetEvidence:
+    """Evidence of sets of causes against none."""
+
+    competition: Competition
+
+    @cached_property
+    def _padded(self) -> tuple[IndexArray, FloatArray, BoolArray, FloatArray]:
+        """Rows, sds and directions of all causes, padded to one length, shape `(K, k)`, and which are no padding."""
+        causes = self.competition.causes
+        width = max(cause.columns.size for cause in causes)
+        rows = np.zeros((len(causes), width), dtype=np.intp)
+        sds, directions = np.zeros((2, len(causes), width))
+        for number, cause in enumerate(causes):
+            rows[number, : cause.columns.size] = 1 + cause.columns
+            sds[number, : cause.columns.size] = cause.sds
+            if cause.direction is not None:
+                directions[number, : cause.columns.size] = cause.direction
+        return rows, sds, sds > 0, directions
+
+    def log_odds(self, causes: CauseSet) -> float:
+        """Return the log posterior odds of a set against the empty one."""
+        return self._reduced(causes)[1]
+
+    def with_further_cause(self, causes: CauseSet) -> Iterator[tuple[CauseSet, float]]:
+        """Yield the set with every further cause at every scale, with its log posterior odds."""
+        competition = self.competition
+        explained, before = self._reduced(causes)
+        present = {competition.causes[index].name for index, _ in causes}
+        rows, sds, used, directions = self._padded
+        grams = competition.products[rows[:, :, None], rows[:, None, :]]
+        moments = competition.products[rows, 0]
+        if causes:
+            by_cause = explained[:, rows]
+            grams = grams - np.einsum("ska,skb->kab", by_cause, by_cause, optimize=True)
+            moments = moments - np.einsum("ska,s->ka", by_cause, explained[:, 0])
+        grams = grams * (sds[:, :, None] * sds[:, None, :])
+        moments = moments * sds
+        numbers = [number for number, cause in enumerate(competition.causes) if cause.name not in present]
+        for scale in range(max(len(cause.scales) for cause in competition.causes)):
+            chosen = [number for number in numbers if scale < len(competition.causes[number].scales)]
+            sizes = np.array([competition.causes[number].scales[scale] for number in chosen])
+            gains = _log_evidence(grams[chosen], moments[chosen], directions[chosen] * used[chosen], sizes)
+            for number, gain in zip(chosen, gains.tolist(), strict=True):
+                larger = tuple(sorted((*causes, (number, scale))))
+                yield larger, before + gain + competition.causes[number].log_prior_odds
+
+    def _reduced(self, causes: CauseSet) -> tuple[FloatArray, float]:
+        """Return what a set explains of all products, as a root of shape `(s, 1 + C)`, and its log posterior odds."""
+        products = self.competition.products
+        rows, sds = self.competition.scaled_columns(causes)
+        if not rows.size:
+            return np.zeros((0, len(products))), 0.0
+        precision = products[np.ix_(rows, rows)] * np.outer(sds, sds) + np.eye(rows.size)
+        root = np.linalg.cholesky(precision)
+        explained = np.linalg.solve(root, products[rows] * sds[:, None])
+        value = 0.5 * float(explained[:, 0] @ explained[:, 0]) - float(np.log(np.diag(root)).sum())
+        value += sum(self.competition.causes[index].log_prior_odds for index, _ in causes)
+        return explained, value + self._log_sign_probability(causes, root, explained[:, 0])
+
+    def _log_sign_probability(self, causes: CauseSet, root: FloatArray, solved: FloatArray) -> float:
+        """Return the log probability that one-signed causes are positive, against one half a priori."""
+        from scipy.special import log_ndtr
+
+        total, first = 0.0, 0
+        for index, _ in causes:
+            cause = self.competition.causes[index]
+            if cause.direction is not None:
+                direction = np.zeros(len(root))
+                direction[first : first + cause.columns.size] = cause.direction
+                white = np.linalg.solve(root, direction)
+                total += float(log_ndtr(white @ solved / np.sqrt(white @ white))) + log(2.0)
+            first += cause.columns.size
+        return total
+
+
+def _log_evidence(grams: FloatArray, moments: FloatArray, directions: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return the log evidence of each cause at a scale against its absence, shape `(K,)`."""
+    from scipy.special import log_ndtr
+
+    width = grams.shape[1]
+    roots = np.linalg.cholesky(grams * (sizes**2)[:, None, None] + np.eye(width))
+    sides = np.stack((moments * sizes[:, None], directions), axis=2)
+    solved = np.linalg.solve(roots, sides)
+    fitted, along = solved[:, :, 0], solved[:, :, 1]
+    log_det = 2.0 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
+    values = 0.5 * (fitted**2).sum(axis=1) - 0.5 * log_det
+    spread = np.sqrt((along**2).sum(axis=1))
+    signed = spread > 0
+    ratio = np.divide((fitted * along).sum(axis=1), spread, out=np.zeros_like(spread), where=signed)
+    return np.asarray(np.where(signed, values + log_ndtr(ratio) + log(2.0), values))
