@@ -8,7 +8,7 @@ import dragrig
 from dragrig.analysis.gap.candidate_runs import motion_grid, plan_of_next_runs
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
-from dragrig.analysis.gap.next_run_position import NO_NEW_MOTION
+from dragrig.analysis.gap.next_run import NO_NEW_MOTION
 from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL

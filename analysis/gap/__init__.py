@@ -4,7 +4,7 @@ One way, from runs to the next run:
 
 `run_data` → `candidates` → `studies` and `design` (linearised campaign, and fits in it) → `hypothesis_fit` →
 `forward_selection` → `features` → `classifier` → `excess` and `localise` (where) → `unknown_gap` → `gap_reduction` (how
-much) → `isolability` and `next_run_force`, `next_run_position` (what next) → `diagnose`.
+much) → `isolability` and `next_run` (what next) → `diagnose`.
 
 `__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """

@@ -37,7 +37,7 @@ from .isolability import Isolability as Isolability
 from .isolability import isolability_sentences as isolability_sentences
 from .isolability import isolate as isolate
 from .localise import ALPHA as ALPHA
-from .next_run_force import recommend_for_pair as recommend_for_pair
-from .next_run_force import run_text as run_text
-from .next_run_force import separation_text as separation_text
+from .next_run import recommend_for_pair as recommend_for_pair
+from .next_run import run_text as run_text
+from .next_run import separation_text as separation_text
 from .run_data import choose_runs as choose_runs

@@ -13,7 +13,7 @@ import numpy as np
 
 from dragrig.analysis import Whitening
 from dragrig.analysis.gap.design import ColumnKind, Study
-from dragrig.analysis.gap.diagnosis import ESTABLISHED, MODEL, SPECIMEN, UNEXPLAINED, BudgetEntry, GapBudget
+from dragrig.analysis.gap.diagnosis import ESTABLISHED, MODEL, SPECIMEN, UNEXPLAINED, BudgetEntry
 from dragrig.analysis.gap.gap_reduction import folds_by_condition
 from dragrig.analysis.gap.presence import CauseKind, CauseSet, Competition, Presence
 from dragrig.rig import FloatArray, IndexArray
@@ -57,7 +57,7 @@ def force_budget(
     """
     chosen = presence.most_likely_with(tuple(established), competition)
     parts = _parts_of(competition, presence, chosen, established)
-    contributions, held_out = _held_out_contributions(study, competition, chosen, list(parts.values()))
+    contributions, held_out = _held_out_contributions(study, competition, list(parts.values()))
     rows = np.array([run.sums for run in contributions])
     total = rows.sum(axis=0)
     duration, noise, square = total[:3].tolist()
@@ -122,9 +122,7 @@ def _words_of(competition: Competition, causes: CauseSet) -> str:
     return ", ".join(dict.fromkeys(competition.causes[index].name for index, _ in causes))
 
 
-def _not_separable(
-    name: str, chosen: CauseSet, competition: Competition, presence: Presence
-) -> tuple[str, ...]:
+def _not_separable(name: str, chosen: CauseSet, competition: Competition, presence: Presence) -> tuple[str, ...]:
     """Return the effects that could take an effect's place in the most likely set."""
     causes = competition.causes
     others = {causes[index].name for index, _ in chosen} - {name}
@@ -141,7 +139,7 @@ def _not_separable(
 
 
 def _held_out_contributions(
-    study: Study, competition: Competition, chosen: CauseSet, parts: Sequence[CauseSet]
+    study: Study, competition: Competition, parts: Sequence[CauseSet]
 ) -> tuple[list[_Contributions], bool]:
     """Predict every run from fits to the others, and split its gap into the parts of a set of causes."""
     design = competition.design
@@ -169,9 +167,7 @@ def _held_out_contributions(
     return [contributions[index] for index in range(len(study.runs))], held_out
 
 
-def _columns_of_parts(
-    competition: Competition, parts: Sequence[CauseSet]
-) -> tuple[IndexArray, FloatArray, IndexArray]:
+def _columns_of_parts(competition: Competition, parts: Sequence[CauseSet]) -> tuple[IndexArray, FloatArray, IndexArray]:
     """Return the columns of all parts, the prior sds of their coefficients, and the part that each belongs to."""
     columns, sds, members = [np.zeros(0, dtype=np.intp)], [np.zeros(0)], [np.zeros(0, dtype=np.intp)]
     for number, part in enumerate(parts):
@@ -193,12 +189,12 @@ def _fold_coefficients(
     of_nominal, of_causes = slice(1, 1 + nuisances), slice(1 + nuisances, None)
     gram = total[of_nominal, of_nominal] + np.diag(precision + 1e-10 * np.diag(total)[of_nominal])
     moments = np.column_stack((total[of_nominal, 0] + precision * mean, total[of_nominal, of_causes]))
-    solved = np.linalg.solve(gram, moments)
+    solved = np.asarray(np.linalg.solve(gram, moments), dtype=np.float64)
     alone, absorbed = solved[:, 0], solved[:, 1:]
     reduced = total[of_causes, of_causes] - total[of_causes, of_nominal] @ absorbed
     moment = total[of_causes, 0] - total[of_causes, of_nominal] @ alone
-    coefficients = np.linalg.solve(reduced + np.eye(len(reduced)), moment)
-    return alone, np.asarray(coefficients), absorbed
+    coefficients = np.asarray(np.linalg.solve(reduced + np.eye(len(reduced)), moment), dtype=np.float64)
+    return alone, coefficients, absorbed
 
 
 def _split_run(

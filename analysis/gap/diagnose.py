@@ -52,7 +52,7 @@ from dragrig.analysis.gap.gap_reduction import (
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, is_periodic_in_session
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
 from dragrig.analysis.gap.localise import ALPHA, attribute_to_effects, localise
-from dragrig.analysis.gap.next_run_position import reasons_for_no_run, recommend_next_run
+from dragrig.analysis.gap.next_run import reasons_for_no_run, recommend_next_run
 from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position, position_gap_reduction
 from dragrig.analysis.gap.spectral_lines import (
     SpectralLine,

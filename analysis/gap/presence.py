@@ -46,7 +46,7 @@ MODULATION_SD = 0.3
 """Smooth relative deviation of a real effect from the catalogue's law: real ones leave 10 to 40 % of its form."""
 FREE_LAW_SD = 0.3
 """The same for the free law of the effect's own coordinate."""
-FORM_ERROR = 0.1
+FORM_ERROR = 0.25
 """Error of each block relative to the gap there: what no smooth function of any coordinate covers."""
 MODEL_FORM_SD = 0.02
 """Smooth relative error of the nominal force, as the model's other laws (`studies.LAW_SHAPE_SD`)."""
@@ -194,14 +194,16 @@ def _compete(design: Design, whitenings: tuple[Whitening, ...], store: _ColumnSt
 def _add_unnamed_causes(store: _ColumnStore, study: Study, design: Design) -> Iterator[tuple[str, IndexArray]]:
     """Add free laws, gains of the runs, and errors of the model; yield the columns of each free law by its name."""
     predicted = [run.predicted for run in design.runs]
-    for name, columns in nonparametric_columns(study.runs, predicted, 0.0).items():
-        values = np.concatenate(columns) / KNOT_PRIOR_SD_MN
+    for name, by_run in nonparametric_columns(study.runs, predicted, 0.0).items():
+        values = np.concatenate(by_run) / KNOT_PRIOR_SD_MN
         store.add_free(name, CauseKind.LAW, values, SCALES_MN)
         if store.causes[-1].name == name:
             yield name, store.causes[-1].columns
     force = np.concatenate(predicted)[:, None]
     of_run = np.repeat(np.arange(len(predicted)), [values.size for values in predicted])
-    store.add_free("gain of a run", CauseKind.RUN, force * (of_run[:, None] == np.arange(len(predicted))), RUN_GAIN_SCALES)
+    store.add_free(
+        "gain of a run", CauseKind.RUN, force * (of_run[:, None] == np.arange(len(predicted))), RUN_GAIN_SCALES
+    )
     for name, columns in _model_columns(study, design, force):
         store.add_free(name, CauseKind.MODEL, columns, MODEL_SCALES)
 
@@ -211,7 +213,9 @@ def _model_columns(study: Study, design: Design, force: FloatArray) -> Iterator[
 
     What is wrong in the relaxations need not be wrong in the drags: other strains, and another clamping.
     """
-    sheared = np.concatenate([np.full(run.coordinates.time_s.size, run.experiment.kind == "relaxation") for run in study.runs])
+    sheared = np.concatenate(
+        [np.full(run.coordinates.time_s.size, run.experiment.kind == "relaxation") for run in study.runs]
+    )
     smooth = np.concatenate([values.T for values in study.modulations])
     # The model is no function of the session: what changes with it is an effect.
     smooth = np.delete(smooth, SESSION_MODULATION, axis=1)
@@ -249,7 +253,7 @@ def _variant_groups(search: ForceSearchResult, design: Design) -> Iterator[tuple
             groups.setdefault(design.variants[index].values[effect.period_parameter], []).append(index)
         chosen: dict[tuple[int, ...], None] = {}
         for llr in (scored, beside_best):
-            ordered = sorted(groups.values(), key=lambda group: -float(llr[group].max()))  # noqa: B023
+            ordered = sorted(groups.values(), key=lambda group: -float(llr[group].max()))
             chosen |= {tuple(group): None for group in ordered[:PERIODS_TRIED]}
         for group in chosen:
             yield group, len(groups)
@@ -324,9 +328,7 @@ class _EffectCauses:
         columns = np.concatenate((own, free))
         sds = np.concatenate((np.ones(own.size), np.full(free.size, FREE_LAW_SD)))
         signed = None if direction is None else np.append(direction, np.zeros(columns.size - direction.size))
-        self._store.causes.append(
-            Cause(effect.id, CauseKind.EFFECT, columns, sds, SCALES_MN, signed, alternatives)
-        )
+        self._store.causes.append(Cause(effect.id, CauseKind.EFFECT, columns, sds, SCALES_MN, signed, alternatives))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -341,7 +343,7 @@ class Presence:
     """Log posterior odds of every set that was compared, against the empty one."""
 
     def most_likely_with(self, names: Sequence[str], competition: Competition) -> CauseSet:
-        """Return the most likely set that contains causes of these names; missing ones are added at their best scale."""
+        """Return the most likely set with causes of these names; missing ones are added at their best scale."""
         wanted = set(names)
         causes = competition.causes
 
@@ -457,8 +459,8 @@ class _SetEvidence:
         if not rows.size:
             return np.zeros((0, len(products))), 0.0
         precision = products[np.ix_(rows, rows)] * np.outer(sds, sds) + np.eye(rows.size)
-        root = np.linalg.cholesky(precision)
-        explained = np.linalg.solve(root, products[rows] * sds[:, None])
+        root = np.asarray(np.linalg.cholesky(precision), dtype=np.float64)
+        explained = np.asarray(np.linalg.solve(root, products[rows] * sds[:, None]), dtype=np.float64)
         value = 0.5 * float(explained[:, 0] @ explained[:, 0]) - float(np.log(np.diag(root)).sum())
         value += sum(self.competition.causes[index].log_prior_odds for index, _ in causes)
         return explained, value + self._log_sign_probability(causes, root, explained[:, 0])
