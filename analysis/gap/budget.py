@@ -7,28 +7,62 @@ contribution with the gap, over the gap's mean square above noise: shares of all
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import exp, log, prod
 
 import numpy as np
 
-from dragrig.analysis import Whitening
+from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN, Classification
 from dragrig.analysis.gap.design import ColumnKind, Study
-from dragrig.analysis.gap.diagnosis import ESTABLISHED, MODEL, SPECIMEN, UNEXPLAINED, BudgetEntry
-from dragrig.analysis.gap.gap_reduction import folds_by_condition
-from dragrig.analysis.gap.presence import CauseKind, CauseSet, Competition, Presence
+from dragrig.analysis.gap.diagnosis import (
+    ESTABLISHED,
+    MODEL,
+    SPECIMEN,
+    UNEXPLAINED,
+    BudgetEntry,
+    GapBudget,
+    GapReduction,
+    Verdict,
+)
+from dragrig.analysis.gap.forward_selection import ForceSearchResult
+from dragrig.analysis.gap.gap_reduction import (
+    MAX_OWN_SIGMAS,
+    folds_by_condition,
+    run_factor_force,
+    run_zero_offset,
+)
+from dragrig.analysis.gap.presence import (
+    CauseKind,
+    CauseSet,
+    Competition,
+    Presence,
+    judge_presence,
+    prepare_competition,
+)
+from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.rig import FloatArray, IndexArray
+from dragrig.sim_backend.effects import Coordinate, catalogue, find_effect
 
 MIN_RUNS_HELD_OUT = 4
 BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_NOISE = 0.1
 """Mean square of a gap above noise, relative to noise, below which shares of it mean nothing."""
+FORM_LAWS: Mapping[Coordinate, tuple[str, ...]] = {
+    Coordinate.SPEED: ("speed", "speed of sliding", "speed in the gut"),
+    Coordinate.POSITION: ("place", "place in the gut"),
+    Coordinate.SESSION: ("session",),
+    Coordinate.STRAIN: ("load",),
+    Coordinate.TIME: ("time at rest", "time at rest in the gut"),
+    Coordinate.TRANSIENT: ("time since start and stop", "time since start and stop in the gut"),
+}
+"""Free laws of each coordinate."""
 EQUAL_LOG_ODDS = 3.0
 """Causes whose exchange changes the log odds by less cannot be separated: 20 to 1, as for a 95 % interval."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contributions:
-    """Gap, contributions of `K` parts, and rest of one run at its `B` blocks, without the run's zero [mN]."""
+    """Gap and contributions of the `K` named parts of one run at its `B` blocks, without its own factors [mN]."""
 
     gap: FloatArray
     parts: FloatArray
@@ -37,12 +71,92 @@ class _Contributions:
 
     @property
     def sums(self) -> FloatArray:
-        """Duration, and time integrals of noise, gap², parts · gap and parts², shape `(3 + 2 K,)`."""
-        weights = self.weights_s
-        with_gap, squares = (self.parts * self.gap) @ weights, self.parts**2 @ weights
-        return np.concatenate(
-            ([weights.sum(), weights @ self.noise_variance, weights @ self.gap**2], with_gap, squares)
+        """Duration, and time integrals of noise, gap², rest², parts · gap and parts², shape `(4 + 2 K,)`."""
+        weights, rest = self.weights_s, self.gap - self.parts.sum(axis=0)
+        squares = [weights.sum(), weights @ self.noise_variance, weights @ self.gap**2, weights @ rest**2]
+        return np.concatenate((squares, (self.parts * self.gap) @ weights, self.parts**2 @ weights))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CausesOfGap:
+    """What causes the gap in the force of a campaign: all causes that may be there, and which are."""
+
+    competition: Competition
+    presence: Presence
+    effects: Mapping[str, float]
+    """Probability that each effect on the force is there, by classifier and competition together."""
+
+    @classmethod
+    def of(cls, search: ForceSearchResult, classification: Classification) -> "CausesOfGap":
+        """Judge all causes beside each other."""
+        competition = prepare_competition(search)
+        presence = judge_presence(competition)
+        return cls(competition, presence, combined_presence(classification, presence))
+
+
+def gap_budget(
+    study: Study,
+    causes: CausesOfGap,
+    classification: Classification,
+    position: Mapping[str, float],
+    position_reduction: GapReduction | None,
+    hum_mN: float,
+) -> GapBudget:
+    """Share the gap between its causes, in force and position.
+
+    Parameters
+    ----------
+    position
+        Probability of presence of the effects on the position; empty where it follows its command.
+    position_reduction
+        How far the most likely of them closes the position's gap; None for none.
+    hum_mN
+        Rms of mains hum; 0 without it.
+    """
+    established = {name: causes.effects[name] for name in classification.effects if name in causes.effects}
+    entries, gap_mN, held_out = force_budget(study, causes.competition, causes.presence, established)
+    hum = hum_effect().id
+    presence = dict.fromkeys(catalogue(), MIN_PRESENCE) | dict(causes.effects)
+    presence[hum] = _marginal(classification, hum)
+    if hum in classification.effects:
+        entries, gap_mN = _with_hum(entries, gap_mN, hum_mN, presence[hum]), float(np.hypot(gap_mN, hum_mN))
+    if classification.verdict is Verdict.NO_GAP:
+        entries = ()
+    presence |= position
+    named = max(position, key=lambda name: position[name], default="")
+    if position and position_reduction is not None and position_reduction.closed is not None:
+        closed, interval = position_reduction.closed, position_reduction.closed_95ci
+        rest = None if interval is None else (1.0 - interval[1], 1.0 - interval[0])
+        if named in classification.effects:
+            entries = (
+                *entries,
+                BudgetEntry(named, "position", closed, interval, None, presence=position[named]),
+                BudgetEntry(UNEXPLAINED, "position", 1.0 - closed, rest, None),
+            )
+    limited = {name: min(max(value, MIN_PRESENCE), 1.0 - MIN_PRESENCE) for name, value in presence.items()}
+    return GapBudget(limited, entries, gap_mN, held_out)
+
+
+def _with_hum(
+    entries: tuple[BudgetEntry, ...], gap_mN: float, hum_mN: float, presence: float
+) -> tuple[BudgetEntry, ...]:
+    """Add mains hum, which block means average out, to the parts of the rest of the gap."""
+    total = gap_mN**2 + hum_mN**2
+    if total <= 0:
+        return entries
+    of_hum = hum_mN**2 / total if entries else 1.0
+    scaled = [
+        replace(
+            entry,
+            share=entry.share * (1.0 - of_hum),
+            share_95ci=None
+            if entry.share_95ci is None
+            else (entry.share_95ci[0] * (1.0 - of_hum), entry.share_95ci[1] * (1.0 - of_hum)),
         )
+        for entry in entries or (BudgetEntry(UNEXPLAINED, "force", 1.0, None, 0.0),)
+    ]
+    hum = BudgetEntry(hum_effect().id, "force", of_hum, None, hum_mN, presence=presence)
+    return (*sorted((hum, *scaled[:-1]), key=lambda entry: -entry.share), scaled[-1])
 
 
 def force_budget(
@@ -57,38 +171,32 @@ def force_budget(
     """
     chosen = presence.most_likely_with(tuple(established), competition)
     parts = _parts_of(competition, presence, chosen, established)
-    contributions, held_out = _held_out_contributions(study, competition, list(parts.values()))
+    unnamed = parts.pop(UNEXPLAINED, ())
+    contributions, held_out = _held_out_contributions(study, competition, [*parts.values(), unnamed], len(parts))
     rows = np.array([run.sums for run in contributions])
-    total = rows.sum(axis=0)
-    duration, noise, square = total[:3].tolist()
+    duration, noise, square, rest = rows.sum(axis=0)[:4].tolist()
     if square - noise < MIN_GAP_OVER_NOISE * noise:
         return (), float(np.sqrt(max(square - noise, 0.0) / duration)), held_out
-    shares = _shares(rows[None])[0]
-    intervals = _share_intervals(rows)
-    sizes = np.sqrt(total[3 + len(parts) :] / duration)
-    # The rest has no column of its own: its mean square is what the parts leave of the gap.
-    rest = [float(np.sum(run.weights_s * (run.gap - run.parts.sum(axis=0)) ** 2)) for run in contributions]
-    rest_mN = float(np.sqrt(max(sum(rest) - noise, 0.0) / duration))
+    shares, intervals = _shares(rows[None])[0].tolist(), _share_intervals(rows)
+    sizes = np.sqrt(rows.sum(axis=0)[4 + len(parts) :] / duration).tolist()
     entries = [
         BudgetEntry(
             cause,
             "force",
-            float(shares[number]),
+            shares[number],
             intervals[number],
-            float(sizes[number]),
-            presence=established.get(cause, presence_of_part(presence, competition, parts[cause])),
-            what=_words_of(competition, parts[cause]) if cause in {MODEL, SPECIMEN} else "",
+            sizes[number],
+            presence=established.get(cause, presence_of_part(presence, competition, members)),
+            what=_words_of(competition, members) if cause in {MODEL, SPECIMEN} else "",
             not_separable_from=_not_separable(cause, chosen, competition, presence) if cause in established else (),
         )
-        for number, cause in enumerate(parts)
-        if cause != UNEXPLAINED
+        for number, (cause, members) in enumerate(parts.items())
     ]
     entries.sort(key=lambda entry: -entry.share)
-    unnamed = parts.get(UNEXPLAINED, ())
-    index = list(parts).index(UNEXPLAINED) if unnamed else -1
-    share = 1.0 - sum(entry.share for entry in entries)
-    size = float(np.hypot(sizes[index], rest_mN)) if unnamed else rest_mN
-    left = BudgetEntry(UNEXPLAINED, "force", share, intervals[-1], size, what=_words_of(competition, unnamed))
+    left_mN = float(np.sqrt(max(rest - noise, 0.0) / duration))
+    left = BudgetEntry(
+        UNEXPLAINED, "force", 1.0 - sum(shares), intervals[-1], left_mN, what=_words_of(competition, unnamed)
+    )
     return (*entries, left), float(np.sqrt((square - noise) / duration)), held_out
 
 
@@ -101,6 +209,9 @@ def _parts_of(
     competition: Competition, presence: Presence, chosen: CauseSet, established: Mapping[str, float]
 ) -> dict[str, CauseSet]:
     """Group the causes of a set into parts of the budget; what is not established belongs to the unexplained rest."""
+    # A free law of the coordinate that an established effect depends on is that effect in another form.
+    by_presence = sorted(established, key=lambda name: established[name])
+    form_of = {law: name for name in by_presence for law in FORM_LAWS.get(find_effect(name).coordinate, ())}
     parts: dict[str, CauseSet] = {}
     for index, scale in chosen:
         cause = competition.causes[index]
@@ -108,6 +219,8 @@ def _parts_of(
         match cause.kind:
             case CauseKind.EFFECT if cause.name in established:
                 part = cause.name
+            case CauseKind.LAW if cause.name in form_of:
+                part = form_of[cause.name]
             case CauseKind.MODEL if likely:
                 part = MODEL
             case CauseKind.RUN if likely:
@@ -139,9 +252,9 @@ def _not_separable(name: str, chosen: CauseSet, competition: Competition, presen
 
 
 def _held_out_contributions(
-    study: Study, competition: Competition, parts: Sequence[CauseSet]
+    study: Study, competition: Competition, parts: Sequence[CauseSet], named: int
 ) -> tuple[list[_Contributions], bool]:
-    """Predict every run from fits to the others, and split its gap into the parts of a set of causes."""
+    """Predict every run from fits to the others, and split its gap into the first, named parts of a set of causes."""
     design = competition.design
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
     columns, sds, members = _columns_of_parts(competition, parts)
@@ -163,7 +276,7 @@ def _held_out_contributions(
         others = total - np.sum([grams[index] for index in fold], axis=0) if held_out else total
         coefficients = _fold_coefficients(others, prior, nuisances.size)
         for index in fold:
-            contributions[index] = _split_run(study, competition, index, values[index], coefficients, members)
+            contributions[index] = _split_run(study, competition, index, values[index], coefficients, members, named)
     return [contributions[index] for index in range(len(study.runs))], held_out
 
 
@@ -204,46 +317,35 @@ def _split_run(
     values: FloatArray,
     fitted: tuple[FloatArray, FloatArray, FloatArray],
     members: IndexArray,
+    named: int,
 ) -> _Contributions:
     alone, coefficients, absorbed = fitted
     run, noise = competition.design.runs[index], study.problem.noises[index]
     nominal, causes = values[:, 1 : 1 + alone.size], values[:, 1 + alone.size :]
     gap = values[:, 0] - nominal @ alone
     each = (causes - nominal @ absorbed) * coefficients
-    count = int(members.max(initial=-1)) + 1
-    parts = np.stack([each[:, members == number].sum(axis=1) for number in range(count)]) if count else each.T[:0]
-    zeroed = _without_zero(np.column_stack((gap, parts.T)), run.whitening, study.problem.zero_sds[index])
+    parts = np.array([each[:, members == number].sum(axis=1) for number in range(named)]).reshape(named, gap.size)
+    # What the run itself is off by, as far as the best explanation of all runs leaves it; no more than repeats differ,
+    # so that no run can make up for a cause.
+    zero_sd, rest = study.problem.zero_sds[index], gap - each.sum(axis=1)
+    own = run_factor_force(rest, run.whitening, zero_sd, MAX_OWN_SIGMAS)
+    gap = gap - own - run_zero_offset(rest - own, run.whitening, zero_sd)
     blocks = study.runs[index].block_data.blocks
-    # Scatter of repeats belongs to the floor: factors fitted to each run would take an effect out with them.
-    variance = noise.white**2 / blocks.samples + noise.slow**2 + run.motion_sd**2 + run.repeat_sd**2
-    weights = study.runs[index].coordinates.width_s
-    return _Contributions(zeroed[:, 0], zeroed[:, 1:].T, variance, weights)
-
-
-def _without_zero(values: FloatArray, whitening: Whitening, zero_sd: float) -> FloatArray:
-    """Take out the run's zero, fitted together with its factors, of gap and contributions alike, shape `(B, m)`.
-
-    Linear, so that contributions still sum to the gap.
-    """
-    if zero_sd <= 0:
-        return values
-    run_effects = whitening.run_effects
-    precision = np.eye(run_effects.shape[1]) + run_effects.T @ run_effects
-    factors = np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(values))
-    return np.asarray(values - zero_sd * factors[0])
+    variance = noise.white**2 / blocks.samples + noise.slow**2 + run.motion_sd**2
+    return _Contributions(gap, parts, variance, study.runs[index].coordinates.width_s)
 
 
 def _shares(rows: FloatArray) -> FloatArray:
-    """Return the shares of all parts in each sample of runs, `(S, R, 3 + 2 K)` to `(S, K)`."""
+    """Return the shares of all parts in each sample of runs, `(S, R, 4 + 2 K)` to `(S, K)`."""
     total = rows.sum(axis=1)
-    parts = (rows.shape[2] - 3) // 2
+    parts = (rows.shape[2] - 4) // 2
     gap = np.maximum(total[:, 2] - total[:, 1], 1e-12)
-    return np.asarray(total[:, 3 : 3 + parts] / gap[:, None])
+    return np.asarray(total[:, 4 : 4 + parts] / gap[:, None])
 
 
 def _share_intervals(rows: FloatArray, seed: int = 0) -> list[tuple[float, float] | None]:
     """Return bootstrap intervals over whole runs for each part, and last for the rest."""
-    parts = (rows.shape[1] - 3) // 2
+    parts = (rows.shape[1] - 4) // 2
     if len(rows) < 3:
         return [None] * (parts + 1)
     samples = rows[np.random.default_rng(seed).integers(len(rows), size=(BOOTSTRAP_SAMPLES, len(rows)))]
@@ -255,3 +357,88 @@ def _share_intervals(rows: FloatArray, seed: int = 0) -> list[tuple[float, float
     with_rest = np.column_stack((shares, 1.0 - shares.sum(axis=1)))
     low, high = np.quantile(with_rest, (0.025, 0.975), axis=0).tolist()
     return list(zip(low, high, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class PresenceWeights:
+    """Log odds that an effect is there: a constant, and weights of two log odds.
+
+    Neither estimate is enough: the classifier takes one effect for another where the nominal model is wrong, the
+    competition of causes adds effects where one large effect has another form.
+    """
+
+    constant: float
+    classifier: float
+    competition: float
+
+
+PRESENCE_WEIGHTS = PresenceWeights(-1.20, 0.62, 0.31)
+"""Fitted by logistic regression to all effects on the force in 93 campaigns: `python bench/presence.py`."""
+MIN_PRESENCE = 0.003
+"""Simulated campaigns cannot confirm more extreme probabilities, as `classifier.MIN_PROBABILITY`."""
+
+
+def combined_presence(classification: Classification, presence: Presence) -> dict[str, float]:
+    """Return the probability that each effect on the force is there, from classifier and competition together."""
+    weights = PRESENCE_WEIGHTS
+    combined = {}
+    for name, value in presence.of_kind(CauseKind.EFFECT).items():
+        log_odds = (
+            weights.constant
+            + weights.classifier * _log_odds(_marginal(classification, name))
+            + weights.competition * _log_odds(value)
+        )
+        combined[name] = 1.0 / (1.0 + exp(-log_odds))
+    return combined
+
+
+def _marginal(classification: Classification, name: str) -> float:
+    return sum(value for names, value in classification.probabilities.items() if name in names.split("+"))
+
+
+def _log_odds(probability: float) -> float:
+    limited = min(max(probability, MIN_PRESENCE), 1.0 - MIN_PRESENCE)
+    return log(limited / (1.0 - limited))
+
+
+def restate(classification: Classification, probabilities: Mapping[str, float]) -> Classification:
+    """Return the verdict that follows from the presence of each effect on the force.
+
+    Effects present with more than `ESTABLISHED` are named. Sets of effects are as likely as their members are present
+    and all others absent, in what probability the classifier leaves to a gap.
+    """
+    hum = hum_effect().id
+    others = tuple(name for name in classification.effects if name == hum)
+    named = tuple(name for name, value in probabilities.items() if value > ESTABLISHED)
+    no_gap = classification.probabilities.get(NO_GAP, 0.0)
+    candidates: set[frozenset[str]] = {
+        frozenset(names.split("+")) - {hum} for names in classification.probabilities if names not in {NO_GAP, UNKNOWN}
+    }
+    candidates |= {frozenset(named)} | {frozenset({name}) for name in probabilities}
+    members = [names for names in (*candidates, frozenset[str]()) if names <= probabilities.keys()]
+    weights = {
+        names: prod(value if name in names else 1.0 - value for name, value in probabilities.items())
+        for names in members
+    }
+    total = sum(weights.values())
+    gap = 1.0 if others else 1.0 - no_gap
+    restated: dict[str, float] = {} if others else {NO_GAP: no_gap}
+    for names, weight in weights.items():
+        ordered = tuple(sorted(names, key=lambda name: (-probabilities[name], name)))
+        restated["+".join((*ordered, *others)) or UNKNOWN] = gap * weight / total
+    restated.setdefault(UNKNOWN, classification.probabilities.get(UNKNOWN, 0.0))
+    restated.setdefault(NO_GAP, classification.probabilities.get(NO_GAP, 0.0))
+    effects = (*sorted(named, key=lambda name: (-probabilities[name], name)), *others)
+    if not effects:
+        verdict = Verdict.NO_GAP if restated[NO_GAP] >= restated[UNKNOWN] else Verdict.UNKNOWN
+        return replace(
+            classification,
+            verdict=verdict,
+            effects=(),
+            probabilities=restated,
+            confusable_with=(),
+            residual_unknown=False,
+        )
+    verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
+    confusable = tuple(name for name in classification.confusable_with if name not in effects)
+    return replace(classification, verdict=verdict, effects=effects, probabilities=restated, confusable_with=confusable)

@@ -17,6 +17,7 @@ from dragrig.analysis import (
     no_progress,
     single_blas_thread,
 )
+from dragrig.analysis.gap.budget import CausesOfGap, gap_budget, restate
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget
 from dragrig.analysis.gap.candidates import Candidate
 from dragrig.analysis.gap.classifier import (
@@ -31,7 +32,15 @@ from dragrig.analysis.gap.classifier import (
     unknown_by_excess_alone,
 )
 from dragrig.analysis.gap.design import ColumnKind, Study, fit_columns
-from dragrig.analysis.gap.diagnosis import Diagnosis, GapLocation, GapReduction, RankedHypothesis, RunTraces, Verdict
+from dragrig.analysis.gap.diagnosis import (
+    Diagnosis,
+    GapBudget,
+    GapLocation,
+    GapReduction,
+    RankedHypothesis,
+    RunTraces,
+    Verdict,
+)
 from dragrig.analysis.gap.features import (
     Calibration,
     DecisionInputs,
@@ -39,7 +48,12 @@ from dragrig.analysis.gap.features import (
     NonparametricLaw,
     shipped_calibration,
 )
-from dragrig.analysis.gap.forward_selection import ForceSearchResult, fit_nonparametric_laws, search_effects
+from dragrig.analysis.gap.forward_selection import (
+    ForceSearchResult,
+    fit_nonparametric_laws,
+    fit_together,
+    search_effects,
+)
 from dragrig.analysis.gap.gap_reduction import (
     RunGap,
     force_residual_blocks,
@@ -345,9 +359,12 @@ def diagnose(
     lines = lines_that_matter(lines, settings.tolerance_mN)
     inputs = decision_inputs(search, position, lines, settings.excluded)
     classification = classify(inputs, settings.tolerance_mN, _calibration_for(study, settings))
+    causes = CausesOfGap.of(search, classification)
+    if not position.has_position_error and isinstance(study, CapsuleStudy):
+        classification = restate(classification, causes.effects)
     classified = perf_counter()
     diagnosis = _assembled_diagnosis(
-        selection, nominal, settings, study, search, position, lines, classification, inputs
+        selection, nominal, settings, study, search, position, lines, classification, inputs, causes
     )
     progress(DIAGNOSIS_STEPS, DIAGNOSIS_STEPS)
     timings = {
@@ -380,9 +397,8 @@ def _calibration_for(study: Study, options: DiagnosisOptions) -> Calibration:
 
 def _named_fit(search: ForceSearchResult, classification: Classification) -> HypothesisFit | None:
     """Return the fit with the named effects on the force."""
-    named = {name for name in classification.effects if name != hum_effect().id}
-    subsets = [fit for fit in search.fits if set(fit.effects) <= named]
-    return max(subsets, key=lambda fit: len(fit.effects), default=None)
+    on_force = {effect.id for effect in search.study.effects}
+    return fit_together(search, [name for name in classification.effects if name in on_force])
 
 
 def _assembled_diagnosis(
@@ -395,6 +411,7 @@ def _assembled_diagnosis(
     lines: SpectralLines,
     classification: Classification,
     inputs: DecisionInputs,
+    causes: CausesOfGap,
 ) -> Diagnosis:
     fit = _named_fit(search, classification)
     hum = lines.mains if hum_effect().id in classification.effects else replace(lines.mains, amplitude=0.0)
@@ -437,6 +454,7 @@ def _assembled_diagnosis(
         calibration=CALIBRATION_NOTE,
         decision_inputs=inputs,
         next_experiment=next_run,
+        budget=_budget(study, causes, classification, position, reduction, lines),
     )
 
 
@@ -444,6 +462,24 @@ def _is_within_noise(where: GapLocation, reduction: GapReduction | None) -> bool
     """Whether a gap is no larger than its own floor, and concentrated nowhere: noise that is a little misjudged."""
     small = reduction is not None and reduction.gap_before_mN <= MAX_GAP_OVER_FLOOR * reduction.noise_floor_mN
     return small and where.p >= ALPHA
+
+
+def _budget(
+    study: Study,
+    causes: CausesOfGap,
+    classification: Classification,
+    position: PositionAnalysis,
+    reduction: GapReduction | None,
+    lines: SpectralLines,
+) -> GapBudget:
+    in_position = {model_class.effect for model_class in position.model_classes if position.has_position_error}
+    probabilities = {
+        name: sum(value for names, value in classification.probabilities.items() if name in names.split("+"))
+        for name in in_position
+    }
+    closed = None if reduction is None else position_gap_reduction(position, reduction)
+    hum_mN = float(np.sqrt(0.5)) * lines.mains.amplitude
+    return gap_budget(study, causes, classification, probabilities, closed, hum_mN)
 
 
 def _named_force(study: Study, fit: HypothesisFit | None, hum: SpectralLine) -> list[FloatArray]:

@@ -339,6 +339,26 @@ def _selection_steps(search: ForceSearchResult, current: HypothesisFit) -> list[
     return [replace(step, laws=laws) for step in steps]
 
 
+def fit_together(search: ForceSearchResult, names: Sequence[str]) -> HypothesisFit | None:
+    """Return the fit with these effects alone; those that no fit of the search has yet are added to the largest one."""
+    wanted = set(names)
+    subsets = [fit for fit in search.fits if set(fit.effects) <= wanted]
+    fit = max(subsets, key=lambda subset: len(subset.effects), default=None)
+    missing = wanted - set(() if fit is None else fit.effects)
+    while missing:
+        design = search.nominal
+        if fit is not None:
+            design = fit_hypothesis(search.study, fit.parameters, search.nominal, fit.design, all_variants=True)[1]
+        projected = project_dictionary(design, design.total_gram(), *NUISANCES)
+        ranked = rank_with_free_phases(design, rank_effects(projected, design.variants))
+        best = next((entry for entry in ranked if entry.effect in missing), None)
+        if best is None:
+            break
+        fit = refit_with_effect(search.study, design, best, search.nominal)
+        missing -= set(fit.effects)
+    return fit
+
+
 def _best_of_other_domain(
     ranked: Sequence[RankedEffect], design: Design, point: ParameterPoint
 ) -> tuple[RankedEffect, ...]:
