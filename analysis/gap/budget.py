@@ -32,6 +32,7 @@ from dragrig.analysis.gap.gap_reduction import (
     run_zero_offset,
 )
 from dragrig.analysis.gap.presence import (
+    FORM_LAWS,
     CauseKind,
     CauseSet,
     Competition,
@@ -41,21 +42,12 @@ from dragrig.analysis.gap.presence import (
 )
 from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.rig import FloatArray, IndexArray
-from dragrig.sim_backend.effects import Coordinate, catalogue, find_effect
+from dragrig.sim_backend.effects import catalogue, find_effect
 
 MIN_RUNS_HELD_OUT = 4
 BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_NOISE = 0.1
 """Mean square of a gap above noise, relative to noise, below which shares of it mean nothing."""
-FORM_LAWS: Mapping[Coordinate, tuple[str, ...]] = {
-    Coordinate.SPEED: ("speed", "speed of sliding", "speed in the gut"),
-    Coordinate.POSITION: ("place", "place in the gut"),
-    Coordinate.SESSION: ("session",),
-    Coordinate.STRAIN: ("load",),
-    Coordinate.TIME: ("time at rest", "time at rest in the gut"),
-    Coordinate.TRANSIENT: ("time since start and stop", "time since start and stop in the gut"),
-}
-"""Free laws of each coordinate."""
 EQUAL_LOG_ODDS = 3.0
 """Causes whose exchange changes the log odds by less cannot be separated: 20 to 1, as for a 95 % interval."""
 
@@ -134,7 +126,7 @@ def gap_budget(
                 BudgetEntry(UNEXPLAINED, "position", 1.0 - closed, rest, None),
             )
     limited = {name: min(max(value, MIN_PRESENCE), 1.0 - MIN_PRESENCE) for name, value in presence.items()}
-    return GapBudget(limited, entries, gap_mN, held_out)
+    return GapBudget(limited, entries, gap_mN, held_out, dict(causes.presence.probabilities))
 
 
 def _with_hum(
@@ -372,8 +364,10 @@ class PresenceWeights:
     competition: float
 
 
-PRESENCE_WEIGHTS = PresenceWeights(-1.20, 0.62, 0.31)
+PRESENCE_WEIGHTS = PresenceWeights(-0.85, 0.66, 0.50)
 """Fitted by logistic regression to all effects on the force in 93 campaigns: `python bench/presence.py`."""
+MIN_COMPETITION = 0.05
+"""The competition is surer than its forms allow: log odds beyond these carry no weight."""
 MIN_PRESENCE = 0.003
 """Simulated campaigns cannot confirm more extreme probabilities, as `classifier.MIN_PROBABILITY`."""
 
@@ -386,7 +380,7 @@ def combined_presence(classification: Classification, presence: Presence) -> dic
         log_odds = (
             weights.constant
             + weights.classifier * _log_odds(_marginal(classification, name))
-            + weights.competition * _log_odds(value)
+            + weights.competition * _log_odds(value, MIN_COMPETITION)
         )
         combined[name] = 1.0 / (1.0 + exp(-log_odds))
     return combined
@@ -396,8 +390,8 @@ def _marginal(classification: Classification, name: str) -> float:
     return sum(value for names, value in classification.probabilities.items() if name in names.split("+"))
 
 
-def _log_odds(probability: float) -> float:
-    limited = min(max(probability, MIN_PRESENCE), 1.0 - MIN_PRESENCE)
+def _log_odds(probability: float, least: float = MIN_PRESENCE) -> float:
+    limited = min(max(probability, least), 1.0 - least)
     return log(limited / (1.0 - limited))
 
 

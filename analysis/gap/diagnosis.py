@@ -400,12 +400,15 @@ class GapBudget:
         Root mean square of the force's gap above noise on the runs.
     held_out
         Whether shares are of runs that took no part in the fit; False for too few runs.
+    competition
+        Probability that each cause is there, unnamed ones included, by the competition of causes alone.
     """
 
     presence: Mapping[str, float]
     entries: tuple[BudgetEntry, ...]
     gap_mN: float
     held_out: bool
+    competition: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,7 +34,7 @@ from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearch
 from dragrig.analysis.gap.gap_reduction import nominal_residuals
 from dragrig.analysis.gap.run_data import SESSION_MODULATION, rms_where_active
 from dragrig.rig import BoolArray, FloatArray, IndexArray
-from dragrig.sim_backend.effects import Effect, Role
+from dragrig.sim_backend.effects import Coordinate, Effect, Role
 
 SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to the largest forces."""
@@ -46,6 +46,15 @@ MODULATION_SD = 0.3
 """Smooth relative deviation of a real effect from the catalogue's law: real ones leave 10 to 40 % of its form."""
 FREE_LAW_SD = 0.3
 """The same for the free law of the effect's own coordinate."""
+FORM_LAWS: Mapping[Coordinate, tuple[str, ...]] = {
+    Coordinate.SPEED: ("speed", "speed of sliding", "speed in the gut"),
+    Coordinate.POSITION: ("place", "place in the gut"),
+    Coordinate.SESSION: ("session",),
+    Coordinate.STRAIN: ("load",),
+    Coordinate.TIME: ("time at rest", "time at rest in the gut"),
+    Coordinate.TRANSIENT: ("time since start and stop", "time since start and stop in the gut"),
+}
+"""Free laws of each coordinate, the one in the closed gut last."""
 FORM_ERROR = 0.25
 """Error of each block relative to the gap there: what no smooth function of any coordinate covers."""
 MODEL_FORM_SD = 0.02
@@ -135,11 +144,12 @@ class _ColumnStore:
         self._count += columns.shape[1]
         return np.arange(self._count - columns.shape[1], self._count)
 
-    def add_free(self, name: str, kind: CauseKind, columns: FloatArray, scales: tuple[float, ...]) -> None:
-        """Add a cause whose columns all have prior sd 1 at scale 1; columns of zeros are dropped."""
-        acting = columns[:, np.abs(columns).sum(axis=0) > 0]
-        if acting.shape[1]:
-            self.causes.append(Cause(name, kind, self.add(acting), np.ones(acting.shape[1]), scales))
+    def add_free(self, name: str, kind: CauseKind, columns: FloatArray, scales: tuple[float, ...]) -> IndexArray:
+        """Add a cause whose columns all have prior sd 1 at scale 1, without those of zeros; return its columns."""
+        added = self.add(columns[:, np.abs(columns).sum(axis=0) > 0])
+        if added.size:
+            self.causes.append(Cause(name, kind, added, np.ones(added.size), scales))
+        return added
 
 
 def prepare_competition(search: ForceSearchResult) -> Competition:
@@ -196,9 +206,7 @@ def _add_unnamed_causes(store: _ColumnStore, study: Study, design: Design) -> It
     predicted = [run.predicted for run in design.runs]
     for name, by_run in nonparametric_columns(study.runs, predicted, 0.0).items():
         values = np.concatenate(by_run) / KNOT_PRIOR_SD_MN
-        store.add_free(name, CauseKind.LAW, values, SCALES_MN)
-        if store.causes[-1].name == name:
-            yield name, store.causes[-1].columns
+        yield name, store.add_free(name, CauseKind.LAW, values, SCALES_MN)
     force = np.concatenate(predicted)[:, None]
     of_run = np.repeat(np.arange(len(predicted)), [values.size for values in predicted])
     store.add_free(
@@ -273,6 +281,12 @@ class _EffectCauses:
         self._store, self._study, self._design, self._whitenings = store, study, design, whitenings
         self._free_laws = free_laws
         self._widths_s = np.concatenate([run.coordinates.width_s for run in study.runs])
+        self._in_closed_gut = np.concatenate(
+            [
+                np.full(run.residual.size, scene.gut_closed)
+                for run, (scene, _) in zip(design.runs, study.scenes(design.z), strict=True)
+            ]
+        )
         self._modulations = np.concatenate([values.T for values in study.modulations])
         self._signatures = np.concatenate(design.run_columns(ColumnKind.VARIANT))
 
@@ -314,6 +328,14 @@ class _EffectCauses:
         direction = np.eye(core.shape[1])[0] if candidate.effect.size.low >= 0 else None
         self._add(candidate.effect, core, direction, 1, 1)
 
+    def _free_law_of(self, effect: Effect, core: FloatArray) -> IndexArray:
+        """Return the columns of the free law of an effect's coordinate, in the closed gut for effects of it alone."""
+        laws = [law for law in FORM_LAWS.get(effect.coordinate, ()) if law in self._free_laws]
+        if not laws:
+            return np.zeros(0, dtype=np.intp)
+        beyond = np.any(core[~self._in_closed_gut] != 0)
+        return self._free_laws[laws[-2 if beyond and len(laws) > 1 else -1]]
+
     def _whitened(self, values: FloatArray) -> FloatArray:
         edges = np.cumsum([0, *(run.residual.size for run in self._design.runs)]).tolist()
         pairs = zip(self._whitenings, pairwise(edges), strict=True)
@@ -324,7 +346,7 @@ class _EffectCauses:
     ) -> None:
         forms = [MODULATION_SD * column[:, None] * self._modulations for column in core.T[:modulated]]
         own = self._store.add(np.concatenate((core, *forms), axis=1))
-        free = self._free_laws.get(effect.free_law, np.zeros(0, dtype=np.intp))
+        free = self._free_law_of(effect, core)
         columns = np.concatenate((own, free))
         sds = np.concatenate((np.ones(own.size), np.full(free.size, FREE_LAW_SD)))
         signed = None if direction is None else np.append(direction, np.zeros(columns.size - direction.size))

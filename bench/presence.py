@@ -1,0 +1,188 @@
+"""Fit the weights of the presence of effects, and print how well presence and verdict hold.
+
+`python bench/presence.py [--campaigns 60] [--seed 52000] [--plant written|drawn] [--workers N]`: campaigns with one
+effect of full, a third or a tenth of its size, with two, with none, and with effects that no catalogue has, half of
+them with nominal models that are off by 5 % to 20 %. Weights are fitted by logistic regression to every effect on the
+force (`--plant written` alone: the plant `drawn` is to judge by); then the counts of right verdicts, the reliability of
+presence, and what the fit costs without either estimate.
+"""
+
+import argparse
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dragrig.analysis import no_progress
+from dragrig.analysis.gap.budget import MIN_COMPETITION, MIN_PRESENCE
+from dragrig.analysis.gap.classifier import classify
+from dragrig.parallel import map_tasks
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw_campaign, effect_group, write_campaign
+
+OFF = tuple(f"{what} {share} % off" for what in ("parameters", "laws", "both") for share in (5, 10, 20))
+BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is hidden in a campaign."""
+
+    seed: int
+    plant: str
+    effects: tuple[str, ...]
+    sizes: tuple[float, ...]
+    conditions: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a diagnosis says of it: the verdict, and of each effect on the force three probabilities."""
+
+    verdict: str
+    effects: tuple[str, ...]
+    probability: float
+    classifier: dict[str, float]
+    competition: dict[str, float]
+    presence: dict[str, float]
+
+
+def draw_cases(campaigns: int, seed: int, plant: str) -> list[Case]:
+    """Return cases in a fixed mix."""
+    random = np.random.default_rng(seed)
+    names = random.permutation(np.array(tuple(CATALOGUE))).tolist()
+    foreign = random.permutation(np.array(tuple(OUTSIDE))).tolist()
+    cases = []
+    for number in range(campaigns):
+        first = names[number % len(names)]
+        second = str(random.choice([name for name in names if effect_group(name) != effect_group(first)]))
+        kinds: list[tuple[tuple[str, ...], tuple[float, ...]]] = [
+            ((first,), (1.0,)),
+            ((first,), (1.0,)),
+            ((first,), (1 / 3,)),
+            ((first, second), (1.0, float(random.choice([1.0, 1 / 3])))),
+            ((), ()),
+            ((foreign[number % len(foreign)],), (1.0,)),
+        ]
+        effects, sizes = kinds[number % len(kinds)]
+        conditions = (str(random.choice(OFF)),) if (number // len(kinds)) % 2 else ()
+        cases.append(Case(seed + number, plant, effects, sizes, conditions))
+    return cases
+
+
+def answer(case: Case) -> Answer:
+    """Simulate and diagnose a case."""
+    from dragrig.api import diagnose
+
+    with tempfile.TemporaryDirectory() as folder:
+        secret = draw_campaign(
+            case.seed, effects=case.effects, size=case.sizes, plant=case.plant, conditions=case.conditions
+        )
+        write_campaign(secret, Path(folder))
+        diagnosis = diagnose(folder)
+    assert diagnosis.budget is not None
+    assert diagnosis.decision_inputs is not None
+    before = classify(diagnosis.decision_inputs, diagnosis.tolerance_mN)
+    on_force = [name for name in diagnosis.budget.presence if name in diagnosis.budget.competition]
+    marginal = {
+        name: sum(value for names, value in before.probabilities.items() if name in names.split("+"))
+        for name in on_force
+    }
+    return Answer(
+        diagnosis.verdict.value,
+        diagnosis.effects,
+        diagnosis.ranking[0].probability,
+        marginal,
+        {name: diagnosis.budget.competition[name] for name in on_force},
+        {name: diagnosis.budget.presence[name] for name in on_force},
+    )
+
+
+def log_odds(values: Sequence[float], least: float) -> FloatArray:
+    """Return limited log odds."""
+    limited = np.clip(np.asarray(values, dtype=np.float64), least, 1.0 - least)
+    return np.asarray(np.log(limited / (1.0 - limited)))
+
+
+def fit(columns: FloatArray, present: FloatArray, ridge: float = 0.1) -> FloatArray:
+    """Fit a logistic regression by Newton's method."""
+    weights = np.zeros(columns.shape[1])
+    for _ in range(60):
+        probability = 1.0 / (1.0 + np.exp(-columns @ weights))
+        curvature = (columns.T * (probability * (1 - probability))) @ columns + ridge * np.eye(len(weights))
+        weights += np.linalg.solve(curvature, columns.T @ (present - probability) - ridge * weights)
+    return weights
+
+
+def log_loss(columns: FloatArray, weights: FloatArray, present: FloatArray) -> float:
+    """Return the sum of the log losses."""
+    signed = (columns @ weights) * (2 * present - 1)
+    return float(np.sum(np.log1p(np.exp(-signed))))
+
+
+def is_right(case: Case, said: Answer) -> bool:
+    """Whether all hidden effects of the catalogue are named and no other, and a gap without any is not called none."""
+    known = {name for name in case.effects if name in CATALOGUE}
+    if not case.effects and not case.conditions:
+        return said.verdict == "no_gap"
+    return set(said.effects) == known and (not case.effects or said.verdict != "no_gap")
+
+
+def main() -> None:
+    """Print weights, right verdicts and reliability."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--campaigns", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=52000)
+    parser.add_argument("--plant", default="written")
+    parser.add_argument("--workers", type=int)
+    parser.add_argument("--save", type=Path)
+    options = parser.parse_args()
+    cases = draw_cases(options.campaigns, options.seed, options.plant)
+    said = map_tasks(answer, cases, options.workers, None, no_progress)
+    if options.save:
+        rows = [{"case": asdict(case), "said": asdict(one)} for case, one in zip(cases, said, strict=True)]
+        options.save.write_text(json.dumps(rows), "utf-8")
+    report(cases, said)
+
+
+def report(cases: Sequence[Case], said: Sequence[Answer]) -> None:
+    """Print everything."""
+    counts: Counter[tuple[str, bool]] = Counter()
+    for case, one in zip(cases, said, strict=True):
+        kind = {0: "none", 1: "one", 2: "two"}[len(case.effects)]
+        kind = "outside" if set(case.effects) & set(OUTSIDE) else kind
+        kind += ", model off" if case.conditions else ""
+        right = is_right(case, one)
+        counts[kind, right] += 1
+        if not right:
+            print(case.seed, kind, case.effects, case.sizes, case.conditions, "->", one.verdict, one.effects)
+    for kind in sorted({kind for kind, _ in counts}):
+        print(f"{kind}: right {counts[kind, True]} of {counts[kind, True] + counts[kind, False]}")
+    pairs = [(case, one, name) for case, one in zip(cases, said, strict=True) for name in one.presence]
+    present = np.array([name in case.effects for case, _, name in pairs], dtype=np.float64)
+    columns = np.column_stack(
+        (
+            np.ones(len(pairs)),
+            log_odds([one.classifier[name] for _, one, name in pairs], MIN_PRESENCE),
+            log_odds([one.competition[name] for _, one, name in pairs], MIN_COMPETITION),
+        )
+    )
+    for label, chosen in (("both", [0, 1, 2]), ("classifier alone", [0, 1]), ("competition alone", [0, 2])):
+        weights = fit(columns[:, chosen], present)
+        print(f"{label}: weights {np.round(weights, 2)}, log loss {log_loss(columns[:, chosen], weights, present):.1f}")
+    stated = np.array([one.presence[name] for _, one, name in pairs])
+    print(f"as stated: log loss {-np.sum(np.log(np.where(present > 0, stated, 1 - stated))):.1f}")
+    for low, high in zip(BINS, BINS[1:], strict=False):
+        inside = (stated >= low) & (stated < high + (high == 1.0))
+        if inside.any():
+            print(
+                f"stated {low:.1f} to {high:.1f}: {inside.sum()} effects, mean {stated[inside].mean():.3f}, there {present[inside].mean():.3f}"
+            )
+
+
+if __name__ == "__main__":
+    main()
