@@ -13,6 +13,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -176,12 +177,11 @@ def report(cases: Sequence[Case], said: Sequence[Answer]) -> None:
         print(f"{label}: weights {np.round(weights, 2)}, log loss {log_loss(columns[:, chosen], weights, present):.1f}")
     stated = np.array([one.presence[name] for _, one, name in pairs])
     print(f"as stated: log loss {-np.sum(np.log(np.where(present > 0, stated, 1 - stated))):.1f}")
-    for low, high in zip(BINS, BINS[1:], strict=False):
+    for low, high in pairwise(BINS):
         inside = (stated >= low) & (stated < high + (high == 1.0))
         if inside.any():
-            print(
-                f"stated {low:.1f} to {high:.1f}: {inside.sum()} effects, mean {stated[inside].mean():.3f}, there {present[inside].mean():.3f}"
-            )
+            mean, there = stated[inside].mean(), present[inside].mean()
+            print(f"stated {low:.1f} to {high:.1f}: {inside.sum()} effects, mean {mean:.3f}, there {there:.3f}")
 
 
 if __name__ == "__main__":

@@ -301,6 +301,8 @@ SLOW_LINE_HZ, MIN_SLOW_LINE_LLR = 4.9, 300.0
 campaigns."""
 MAX_GAP_OVER_FLOOR = 1.05
 """A gap up to this multiple of its floor equals it."""
+RESIDUAL_SHARE = 0.15
+"""Unexplained share of the gap above which something is left beside named effects: forms leave less of most effects."""
 CALIBRATION_NOTE = "calibrated on simulated campaigns"
 DIAGNOSIS_STEPS = 6
 MIN_LLR_AND_SHARE_WITH_MOTION_ERROR = 0.5 * MIN_LLR_BESIDE_POSITION, 0.3
@@ -360,7 +362,7 @@ def diagnose(
     inputs = decision_inputs(search, position, lines, settings.excluded)
     classification = classify(inputs, settings.tolerance_mN, _calibration_for(study, settings))
     causes = CausesOfGap.of(search, classification)
-    if not position.has_position_error and isinstance(study, CapsuleStudy):
+    if _judged_by_presence(study, position):
         classification = restate(classification, causes.effects)
     classified = perf_counter()
     diagnosis = _assembled_diagnosis(
@@ -429,6 +431,10 @@ def _assembled_diagnosis(
     force_classification = classify(
         replace(inputs, position=(), has_position_error=False), options.tolerance_mN, _calibration_for(study, options)
     )
+    budget = _budget(study, causes, classification, position, reduction, lines)
+    if classification.effects and _judged_by_presence(study, position):
+        left_over = budget.leaves_more_than(RESIDUAL_SHARE, options.tolerance_mN)
+        classification = replace(classification, residual_unknown=left_over)
     next_run = recommend_next_run(study, search, position, classification, force_classification, options.next_runs)
     return Diagnosis(
         specimen=selection.specimen,
@@ -454,7 +460,7 @@ def _assembled_diagnosis(
         calibration=CALIBRATION_NOTE,
         decision_inputs=inputs,
         next_experiment=next_run,
-        budget=_budget(study, causes, classification, position, reduction, lines),
+        budget=budget,
     )
 
 
@@ -462,6 +468,11 @@ def _is_within_noise(where: GapLocation, reduction: GapReduction | None) -> bool
     """Whether a gap is no larger than its own floor, and concentrated nowhere: noise that is a little misjudged."""
     small = reduction is not None and reduction.gap_before_mN <= MAX_GAP_OVER_FLOOR * reduction.noise_floor_mN
     return small and where.p >= ALPHA
+
+
+def _judged_by_presence(study: Study, position: PositionAnalysis) -> bool:
+    """Whether the presence of each effect decides: it was fitted to the gut, and motion errors mimic effects."""
+    return isinstance(study, CapsuleStudy) and not position.has_position_error
 
 
 def _budget(

@@ -410,6 +410,16 @@ class GapBudget:
     held_out: bool
     competition: Mapping[str, float] = field(default_factory=dict)
 
+    def leaves_more_than(self, share: float, tolerance_mN: float) -> bool:
+        """Whether the unexplained rest of the force is surely there, larger than a share of the gap and a tolerance."""
+        rest = [entry for entry in self.entries if entry.cause == UNEXPLAINED and entry.channel == "force"]
+        return any(
+            entry.share > share
+            and (entry.rms_mN or 0.0) > tolerance_mN
+            and (entry.share_95ci is None or entry.share_95ci[0] > 0.0)
+            for entry in rest
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
