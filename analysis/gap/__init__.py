@@ -3,8 +3,9 @@
 One way, from runs to the next run:
 
 `run_data` → `candidates` → `studies` and `design` (linearised campaign, and fits in it) → `hypothesis_fit` →
-`forward_selection` → `features` → `classifier` → `excess` and `localise` (where) → `unknown_gap` → `gap_reduction` (how
-much) → `isolability` and `next_run` (what next) → `diagnose`.
+`forward_selection` → `features` → `classifier` → `presence` and `budget` (which causes, and how much of the gap each
+has) → `excess` and `localise` (where) → `unknown_gap` → `gap_reduction` (how far it closes) → `isolability` and
+`next_run` (what next) → `diagnose`.
 
 `__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """

@@ -1,0 +1,106 @@
+"""Which causes are there, given all others, and how they share the gap: also where nothing, or something else, is."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden import hidden
+
+from dragrig.analysis.gap.budget import combined_presence, restate
+from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN, Classification
+from dragrig.analysis.gap.diagnose import diagnose
+from dragrig.analysis.gap.diagnosis import UNEXPLAINED, Diagnosis, GapBudget, Verdict
+from dragrig.analysis.gap.presence import CauseKind, Presence
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.sim_backend.effects import catalogue
+
+
+def diagnosed(folder: Path, *effects: str, seed: int = 20, size: Sequence[float] | float = 1.0) -> Diagnosis:
+    return diagnose(hidden(folder, seed, *effects, size=size if effects else ()), MODEL)
+
+
+def budget_of(diagnosis: Diagnosis) -> GapBudget:
+    assert diagnosis.budget is not None
+    return diagnosis.budget
+
+
+def shares(budget: GapBudget) -> Mapping[str, float]:
+    return {entry.cause: entry.share for entry in budget.entries}
+
+
+def test_without_a_gap_nothing_is_there_and_nothing_is_shared(tmp_path: Path) -> None:
+    diagnosis = diagnosed(tmp_path)
+    budget = budget_of(diagnosis)
+    assert diagnosis.verdict is Verdict.NO_GAP
+    assert budget.entries == ()
+    assert set(budget.presence) == set(catalogue())
+    assert max(budget.presence.values()) < 0.2
+
+
+def test_a_single_effect_is_there_alone_and_has_nearly_all_of_the_gap(tmp_path: Path) -> None:
+    diagnosis = diagnosed(tmp_path, "film_depletion")
+    budget = budget_of(diagnosis)
+    assert diagnosis.effects == ("film_depletion",)
+    assert budget.presence["film_depletion"] > 0.9
+    assert sorted(budget.presence.values())[-2] < 0.5
+    assert shares(budget)["film_depletion"] == pytest.approx(1.0, abs=0.2)
+    assert sum(shares(budget).values()) == pytest.approx(1.0)
+    entry = budget.entries[0]
+    assert entry.share_95ci is not None
+    assert entry.share_95ci[0] <= entry.share <= entry.share_95ci[1]
+
+
+def test_two_effects_share_the_gap_as_the_plant_has_them(tmp_path: Path) -> None:
+    diagnosis = diagnosed(tmp_path, "film_depletion", "force_drift", seed=21, size=(1.0, 1.0))
+    assert set(diagnosis.effects) == {"film_depletion", "force_drift"}
+    budget = budget_of(diagnosis)
+    assert shares(budget)["film_depletion"] > 0.1
+    assert shares(budget)["force_drift"] > 0.1
+    assert abs(shares(budget)[UNEXPLAINED]) < 0.2
+
+
+def test_what_no_catalogue_has_is_an_unnamed_law(tmp_path: Path) -> None:
+    diagnosis = diagnosed(tmp_path, "wall_seam", seed=12)
+    budget = budget_of(diagnosis)
+    laws = {name: value for name, value in budget.competition.items() if name.startswith("place")}
+    assert max(laws.values()) > 0.5
+    assert diagnosis.effects == ()
+    assert shares(budget)[UNEXPLAINED] > 0.5
+
+
+def classified(**probabilities: float) -> Classification:
+    named = {name.replace("__", "+"): value for name, value in probabilities.items()}
+    return Classification(Verdict.UNKNOWN, (), named, (), residual_unknown=False)
+
+
+def test_effects_present_above_one_half_are_named_together() -> None:
+    restated = restate(
+        classified(stribeck=0.6, no_gap=0.1, unknown=0.3), {"stribeck": 0.9, "adhesion": 0.7, "folds": 0.1}
+    )
+    assert (restated.verdict, restated.effects) == (Verdict.SEVERAL, ("stribeck", "adhesion"))
+    assert max(restated.probabilities, key=lambda name: restated.probabilities[name]) == "stribeck+adhesion"
+    assert sum(restated.probabilities.values()) == pytest.approx(1.0)
+    assert restated.probabilities[NO_GAP] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("no_gap", "verdict"), [(0.9, Verdict.NO_GAP), (0.1, Verdict.UNKNOWN)])
+def test_without_an_effect_present_nothing_is_named(no_gap: float, verdict: Verdict) -> None:
+    restated = restate(classified(stribeck=0.9 - 0.9 * no_gap, no_gap=no_gap), {"stribeck": 0.3, "folds": 0.01})
+    assert (restated.verdict, restated.effects) == (verdict, ())
+    stated = {Verdict.NO_GAP: NO_GAP, Verdict.UNKNOWN: UNKNOWN}[verdict]
+    assert restated.probabilities[stated] == max(restated.probabilities.values())
+
+
+def test_presence_grows_with_either_estimate() -> None:
+    kinds = {"stribeck": CauseKind.EFFECT}
+
+    def present(classifier: float, competition: float) -> float:
+        presence = Presence({"stribeck": competition}, kinds, {})
+        return combined_presence(classified(stribeck=classifier, no_gap=1 - classifier), presence)["stribeck"]
+
+    grid = np.array([[present(old, new) for new in (0.1, 0.5, 0.9)] for old in (0.05, 0.5, 0.95)])
+    assert np.all(np.diff(grid, axis=0) > 0)
+    assert np.all(np.diff(grid, axis=1) > 0)
+    assert present(1.0, 0.0) < 0.9
+    assert present(0.0, 1.0) < 0.5
