@@ -15,8 +15,8 @@ from dragrig.analysis.gap.diagnosis import GapLocation
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.localise import localise
 from dragrig.present.diagnosis_figures import location_figure
+from dragrig.present.document import PALE, VERMILLION
 from dragrig.present.files import save_figure
-from dragrig.present.palette import PALE, VERMILLION
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import Phase
 

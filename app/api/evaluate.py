@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from dragrig import present
 from dragrig.analysis import (
     ColumnMap,
     ComparedSide,
@@ -45,7 +46,7 @@ from dragrig.config import (
     parse,
     read_toml,
 )
-from dragrig.present import figures, unused_path, write_text
+from dragrig.present import unused_path, write_text
 from dragrig.rig import Campaign, Run, read_campaign, read_info, read_run
 from dragrig.run_inputs import run_files
 from dragrig.setup import friction_model, with_effects
@@ -426,7 +427,7 @@ def write_comparison(
     drawable = [pair for pair in comparison.pairs if pair.phases]
     total = len(drawable) + 1
     progress(0, total)
-    yield save_figure_in(folder, COMPARISON_OVERVIEW, figures.comparison_overview_figure(comparison), overwrite)
+    yield save_figure_in(folder, COMPARISON_OVERVIEW, present.comparison_overview_figure(comparison), overwrite)
     table = folder / COMPARISON_TABLE
     if not overwrite:
         table = unused_path(table, table.suffix)
@@ -434,7 +435,7 @@ def write_comparison(
     names = comparison.a.name, comparison.b.name
     for done, pair in enumerate(drawable, start=1):
         progress(done, total)
-        yield save_figure_in(folder, f"{Path(pair.a.file).stem}.png", figures.comparison_figure(pair, names), overwrite)
+        yield save_figure_in(folder, f"{Path(pair.a.file).stem}.png", present.comparison_figure(pair, names), overwrite)
     progress(total, total)
 
 

@@ -7,6 +7,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from dragrig import present
 from dragrig.analysis import (
     CapsuleModel,
     Identification,
@@ -37,7 +38,7 @@ from dragrig.config import (
     to_toml,
 )
 from dragrig.parallel import map_tasks
-from dragrig.present import figures, unused_path, write_text
+from dragrig.present import unused_path, write_text
 from dragrig.rig import Run, software_version
 from dragrig.setup import friction_model
 
@@ -224,14 +225,14 @@ def save_identification_pictures(
 
     result, selection = identified.result, identified.selection
     if result.joint is not None:
-        yield save_figure_in(folder, "joint-fit.png", figures.joint_fit_figure(result.joint), overwrite)
+        yield save_figure_in(folder, "joint-fit.png", present.joint_fit_figure(result.joint), overwrite)
     if result.relaxation is not None and result.relaxation.fits:
-        figure = figures.relaxation_fit_figure(result.relaxation, selection)
+        figure = present.relaxation_fit_figure(result.relaxation, selection)
         yield save_figure_in(folder, "relaxation.png", figure, overwrite)
     if result.coulomb is not None and result.coulomb.runs:
         first = result.coulomb.runs[0]
         runs = {experiment.file: experiment.run for experiment in selection.experiments}
-        yield save_figure_in(folder, "coulomb.png", figures.coulomb_figure(runs[first.file], first), overwrite)
+        yield save_figure_in(folder, "coulomb.png", present.coulomb_figure(runs[first.file], first), overwrite)
     if result.drag is not None and result.drag.points:
         yield save_figure_in(folder, "drag.png", _drag_figure(identified), overwrite)
 
@@ -241,7 +242,7 @@ def _drag_figure(identified: IdentifiedCampaign) -> "Figure":
     if drag is None or not isinstance(identified.nominal, CapsuleModel) or identified.result.joint is None:
         raise AnalysisError(f"{identified.source}: has no drag to draw.")
     model = identified_settings(identified.nominal, identified.result.joint)
-    return figures.drag_figure(drag, model, first.capsule, first.wall_thickness_mm)
+    return present.drag_figure(drag, model, first.capsule, first.wall_thickness_mm)
 
 
 def _nominal_model(nominal: str | Path | NominalModel, model: str | Path | FrictionModelSettings) -> NominalModel:

@@ -6,6 +6,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from dragrig import present
 from dragrig.analysis import ExportFormat, Progress, export_run, filter_file, no_progress
 from dragrig.api.model_fit import IdentifiedCampaign, identify
 from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
@@ -16,7 +17,6 @@ from dragrig.present import (
     PAPER_TABLES,
     drawn,
     existing_files,
-    figures,
     require_writable,
     write_text,
     write_texts,
@@ -365,6 +365,6 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
         filter_file(path)
         export_run(path, tables, ExportFormat.CSV)
         if path in shown:
-            save_figure_in(made.folder / DEMO_PICTURES, f"{path.stem}.png", figures.run_figure(read_run(path)))
+            save_figure_in(made.folder / DEMO_PICTURES, f"{path.stem}.png", present.run_figure(read_run(path)))
     progress(len(paths), len(paths) + 1)
-    return save_figure_in(made.folder, DEMO_OVERVIEW, figures.campaign_figure(map(read_run, paths), DEMO_PLAN))
+    return save_figure_in(made.folder, DEMO_OVERVIEW, present.campaign_figure(map(read_run, paths), DEMO_PLAN))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from dragrig import present
 from dragrig.cli import options
 from dragrig.cli.console import (
     FileBatch,
@@ -21,7 +22,7 @@ from dragrig.cli.console import (
     print_remark,
     print_result,
 )
-from dragrig.present import duration_text, figures, shortest
+from dragrig.present import duration_text, shortest
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -125,7 +126,7 @@ def _draw_run(path: Path, target: _PictureTarget, *, filtered: bool, motor_force
 
     mark = read_mark(path)
     reason = None if mark is None else mark.reason
-    figure = figures.run_figure(read_run(path), filtered=filtered, motor_force=motor_force, bad_reason=reason)
+    figure = present.run_figure(read_run(path), filtered=filtered, motor_force=motor_force, bad_reason=reason)
     return target.save(figure, f"{run_name(path)}.png", path.parent)
 
 
@@ -136,7 +137,7 @@ def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
     paths = run_files([folder])
     bad = [path for path in paths if read_mark(path) is not None]
     name = folder.resolve().name
-    figure = figures.campaign_figure((read_run(path) for path in paths), name, bad)
+    figure = present.campaign_figure((read_run(path) for path in paths), name, bad)
     return target.save(figure, f"{name}.png", folder)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
+from dragrig import present
 from dragrig.analysis import UNREADABLE, TableRow, mean_per_speed
 from dragrig.present import (
     Cell,
@@ -17,7 +18,6 @@ from dragrig.present import (
     Table,
     Text,
     decimals,
-    figures,
     run_problem,
     run_title,
     shortest,
@@ -206,7 +206,7 @@ def _overview(data: CampaignReportData) -> Figure:
         "few speeds.",
         "Runs that are complete and not marked bad. Bars are 95 % intervals; forces are as recorded, the sensor's "
         "zero included.",
-        lambda: figures.campaign_figure(
+        lambda: present.campaign_figure(
             (read_run(info.path) for info in data.readable), data.name, list(data.campaign.marks)
         ),
     )
@@ -217,7 +217,7 @@ def _single_drawing(info: RunInfo, data: CampaignReportData) -> Figure:
     bad_reason = data.bad.get(info.path.name)
     return run_drawing(
         info,
-        lambda: figures.run_figure(read_run(info.path), bad_reason=bad_reason),
+        lambda: present.run_figure(read_run(info.path), bad_reason=bad_reason),
         f"figure-{run_name(info.path)}",
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 
+from dragrig import present
 from dragrig.analysis import (
     NORMAL_95,
     Comparison,
@@ -23,7 +24,6 @@ from dragrig.present import (
     Table,
     decimals,
     exclusions_json,
-    figures,
     percent_difference,
     shortest,
     to_json_object,
@@ -41,7 +41,7 @@ def comparison_document(comparison: Comparison) -> Document:
         "overview",
         "Steady force against speed of both sides, and the differences by kind, speed and strain.",
         "Bars hold 95 %: of noise in the left panel, of noise and run-to-run scatter in the others.",
-        lambda: figures.comparison_overview_figure(comparison),
+        lambda: present.comparison_overview_figure(comparison),
     )
     unpaired = _exclusions("without-partner", comparison.alone_a, comparison.alone_b)
     left_out = _exclusions("left-out", comparison.a.left_out, comparison.b.left_out)

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from math import floor, isfinite
 
+from dragrig import present
 from dragrig.analysis import as_sentence, capitalise, percent_text
 from dragrig.analysis.gap import (
     Diagnosis,
@@ -34,7 +35,6 @@ from dragrig.present import (
     TextKind,
     decimals,
     exclusions_json,
-    figures,
     interval_text,
     listed_exclusions,
     p_value_text,
@@ -194,7 +194,7 @@ def _location_section(diagnosis: Diagnosis) -> Section:
                 "session, strain and frequency.",
                 "Above, how far each channel exceeds what is expected of it, in standard deviations, and how much of "
                 "the residual each coordinate predicts. Below, shares of the excess, in colour where significant.",
-                lambda: figures.location_figure(diagnosis.where),
+                lambda: present.location_figure(diagnosis.where),
             ),
             Table.of(
                 "location",
@@ -217,7 +217,7 @@ def _ranking_section(diagnosis: Diagnosis) -> Section:
                 "ranking",
                 "Horizontal bars: the probability of each hypothesis, the most probable first.",
                 "Probability of each hypothesis; those near zero are left out.",
-                lambda: figures.ranking_figure(diagnosis),
+                lambda: present.ranking_figure(diagnosis),
             ),
             ranking_table(diagnosis),
             Section("unknown", "What no effect of the catalogue explains", _unknown_blocks(diagnosis.unknown)),
@@ -283,7 +283,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         "A row for each run: left, the measurement and what the model says; right, the residual.",
         "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model without "
         "an effect explains worst. The grey band is noise and scatter of repeats.",
-        lambda: figures.before_after_figure(figures.representative_runs(diagnosis.traces), floor_mN, named=named),
+        lambda: present.before_after_figure(present.representative_runs(diagnosis.traces), floor_mN, named=named),
     )
     dry_run = f"dragrig run drag --model {model}\ndragrig gap evaluate {model} FRESH_RUNS"
     amended = (

@@ -23,7 +23,7 @@ from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
-from dragrig.present.palette import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
+from dragrig.present.document import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
 from dragrig.rig import AnyFloatArray, FloatArray
 
 TITLE_PT: Final = 19.0

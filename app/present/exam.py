@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from dragrig import present
 from dragrig.analysis import UNKNOWN
 from dragrig.present import (
     Column,
@@ -17,7 +18,6 @@ from dragrig.present import (
     Text,
     TextKind,
     decimals,
-    figures,
     shortest,
     to_json_object,
 )
@@ -135,7 +135,7 @@ def _rates_section(score: ExamScore) -> Section:
                 "rates",
                 "A row for each rate: its share and its interval.",
                 "Of “a name above 0.5” and “wrong above 0.8” less is better; of all others, more.",
-                lambda: figures.exam_rates_figure((*score.rates, *score.withheld)),
+                lambda: present.exam_rates_figure((*score.rates, *score.withheld)),
             ),
             rates_table("rates", "", score.rates),
             Section(
@@ -157,7 +157,7 @@ def _confusion_section(score: ExamScore) -> Section:
                 "A table of counts: the verdict, by the hidden effect.",
                 "Of an effect at a tenth of its size, no gap is right too; unknown is right where the catalogue does "
                 "not have what is hidden.",
-                lambda: figures.exam_confusion_figure(score.confusion),
+                lambda: present.exam_confusion_figure(score.confusion),
             ),
             missed_table(score),
         ),
@@ -196,7 +196,7 @@ def _detection_section(score: ExamScore) -> Section:
         "Three curves over the size of an effect: gap detected, right name, wrong name.",
         "Numbers above: campaigns of the bin. Bars hold 95 % (Wilson). Campaigns whose nominal model is slightly "
         "wrong are left out.",
-        lambda: figures.exam_detection_figure(score.detection),
+        lambda: present.exam_detection_figure(score.detection),
     )
     return Section("detection", "3. How small an effect may be", (figure, table) if score.detection else ())
 
@@ -213,7 +213,7 @@ def _calibration_section(score: ExamScore) -> Section:
                 "reliability",
                 "Points near a diagonal: the share of right verdicts over their probability.",
                 "A point above its band: more verdicts are right than was stated; below it, fewer.",
-                lambda: figures.exam_reliability_figure(score.calibration),
+                lambda: present.exam_reliability_figure(score.calibration),
             ),
             Table.of(
                 "reliability",
@@ -254,7 +254,7 @@ def _promises_section(score: ExamScore) -> Section:
                 "promises",
                 "Points near a diagonal: the achieved share of the gap over the predicted one.",
                 "One point per campaign. On the line, the prediction was right; below it, less of the gap closed.",
-                lambda: figures.exam_promises_figure(score.promises),
+                lambda: present.exam_promises_figure(score.promises),
             ),
         ),
     )

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from dragrig import present
 from dragrig.analysis.paper import WALL_UNITS
 from dragrig.config import Capsule, FrictionModelSettings
 from dragrig.present import (
@@ -13,7 +14,6 @@ from dragrig.present import (
     Table,
     Text,
     decimals,
-    figures,
     percent_difference,
     shortest,
     shortest_percent,
@@ -50,13 +50,13 @@ def model_document(
                         "model-forces",
                         "Forces against speed.",
                         "f_e, f_v, f_c and their sum.",
-                        lambda: figures.forces_figure(model, capsule, wall_thickness_mm, speeds),
+                        lambda: present.forces_figure(model, capsule, wall_thickness_mm, speeds),
                     ),
                     Figure(
                         "model-skew",
                         "Skew resistance along the capsule.",
                         "At several speeds.",
-                        lambda: figures.skew_figure(model, capsule, wall_thickness_mm, speeds),
+                        lambda: present.skew_figure(model, capsule, wall_thickness_mm, speeds),
                     ),
                 ),
             ),
@@ -69,7 +69,7 @@ def model_document(
                         f"table1) is closer. Differences are from Table 1. The forces above use {wall}."
                     ),
                     _wall_table(),
-                    Figure("model-wall", "Wall parameters against strain.", "Eq. 14 and Table 1.", figures.wall_figure),
+                    Figure("model-wall", "Wall parameters against strain.", "Eq. 14 and Table 1.", present.wall_figure),
                 ),
             ),
         ),

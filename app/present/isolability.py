@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from dragrig import present
 from dragrig.analysis import as_sentence, capitalise
 from dragrig.analysis.gap import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, display_name, isolability_sentences
 from dragrig.present import (
@@ -17,7 +18,6 @@ from dragrig.present import (
     Text,
     TextKind,
     decimals,
-    figures,
     shortest,
     significant,
     to_json_object,
@@ -49,7 +49,7 @@ def isolability_document(isolability: Isolability) -> Document:
         "A matrix of effects: below the diagonal sin² of the angle between each two, above it d′ between them.",
         "Below the diagonal: sin² of the angle between what two effects can do to the force, in hundredths; dark where "
         "they are similar. Above: d′ between them at their default sizes. Similar effects are neighbours.",
-        lambda: figures.isolability_figure(isolability),
+        lambda: present.isolability_figure(isolability),
     )
     return Document(
         title=f"Effects that {Path(isolability.source).absolute().name} can distinguish",

@@ -6,6 +6,7 @@ from math import prod
 
 import numpy as np
 
+from dragrig import present
 from dragrig.analysis import (
     CAPSULE_COMBINATIONS,
     MIN_LEARNT,
@@ -42,7 +43,6 @@ from dragrig.present import (
     Text,
     TextKind,
     decimals,
-    figures,
     percent,
     percent_difference,
     shortest,
@@ -379,7 +379,7 @@ def paper_document(results: PaperReportData, tables: Mapping[str, Table], model:
                         "force-curves",
                         "Environmental resistance, viscous friction, Coulomb friction and their sum against speed.",
                         "After the paper's Fig. 9, by the model that was simulated.",
-                        lambda: figures.forces_figure(
+                        lambda: present.forces_figure(
                             results.model, results.capsule, results.wall_thickness_mm, published.SPEEDS_MM_S
                         ),
                     ),
@@ -451,7 +451,7 @@ def _wall_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "Five panels, one for each element against strain: Table 1's points, Eq. 14's curve, which misses "
                 "them, the quadratic through them, and the identified values with their intervals.",
                 "The wall's elements against strain.",
-                lambda: figures.wall_figure(by_element),
+                lambda: present.wall_figure(by_element),
             ),
             elements.select(*shown, "quadratic_relative_difference"),
             Section(
@@ -499,7 +499,7 @@ def _skew_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "Skew resistance along the contact at six speeds; each curve rises to a maximum inside the hemisphere "
                 "and falls towards the equator, beside the capsule it stays constant for 20 mm.",
                 "After the paper's Fig. 7. A dot marks each curve's largest value.",
-                lambda: figures.skew_figure(results.model, results.capsule, results.wall_thickness_mm),
+                lambda: present.skew_figure(results.model, results.capsule, results.wall_thickness_mm),
             ),
             _with_file(tables["skew-maximum"]),
         ),
@@ -522,7 +522,7 @@ def _coulomb_section(results: PaperReportData, tables: Mapping[str, Table]) -> S
                 "coulomb-run",
                 "Force of the simulated Coulomb test against time, raw and filtered, its mean and the printed one.",
                 "After the paper's Fig. 8: the simulated run, zero subtracted. The orange line is the paper's mean.",
-                lambda: figures.coulomb_figure(trace, results.coulomb, published.COULOMB_FORCE_MN),
+                lambda: present.coulomb_figure(trace, results.coulomb, published.COULOMB_FORCE_MN),
             )
         )
     coulomb = results.identification.coulomb
@@ -543,7 +543,7 @@ def _joint_section(results: PaperReportData, tables: Mapping[str, Table], model:
         "degree of freedom of each run.",
         "The joint fit. Left, on a scale on which all parameters were known equally well before; right, 1 where only "
         "noise and the variation between runs remain.",
-        lambda: figures.joint_fit_figure(fit),
+        lambda: present.joint_fit_figure(fit),
     )
     if not fit.converged:
         failed = Text("The joint fit did not converge, so that none of its numbers is reported.")
@@ -609,7 +609,7 @@ def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "the simulated model, and the fitted logarithm; below, the differences from the identified model.",
                 "After the paper's Fig. 11: simulated runs in place of the paper's measurements, which its text does "
                 "not contain, the model identified from all runs, and the simulated model. Bars are 95 % intervals.",
-                lambda: figures.drag_figure(
+                lambda: present.drag_figure(
                     drag,
                     results.identified_model or results.model,
                     results.capsule,

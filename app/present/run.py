@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from dragrig import present
 from dragrig.analysis import Estimate, RunMeasures, measure
 from dragrig.present import (
     Cell,
@@ -18,7 +19,6 @@ from dragrig.present import (
     Table,
     decimals,
     duration_text,
-    figures,
     range_text,
     run_problem,
     run_title,
@@ -122,7 +122,7 @@ def run_document(run: Run, bad_reason: str | None = None) -> Document:
     """Lay out a run; `bad_reason` is why it was marked bad, None for one that was not."""
     info, header = run.info, run.info.header
     problem = run_problem(info, bad_reason)
-    drawing = run_drawing(info, lambda: figures.run_figure(run, bad_reason=bad_reason))
+    drawing = run_drawing(info, lambda: present.run_figure(run, bad_reason=bad_reason))
     return Document(
         title=run_title(info),
         source=info.path.name,
