@@ -8,7 +8,9 @@ from dragrig.analysis.estimates import EstimatedQuantity, Exclusion
 from dragrig.analysis.gap.diagnosis import (
     AxisBin,
     AxisLocation,
+    BudgetEntry,
     Diagnosis,
+    GapBudget,
     GapLocation,
     GapReduction,
     PhaseCell,
@@ -215,3 +217,31 @@ TOGETHER = replace(
 )
 
 ALL = {"effect": STRIBECK, "no_gap": NO_GAP, "unknown": UNKNOWN, "several": TOGETHER}
+
+
+def entry(
+    cause: str,
+    share: float,
+    rms_mN: float | None = 5.0,
+    presence: float | None = 0.98,
+    channel: str = "force",
+    what: str = "",
+    rivals: tuple[str, ...] = (),
+) -> BudgetEntry:
+    return BudgetEntry(cause, channel, share, (share - 0.06, share + 0.05), rms_mN, presence, what, rivals)
+
+
+def budget(*entries: BudgetEntry, gap_mN: float = 12.04) -> GapBudget:
+    return GapBudget({"stribeck": 0.981, "adhesion": 0.12, "velocity_ripple": 0.97}, entries, gap_mN, held_out=True)
+
+
+RIPPLE_AND_AGEING = budget(
+    entry("velocity_ripple", 0.5512, 8.9),
+    entry("tissue_ageing", 0.2, 5.4, 0.93, rivals=("preconditioning",)),
+    entry("unexplained", 0.2488, 6.0, None, what="speed"),
+)
+STRIBECK_ALONE = budget(
+    entry("stribeck", 0.83, 11.0, rivals=("adhesion",)),
+    entry("model", 0.06, 3.0, 0.8, what="parameters of the model"),
+    entry("unexplained", 0.11, 4.0, None),
+)

@@ -7,6 +7,9 @@ from .classifier import cross_validate as cross_validate
 from .classifier import fit_gate as fit_gate
 from .classifier import fit_weights as fit_weights
 from .diagnose import DiagnosisOptions as DiagnosisOptions
+from .diagnosis import MODEL as MODEL
+from .diagnosis import SPECIMEN as SPECIMEN
+from .diagnosis import UNEXPLAINED as UNEXPLAINED
 from .diagnosis import AxisLocation as AxisLocation
 from .diagnosis import BudgetEntry as BudgetEntry
 from .diagnosis import Diagnosis as Diagnosis

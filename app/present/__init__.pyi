@@ -11,6 +11,7 @@ from .diagnosis import diagnosis_document as diagnosis_document
 from .diagnosis import diagnosis_json as diagnosis_json
 from .diagnosis import next_experiment_document as next_experiment_document
 from .diagnosis_figures import before_after_figure as before_after_figure
+from .diagnosis_figures import budget_figure as budget_figure
 from .diagnosis_figures import isolability_figure as isolability_figure
 from .diagnosis_figures import location_figure as location_figure
 from .diagnosis_figures import ranking_figure as ranking_figure
@@ -28,6 +29,8 @@ from .document import PAPER as PAPER
 from .document import PURPLE as PURPLE
 from .document import SKY as SKY
 from .document import VERMILLION as VERMILLION
+from .document import Bar as Bar
+from .document import BarPart as BarPart
 from .document import Block as Block
 from .document import Cell as Cell
 from .document import Code as Code

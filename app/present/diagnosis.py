@@ -55,10 +55,11 @@ from dragrig.present.diagnosis_sentences import (
     shrink_sentences,
     verdict_sentences,
 )
+from dragrig.present.gap_budget import budget_bars, budget_json, budget_sentences, budget_table, presence_json
 from dragrig.sim_backend.effects import catalogue
 
-FORMAT, VERSION = "dragrig-gap", 1
-NEXT_FORMAT = "dragrig-next"
+FORMAT, VERSION = "dragrig-gap", 2
+NEXT_FORMAT, NEXT_VERSION = "dragrig-next", 1
 PROBABILITY_STEPS = 1_000_000
 """JSON has probabilities in millionths."""
 MAX_RANKED = 8
@@ -93,12 +94,13 @@ def diagnosis_document(
     run_ids
         Ids of the runs by the names of their files, for the JSON; a file without one is named.
     """
-    answer, *lead = verdict_sentences(diagnosis)
+    answer, *lead = (*budget_sentences(diagnosis.budget), *verdict_sentences(diagnosis))
     return Document(
         title=f"Gap diagnosis: {diagnosis.specimen}",
         answer=answer,
         lead=tuple(lead),
         sections=(
+            _budget_section(diagnosis),
             _confidence_section(diagnosis, source),
             _location_section(diagnosis),
             _ranking_section(diagnosis),
@@ -148,6 +150,35 @@ def campaigns_document(diagnoses: Sequence[tuple[str, Diagnosis | None, str]]) -
     rows = tuple(_campaign_row(*entry) for entry in diagnoses)
     table = Table("campaigns", "", CAMPAIGN_COLUMNS, rows)
     return Document(title=f"{len(rows)} campaigns", sections=(Section("campaigns", "", (table,)),))
+
+
+def _budget_section(diagnosis: Diagnosis) -> Section:
+    """Lay out the parts of the gap; nothing without a gap."""
+    budget = diagnosis.budget
+    if budget is None or not budget.entries:
+        return Section("budget", "The budget", ())
+    basis = (
+        "Shares of the gap above noise on runs that took no part in the fit, with 95 % intervals over runs. They sum "
+        "to 1 in each channel."
+    )
+    fitted = "There are too few runs to hold any out: the shares are of the runs that were fitted, and flatter them."
+    return Section(
+        "budget",
+        "The budget",
+        (
+            Figure(
+                "budget",
+                "A bar of the gap, cut into its named parts and the rest; below it, the gap in some runs.",
+                "The gap by its parts; hatched, what has no name. Below, measurement − model without effects in runs "
+                "that show it well, and what the named effects explain of it.",
+                lambda: present.budget_figure(budget, diagnosis.traces),
+                bars=budget_bars(budget),
+            ),
+            Text(basis if budget.held_out else "", TextKind.EXPLANATION),
+            Text("" if budget.held_out else fitted, TextKind.CAUTION),
+            budget_table(diagnosis),
+        ),
+    )
 
 
 def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
@@ -420,11 +451,13 @@ def diagnosis_json(
                 "left_out": exclusions_json(diagnosis.left_out),
             },
             "verdict": diagnosis.verdict.value,
-            "in_words": verdict_sentences(diagnosis),
+            "in_words": (*budget_sentences(diagnosis.budget), *verdict_sentences(diagnosis)),
             "effects": diagnosis.effects,
             "ranking": _ranking_json(diagnosis.ranking),
             "confusable_with": diagnosis.confusable_with,
             "residual_unknown": diagnosis.residual_unknown,
+            "presence": presence_json(diagnosis.budget),
+            "budget": budget_json(diagnosis),
             "unknown": None
             if diagnosis.unknown is None
             else {
@@ -454,7 +487,7 @@ def next_experiment_json(recommendation: NextExperiment | None) -> Mapping[str, 
     return to_json_object(
         {
             "format": NEXT_FORMAT,
-            "version": VERSION,
+            "version": NEXT_VERSION,
             "why": None if recommendation is None else recommendation.reason,
             "minutes": None if recommendation is None else recommendation.minutes,
             "tried": 0 if recommendation is None else recommendation.compared,

@@ -1,12 +1,14 @@
-"""Figures of a gap diagnosis: location map, ranking, runs before and after, and the isolability matrix."""
+"""Figures of a gap diagnosis: budget, location map, ranking, runs before and after, and the isolability matrix."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
 
@@ -18,8 +20,10 @@ from dragrig.analysis.gap import (
     DETECTABLE_D_PRIME,
     PROTOCOLS,
     AxisLocation,
+    BudgetEntry,
     Diagnosis,
     EffectPair,
+    GapBudget,
     GapLocation,
     Isolability,
     PhaseCell,
@@ -32,25 +36,174 @@ from dragrig.present import (
     BLACK,
     BLUE,
     GREY,
+    ORANGE,
     PALE,
+    PAPER,
     SKY,
     SMALL_PT,
     TEXT_PT,
     VERMILLION,
+    Bar,
+    BarPart,
+    CurveLabel,
     LineStyle,
     draw_line,
     figure_style,
     fit_y_range,
+    label_times,
     new_figure,
     panel_size_in,
     probability_text,
     set_time_range,
     shortened_to_width,
     text_width_in,
+    tint,
     write_legend,
 )
 from dragrig.present.diagnosis_sentences import is_stated_verdict, verdict_sentences
+from dragrig.present.gap_budget import budget_bars, budget_sentences, budgets_by_channel, cause_colours
 from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import catalogue
+
+BAR_ROW_IN, RUNS_ROW_IN = 1.75, 2.5
+MAX_BUDGET_RUNS = 3
+BAR_THICKNESS = 0.86
+BOLD_WIDTH = 1.12
+"""Width of bold letters, in widths of others."""
+NAME_LINES = 3
+"""Lines that a name may take inside its part of the bar; longer ones stand above it."""
+LIGHT_COLOURS = frozenset({SKY, ORANGE, PALE})
+"""Colours on which black is read better than white."""
+GAP_LINE = LineStyle("gap in this run", PALE, 4.0)
+
+
+def budget_figure(budget: GapBudget, views: Sequence[RunTraces]) -> Figure:
+    """Draw the gap of each channel as a bar cut into its parts, above the gap in the runs that show it best.
+
+    Parameters
+    ----------
+    budget
+        Of a gap: with parts.
+    views
+        All runs; of each channel at most three are shown.
+    """
+    bars, channels = budget_bars(budget), budgets_by_channel(budget)
+    rows = [(bar, here.named, _runs_showing_gap(views, here.channel))
+            for bar, here in zip(bars, channels, strict=True)]  # fmt: skip
+    heights = [height for _, _, runs in rows for height in (BAR_ROW_IN, *((RUNS_ROW_IN,) if runs else ()))]
+    colours = cause_colours(budget)
+    with figure_style():
+        whole = "the gap" if len(rows) > 1 else f"{bars[0].whole[:1].lower()}{bars[0].whole[1:]}"
+        subtitle = " ".join(budget_sentences(budget)[: len(rows)])
+        figure = new_figure(13.0, sum(heights), f"What {whole} is made of", subtitle)
+        grid = figure.add_gridspec(len(heights), 6, height_ratios=heights)
+        row = 0
+        for bar, named, runs in rows:
+            _draw_budget_bar(figure.add_subplot(grid[row, :]), bar, titled=len(rows) > 1)
+            row += 1
+            if runs:
+                _draw_gaps(figure, grid, row, runs, _explained_line(named, colours))
+                row += 1
+        return figure
+
+
+def _draw_budget_bar(axes: Axes, bar: Bar, *, titled: bool) -> None:
+    """Draw the parts with their names inside, or above where there is no room."""
+    whole = max(sum(part.share for part in bar.parts), 1.0)
+    left, outside = 0.0, []
+    for part in bar.parts:
+        face = tint(part.colour, 0.15) if part.hatched else part.colour
+        axes.barh(0.0, 100 * part.share, left=100 * left, height=BAR_THICKNESS, facecolor=face,
+                  edgecolor=tint(GREY, 0.5) if part.hatched else "white", linewidth=1.5 * (not part.hatched),
+                  hatch="//" if part.hatched else None)  # fmt: skip
+        middle = 100 * (left + part.share / 2)
+        room_in = 0.88 * panel_size_in(axes)[0] * part.share / whole - 0.16
+        if not _write_name_inside(axes, part, middle, room_in):
+            colour = BLACK if part.colour in LIGHT_COLOURS else part.colour
+            outside.append(CurveLabel(middle, f"{part.name} {100 * part.share:.0f} %", colour))
+        left += part.share
+    axes.set_xlim(0.0, 100 * whole)
+    axes.set_ylim(-0.5, 0.5)
+    axes.set_yticks([])
+    axes.set_xticks(range(0, 101, 25), [f"{tick} %" for tick in range(0, 101, 25)])
+    axes.grid(visible=False)
+    axes.spines[["left", "bottom"]].set_visible(False)
+    label_times(axes, outside, 0.5 + BAR_THICKNESS / 2, 16)
+    if titled:
+        axes.set_title(bar.whole, pad=32.0 if outside else 8.0)
+
+
+def _write_name_inside(axes: Axes, part: BarPart, middle: float, room_in: float) -> bool:
+    """Write name and share into a part of the bar; False where they do not fit."""
+    share = f"{100 * part.share:.0f} %"
+    words = next(
+        (
+            lines
+            for width in range(60, 3, -1)
+            if max(map(len, part.name.split())) <= width
+            and len(lines := wrap(part.name, width)) <= NAME_LINES
+            and BOLD_WIDTH * max(text_width_in(line, TEXT_PT) for line in (*lines, share)) <= room_in
+        ),
+        None,
+    )
+    if words is None:
+        return False
+    colour = BLACK if part.hatched or part.colour in LIGHT_COLOURS else "white"
+    box = {"boxstyle": "round,pad=0.3", "facecolor": PAPER, "edgecolor": "none"} if part.hatched else None
+    axes.text(middle, 0.0, "\n".join((*words, share)), ha="center", va="center", fontsize=TEXT_PT, fontweight="bold",
+              color=colour, bbox=box, linespacing=1.3)  # fmt: skip
+    return True
+
+
+def _runs_showing_gap(views: Sequence[RunTraces], channel: str) -> tuple[RunTraces, ...]:
+    """Choose the runs of a channel with the largest gap among those that represent the campaign."""
+    force = channel == "force"
+    chosen = representative_runs([view for view in views if (view.unit == "mN") == force])
+    largest = sorted(chosen, key=_rms_before, reverse=True)[:MAX_BUDGET_RUNS]
+    return tuple(view for view in chosen if view in largest)
+
+
+def _explained_line(named: Sequence[BudgetEntry], colours: Mapping[str, str]) -> LineStyle | None:
+    """Return how to draw what the effects explain: in the colour of its part, if there is one part; None for none."""
+    effects = [entry for entry in named if entry.cause in catalogue()]
+    if not effects:
+        return None
+    if len(effects) > 1:
+        return LineStyle("all named effects", BLACK, 1.6)
+    return LineStyle("named effect", colours.get(effects[0].cause, BLACK), 1.8)
+
+
+def _draw_gaps(
+    figure: Figure, grid: GridSpec, row: int, runs: Sequence[RunTraces], explained: LineStyle | None
+) -> None:
+    """Draw what the model without effects leaves of each run, and what the named effects explain of it."""
+    span = 6 // len(runs)
+    panels: list[Axes] = []
+    gaps: list[FloatArray] = []
+    for number, view in enumerate(runs):
+        first = panels[0] if panels else None
+        axes = figure.add_subplot(grid[row, number * span : (number + 1) * span], sharey=first)
+        shown = _shown_range_s(view)
+        inside = (view.time_s >= shown[0]) & (view.time_s <= shown[1])
+        time, gap = view.time_s[inside], (view.measured - view.before)[inside]
+        draw_line(axes, time, gap, GAP_LINE)
+        gaps.append(gap)
+        if explained is not None:
+            part = (view.after - view.before)[inside]
+            if explained.colour != BLACK:
+                axes.fill_between(time, part, color=tint(explained.colour, 0.25), linewidth=0.0, zorder=0.8)
+            draw_line(axes, time, part, explained)
+            gaps.append(part)
+        axes.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
+        axes.set_title(shortened_to_width(view.label, TEXT_PT, 0.9 * panel_size_in(axes)[0]))
+        axes.set_xlabel("Time (s)")
+        axes.tick_params(labelleft=not panels)
+        set_time_range(axes, *shown)
+        panels.append(axes)
+    fit_y_range(panels[0], gaps, _min_span(runs[0]))
+    panels[0].set_ylabel(f"Gap ({runs[0].unit})")
+    write_legend(panels[0], (GAP_LINE,) if explained is None else (GAP_LINE, explained))
+
 
 DARKEST_SD = 30.0
 """Excess at which a cell of the map is darkest."""

@@ -172,6 +172,24 @@ class Table:
         return bool(self.rows)
 
 
+@dataclass(frozen=True, slots=True)
+class BarPart:
+    """A part of a bar: its name, its share of the whole, its colour; a hatched one is what is left over."""
+
+    name: str
+    share: float
+    colour: str
+    hatched: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A whole, cut into parts."""
+
+    whole: str
+    parts: tuple[BarPart, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Figure:
     """A figure."""
@@ -184,6 +202,8 @@ class Figure:
     """Stands below."""
     drawing: "Callable[[], MatplotlibFigure] | str"
     """Draws it when a renderer asks, so that matplotlib loads only there; or the SVG that was drawn already."""
+    bars: tuple[Bar, ...] = ()
+    """What a terminal shows in its place."""
 
 
 class TextKind(StrEnum):

@@ -1,17 +1,20 @@
-"""Documents in a terminal: sentences and tables; figures are left to pages and files."""
+"""Documents in a terminal: sentences, tables and bars; other figures are left to pages and files."""
 
 import io
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from dragrig.present import Block, Code, Document, Facts, Figure, Items, Section, Table, Text, TextKind
+from dragrig.present import Bar, BarPart, Block, Code, Document, Facts, Figure, Items, Section, Table, Text, TextKind
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
+    from rich.text import Text as RichText
 
 PIPE_WIDTH = 200
 """Columns where no window limits them: in files and pipes."""
+BAR_WIDTH, NAMES_WIDTH = 60, 76
+"""Columns of a whole, and of the names below it, so that both stay within 80."""
 
 
 def print_document(document: Document) -> None:
@@ -82,8 +85,8 @@ def _block(block: Block, level: int) -> "Iterator[RenderableType]":
             yield from _table(block)
         case Section():
             yield from _section(block, level + 1)
-        case Figure() | Text():
-            pass
+        case Figure():
+            yield from _bars(block.bars)
 
 
 def _table(block: Table) -> "Iterator[RenderableType]":
@@ -108,6 +111,39 @@ def _table(block: Table) -> "Iterator[RenderableType]":
     yield table
     if block.omitted_text:
         yield RichText(block.omitted_text)
+
+
+def _bars(bars: Sequence[Bar]) -> "Iterator[RenderableType]":
+    """Yield each whole, its bar, whose parts differ in shading as well as in colour, and their names below it."""
+    from rich.text import Text as RichText
+
+    for bar in bars:
+        shares = [part.share for part in bar.parts]
+        ends = [round(BAR_WIDTH * sum(shares[:count])) for count in range(len(shares) + 1)]
+        drawn = RichText("  ")
+        for number, part in enumerate(bar.parts):
+            shade = "░" if part.hatched else "█▓"[number % 2]
+            drawn.append(shade * (ends[number + 1] - ends[number]), style=part.colour)
+        yield RichText(f"  {bar.whole}:")
+        yield drawn
+        yield from _names_below(bar.parts, ends)
+
+
+def _names_below(parts: Sequence[BarPart], starts: Sequence[int]) -> "list[RichText]":
+    """Write each part's name and share from where the part begins, on the first line where there is room for it."""
+    from rich.text import Text as RichText
+
+    lines: list[RichText] = []
+    for part, start in zip(parts, starts, strict=False):
+        name = f"{part.name} {100 * part.share:.0f} %"
+        place = 2 + max(0, min(start, NAMES_WIDTH - len(name)))
+        line = next((line for line in lines if len(line) + 2 <= place), None)
+        if line is None:
+            line = RichText()
+            lines.append(line)
+        line.append(" " * (place - len(line)))
+        line.append(name, style=part.colour)
+    return lines
 
 
 def _plain(text: str) -> str:
