@@ -141,7 +141,7 @@ def _write_name_inside(axes: Axes, part: BarPart, middle: float, room_in: float)
             lines
             for width in range(60, 3, -1)
             if max(map(len, part.name.split())) <= width
-            and len(lines := wrap(part.name, width)) <= NAME_LINES
+            and len(lines := wrap(part.name, width, break_on_hyphens=False)) <= NAME_LINES
             and BOLD_WIDTH * max(text_width_in(line, TEXT_PT) for line in (*lines, share)) <= room_in
         ),
         None,

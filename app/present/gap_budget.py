@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
-from dragrig.analysis import as_sentence, capitalise
+from dragrig.analysis import as_sentence, capitalise, join_names
 from dragrig.analysis.gap import (
     MODEL,
     SPECIMEN,
@@ -35,6 +35,8 @@ MIN_SHOWN_SHARE = 0.02
 """Smaller parts are summed up as others in sentences and bars; the table has them all."""
 MIN_WHOLE_PERCENT = 0.005
 """Shares below are 0 % when rounded."""
+MAX_SENTENCE_PARTS = 4
+"""Parts that a sentence names; it sums up further ones, which bar and table have."""
 SHARE_DECIMALS = 4
 _NAMES = {MODEL: "the model itself", SPECIMEN: "the specimen itself", UNEXPLAINED: "no name"}
 _MEANINGS = {
@@ -115,9 +117,10 @@ def budget_sentences(budget: GapBudget | None) -> tuple[str, ...]:
 def _parts_text(here: ChannelBudget) -> str:
     """Say what share each part has; `nothing has a name`, `all is velocity ripple`."""
     rest = 0.0 if here.rest is None else here.rest.share
-    shares = [(entry.share, part_name(entry)) for entry in here.large]
-    if here.small_share >= MIN_WHOLE_PERCENT and shares:
-        shares.append((here.small_share, "others"))
+    shares = [(entry.share, part_name(entry)) for entry in here.large[:MAX_SENTENCE_PARTS]]
+    others = here.small_share + sum(entry.share for entry in here.large[MAX_SENTENCE_PARTS:])
+    if others >= MIN_WHOLE_PERCENT and shares:
+        shares.append((others, "others"))
     if not shares:
         return "nothing has a name" if rest >= 1 - MIN_WHOLE_PERCENT else f"{_WHOLE_PERCENT(rest)} has no name"
     if len(shares) == 1 and rest < MIN_WHOLE_PERCENT:
@@ -189,7 +192,7 @@ def _presence_cell(entry: BudgetEntry) -> FormattedNumber | str:
 
 def _description(entry: BudgetEntry, unknown: UnexplainedGap | None) -> str:
     if entry.cause == UNEXPLAINED and entry.what:
-        return f"Depends on {entry.what}"
+        return f"Best described by {join_names([_cause_name(name) for name in _causes(entry)])}; not established"
     if entry.cause == UNEXPLAINED and unknown is not None:
         return as_sentence(unknown.location)
     if entry.cause in _MEANINGS:
@@ -197,6 +200,15 @@ def _description(entry: BudgetEntry, unknown: UnexplainedGap | None) -> str:
     if entry.what:
         return capitalise(entry.what)
     return catalogue()[entry.cause].summary if entry.cause in catalogue() else ""
+
+
+def _causes(entry: BudgetEntry) -> tuple[str, ...]:
+    """Return the causes that describe the rest best: free laws by name, and ids of effects that are not established."""
+    return tuple(filter(None, entry.what.split(", ")))
+
+
+def _cause_name(cause: str) -> str:
+    return display_name(cause) if cause in catalogue() else cause
 
 
 def presence_json(budget: GapBudget | None) -> Mapping[str, float | None]:
@@ -243,10 +255,13 @@ def _rest_json(here: ChannelBudget, diagnosis: Diagnosis, described: bool) -> Ma
     }
     if unknown is not None:
         place["in_words"] = unknown.location
-    depends_on = here.rest.what if here.rest is not None else ""
+    causes = () if here.rest is None else _causes(here.rest)
+    coordinates = [catalogue()[cause].coordinate.value if cause in catalogue() else cause for cause in causes]
+    depends_on = ", ".join(dict.fromkeys(coordinates))
     return {
         "where": place,
         "depends_on": depends_on or (diagnosis.where.domain if whole else "") or None,
+        "resembles": [cause for cause in causes if cause in catalogue()],
         "law": unknown.expression or None if unknown is not None else None,
     }
 

@@ -73,7 +73,7 @@ def _markup(html: str) -> Markup:
 
 
 _NAMESPACE = re.compile(r"\{[^}]*\}")
-_REFERENCE = re.compile(r"#([\w.:-]+)")
+_REFERENCE = re.compile(r"(^|url\()#([\w.:-]+)")
 _GLYPH = re.compile(r"[A-Za-z]+[\w-]*-[0-9a-f]+$")
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _LINE = re.compile(r"M -?[\d.]+ -?[\d.]+\s*(?:[ML] -?[\d.]+ -?[\d.]+\s*)*")
@@ -108,8 +108,10 @@ def inline_svg(text: str, shows: str) -> InlineSvg:
     """
     root = ET.fromstring(text)  # noqa: S314  # our own figure
     _strip_metadata(root)
-    wanted = {
-        name for element in root.iter() for value in element.attrib.values() for name in _REFERENCE.findall(value)
+    ids = {element.attrib["id"] for element in root.iter() if "id" in element.attrib}
+    # What stands behind a `#` is a colour as well.
+    wanted = ids & {
+        name for element in root.iter() for value in element.attrib.values() for _, name in _REFERENCE.findall(value)
     }
     key = f"f{crc32(text.encode()):08x}-"
     for element in root.iter():
@@ -161,10 +163,9 @@ def _shorten_attributes(element: ET.Element, key: str, wanted: set[str]) -> None
 
 
 def _prefix_references(value: str, key: str, wanted: set[str]) -> str:
-    if not value.startswith(("#", "url(#")):
-        return value
+    """Prefix the ids that an attribute refers to, within a style as well."""
     return _REFERENCE.sub(
-        lambda reference: f"#{_prefix_id(reference[1], key)}" if reference[1] in wanted else reference[0], value
+        lambda found: f"{found[1]}#{_prefix_id(found[2], key)}" if found[2] in wanted else found[0], value
     )
 
 
