@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 from math import inf, nan
 
 import pytest
-from diagnoses import ALL, NO_GAP, STRIBECK, TOGETHER, UNKNOWN, shrink
+from diagnoses import ALL, NO_GAP, RIPPLE_AND_AGEING, STRIBECK, STRIBECK_ALONE, TOGETHER, UNKNOWN, shrink
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
@@ -251,15 +251,28 @@ class ShrinkPart(Strict):
     r2_corr: ModelsPart
 
 
+class BudgetPart(Strict):
+    cause: str
+    channel: str
+    share: float
+    share_95ci: list[float] | None
+    rms_mN: float | None
+    presence: float | None
+    what: str | None
+    not_separable_from: list[str]
+
+
 class Report(Strict):
     format: str = Field(pattern="^dragrig-gap$")
-    version: int
+    version: int = Field(ge=2, le=2)
     campaign: CampaignPart
     verdict: str = Field(pattern="^(effect|several|no_gap|unknown)$")
     effects: list[str]
     ranking: list[RankedPart]
     confusable_with: list[str]
     residual_unknown: bool
+    presence: dict[str, float]
+    budget: list[BudgetPart]
     would_have_seen_mN: float | None
     where: WherePart
     shrink: ShrinkPart | None
@@ -267,7 +280,11 @@ class Report(Strict):
     next_experiment: None
 
 
-@CASES
+@pytest.mark.parametrize(
+    "diagnosis",
+    [*ALL.values(), replace(STRIBECK, budget=STRIBECK_ALONE), replace(TOGETHER, budget=RIPPLE_AND_AGEING)],
+    ids=[*ALL, "one part", "two parts"],
+)
 def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
     sentence = json.dumps(
         diagnosis_json(diagnosis, model="amended.toml", run_ids={"000-drag.h5": "id-0"}), allow_nan=False
@@ -279,6 +296,7 @@ def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
     assert read.effects == list(diagnosis.effects)
     assert set(read.effects) <= set(catalogue())
     truth = {"verdict": diagnosis.verdict.value, "effects": list(diagnosis.effects)}
+    assert len(read.budget) == (0 if diagnosis.budget is None else 3)
     assert not score_exam([("made up", truth, json.loads(sentence))]).missed
 
 

@@ -70,6 +70,8 @@ MAX_BUDGET_RUNS = 3
 BAR_THICKNESS = 0.86
 BOLD_WIDTH = 1.12
 """Width of bold letters, in widths of others."""
+EXPLAINED_NAME_IN = 1.5
+"""Room for the name of what explains a gap, in the legend of one of three panels."""
 NAME_LINES = 3
 """Lines that a name may take inside its part of the bar; longer ones stand above it."""
 LIGHT_COLOURS = frozenset({SKY, ORANGE, PALE})
@@ -170,39 +172,39 @@ def _explained_line(named: Sequence[BudgetEntry], colours: Mapping[str, str]) ->
         return None
     if len(effects) > 1:
         return LineStyle("all named effects", BLACK, 1.6)
-    return LineStyle("named effect", colours.get(effects[0].cause, BLACK), 1.8)
+    name = display_name(effects[0].cause)
+    short = text_width_in(name, SMALL_PT) <= EXPLAINED_NAME_IN
+    return LineStyle(name if short else "named effect", colours.get(effects[0].cause, BLACK), 1.8)
 
 
 def _draw_gaps(
     figure: Figure, grid: GridSpec, row: int, runs: Sequence[RunTraces], explained: LineStyle | None
 ) -> None:
-    """Draw what the model without effects leaves of each run, and what the named effects explain of it."""
+    """Draw the gap of each run in a panel with a scale of its own."""
     span = 6 // len(runs)
-    panels: list[Axes] = []
-    gaps: list[FloatArray] = []
-    for number, view in enumerate(runs):
-        first = panels[0] if panels else None
-        axes = figure.add_subplot(grid[row, number * span : (number + 1) * span], sharey=first)
-        shown = _shown_range_s(view)
-        inside = (view.time_s >= shown[0]) & (view.time_s <= shown[1])
-        time, gap = view.time_s[inside], (view.measured - view.before)[inside]
-        draw_line(axes, time, gap, GAP_LINE)
-        gaps.append(gap)
-        if explained is not None:
-            part = (view.after - view.before)[inside]
-            if explained.colour != BLACK:
-                axes.fill_between(time, part, color=tint(explained.colour, 0.25), linewidth=0.0, zorder=0.8)
-            draw_line(axes, time, part, explained)
-            gaps.append(part)
-        axes.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
-        axes.set_title(shortened_to_width(view.label, TEXT_PT, 0.9 * panel_size_in(axes)[0]))
-        axes.set_xlabel("Time (s)")
-        axes.tick_params(labelleft=not panels)
-        set_time_range(axes, *shown)
-        panels.append(axes)
-    fit_y_range(panels[0], gaps, _min_span(runs[0]))
+    panels = [figure.add_subplot(grid[row, number * span : (number + 1) * span]) for number in range(len(runs))]
+    for axes, view in zip(panels, runs, strict=True):
+        _draw_gap(axes, view, explained)
     panels[0].set_ylabel(f"Gap ({runs[0].unit})")
     write_legend(panels[0], (GAP_LINE,) if explained is None else (GAP_LINE, explained))
+
+
+def _draw_gap(axes: Axes, view: RunTraces, explained: LineStyle | None) -> None:
+    """Draw what the model without effects leaves of a run, and what the named effects explain of it."""
+    shown = _shown_range_s(view)
+    inside = (view.time_s >= shown[0]) & (view.time_s <= shown[1])
+    time, gap, part = view.time_s[inside], (view.measured - view.before)[inside], (view.after - view.before)[inside]
+    draw_line(axes, time, gap, GAP_LINE)
+    if explained is not None:
+        if explained.colour != BLACK:
+            axes.fill_between(time, part, color=tint(explained.colour, 0.25), linewidth=0.0, zorder=0.8)
+        draw_line(axes, time, part, explained)
+    axes.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
+    fit_y_range(axes, (gap,) if explained is None else (gap, part), _min_span(view))
+    label = view.label if view.kind in view.label.lower() else f"{view.kind.replace('_', ' ')}, {view.label}"
+    axes.set_title(shortened_to_width(capitalise(label), TEXT_PT, 0.9 * panel_size_in(axes)[0]))
+    axes.set_xlabel("Time (s)")
+    set_time_range(axes, *shown)
 
 
 DARKEST_SD = 30.0

@@ -3,6 +3,7 @@
 import io
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 from dragrig.present import Bar, BarPart, Block, Code, Document, Facts, Figure, Items, Section, Table, Text, TextKind
@@ -118,8 +119,9 @@ def _bars(bars: Sequence[Bar]) -> "Iterator[RenderableType]":
     from rich.text import Text as RichText
 
     for bar in bars:
-        shares = [part.share for part in bar.parts]
-        ends = [round(BAR_WIDTH * sum(shares[:count])) for count in range(len(shares) + 1)]
+        ends = [0]
+        for end in accumulate(part.share for part in bar.parts):
+            ends.append(max(round(BAR_WIDTH * end), ends[-1] + 1))
         drawn = RichText("  ")
         for number, part in enumerate(bar.parts):
             shade = "░" if part.hatched else "█▓"[number % 2]

@@ -1,0 +1,261 @@
+"""The budget of a gap in words, as bars, as a table, as a picture and as JSON."""
+
+import json
+import re
+from dataclasses import replace
+from math import inf, nan
+
+import pytest
+from diagnoses import (
+    NO_GAP,
+    RIPPLE_AND_AGEING,
+    STRIBECK_ALONE,
+    TOGETHER,
+    UNKNOWN,
+    VIEWS,
+    budget,
+    entry,
+)
+from matplotlib.patches import Rectangle
+from matplotlib.text import Text
+
+from dragrig.analysis.gap.diagnosis import Diagnosis, GapBudget
+from dragrig.present.diagnosis import diagnosis_document, diagnosis_json
+from dragrig.present.diagnosis_figures import BAR_THICKNESS, MAX_BUDGET_RUNS, budget_figure
+from dragrig.present.diagnosis_sentences import verdict_sentences
+from dragrig.present.document import BLACK, BLUE
+from dragrig.present.gap_budget import budget_bars, budget_json, budget_sentences
+from dragrig.present.html_page import render_page
+from dragrig.present.terminal import BAR_WIDTH, document_text
+
+UNNAMED = budget(entry("unexplained", 1.0, 12.0, None, what="tissue_ageing, place"))
+CROWDED = budget(
+    entry("hyperelastic_wall", 0.34, rivals=("wall_lift_off",)),
+    entry("model", 0.31, what="parameters of the model"),
+    entry("specimen", 0.15, what="gain of a run"),
+    entry("stribeck", 0.07),
+    entry("folds", 0.04),
+    entry("adhesion", 0.012),
+    entry("encoder_scale", -0.03),
+    entry("unexplained", 0.108, 4.0, None),
+)
+CHANNELS = budget(
+    entry("stribeck", 0.8),
+    entry("unexplained", 0.2, 5.0, None),
+    entry("velocity_ripple", 0.9, None, channel="position"),
+    entry("unexplained", 0.1, None, None, channel="position"),
+)
+TOO_MUCH = budget(entry("stribeck", 1.04), entry("unexplained", -0.04, 0.0, None))
+BUDGETS = {
+    "two": RIPPLE_AND_AGEING,
+    "one": STRIBECK_ALONE,
+    "none": UNNAMED,
+    "many": CROWDED,
+    "channels": CHANNELS,
+    "over": TOO_MUCH,
+}
+EACH = pytest.mark.parametrize("given_budget", BUDGETS.values(), ids=BUDGETS)
+IN_POSITION = replace(VIEWS[-1], channel="position", unit="mm")
+
+
+def diagnosed(given_budget: GapBudget | None) -> Diagnosis:
+    return replace(TOGETHER, budget=given_budget)
+
+
+def text(diagnosis: Diagnosis) -> str:
+    return document_text(diagnosis_document(diagnosis))
+
+
+def page(diagnosis: Diagnosis) -> str:
+    return render_page(diagnosis_document(diagnosis)).replace("\u00a0", " ")
+
+
+def test_the_first_sentence_says_what_the_gap_is_made_of() -> None:
+    assert {name: budget_sentences(given_budget) for name, given_budget in BUDGETS.items()} == {
+        "two": (
+            "Of a gap of 12 mN, 55 % is velocity ripple, 20 % tissue ageing or preconditioning; 25 % has no name.",
+        ),
+        "one": ("Of a gap of 12 mN, 83 % is Stribeck friction or adhesion, 6 % the model itself; 11 % has no name.",),
+        "none": ("Of a gap of 12 mN, nothing has a name.",),
+        "many": (
+            "Of a gap of 12 mN, 34 % is hyperelastic wall or wall lift-off, 31 % the model itself, 15 % the specimen "
+            "itself, 7 % Stribeck friction, 5 % others; 11 % has no name.",
+            "None of it is encoder scale: that runs against the gap (−3 %).",
+        ),
+        "channels": (
+            "Of a gap of 12 mN in the force, 80 % is Stribeck friction; 20 % has no name.",
+            "Of the gap in the position, 90 % is velocity ripple; 10 % has no name.",
+        ),
+        "over": ("Of a gap of 12 mN, all is Stribeck friction.",),
+    }
+    assert budget_sentences(None) == ()
+
+
+def test_small_parts_and_a_rest_below_nothing_are_not_named() -> None:
+    both = budget(entry("stribeck", 0.6), entry("folds", 0.44), entry("unexplained", -0.04, 0.0, None))
+    assert budget_sentences(both) == (
+        "Of a gap of 12 mN, 60 % is Stribeck friction, 44 % circular folds; nothing is left without a name.",
+    )
+    little = budget(entry("stribeck", 0.01), entry("unexplained", 0.99, 12.0, None))
+    assert budget_sentences(little) == ("Of a gap of 12 mN, 99 % has no name.",)
+
+
+def test_the_budget_stands_before_the_verdict() -> None:
+    diagnosis = diagnosed(RIPPLE_AND_AGEING)
+    sentences = [*budget_sentences(RIPPLE_AND_AGEING), *verdict_sentences(diagnosis)]
+    assert text(diagnosis).splitlines()[: len(sentences)] == sentences
+    assert f"<h1>{sentences[0]}</h1>" in page(diagnosis)
+    assert diagnosis_json(diagnosis)["in_words"] == sentences
+
+
+@pytest.mark.parametrize("given_budget", [None, budget()], ids=["not made", "empty"])
+def test_without_a_gap_there_is_no_bar(given_budget: GapBudget | None) -> None:
+    diagnosis = replace(NO_GAP, budget=given_budget)
+    assert text(diagnosis).splitlines()[0] == verdict_sentences(diagnosis)[0]
+    document = diagnosis_document(diagnosis)
+    assert "budget" not in [section.name for section in document.content]
+    assert "budget" not in [figure.name for figure in document.figures()]
+    data = diagnosis_json(diagnosis)
+    assert data["budget"] == []
+    assert data["presence"] == ({} if given_budget is None else given_budget.presence)
+
+
+@EACH
+def test_the_budget_in_json_sums_to_one_in_each_channel(given_budget: GapBudget) -> None:
+    parts = json.loads(json.dumps(diagnosis_json(diagnosed(given_budget)), allow_nan=False))["budget"]
+    told = [(part["channel"], part["cause"]) for part in parts]
+    assert sorted(told) == sorted((part.channel, part.cause) for part in given_budget.entries)
+    for channel in {part["channel"] for part in parts}:
+        here = [part for part in parts if part["channel"] == channel]
+        assert here[-1]["cause"] == "unexplained"
+        assert {"where", "depends_on", "law"} <= here[-1].keys()
+        assert sum(part["share"] for part in here) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_json_tells_each_part() -> None:
+    ripple, ageing, rest = budget_json(diagnosed(RIPPLE_AND_AGEING))
+    assert ripple == {
+        "cause": "velocity_ripple",
+        "channel": "force",
+        "share": 0.5512,
+        "share_95ci": [0.4912, 0.6012],
+        "rms_mN": 8.9,
+        "presence": 0.98,
+        "what": None,
+        "not_separable_from": (),
+    }
+    assert ageing["not_separable_from"] == ("preconditioning",)
+    assert rest["where"] == {"in_words": "It lives in the hold after the stop"}
+    assert (rest["depends_on"], rest["law"], rest["presence"]) == ("speed", None, None)
+
+
+def test_json_tells_where_a_gap_without_a_name_is() -> None:
+    (rest,) = budget_json(replace(UNKNOWN, budget=UNNAMED))
+    assert rest["where"] == {
+        "channel": {"force": 0.98, "position": 0.02},
+        "protocol": {"drag": 0.9, "coulomb": 0.1, "relaxation": 0.0, "blank": 0.0},
+        "phase": {"rest": 0.0, "accelerate": 0.1, "steady": 0.9, "decelerate": 0.0, "hold": 0.0},
+        "in_words": "It lives in the steady force of drag runs, from 0.5 to 5 mm/s",
+    }
+    assert (rest["depends_on"], rest["resembles"]) == ("session, place", ["tissue_ageing"])
+    assert rest["law"] == "4.1 mN · x / 40 mm − 1.2 mN · ln(v / 1 mm/s)"
+    assert "Best described by tissue ageing and place; not established" in text(replace(UNKNOWN, budget=UNNAMED))
+    silent = replace(UNKNOWN, budget=budget(entry("unexplained", 1.0, 12.0, None)))
+    assert budget_json(silent)[0]["depends_on"] == "speed"
+
+
+def test_what_is_left_in_one_channel_is_not_told_of_the_other() -> None:
+    _, force, _, position = budget_json(diagnosed(CHANNELS))
+    assert force["where"]
+    assert not position["where"]
+
+
+def test_a_budget_knows_no_nan() -> None:
+    ill = replace(entry("stribeck", 0.7, nan, nan), share_95ci=(nan, inf))
+    broken = replace(budget(ill, entry("adhesion", nan), entry("unexplained", 0.3, None, None)), gap_mN=nan)
+    diagnosis = diagnosed(broken)
+    first, *_ = json.loads(json.dumps(diagnosis_json(diagnosis), allow_nan=False))["budget"]
+    assert (first["share_95ci"], first["rms_mN"], first["presence"]) == (None, None, None)
+    assert text(diagnosis).startswith("Of the gap, 70 % is Stribeck friction; 30 % has no name.")
+    for shown in (text(diagnosis), re.sub(r"<[^>]*>", " ", page(diagnosis))):
+        assert "nan" not in shown.lower().split()
+
+
+def test_the_table_has_every_part_with_its_numbers() -> None:
+    shown = text(diagnosed(CROWDED))
+    assert re.search(r"Hyperelastic wall or wall lift-off +34 % +28 % to 39 % +5\.0 +0\.98 +The muscular", shown)
+    assert re.search(r"The model itself +31 % .* 0\.98 +The nominal model's own parameters or structure: param", shown)
+    assert re.search(r"Encoder scale +−3 % +−9 % to 2 % ", shown)
+    assert re.search(r"Adhesion +1 % ", shown)
+    assert re.search(r"No name +11 % ", shown)
+    assert not re.search(r"channel +part of the gap", shown)
+    assert re.search(r"position +Velocity ripple +90 % +84 % to 95 % +– +0\.98", text(diagnosed(CHANNELS)))
+
+
+def test_shares_of_runs_that_were_fitted_are_called_so() -> None:
+    few, held_out = diagnosed(replace(RIPPLE_AND_AGEING, held_out=False)), diagnosed(RIPPLE_AND_AGEING)
+    assert "too few runs to hold any out" in text(few)
+    assert "too few runs to hold any out" not in text(held_out)
+    assert "took no part in the fit" in page(held_out)
+    assert "took no part in the fit" not in page(few)
+
+
+@EACH
+def test_a_bar_in_the_terminal_is_as_wide_as_its_parts(given_budget: GapBudget) -> None:
+    lines = text(diagnosed(given_budget)).splitlines()
+    drawn = [line.strip() for line in lines if line.strip() and set(line.strip()) <= set("█▓░")]
+    for line, bar in zip(drawn, budget_bars(given_budget), strict=True):
+        assert len(line) == pytest.approx(BAR_WIDTH * sum(part.share for part in bar.parts), abs=1.0)
+        widths = [len(run[0]) for run in re.finditer(r"█+|▓+|░+", line)]
+        assert widths == pytest.approx([BAR_WIDTH * part.share for part in bar.parts], abs=1.5)
+        for part in bar.parts:
+            named = [line for line in lines if f"{part.name} {100 * part.share:.0f} %" in line and line[:2] == "  "]
+            assert named
+            assert len(named[0]) <= 80
+
+
+@EACH
+def test_the_picture_cuts_the_gap_by_its_shares(given_budget: GapBudget) -> None:
+    figure = budget_figure(given_budget, (*VIEWS, IN_POSITION))
+    figure.draw_without_rendering()
+    bars = budget_bars(given_budget)
+    rows = [axes for axes in figure.axes if any(isinstance(patch, Rectangle) for patch in axes.patches)]
+    for axes, bar in zip(rows, bars, strict=True):
+        cut = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+        assert {patch.get_height() for patch in cut} == {BAR_THICKNESS}
+        assert [patch.get_width() for patch in cut] == pytest.approx([100 * part.share for part in bar.parts])
+        assert [bool(patch.get_hatch()) for patch in cut] == [part.hatched for part in bar.parts]
+        ends = [patch.get_x() + patch.get_width() for patch in cut]
+        assert [patch.get_x() for patch in cut] == pytest.approx([0.0, *ends[:-1]])
+        assert axes.get_xlim() == pytest.approx((0.0, max(100.0, ends[-1])))
+        names = " ".join(label.get_text() for label in axes.texts).replace("\n", " ")
+        assert all(f"{part.name} {100 * part.share:.0f} %" in names for part in bar.parts)
+        boxes = [Text.get_window_extent(label) for label in axes.texts]
+        assert not any(one.overlaps(other) for number, one in enumerate(boxes) for other in boxes[number + 1 :]), (
+            "names cover each other"
+        )
+    assert len(figure.axes) == len(rows) + MAX_BUDGET_RUNS + (len(rows) - 1)
+
+
+def test_the_picture_shows_the_gap_in_runs_and_what_the_effects_explain_of_it() -> None:
+    panel = budget_figure(STRIBECK_ALONE, VIEWS).axes[1]
+    run = next(run for run in VIEWS if run.label == "drag at 0.5 mm/s")
+    gap, explained, *_ = panel.lines
+    assert panel.get_title(loc="left") == "Drag at 0.5 mm/s"
+    assert max(gap.get_ydata()) == pytest.approx(max(run.measured - run.before))
+    assert max(explained.get_ydata()) == pytest.approx(max(run.after - run.before))
+    assert explained.get_color() == BLUE
+    assert budget_figure(RIPPLE_AND_AGEING, VIEWS).axes[1].lines[1].get_color() == BLACK
+    assert len(budget_figure(UNNAMED, VIEWS).axes[1].lines) == len(panel.lines) - 1
+    assert len(budget_figure(RIPPLE_AND_AGEING, ()).axes) == 1
+
+
+def test_a_page_draws_the_bar_with_its_hatching() -> None:
+    html = page(diagnosed(RIPPLE_AND_AGEING))
+    assert html.count('role="img"') == 4
+    used = set(re.findall(r"url\(#([\w.:-]+)\)", html))
+    assert used
+    assert used <= set(re.findall(r'id="([\w.:-]+)"', html))
+    hatching = re.search(r"<pattern.*?</pattern>", html)
+    assert hatching is not None
+    assert re.search(r'fill="#[0-9a-f]{6}"', hatching[0])
