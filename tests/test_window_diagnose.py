@@ -1,10 +1,12 @@
 """The page that diagnoses, carried to the end on a real campaign, and what its answer is good for on the run page."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnoses import RIPPLE_AND_AGEING, TOGETHER
 from runfiles import PRACTICE
 from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
 
@@ -17,7 +19,12 @@ from pytestqt.qtbot import QtBot
 from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
 from dragrig.analysis.gap.diagnosis import Diagnosis
 from dragrig.engine_host.messages import RigSelection
+from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.diagnosis_sentences import verdict_sentences
+from dragrig.present.files import drawn
+from dragrig.present.gap_budget import budget_sentences
+from dragrig.views import CompletedDiagnosis
+from dragrig.window.diagnose_page import DiagnosisResults
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import DrawnFigure, StoredSettings
@@ -79,13 +86,37 @@ def test_a_campaign_is_diagnosed_completely(window: MainWindow, diagnosed: Diagn
     results = window.diagnose.results
     assert window.diagnose.state.text() == f"Diagnosed: {PRACTICE}"
     assert results.isVisible()
-    assert results.view.answer.text() == next(iter(verdict_sentences(diagnosed)))
+    answer, *_ = (*budget_sentences(diagnosed.budget), *verdict_sentences(diagnosed))
+    assert results.view.answer.text() == answer
     ranking = next(shown for shown in results.findChildren(QTableWidget) if shown.accessibleName() == "ranking")
     ranked = sorted(diagnosed.ranking, key=lambda hypothesis: -hypothesis.probability)[: ranking.rowCount()]
     names = [ranking.item(place, 1).text() for place in range(ranking.rowCount())]
     assert names == [hypothesis.hypothesis for hypothesis in ranked]
     assert 0.9 < sum(hypothesis.probability for hypothesis in ranked) <= 1.001
-    assert len([figure for figure in results.findChildren(DrawnFigure) if figure.renderer().isValid()]) == 2
+    figures = list(diagnosis_document(diagnosed).without("before-after").figures())
+    assert len([shown for shown in results.findChildren(DrawnFigure) if shown.renderer().isValid()]) == len(figures)
+
+
+def test_the_budget_is_the_first_page_of_a_diagnosis(qtbot: QtBot) -> None:
+    diagnosis = replace(TOGETHER, traces=(), budget=RIPPLE_AND_AGEING)
+    results = DiagnosisResults()
+    qtbot.addWidget(results)
+    results.show_diagnosis(CompletedDiagnosis(diagnosis, drawn(diagnosis_document(diagnosis))))
+    assert results.view.answer.text() == budget_sentences(RIPPLE_AND_AGEING)[0]
+    assert results.view.tabs.tabText(0) == "The budget"
+    page = results.view.tabs.widget(0)
+    assert page is not None
+    picture, *others = page.findChildren(DrawnFigure)
+    assert picture.renderer().isValid()
+    assert picture.accessibleName().startswith("A bar of the gap")
+    assert not others
+    (table,) = page.findChildren(QTableWidget)
+    assert [table.item(row, 0).text() for row in range(table.rowCount())] == [
+        "Velocity ripple",
+        "Tissue ageing or preconditioning",
+        "No name",
+    ]
+    assert [table.item(row, 1).text() for row in range(table.rowCount())] == ["55 %", "20 %", "25 %"]
 
 
 def test_every_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diagnosis) -> None:
