@@ -76,7 +76,7 @@ NAME_LINES = 3
 """Lines that a name may take inside its part of the bar; longer ones stand above it."""
 LIGHT_COLOURS = frozenset({SKY, ORANGE, PALE})
 """Colours on which black is read better than white."""
-GAP_LINE = LineStyle("gap in this run", PALE, 4.0)
+GAP_LINE = LineStyle("gap", PALE, 4.0)
 
 
 def budget_figure(budget: GapBudget, views: Sequence[RunTraces]) -> Figure:
@@ -171,7 +171,7 @@ def _explained_line(named: Sequence[BudgetEntry], colours: Mapping[str, str]) ->
     if not effects:
         return None
     if len(effects) > 1:
-        return LineStyle("all named effects", BLACK, 1.6)
+        return LineStyle("named effects", BLACK, 1.6)
     name = display_name(effects[0].cause)
     short = text_width_in(name, SMALL_PT) <= EXPLAINED_NAME_IN
     return LineStyle(name if short else "named effect", colours.get(effects[0].cause, BLACK), 1.8)
