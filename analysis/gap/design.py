@@ -388,6 +388,12 @@ def fit_columns(design: Design, total: FloatArray, *kinds: ColumnKind) -> LeastS
     return LeastSquaresFit(columns, coefficients, covariance, chi2)
 
 
+def nominal_residuals(design: Design) -> list[FloatArray]:
+    """Return the residuals of each run after a fit of the nominal model to all runs, shape `(B,)` [mN]."""
+    solution = fit_columns(design, design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
+    return [run.residual - run.columns[:, solution.columns] @ solution.coefficients for run in design.runs]
+
+
 def fit_bounded(
     design: Design, total: FloatArray, bounds: tuple[FloatArray, FloatArray], *kinds: ColumnKind
 ) -> FloatArray:

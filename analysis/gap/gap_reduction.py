@@ -19,6 +19,7 @@ from dragrig.analysis.gap.design import (
     RankedEffect,
     Study,
     fit_columns,
+    nominal_residuals,
     project_dictionary,
     rank_effects,
 )
@@ -194,12 +195,6 @@ MIN_NOISE_SHARE = 0.3
 """Smallest share of the noise that remains beside a spectral line."""
 MAX_SCATTER_SIGMAS = 6.0
 """A run that differs from others by more standard deviations is not scatter."""
-
-
-def nominal_residuals(design: Design) -> list[FloatArray]:
-    """Return the residuals of each run after a fit of the nominal model to all runs, shape `(B,)` [mN]."""
-    solution = fit_columns(design, design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
-    return [run.residual - run.columns[:, solution.columns] @ solution.coefficients for run in design.runs]
 
 
 def force_residual_blocks(

@@ -26,12 +26,12 @@ from dragrig.analysis.gap.design import (
     Design,
     Study,
     linearise,
+    nominal_residuals,
     project_dictionary,
     schur_complement,
     score_variants,
 )
 from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearchResult, nonparametric_columns
-from dragrig.analysis.gap.gap_reduction import nominal_residuals
 from dragrig.analysis.gap.run_data import SESSION_MODULATION, rms_where_active
 from dragrig.rig import BoolArray, FloatArray, IndexArray
 from dragrig.sim_backend.effects import Coordinate, Effect, Role
