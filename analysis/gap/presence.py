@@ -4,7 +4,7 @@ The force after the nominal model is taken as a sum of causes, of which each may
 random function of the runs: columns with independent standard normal coefficients, times a scale in mN that is itself
 unknown. An effect of the catalogue is its own law, a smooth modulation of it, and a part of the free law of its
 coordinate; an unnamed cause is a free function of one coordinate at one place; the nominal model's own parameters,
-laws and form may be off by more than their priors allow. With Gaussian noise the evidence of each set of causes follows
+laws may be off by more than their priors allow. With Gaussian noise the evidence of each set of causes follows
 by linear algebra (Bayesian variable selection; O'Hagan & Forster, Kendall's Advanced Theory of Statistics 2B, ch. 9),
 and the probability that a cause is there is the sum over all sets that contain it.
 """
@@ -32,7 +32,7 @@ from dragrig.analysis.gap.design import (
     score_variants,
 )
 from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearchResult, nonparametric_columns
-from dragrig.analysis.gap.run_data import SESSION_MODULATION, rms_where_active
+from dragrig.analysis.gap.run_data import rms_where_active
 from dragrig.rig import BoolArray, FloatArray, IndexArray
 from dragrig.sim_backend.effects import Coordinate, Effect, Role
 
@@ -57,8 +57,6 @@ FORM_LAWS: Mapping[Coordinate, tuple[str, ...]] = {
 """Free laws of each coordinate, the one in the closed gut last."""
 FORM_ERROR = 0.25
 """Error of each block relative to the gap there: what no smooth function of any coordinate covers."""
-MODEL_FORM_SD = 0.02
-"""Smooth relative error of the nominal force, as the model's other laws (`studies.LAW_SHAPE_SD`)."""
 PRIOR_ODDS = {"effect": 0.08, "law": 0.03, "run": 0.03, "model": 0.15}
 KEPT_VARIANCE, MAX_CORE_COLUMNS = 0.999, 8
 """The variants of an effect span a space, of which this share of the whitened variance is kept."""
@@ -212,11 +210,11 @@ def _add_unnamed_causes(store: _ColumnStore, study: Study, design: Design) -> It
     store.add_free(
         "gain of a run", CauseKind.RUN, force * (of_run[:, None] == np.arange(len(predicted))), RUN_GAIN_SCALES
     )
-    for name, columns in _model_columns(study, design, force):
+    for name, columns in _model_columns(study, design):
         store.add_free(name, CauseKind.MODEL, columns, MODEL_SCALES)
 
 
-def _model_columns(study: Study, design: Design, force: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+def _model_columns(study: Study, design: Design) -> Iterator[tuple[str, FloatArray]]:
     """Yield the directions in which the nominal model may be off, of all runs alike and of the relaxations alone.
 
     What is wrong in the relaxations need not be wrong in the drags: other strains, and another clamping.
@@ -224,13 +222,9 @@ def _model_columns(study: Study, design: Design, force: FloatArray) -> Iterator[
     sheared = np.concatenate(
         [np.full(run.coordinates.time_s.size, run.experiment.kind == "relaxation") for run in study.runs]
     )
-    smooth = np.concatenate([values.T for values in study.modulations])
-    # The model is no function of the session: what changes with it is an effect.
-    smooth = np.delete(smooth, SESSION_MODULATION, axis=1)
     directions = {
         "parameters": np.concatenate(design.run_columns(ColumnKind.NOMINAL)),
         "laws": np.concatenate(design.run_columns(ColumnKind.MODEL_ERROR)),
-        "form": MODEL_FORM_SD * force * smooth,
     }
     for name, columns in directions.items():
         yield f"{name} of the model", columns

@@ -319,8 +319,6 @@ LOG_SPEED_CENTRE, LOG_SPEED_HALF_RANGE = 1.6, 2.4
 """Maps speeds from 0.5 to 60 mm/s to -1 to 1."""
 MIN_SPEED_MM_S = 0.3
 TRAVEL_HALF_RANGE_MM = 20.0
-SESSION_MODULATION = 5
-"""Index of the modulation by session time."""
 STRAIN_CENTRE, STRAIN_HALF_RANGE = 1.25, 0.75
 
 
