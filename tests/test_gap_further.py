@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hidden import hidden
 
-from dragrig.analysis.gap.candidates import Candidate
-from dragrig.analysis.gap.design import Design, Study, linearise
+from dragrig.analysis.gap.design import Candidate, Design, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.forward_selection import FORM_ERROR_SD, inflate_by_form_error

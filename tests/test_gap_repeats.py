@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from effect_scenes import KINDS, scene
 
-from dragrig.analysis.gap.candidates import Candidate, signature, variants_of
-from dragrig.analysis.gap.design import Study, linearise, problem_of_runs
+from dragrig.analysis.gap.design import Candidate, Study, linearise, problem_of_runs, signature, variants_of
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL

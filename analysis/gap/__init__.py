@@ -2,7 +2,7 @@
 
 One way, from runs to the next run:
 
-`run_data` → `candidates` → `studies` and `design` (linearised campaign, and fits in it) → `hypothesis_fit` →
+`run_data` → `design` (linearised campaign, candidates, and fits in it) → `studies` → `hypothesis_fit` →
 `forward_selection` → `features` → `classifier` → `presence` and `budget` (which causes, and how much of the gap each
 has) → `excess` and `localise` (where) → `unknown_gap` → `gap_reduction` (how far it closes) → `isolability` and
 `next_run` (what next) → `diagnose`.

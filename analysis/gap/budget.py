@@ -32,17 +32,16 @@ from dragrig.analysis.gap.gap_reduction import (
     run_zero_offset,
 )
 from dragrig.analysis.gap.presence import (
-    FORM_LAWS,
     CauseKind,
     CauseSet,
     Competition,
     Presence,
+    form_laws,
     judge_presence,
+    known_effects,
     prepare_competition,
 )
-from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.rig import FloatArray, IndexArray
-from dragrig.sim_backend.effects import catalogue, find_effect
 
 MIN_RUNS_HELD_OUT = 4
 BOOTSTRAP_SAMPLES = 1000
@@ -92,7 +91,7 @@ def gap_budget(
     classification: Classification,
     position: Mapping[str, float],
     position_reduction: GapReduction | None,
-    hum_mN: float,
+    lines_mN: Mapping[str, float],
 ) -> GapBudget:
     """Share the gap between its causes, in force and position.
 
@@ -102,19 +101,19 @@ def gap_budget(
         Probability of presence of the effects on the position; empty where it follows its command.
     position_reduction
         How far the most likely of them closes the position's gap; None for none.
-    hum_mN
-        Rms of mains hum; 0 without it.
+    lines_mN
+        Rms of the effects that are spectral lines, which block means average out.
     """
     established = {name: causes.effects[name] for name in classification.effects if name in causes.effects}
     entries, gap_mN, held_out = force_budget(study, causes.competition, causes.presence, established)
-    hum = hum_effect().id
-    presence = dict.fromkeys(catalogue(), MIN_PRESENCE) | dict(causes.effects)
-    presence[hum] = _marginal(classification, hum)
-    if hum in classification.effects:
-        entries, gap_mN = _with_hum(entries, gap_mN, hum_mN, presence[hum]), float(np.hypot(gap_mN, hum_mN))
+    presence = dict(causes.effects)
+    for line, rms_mN in lines_mN.items():
+        presence[line] = _marginal(classification, line)
+        if line in classification.effects:
+            entries, gap_mN = _with_line(entries, gap_mN, line, rms_mN, presence[line]), float(np.hypot(gap_mN, rms_mN))
     if classification.verdict is Verdict.NO_GAP:
         entries = ()
-    presence |= position
+    presence = dict.fromkeys(known_effects(), MIN_PRESENCE) | presence | dict(position)
     named = max(position, key=lambda name: position[name], default="")
     if position and position_reduction is not None and position_reduction.closed is not None:
         closed, interval = position_reduction.closed, position_reduction.closed_95ci
@@ -129,26 +128,26 @@ def gap_budget(
     return GapBudget(limited, entries, gap_mN, held_out, dict(causes.presence.probabilities))
 
 
-def _with_hum(
-    entries: tuple[BudgetEntry, ...], gap_mN: float, hum_mN: float, presence: float
+def _with_line(
+    entries: tuple[BudgetEntry, ...], gap_mN: float, line: str, rms_mN: float, presence: float
 ) -> tuple[BudgetEntry, ...]:
-    """Add mains hum, which block means average out, to the parts of the rest of the gap."""
-    total = gap_mN**2 + hum_mN**2
+    """Add a spectral line, which block means average out, to the parts of the rest of the gap."""
+    total = gap_mN**2 + rms_mN**2
     if total <= 0:
         return entries
-    of_hum = hum_mN**2 / total if entries else 1.0
+    of_line = rms_mN**2 / total if entries else 1.0
     scaled = [
         replace(
             entry,
-            share=entry.share * (1.0 - of_hum),
+            share=entry.share * (1.0 - of_line),
             share_95ci=None
             if entry.share_95ci is None
-            else (entry.share_95ci[0] * (1.0 - of_hum), entry.share_95ci[1] * (1.0 - of_hum)),
+            else (entry.share_95ci[0] * (1.0 - of_line), entry.share_95ci[1] * (1.0 - of_line)),
         )
         for entry in entries or (BudgetEntry(UNEXPLAINED, "force", 1.0, None, 0.0),)
     ]
-    hum = BudgetEntry(hum_effect().id, "force", of_hum, None, hum_mN, presence=presence)
-    return (*sorted((hum, *scaled[:-1]), key=lambda entry: -entry.share), scaled[-1])
+    part = BudgetEntry(line, "force", of_line, None, rms_mN, presence=presence)
+    return (*sorted((part, *scaled[:-1]), key=lambda entry: -entry.share), scaled[-1])
 
 
 def force_budget(
@@ -203,7 +202,7 @@ def _parts_of(
     """Group the causes of a set into parts of the budget; what is not established belongs to the unexplained rest."""
     # A free law of the coordinate that an established effect depends on is that effect in another form.
     by_presence = sorted(established, key=lambda name: established[name])
-    form_of = {law: name for name in by_presence for law in FORM_LAWS.get(find_effect(name).coordinate, ())}
+    form_of = {law: name for name in by_presence for law in form_laws(name)}
     parts: dict[str, CauseSet] = {}
     for index, scale in chosen:
         cause = competition.causes[index]
@@ -402,12 +401,14 @@ def restate(classification: Classification, probabilities: Mapping[str, float]) 
     Effects present with more than `ESTABLISHED` are named. Sets of effects are as likely as their members are present
     and all others absent, in what probability the classifier leaves to a gap.
     """
-    hum = hum_effect().id
-    others = tuple(name for name in classification.effects if name == hum)
+    # Spectral lines are told apart from all else beforehand.
+    others = tuple(name for name in classification.effects if name not in probabilities)
     named = tuple(name for name, value in probabilities.items() if value > ESTABLISHED)
     no_gap = classification.probabilities.get(NO_GAP, 0.0)
     candidates: set[frozenset[str]] = {
-        frozenset(names.split("+")) - {hum} for names in classification.probabilities if names not in {NO_GAP, UNKNOWN}
+        frozenset(names.split("+")) - set(others)
+        for names in classification.probabilities
+        if names not in {NO_GAP, UNKNOWN}
     }
     candidates |= {frozenset(named)} | {frozenset({name}) for name in probabilities}
     members = [names for names in (*candidates, frozenset[str]()) if names <= probabilities.keys()]

@@ -19,7 +19,6 @@ from dragrig.analysis import (
 )
 from dragrig.analysis.gap.budget import CausesOfGap, gap_budget, restate
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget
-from dragrig.analysis.gap.candidates import Candidate
 from dragrig.analysis.gap.classifier import (
     MIN_LLR_BESIDE_POSITION,
     NO_GAP,
@@ -31,7 +30,7 @@ from dragrig.analysis.gap.classifier import (
     unknown_because_of_line,
     unknown_by_excess_alone,
 )
-from dragrig.analysis.gap.design import ColumnKind, Study, fit_columns
+from dragrig.analysis.gap.design import Candidate, ColumnKind, Study, fit_columns
 from dragrig.analysis.gap.diagnosis import (
     Diagnosis,
     GapBudget,
@@ -490,7 +489,7 @@ def _budget(
     }
     closed = None if reduction is None else position_gap_reduction(position, reduction)
     hum_mN = float(np.sqrt(0.5)) * lines.mains.amplitude
-    return gap_budget(study, causes, classification, probabilities, closed, hum_mN)
+    return gap_budget(study, causes, classification, probabilities, closed, {hum_effect().id: hum_mN})
 
 
 def _named_force(study: Study, fit: HypothesisFit | None, hum: SpectralLine) -> list[FloatArray]:

@@ -14,8 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from dragrig.analysis import NORMAL_95, CapsuleModel, RunSelection, single_blas_thread
-from dragrig.analysis.gap.candidates import Candidate, added_force
-from dragrig.analysis.gap.design import Design, linearise
+from dragrig.analysis.gap.design import Candidate, Design, added_force, linearise
 from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.analysis.gap.gap_reduction import MIN_GAP_OVER_FLOOR, RunGap, gap_of_run, reduction_over_runs
 from dragrig.analysis.gap.position_channel import PositionErrors, position_errors, predicted_position_error

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.analysis.gap.candidates import Candidate, EffectVariant, signature
 from dragrig.analysis.gap.design import (
     NUISANCES,
+    Candidate,
     ColumnKind,
     Design,
+    EffectVariant,
     LeastSquaresFit,
     ParameterPoint,
     RankedEffect,
@@ -24,6 +25,7 @@ from dragrig.analysis.gap.design import (
     linearise,
     project_dictionary,
     rank_effects,
+    signature,
 )
 from dragrig.analysis.gap.features import CHANCE_SIGMAS, NOISE_UNCERTAINTY
 from dragrig.analysis.gap.run_data import RunData, rms_where_active

@@ -25,13 +25,14 @@ from dragrig.analysis import (
     no_progress,
     single_blas_thread,
 )
-from dragrig.analysis.gap.candidates import Candidate, EffectVariant
 from dragrig.analysis.gap.classifier import MIN_MAINS_LLR, MIN_POSITION_SHARE
 from dragrig.analysis.gap.design import (
     NUISANCES,
     RELATIVE_RIDGE,
+    Candidate,
     ColumnKind,
     Design,
+    EffectVariant,
     Study,
     gauss_newton_step,
     linearise,

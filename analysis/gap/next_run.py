@@ -30,13 +30,14 @@ from dragrig.analysis.gap.candidate_runs import (
     short_grid,
     study_of_candidates,
 )
-from dragrig.analysis.gap.candidates import Candidate, EffectVariant
 from dragrig.analysis.gap.classifier import MIN_POSITION_SHARE, NO_GAP, POSITION_RIVAL_SLOPE, UNKNOWN, Classification
 from dragrig.analysis.gap.design import (
     NUISANCES,
     RELATIVE_RIDGE,
+    Candidate,
     ColumnKind,
     Design,
+    EffectVariant,
     RankedEffect,
     Study,
     gauss_newton_step,

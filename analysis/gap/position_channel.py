@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from dragrig.analysis import MIN_COUNT_MM, Experiment, session_starts, wander_noise_sd_mm
-from dragrig.analysis.gap.candidates import Candidate
+from dragrig.analysis.gap.design import Candidate
 from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import Channel, Effect, PositionForm, Role, catalogue, find_effect

@@ -19,14 +19,18 @@ from math import log
 import numpy as np
 
 from dragrig.analysis import Whitening
-from dragrig.analysis.gap.candidates import Candidate, EffectVariant, added_force, chain_with, parameter_derivatives
 from dragrig.analysis.gap.design import (
     NUISANCES,
+    Candidate,
     ColumnKind,
     Design,
+    EffectVariant,
     Study,
+    added_force,
+    chain_with,
     linearise,
     nominal_residuals,
+    parameter_derivatives,
     project_dictionary,
     schur_complement,
     score_variants,
@@ -34,7 +38,7 @@ from dragrig.analysis.gap.design import (
 from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearchResult, nonparametric_columns
 from dragrig.analysis.gap.run_data import rms_where_active
 from dragrig.rig import BoolArray, FloatArray, IndexArray
-from dragrig.sim_backend.effects import Coordinate, Effect, Role
+from dragrig.sim_backend.effects import Coordinate, Effect, Role, catalogue, find_effect
 
 SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to the largest forces."""
@@ -68,6 +72,16 @@ MAX_SETS_EXPANDED = 40
 LOG_ODDS_WINDOW = 7.0
 """Sets are expanded down to these log odds against the best one: less likely ones cannot change a probability by more
 than 0.1 % each."""
+
+
+def known_effects() -> tuple[str, ...]:
+    """Return the ids of all effects of the catalogue."""
+    return tuple(catalogue())
+
+
+def form_laws(effect: str) -> tuple[str, ...]:
+    """Return the free laws of the coordinate that an effect depends on."""
+    return FORM_LAWS.get(find_effect(effect).coordinate, ())
 
 
 class CauseKind(StrEnum):

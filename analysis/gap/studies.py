@@ -26,8 +26,7 @@ from dragrig.analysis import (
     solve_joint,
     zero_remarks,
 )
-from dragrig.analysis.gap.candidates import signature, variants_of
-from dragrig.analysis.gap.design import ColumnKind, Design, Study, fit_columns, problem_of_runs
+from dragrig.analysis.gap.design import ColumnKind, Design, Study, fit_columns, problem_of_runs, signature, variants_of
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
 from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, without_hum
 from dragrig.config import AnalysisError, Fixture, FrictionModelSettings
