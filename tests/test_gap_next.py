@@ -69,7 +69,7 @@ def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(tmp_path: Path)
     write_campaign(draw_campaign(113, effects=["wall_seam"], size=0.3), tmp_path / "few", runs=few)
     first, second, *_ = dragrig.diagnose(tmp_path / "few").ranking
     assert first.probability < 0.9
-    assert second.hypothesis == "unknown"
+    assert "unknown" in {first.hypothesis, second.hypothesis}
     next_experiment = dragrig.next_experiment(tmp_path / "few", minutes=5.0)
     assert next_experiment is not None
     assert next_experiment.minutes > 4.0
