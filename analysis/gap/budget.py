@@ -64,7 +64,7 @@ class _Contributions:
     def sums(self) -> FloatArray:
         """Duration, and time integrals of noise, gap², rest², parts · gap and parts², shape `(4 + 2 K,)`."""
         weights, rest = self.weights_s, self.gap - self.parts.sum(axis=0)
-        squares = [weights.sum(), weights @ self.noise_variance, weights @ self.gap**2, weights @ rest**2]
+        squares = np.array([weights.sum(), weights @ self.noise_variance, weights @ self.gap**2, weights @ rest**2])
         return np.concatenate((squares, (self.parts * self.gap) @ weights, self.parts**2 @ weights))
 
 
