@@ -265,14 +265,18 @@ def _pooled_if_alike(
     return together if misfit(pooled) - misfit(fitted) < MAX_POOLING_LOSS else still
 
 
+def _recorded(experiments: Iterable[Experiment], channel: str) -> Iterator[tuple[Experiment, FloatArray]]:
+    """Yield the runs that recorded a channel, with its values."""
+    for experiment in experiments:
+        if channel in experiment.run.trace.channels:
+            yield experiment, np.asarray(experiment.run.trace.channels[channel], dtype=np.float64)
+
+
 def _estimate_in_motion(experiments: Sequence[Experiment], channel: str) -> NoiseModel:
     """White noise that steady motion shows from sample to sample; slower noise looks like a signal."""
     curvatures, largest = [np.zeros(0)], 0.0
-    for experiment in experiments:
+    for experiment, values in _recorded(experiments, channel):
         trace = experiment.run.trace
-        if channel not in trace.channels:
-            continue
-        values = np.asarray(trace.channels[channel], dtype=np.float64)
         for start, stop in mask_spans(in_phase(trace, Phase.STEADY) & experiment.valid & np.isfinite(values)):
             curvatures.append(np.abs(np.diff(values[start:stop], 2)) / np.sqrt(6.0))
             largest = max(largest, float(np.abs(values[start:stop]).max()))
@@ -290,11 +294,8 @@ def added_white_in_motion(experiments: Iterable[Experiment], channel: str) -> fl
     is no noise; the median of the runs counts, so that it is not what one speed or place does.
     """
     moving, resting = list[float](), list[float]()
-    for experiment in experiments:
+    for experiment, values in _recorded(experiments, channel):
         trace = experiment.run.trace
-        if channel not in trace.channels:
-            continue
-        values = np.asarray(trace.channels[channel], dtype=np.float64)
         usable = experiment.valid & np.isfinite(values)
         for phase_values, mask in ((moving, in_phase(trace, Phase.STEADY)), (resting, at_rest(trace))):
             bends = [np.diff(values[start:stop], 2) for start, stop in mask_spans(mask & usable) if stop - start > 2]
@@ -310,11 +311,8 @@ def added_white_in_motion(experiments: Iterable[Experiment], channel: str) -> fl
 
 
 def _quiet_stretches(experiments: Iterable[Experiment], channel: str) -> Iterator[_QuietStretch]:
-    for experiment in experiments:
+    for experiment, values in _recorded(experiments, channel):
         trace = experiment.run.trace
-        if channel not in trace.channels:
-            continue
-        values = np.asarray(trace.channels[channel], dtype=np.float64)
         usable = experiment.valid & np.isfinite(values)
         still, relaxing = at_rest(trace), np.zeros_like(usable)
         if experiment.contact is Contact.NONE:
@@ -330,11 +328,8 @@ def _quiet_stretches(experiments: Iterable[Experiment], channel: str) -> Iterato
 
 def _creeping_stretches(experiments: Iterable[Experiment], channel: str) -> Iterator[_QuietStretch]:
     """Yield pieces of slow steady motion in which the stage moves so little that nothing changes with the place."""
-    for experiment in experiments:
+    for experiment, values in _recorded(experiments, channel):
         trace = experiment.run.trace
-        if channel not in trace.channels:
-            continue
-        values = np.asarray(trace.channels[channel], dtype=np.float64)
         steady = in_phase(trace, Phase.STEADY)
         if np.count_nonzero(steady) < MIN_MOVING_SAMPLES:
             continue

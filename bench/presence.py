@@ -89,10 +89,7 @@ def answer(case: Case) -> Answer:
     assert diagnosis.decision_inputs is not None
     before = classify(diagnosis.decision_inputs, diagnosis.tolerance_mN)
     on_force = [name for name in diagnosis.budget.presence if name in diagnosis.budget.competition]
-    marginal = {
-        name: sum(value for names, value in before.probabilities.items() if name in names.split("+"))
-        for name in on_force
-    }
+    marginal = {name: before.marginal(name) for name in on_force}
     return Answer(
         diagnosis.verdict.value,
         diagnosis.effects,

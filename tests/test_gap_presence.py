@@ -1,6 +1,7 @@
 """Which causes are there, given all others, and how they share the gap: also where nothing, or something else, is."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,15 @@ def test_without_an_effect_present_nothing_is_named(no_gap: float, verdict: Verd
     assert (restated.verdict, restated.effects) == (verdict, ())
     stated = {Verdict.NO_GAP: NO_GAP, Verdict.UNKNOWN: UNKNOWN}[verdict]
     assert restated.probabilities[stated] == max(restated.probabilities.values())
+
+
+def test_beside_a_spectral_line_the_probabilities_still_sum_to_one() -> None:
+    classification = replace(
+        classified(sensor_hum=0.5, sensor_hum__stribeck=0.3, no_gap=0.05, unknown=0.15), effects=("sensor_hum",)
+    )
+    restated = restate(classification, {"stribeck": 0.9})
+    assert restated.effects == ("stribeck", "sensor_hum")
+    assert sum(restated.probabilities.values()) == pytest.approx(1.0)
 
 
 def test_presence_grows_with_either_estimate() -> None:

@@ -26,7 +26,9 @@ from dragrig.analysis.gap.diagnosis import (
 )
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.gap_reduction import (
+    BOOTSTRAP_SAMPLES,
     MAX_OWN_SIGMAS,
+    MIN_RUNS,
     folds_by_condition,
     run_factor_force,
     run_zero_offset,
@@ -36,15 +38,13 @@ from dragrig.analysis.gap.presence import (
     CauseSet,
     Competition,
     Presence,
+    effect_ids,
     form_laws,
     judge_presence,
-    known_effects,
     prepare_competition,
 )
 from dragrig.rig import FloatArray, IndexArray
 
-MIN_RUNS_HELD_OUT = 4
-BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_NOISE = 0.1
 """Mean square of a gap above noise, relative to noise, below which shares of it mean nothing."""
 EQUAL_LOG_ODDS = 3.0
@@ -75,14 +75,17 @@ class CausesOfGap:
     competition: Competition
     presence: Presence
     effects: Mapping[str, float]
-    """Probability that each effect on the force is there, by classifier and competition together."""
+    """Probability that each effect on the force is there."""
 
     @classmethod
-    def of(cls, search: ForceSearchResult, classification: Classification) -> "CausesOfGap":
-        """Judge all causes beside each other."""
+    def of(cls, search: ForceSearchResult, classification: Classification, *, combined: bool) -> "CausesOfGap":
+        """Judge all causes beside each other; where both estimates are not combined, the classifier's alone decides."""
         competition = prepare_competition(search)
         presence = judge_presence(competition)
-        return cls(competition, presence, combined_presence(classification, presence))
+        if combined:
+            return cls(competition, presence, combined_presence(classification, presence))
+        names = presence.of_kind(CauseKind.EFFECT)
+        return cls(competition, presence, {name: classification.marginal(name) for name in names})
 
 
 def gap_budget(
@@ -108,12 +111,12 @@ def gap_budget(
     entries, gap_mN, held_out = force_budget(study, causes.competition, causes.presence, established)
     presence = dict(causes.effects)
     for line, rms_mN in lines_mN.items():
-        presence[line] = _marginal(classification, line)
+        presence[line] = classification.marginal(line)
         if line in classification.effects:
             entries, gap_mN = _with_line(entries, gap_mN, line, rms_mN, presence[line]), float(np.hypot(gap_mN, rms_mN))
     if classification.verdict is Verdict.NO_GAP:
         entries = ()
-    presence = dict.fromkeys(known_effects(), MIN_PRESENCE) | presence | dict(position)
+    presence = dict.fromkeys(effect_ids(), MIN_PRESENCE) | presence | dict(position)
     named = max(position, key=lambda name: position[name], default="")
     if position and position_reduction is not None and position_reduction.closed is not None:
         closed, interval = position_reduction.closed, position_reduction.closed_95ci
@@ -177,7 +180,7 @@ def force_budget(
             shares[number],
             intervals[number],
             sizes[number],
-            presence=established.get(cause, presence_of_part(presence, competition, members)),
+            presence=established.get(cause, _presence_of_part(presence, competition, members)),
             what=_words_of(competition, members) if cause in {MODEL, SPECIMEN} else "",
             not_separable_from=_not_separable(cause, chosen, competition, presence) if cause in established else (),
         )
@@ -191,7 +194,7 @@ def force_budget(
     return (*entries, left), float(np.sqrt((square - noise) / duration)), held_out
 
 
-def presence_of_part(presence: Presence, competition: Competition, causes: CauseSet) -> float:
+def _presence_of_part(presence: Presence, competition: Competition, causes: CauseSet) -> float:
     """Return the probability of the most probable cause of a part."""
     return max(presence.probabilities[competition.causes[index].name] for index, _ in causes)
 
@@ -259,7 +262,7 @@ def _held_out_contributions(
         values.append(own)
         grams.append(white.T @ white)
     folds = folds_by_condition(study)
-    held_out = len(study.runs) >= MIN_RUNS_HELD_OUT and len(folds) > 1
+    held_out = len(study.runs) >= MIN_RUNS and len(folds) > 1
     total = np.sum(grams, axis=0)
     prior = design.prior_precision[nuisances], design.prior_mean[nuisances]
     contributions: dict[int, _Contributions] = {}
@@ -379,15 +382,11 @@ def combined_presence(classification: Classification, presence: Presence) -> dic
     for name, value in presence.of_kind(CauseKind.EFFECT).items():
         log_odds = (
             weights.constant
-            + weights.classifier * _log_odds(_marginal(classification, name))
+            + weights.classifier * _log_odds(classification.marginal(name))
             + weights.competition * _log_odds(value, MIN_COMPETITION)
         )
         combined[name] = 1.0 / (1.0 + exp(-log_odds))
     return combined
-
-
-def _marginal(classification: Classification, name: str) -> float:
-    return sum(value for names, value in classification.probabilities.items() if name in names.split("+"))
 
 
 def _log_odds(probability: float, least: float = MIN_PRESENCE) -> float:
@@ -417,13 +416,12 @@ def restate(classification: Classification, probabilities: Mapping[str, float]) 
         for names in members
     }
     total = sum(weights.values())
-    gap = 1.0 if others else 1.0 - no_gap
-    restated: dict[str, float] = {} if others else {NO_GAP: no_gap}
+    # Beside a spectral line neither of these holds; what the classifier leaves to them stays.
+    restated = {NO_GAP: no_gap} | ({UNKNOWN: classification.probabilities.get(UNKNOWN, 0.0)} if others else {})
+    gap = 1.0 - sum(restated.values())
     for names, weight in weights.items():
         ordered = tuple(sorted(names, key=lambda name: (-probabilities[name], name)))
         restated["+".join((*ordered, *others)) or UNKNOWN] = gap * weight / total
-    restated.setdefault(UNKNOWN, classification.probabilities.get(UNKNOWN, 0.0))
-    restated.setdefault(NO_GAP, classification.probabilities.get(NO_GAP, 0.0))
     effects = (*sorted(named, key=lambda name: (-probabilities[name], name)), *others)
     if not effects:
         verdict = Verdict.NO_GAP if restated[NO_GAP] >= restated[UNKNOWN] else Verdict.UNKNOWN

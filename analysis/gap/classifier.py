@@ -57,6 +57,15 @@ class Classification:
     confusable_with: tuple[str, ...]
     residual_unknown: bool
 
+    def marginal(self, effect: str) -> float:
+        """Return the probability of all hypotheses with an effect."""
+        return marginal_probability(effect, self.probabilities)
+
+
+def marginal_probability(effect: str, probabilities: Mapping[str, float]) -> float:
+    """Return the probability of all hypotheses, several effects joined with `+`, that contain an effect."""
+    return sum(value for names, value in probabilities.items() if effect in names.split("+"))
+
 
 def classify(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibration | None = None) -> Classification:
     """Return the verdict on a campaign; `calibration` defaults to the shipped one."""

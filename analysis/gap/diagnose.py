@@ -360,8 +360,9 @@ def diagnose(
     lines = lines_that_matter(lines, settings.tolerance_mN)
     inputs = decision_inputs(search, position, lines, settings.excluded)
     classification = classify(inputs, settings.tolerance_mN, _calibration_for(study, settings))
-    causes = CausesOfGap.of(search, classification)
-    if _judged_by_presence(study, position):
+    by_presence = _judged_by_presence(study, position)
+    causes = CausesOfGap.of(search, classification, combined=by_presence)
+    if by_presence:
         classification = restate(classification, causes.effects)
     classified = perf_counter()
     diagnosis = _assembled_diagnosis(
@@ -483,10 +484,7 @@ def _budget(
     lines: SpectralLines,
 ) -> GapBudget:
     in_position = {model_class.effect for model_class in position.model_classes if position.has_position_error}
-    probabilities = {
-        name: sum(value for names, value in classification.probabilities.items() if name in names.split("+"))
-        for name in in_position
-    }
+    probabilities = {name: classification.marginal(name) for name in in_position}
     closed = None if reduction is None else position_gap_reduction(position, reduction)
     hum_mN = float(np.sqrt(0.5)) * lines.mains.amplitude
     return gap_budget(study, causes, classification, probabilities, closed, {hum_effect().id: hum_mN})

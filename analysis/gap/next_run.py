@@ -30,7 +30,14 @@ from dragrig.analysis.gap.candidate_runs import (
     short_grid,
     study_of_candidates,
 )
-from dragrig.analysis.gap.classifier import MIN_POSITION_SHARE, NO_GAP, POSITION_RIVAL_SLOPE, UNKNOWN, Classification
+from dragrig.analysis.gap.classifier import (
+    MIN_POSITION_SHARE,
+    NO_GAP,
+    POSITION_RIVAL_SLOPE,
+    UNKNOWN,
+    Classification,
+    marginal_probability,
+)
 from dragrig.analysis.gap.design import (
     NUISANCES,
     RELATIVE_RIDGE,
@@ -320,11 +327,6 @@ def _pair_questions(
     if len(assumed_effects) == 1:
         for name, assumed in assumed_effects.items():
             yield PairQuestion(assumed, "", weights[name])
-
-
-def marginal_probability(effect: str, probabilities: Mapping[str, float]) -> float:
-    """Return the probability of an effect, alone or with others."""
-    return sum(value for name, value in probabilities.items() if effect in name.split("+"))
 
 
 def _assumed_effect(information: Information, design: Design, ranked: RankedEffect, *, gap: bool) -> AssumedEffect:

@@ -3,8 +3,8 @@
 The force after the nominal model is taken as a sum of causes, of which each may be there or not. A cause is a Gaussian
 random function of the runs: columns with independent standard normal coefficients, times a scale in mN that is itself
 unknown. An effect of the catalogue is its own law, a smooth modulation of it, and a part of the free law of its
-coordinate; an unnamed cause is a free function of one coordinate at one place; the nominal model's own parameters,
-laws may be off by more than their priors allow. With Gaussian noise the evidence of each set of causes follows
+coordinate; an unnamed cause is a free function of one coordinate at one place; the nominal model's own parameters
+and laws may be off by more than their priors allow. With Gaussian noise the evidence of each set of causes follows
 by linear algebra (Bayesian variable selection; O'Hagan & Forster, Kendall's Advanced Theory of Statistics 2B, ch. 9),
 and the probability that a cause is there is the sum over all sets that contain it.
 """
@@ -61,7 +61,8 @@ FORM_LAWS: Mapping[Coordinate, tuple[str, ...]] = {
 """Free laws of each coordinate, the one in the closed gut last."""
 FORM_ERROR = 0.25
 """Error of each block relative to the gap there: what no smooth function of any coordinate covers."""
-PRIOR_ODDS = {"effect": 0.08, "law": 0.03, "run": 0.03, "model": 0.15}
+PRIOR_PROBABILITIES = {"effect": 0.08, "law": 0.03, "run": 0.03, "model": 0.15}
+"""Prior probability of each cause by kind: of 25 effects about two, a wrong model in every second campaign."""
 KEPT_VARIANCE, MAX_CORE_COLUMNS = 0.999, 8
 """The variants of an effect span a space, of which this share of the whitened variance is kept."""
 PERIODS_TRIED = 4
@@ -74,7 +75,7 @@ LOG_ODDS_WINDOW = 7.0
 than 0.1 % each."""
 
 
-def known_effects() -> tuple[str, ...]:
+def effect_ids() -> tuple[str, ...]:
     """Return the ids of all effects of the catalogue."""
     return tuple(catalogue())
 
@@ -114,7 +115,7 @@ class Cause:
     @property
     def log_prior_odds(self) -> float:
         """Prior log odds of one scale of this cause."""
-        prior = PRIOR_ODDS[self.kind]
+        prior = PRIOR_PROBABILITIES[self.kind]
         return log(prior / (1 - prior)) - log(len(self.scales) * self.alternatives)
 
 
