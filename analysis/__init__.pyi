@@ -93,7 +93,11 @@ from .models.capsule_model import SPECIMEN_PRIORS as SPECIMEN_PRIORS
 from .models.capsule_model import STIFFNESS_SCATTER as STIFFNESS_SCATTER
 from .models.capsule_model import CapsuleModel as CapsuleModel
 from .models.capsule_model import acquisition_of as acquisition_of
+from .models.catalogue import AmendedModel as AmendedModel
 from .models.catalogue import find_model as find_model
+from .models.catalogue import model_reference as model_reference
+from .models.catalogue import nominal_model as nominal_model
+from .models.catalogue import parse_model_settings as parse_model_settings
 from .models.drive_model import MOTOR_FORCE_CHANNEL as MOTOR_FORCE_CHANNEL
 from .models.drive_model import DriveModel as DriveModel
 from .models.experiment import DEFAULT_DWELL_S as DEFAULT_DWELL_S

@@ -12,11 +12,13 @@ from .errors import StaleDataError as StaleDataError
 from .errors import TrippedError as TrippedError
 from .errors import WorkerError as WorkerError
 from .errors import reason_of as reason_of
+from .friction_model import AmendedModelSettings as AmendedModelSettings
 from .friction_model import DiagnosisSummary as DiagnosisSummary
 from .friction_model import EffectSettings as EffectSettings
 from .friction_model import FrictionModelSettings as FrictionModelSettings
 from .friction_model import IdentificationSummary as IdentificationSummary
 from .friction_model import IdentifiedValue as IdentifiedValue
+from .friction_model import ModelSettings as ModelSettings
 from .friction_model import WallPolynomials as WallPolynomials
 from .friction_model import parse_effects as parse_effects
 from .plan import Plan as Plan

@@ -167,8 +167,44 @@ class FrictionModelSettings(Settings):
     diagnosed: DiagnosisSummary | None = None
     """The diagnosis that the effects come from."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _is_of_the_friction_model(cls, data: object) -> object:
+        if isinstance(data, Mapping) and "nominal" in data:
+            raise ValueError(
+                f"this is an amended model of {data['nominal']}, which the simulated rig does not have; it serves "
+                "dragrig gap evaluate, and --nominal of gap diagnose"
+            )
+        return data
+
     @model_validator(mode="after")
     def _has_its_polynomials(self) -> Self:
         if self.wall == "polynomial" and self.wall_polynomials is None:
             raise ValueError("wall polynomial needs a group wall_polynomials with E1, E2, E3, eta1 and eta2")
         return self
+
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """Return the model with other values of some parameters, which no identification gave."""
+        return self.model_copy(update={**values, "identified": None})
+
+
+class AmendedModelSettings(Settings):
+    """A model other than the friction model, with the values and the effects that a diagnosis found."""
+
+    name: str = "amended"
+    nominal: str = Field(min_length=1)
+    """The model without effects: the name of an installed one, as `drive`, or the file of one of your own."""
+    parameters: Mapping[str, float]
+    """Value of each of its parameters."""
+    effects: tuple[EffectSettings, ...] = ()
+    """Effects beyond the model, as groups [[effects]] in a file."""
+    diagnosed: DiagnosisSummary | None = None
+    """The diagnosis that values and effects come from."""
+
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """Return the model with other values of some parameters."""
+        return self.model_copy(update={"parameters": {**self.parameters, **values}})
+
+
+ModelSettings = FrictionModelSettings | AmendedModelSettings
+"""Settings of a model with which a campaign is compared, and of what a diagnosis makes of it."""

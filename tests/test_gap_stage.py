@@ -10,9 +10,11 @@ import pytest
 
 import dragrig
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.models.catalogue import CheckedModel, find_model
 from dragrig.analysis.models.experiment import Experiment
+from dragrig.api.gap import gap_evaluate, save_amended_model
 from dragrig.cli import main
-from dragrig.config.errors import AnalysisError
+from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.rig.arrays import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import SIGNALS
@@ -41,11 +43,14 @@ MODEL = Sledge()
 """
 
 
-def there_and_back(folder: Path, out: Path | None = None) -> list[Run]:
+def there_and_back(
+    folder: Path, out: Path | None = None, speeds_mm_s: tuple[int, ...] = (5, 15, 30, 60), seed: int = 11
+) -> list[Run]:
     plan = folder / "stage.toml"
-    steps = [f'[[steps]]\nkind = "blank"\nspeed_mm_s = [5, 15, 30, 60]\ntravel_mm = {travel}\n' for travel in (25, -25)]
+    speeds = list(speeds_mm_s)
+    steps = [f'[[steps]]\nkind = "blank"\nspeed_mm_s = {speeds}\ntravel_mm = {travel}\n' for travel in (25, -25)]
     plan.write_text('name = "stage"\n' + "".join(steps))
-    return dragrig.simulate(str(plan), out=out, assignments=["rig.simulated.seed=11", RATE])
+    return dragrig.simulate(str(plan), out=out, assignments=[f"rig.simulated.seed={seed}", RATE])
 
 
 def with_force(runs: list[Run], more: Callable[[FloatArray, FloatArray], FloatArray]) -> list[Run]:
@@ -82,6 +87,12 @@ def blanks(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
     return there_and_back(tmp_path_factory.mktemp("stage"))
 
 
+@pytest.fixture(scope="module")
+def fresh_blanks(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+    """Return another session of the same stage, at other speeds."""
+    return there_and_back(tmp_path_factory.mktemp("fresh"), speeds_mm_s=(8, 20, 45, 70), seed=12)
+
+
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
     file = tmp_path / "sledge.py"
@@ -96,7 +107,6 @@ def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
     assert not hypotheses(diagnosis) & NOT_OF_A_STAGE
     assert diagnosis.detection_limit_mN < 10.0
     text = " ".join(diagnosis.limitations)
-    assert "No amended model" in text
     assert "one way" not in text
     assert "gut" not in text
 
@@ -112,7 +122,8 @@ def test_friction_that_differs_with_direction_is_named_with_its_size(asymmetry: 
     assert size.interval[0] < asymmetry < size.interval[1]
     assert size.standard_error < 0.002
     assert diagnosis.where.location("channel").shares["motor_force"] > 0.95
-    assert diagnosis.model is None
+    assert diagnosis.model is not None
+    assert [effect.id for effect in diagnosis.model.effects] == ["direction_asymmetry"]
     assert diagnosis.shrink is not None
     assert diagnosis.shrink.closed is not None
     assert diagnosis.shrink.closed > 0.95
@@ -231,3 +242,57 @@ def test_a_capsules_campaign_may_be_of_blank_runs_alone(blanks: list[Run]) -> No
     diagnosis = dragrig.diagnose(blanks)
     assert diagnosis.verdict is Verdict.NO_GAP
     assert "peristalsis" not in hypotheses(diagnosis)
+
+
+def judged(model: Path, runs: list[Run]) -> tuple[str, float]:
+    """Return the verdict on the promise, and the size of the one effect relative to the promised one."""
+    evaluation = gap_evaluate(model, runs)
+    (size,) = evaluation.sizes
+    return evaluation.verdict.value, size.size
+
+
+@pytest.mark.parametrize("of_ones_own", [False, True], ids=["drive", "own model"])
+def test_an_amended_model_of_any_nominal_model_keeps_its_promise_or_not(
+    of_ones_own: bool, own: Path, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run]
+) -> None:
+    own.write_text(OWN.replace("\nMODEL", FRICTION), "utf-8")
+    diagnosis = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own if of_ones_own else "drive")
+    file = save_amended_model(diagnosis, tmp_path / "amended.toml")
+    assert file is not None
+    verdict, size = judged(file, asymmetric(fresh_blanks, 0.1))
+    assert verdict == "KEPT"
+    assert size == pytest.approx(1.0, abs=0.05)
+    assert judged(file, fresh_blanks) == ("NOT_KEPT", pytest.approx(0.0, abs=0.05))
+    assert judged(file, asymmetric(fresh_blanks, 0.2)) == ("NOT_KEPT", pytest.approx(2.0, abs=0.1))
+    forwards = [run for run in fresh_blanks if run.trace.position[-1] > run.trace.position[0]]
+    assert judged(file, forwards)[0] == "NO_POWER"
+    # As a nominal model it expects what was found.
+    assert dragrig.diagnose(asymmetric(fresh_blanks, 0.1), nominal=file).verdict is Verdict.NO_GAP
+
+
+def test_an_amended_own_model_says_what_it_serves_and_finds_its_file_beside_it(
+    own: Path, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run], capsys: pytest.CaptureFixture[str]
+) -> None:
+    diagnosis = dragrig.diagnose(drifting(blanks), nominal=own)
+    (tmp_path / "moved").mkdir()
+    file = save_amended_model(diagnosis, tmp_path / "moved" / "amended.toml")
+    assert file is not None
+    assert main(["run", "drag", "--model", str(file)]) == 2
+    assert "sledge.py, which the simulated rig does not have" in capsys.readouterr().err
+    moved = own.rename(file.parent / own.name)
+    assert judged(file, drifting(fresh_blanks))[0] == "KEPT"
+    moved.write_text(OWN.replace("coulomb_mN", "dry_mN"), "utf-8")
+    with pytest.raises(SettingsError, match=r"dry_mN, .*, and were mass_g, coulomb_mN"):
+        gap_evaluate(file, fresh_blanks)
+    moved.unlink()
+    with pytest.raises(SettingsError, match="there is no such file"):
+        gap_evaluate(file, fresh_blanks)
+
+
+def test_a_model_that_cannot_be_found_again_is_not_written(own: Path, blanks: list[Run]) -> None:
+    model = find_model(str(own))
+    assert isinstance(model, CheckedModel)
+    diagnosis = dragrig.diagnose(drifting(blanks), nominal=model.own)
+    assert diagnosis.effects == ("force_drift",)
+    assert diagnosis.model is None
+    assert any("No amended model is written" in text for text in diagnosis.limitations)

@@ -16,7 +16,7 @@ import numpy as np
 
 from dragrig.analysis import ANGLE_PARAMETER, JointProblem, Whitening
 from dragrig.analysis.gap.run_data import RunData, smooth_modulations
-from dragrig.config import EffectSettings, FrictionModelSettings
+from dragrig.config import EffectSettings, ModelSettings
 from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray
 from dragrig.sim_backend.effects import (
     ActiveEffect,
@@ -271,8 +271,8 @@ class Study(ABC):
         del number, motion_sd
         return None
 
-    def amended_settings(self, z: FloatArray) -> FrictionModelSettings | None:
-        """Return the friction model to which found effects can be added; None by default."""
+    def amended_settings(self, z: FloatArray) -> ModelSettings | None:
+        """Return the model with fitted values, to which found effects can be added; None by default."""
         del z
         return None
 

@@ -79,7 +79,7 @@ from dragrig.analysis.gap.spectral_lines import (
 )
 from dragrig.analysis.gap.studies import CapsuleStudy, prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
-from dragrig.config import DiagnosisSummary, EffectSettings, FrictionModelSettings
+from dragrig.config import DiagnosisSummary, EffectSettings, ModelSettings
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import catalogue
 
@@ -244,8 +244,8 @@ def amended_model(
     search: ForceSearchResult,
     reduction: GapReduction | None,
     specimen: str,
-) -> FrictionModelSettings | None:
-    """Return this specimen's friction model with the named effects; None without any, or where it cannot have them."""
+) -> ModelSettings | None:
+    """Return the model of these runs with the named effects; None without any, or where it cannot have them."""
     if not classification.effects:
         return None
     z = search.nominal.z if fit is None else fit.parameters.z
@@ -276,14 +276,8 @@ def amended_model(
         promised_95ci=None if interval is None else (_rounded_value(interval[0]), _rounded_value(interval[1])),
         nominal=_rounded_values(study, search.nominal.z),
     )
-    return settings.model_copy(
-        update={
-            **_rounded_values(study, z),
-            "name": "amended",
-            "effects": tuple(rounded),
-            "diagnosed": diagnosed,
-            "identified": None,
-        }
+    return settings.with_values(_rounded_values(study, z)).model_copy(
+        update={"name": "amended", "effects": tuple(rounded), "diagnosed": diagnosed}
     )
 
 

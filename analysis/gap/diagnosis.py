@@ -6,7 +6,7 @@ from enum import StrEnum
 
 from dragrig.analysis import EstimatedQuantity, Exclusion, join_names
 from dragrig.analysis.gap.features import DecisionInputs
-from dragrig.config import FrictionModelSettings, PlanStep
+from dragrig.config import ModelSettings, PlanStep
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import catalogue
 
@@ -465,7 +465,7 @@ class Diagnosis:
     where: GapLocation
     shrink: GapReduction | None
     unknown: UnexplainedGap | None = None
-    model: FrictionModelSettings | None = None
+    model: ModelSettings | None = None
     traces: tuple[RunTraces, ...] = ()
     limitations: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()

@@ -13,15 +13,15 @@ from enum import StrEnum
 
 import numpy as np
 
-from dragrig.analysis import NORMAL_95, CapsuleModel, RunSelection, single_blas_thread
-from dragrig.analysis.gap.design import Candidate, Design, added_force, linearise
+from dragrig.analysis import NORMAL_95, RunSelection, nominal_model, single_blas_thread
+from dragrig.analysis.gap.design import Candidate, Design, Study, added_force, linearise
 from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.analysis.gap.gap_reduction import MIN_GAP_OVER_FLOOR, RunGap, gap_of_run, reduction_over_runs
 from dragrig.analysis.gap.position_channel import PositionErrors, position_errors, predicted_position_error
 from dragrig.analysis.gap.run_data import run_data_of
 from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude, find_spectral_lines, hum_effect, without_hum
-from dragrig.analysis.gap.studies import CapsuleStudy
-from dragrig.config import AnalysisError, EffectSettings, FrictionModelSettings
+from dragrig.analysis.gap.studies import prepare_study
+from dragrig.config import AnalysisError, EffectSettings, ModelSettings
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import ActiveEffect, Channel, Effect, EffectChain, active_effects
 
@@ -124,7 +124,7 @@ class ModelEvaluation:
 
 
 @single_blas_thread()
-def evaluate(selection: RunSelection, model: FrictionModelSettings) -> ModelEvaluation:
+def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
     """Evaluate an amended model on fresh runs.
 
     Raises
@@ -175,7 +175,7 @@ class _ForceEvaluation:
         The same with all effects as promised, shape `(B,)`.
     """
 
-    study: CapsuleStudy
+    study: Study
     amended: Design
     before: Design
     effects: tuple[ActiveEffect, ...]
@@ -184,10 +184,10 @@ class _ForceEvaluation:
     promised_forces: tuple[FloatArray, ...]
 
     @classmethod
-    def of(cls, selection: RunSelection, model: FrictionModelSettings) -> "_ForceEvaluation":
-        study = _capsule_study(selection, model)
+    def of(cls, selection: RunSelection, model: ModelSettings) -> "_ForceEvaluation":
+        study = _study(selection, model)
         bare = model.model_copy(update={"effects": (), "diagnosed": None})
-        fitted_without = bare.model_copy(update=dict(model.diagnosed.nominal)) if model.diagnosed else bare
+        fitted_without = bare.with_values(model.diagnosed.nominal) if model.diagnosed else bare
         z = study.initial_z
         acting = tuple(
             active
@@ -196,7 +196,7 @@ class _ForceEvaluation:
         )
         scenes = [(run, *scene) for run, scene in zip(study.runs, study.scenes(z), strict=True)]
 
-        def force(settings: FrictionModelSettings) -> list[FloatArray]:
+        def force(settings: ModelSettings) -> list[FloatArray]:
             chain = without_hum(EffectChain.of(settings))
             return [np.asarray(run.block_means(added_force(chain, scene, gain))) for run, scene, gain in scenes]
 
@@ -208,7 +208,7 @@ class _ForceEvaluation:
         return cls(
             study=study,
             amended=linearise(study, z),
-            before=linearise(_on_same_blocks(_capsule_study(selection, fitted_without), study), z),
+            before=linearise(_on_same_blocks(_study(selection, fitted_without), study), z),
             effects=acting,
             grids=grids,
             forces=tuple(
@@ -296,6 +296,7 @@ class _ForceEvaluation:
                 (before[number], design.whitening),
                 (after[number], design.whitening),
                 self.study.problem.zero_sds[number],
+                self.study.informative_blocks(number, design.motion_sd),
             )
             for number, (run, design) in enumerate(zip(self.study.runs, self.amended.runs, strict=True))
         ]
@@ -317,7 +318,7 @@ def _is_allowed(active: ActiveEffect, relative: float) -> bool:
     return relative in {0.0, 1.0} or parameter.allows(relative * active.values[parameter.name])
 
 
-def _resized(model: FrictionModelSettings, effect: Effect, relative: float) -> FrictionModelSettings:
+def _resized(model: ModelSettings, effect: Effect, relative: float) -> ModelSettings:
     """Return the model with an effect at a relative size; without the effect where that is 0."""
 
     def parameters(settings: EffectSettings) -> Mapping[str, float]:
@@ -350,11 +351,11 @@ def _best_size(grid: Sequence[float], grams: FloatArray, precision: FloatArray) 
     return size, min(1.0 / float(np.sqrt(curvature)), SIZE_PRIOR_SD)
 
 
-def _capsule_study(selection: RunSelection, settings: FrictionModelSettings) -> CapsuleStudy:
-    return CapsuleStudy.of(selection, CapsuleModel(settings), ())
+def _study(selection: RunSelection, settings: ModelSettings) -> Study:
+    return prepare_study(selection, nominal_model(settings), ())
 
 
-def _on_same_blocks(study: CapsuleStudy, reference: CapsuleStudy) -> CapsuleStudy:
+def _on_same_blocks(study: Study, reference: Study) -> Study:
     """Return a study with the blocks of a reference, whose model bends at other times."""
     pairs = zip(study.problem.channels, reference.problem.channels, strict=True)
     channels = tuple(replace(data, blocks=reference_data.blocks) for data, reference_data in pairs)

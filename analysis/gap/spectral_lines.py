@@ -8,7 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.analysis import CapsuleModel, Experiment, JointProblem, NominalModel, RunSelection, at_rest, in_phase
+from dragrig.analysis import (
+    AmendedModel,
+    CapsuleModel,
+    Experiment,
+    JointProblem,
+    NominalModel,
+    RunSelection,
+    at_rest,
+    in_phase,
+)
 from dragrig.rig import Contact, FloatArray, Phase
 from dragrig.sim_backend.effects import Effect, EffectChain, spectral_line_effects
 
@@ -203,8 +212,8 @@ def hum_effect() -> Effect:
 
 
 def known_effects(nominal: NominalModel) -> EffectChain:
-    """Return the effects that a nominal model already contains; only the friction model can have any."""
-    return EffectChain.of(nominal.settings) if isinstance(nominal, CapsuleModel) else EffectChain()
+    """Return the effects that a nominal model already contains; a friction model or an amended one may have some."""
+    return EffectChain.of(nominal.settings) if isinstance(nominal, CapsuleModel | AmendedModel) else EffectChain()
 
 
 def correct_known_motion(selection: RunSelection, chain: EffectChain) -> RunSelection:

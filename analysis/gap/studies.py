@@ -15,6 +15,7 @@ import numpy as np
 from dragrig.analysis import (
     MOTOR_FORCE_CHANNEL,
     TURNING_SPEED_MM_S,
+    AmendedModel,
     CapsuleModel,
     DriveModel,
     ForcePart,
@@ -22,14 +23,15 @@ from dragrig.analysis import (
     NominalModel,
     PriorScales,
     RunSelection,
+    model_reference,
     session_starts,
     solve_joint,
     zero_remarks,
 )
 from dragrig.analysis.gap.design import ColumnKind, Design, Study, fit_columns, problem_of_runs, signature, variants_of
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
-from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, without_hum
-from dragrig.config import AnalysisError, Fixture, FrictionModelSettings
+from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, known_effects, without_hum
+from dragrig.config import AmendedModelSettings, AnalysisError, Fixture, FrictionModelSettings
 from dragrig.rig import SIGNALS, BoolArray, Contact, FloatArray, Phase
 from dragrig.sim_backend.effects import (
     SIMULATED_NOMINAL,
@@ -170,13 +172,17 @@ MAX_PRIOR_SHARE = 0.2
 def empirical_priors(problem: JointProblem) -> tuple[JointProblem, str]:
     """Return a problem with priors around a fit of the model alone, no wider than effects can mislead that fit.
 
-    Also return why that fit did not converge, a few words; empty where it did.
+    Also return why that fit did not converge, a few words; empty where it did. An amended model was fitted
+    together with its effects, to other runs: the priors are around its values.
 
     A diagnosis linearises. With a prior as wide as all conceivable stages, a step beside a strong effect would end at
     impossible parameters, where the next linearisation does not hold.
     """
-    solution = solve_joint(problem)
-    values = problem.scales.values(solution.z)
+    values, why_not = problem.scales.values(np.zeros(len(problem.nominal.parameters))), ""
+    if not isinstance(problem.nominal, AmendedModel):
+        solution = solve_joint(problem)
+        values = problem.scales.values(solution.z)
+        why_not = "" if solution.converged else solution.why or "too many steps"
     measured = np.concatenate([data.blocks.mean for data in problem.channels])
     by_value = np.concatenate([data.sensitivities(values) for data in problem.channels], axis=1)
     rms = np.sqrt(np.mean(measured**2))
@@ -190,7 +196,7 @@ def empirical_priors(problem: JointProblem) -> tuple[JointProblem, str]:
         )
         parameters.append(replace(parameter, nominal=value, prior_sd=sd))
     fitted = replace(problem, scales=PriorScales.of(tuple(parameters)))
-    return fitted, "" if solution.converged else solution.why or "too many steps"
+    return add_known_hum_to_noise(fitted, known_effects(problem.nominal)), why_not
 
 
 MIN_SIGNATURE_MN = 1e-9
@@ -516,7 +522,6 @@ def _rests(run: RunData) -> bool:
 
 def stage_limitations(runs: Sequence[RunData]) -> Iterator[str]:
     """Yield limitations of runs of the stage alone."""
-    yield "No amended model is written: the simulated stage has no effects."
     speeds = {round(float(run.coordinates.top_speed_mm_s[0]), 1) for run in runs}
     if goes_one_way(runs):
         yield "All runs go one way: friction that depends on direction cannot be separated from other friction."
@@ -552,7 +557,6 @@ def own_model_limitations(
         for part in undeclared:
             places = " and ".join(PLACES_OF_PART[part][1])
             yield f"The model declares no {part}: effects of {places} were not tried."
-    yield "No amended model is written: the simulator does not know the model."
     for name in other_channels:
         yield f"The model also predicts {name}, which was not diagnosed."
 
@@ -566,16 +570,14 @@ class CapsuleStudy(Study):
     @classmethod
     def of(cls, selection: RunSelection, nominal: CapsuleModel, effects: Sequence[Effect]) -> "CapsuleStudy":
         """Prepare all runs; raises `AnalysisError` where the model predicts none of them."""
-        problem = add_known_hum_to_noise(
-            JointProblem.of(selection, nominal, MAX_BLOCK_MM), EffectChain.of(nominal.settings)
-        )
+        problem = add_known_hum_to_noise(JointProblem.of(selection, nominal, MAX_BLOCK_MM), known_effects(nominal))
         own = tuple(effect for effect in effects if effect.nominal in {"", SIMULATED_NOMINAL})
         return cls(problem, run_data_of(problem.channels), own, nominal)
 
     @cached_property
     def chain(self) -> EffectChain:
         """Effects that the nominal model already contains, without hum, which counts as noise."""
-        return without_hum(EffectChain.of(self.nominal.settings))
+        return without_hum(known_effects(self.nominal))
 
     def amended_settings(self, z: FloatArray) -> FrictionModelSettings:
         """Return the friction model of this specimen."""
@@ -612,6 +614,19 @@ class PredictedStudy(Study):
     why_not_converged: str = ""
     """Why the fit of the nominal model did not converge; empty where it did."""
 
+    @cached_property
+    def chain(self) -> EffectChain:
+        """Effects that an amended model contains, without hum, which counts as noise."""
+        return without_hum(known_effects(self.problem.nominal))
+
+    def amended_settings(self, z: FloatArray) -> AmendedModelSettings | None:
+        """Return the model with fitted values; None where nothing says how to find it again."""
+        reference, nominal = model_reference(self.problem.nominal), self.problem.nominal
+        if not reference:
+            return None
+        effects = nominal.settings.effects if isinstance(nominal, AmendedModel) else ()
+        return AmendedModelSettings(nominal=reference, parameters=self.values(z), effects=effects)
+
     def scene(self, number: int, z: FloatArray) -> tuple[RunState, float]:
         """Return the state of a run that effects act on, its predicted force and the parts of it that are known."""
         run, values = self.runs[number], self.problem.scales.values(z)
@@ -634,6 +649,8 @@ class PredictedStudy(Study):
         """Yield what these runs cannot answer, a sentence each."""
         if self.why_not_converged:
             yield f"The fit of the nominal model did not converge ({self.why_not_converged}): no effect is named."
+        if not model_reference(self.problem.nominal):
+            yield "No amended model is written: the model has neither a file nor a name by which it could be found."
         for remark in zero_remarks(self.problem):
             yield f"{remark[0].upper()}{remark[1:]}."
         yield from general_limitations(self.runs)
@@ -644,11 +661,11 @@ class StageStudy(PredictedStudy):
     """The stage alone, recorded motor force: sliding guides without wall or specimen."""
 
     @classmethod
-    def of(cls, selection: RunSelection, nominal: DriveModel, effects: Sequence[Effect]) -> "StageStudy":
-        """Prepare all runs; raises `AnalysisError` where none recorded a motor force."""
+    def of(cls, selection: RunSelection, nominal: NominalModel, effects: Sequence[Effect]) -> "StageStudy":
+        """Prepare all runs with the drive's model or one amended; raises `AnalysisError` without any motor force."""
         problem, why_not = empirical_priors(JointProblem.of(selection, nominal, MAX_BLOCK_MM))
         bare = cls(problem, run_data_of(problem.channels), (), why_not)
-        own = [effect for effect in effects if effect.nominal in {"", nominal.name}]
+        own = [effect for effect in effects if effect.nominal in {"", DriveModel().name}]
         return replace(bare, effects=effects_that_act(bare, scaled_to_runs(own, bare.runs)))
 
     def limitations(self) -> Iterator[str]:
@@ -740,7 +757,7 @@ def prepare_study(selection: RunSelection, nominal: NominalModel, effects: Seque
     match nominal:
         case CapsuleModel():
             return CapsuleStudy.of(selection, nominal, effects)
-        case DriveModel():
+        case DriveModel() | AmendedModel(own=DriveModel()):
             return StageStudy.of(selection, nominal, effects)
         case _:
             return OwnModelStudy.of(selection, nominal, effects)

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from importlib.machinery import SourceFileLoader
 from importlib.metadata import entry_points
@@ -30,11 +30,14 @@ from dragrig.analysis.models.nominal_model import (
     Variation,
 )
 from dragrig.config import (
+    AmendedModelSettings,
     AnalysisError,
     DragrigError,
     FrictionModelSettings,
+    ModelSettings,
     SettingsError,
-    read_settings_file,
+    parse,
+    read_toml,
     suggestion,
 )
 from dragrig.rig import FloatArray
@@ -58,8 +61,8 @@ def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
     Parameters
     ----------
     name_or_file
-        Name of an installed model, path of a Python file with a `MODEL`, or of a friction model as TOML, which
-        becomes the capsule model's nominal settings.
+        Name of an installed model, path of a Python file with a `MODEL`, or of a model as TOML: a friction model,
+        which becomes the capsule model's nominal settings, or what a diagnosis made of another model.
     beside
         Folder to which a relative path refers, besides the working folder.
 
@@ -79,7 +82,7 @@ def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
         if file is None:
             raise SettingsError(f"{name_or_file}: there is no such file; check the path of the model.")
         if file.suffix == ".toml":
-            return CapsuleModel(read_settings_file(FrictionModelSettings, file))
+            return nominal_model(parse_model_settings(read_toml(file), str(file)))
         return CheckedModel.of(_load_file(file.resolve()), str(file), file.resolve())
     entry = next(iter(entry_points(group=ENTRY_POINT_GROUP, name=name_or_file)), None)
     if entry is None:
@@ -99,6 +102,94 @@ def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
     if entry.value.startswith(SHIPPED_PREFIX) and _is_model(model):
         return model
     return CheckedModel.of(model, source)
+
+
+def parse_model_settings(table: Mapping[str, object], source: str) -> ModelSettings:
+    """Return a friction model, or what a diagnosis made of another model; raises `SettingsError`.
+
+    Where the file of one's own model is no longer where it was, one of its name beside the source is taken.
+
+    Parameters
+    ----------
+    source
+        Path that the table comes from, or another name of its origin.
+    """
+    if "nominal" not in table:
+        return parse(FrictionModelSettings, table, source)
+    settings = parse(AmendedModelSettings, table, source)
+    file = Path(settings.nominal)
+    beside = Path(source).parent / file.name
+    if file.suffix == ".py" and not file.is_file() and beside.is_file():
+        return settings.model_copy(update={"nominal": str(beside)})
+    return settings
+
+
+def nominal_model(settings: ModelSettings) -> NominalModel:
+    """Return the model of these settings; raises `SettingsError` as `find_model`, and for other parameters."""
+    if isinstance(settings, FrictionModelSettings):
+        return CapsuleModel(settings)
+    own = find_model(settings.nominal)
+    now = [parameter.name for parameter in own.parameters]
+    if set(settings.parameters) != set(now):
+        raise SettingsError(
+            f"{settings.nominal}: its parameters are {', '.join(now)}, and were {', '.join(settings.parameters)} when "
+            "it was diagnosed; diagnose again."
+        )
+    return AmendedModel(own, settings)
+
+
+def model_reference(model: NominalModel) -> str:
+    """Return the name or file by which `find_model` finds a model; empty where it has neither."""
+    if isinstance(model, AmendedModel):
+        return model.settings.nominal
+    if isinstance(model, CheckedModel) and model.file is not None:
+        return str(model.file)
+    return model.name if model.name in model_names() else ""
+
+
+@dataclass(frozen=True)
+class AmendedModel(NominalModel):
+    """A model other than the friction model, expected to have the values, and the effects, of a diagnosis."""
+
+    own: NominalModel
+    """The model itself."""
+    settings: AmendedModelSettings
+    """Values of its parameters, and effects."""
+
+    @property
+    def name(self) -> str:
+        """Name in reports."""
+        return f"{self.own.name}, {self.settings.name}"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the model, around their values in the settings."""
+        return tuple(
+            replace(parameter, nominal=self.settings.parameters[parameter.name]) for parameter in self.own.parameters
+        )
+
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """Parts of the prediction that differ from run to run."""
+        return self.own.variations
+
+    @property
+    def combinations(self) -> tuple[Combination, ...]:
+        """Products of parameters worth reporting."""
+        return self.own.combinations
+
+    @property
+    def zero_sd(self) -> Mapping[str, float]:
+        """Standard deviation of the unknown zero of every run, by channel."""
+        return self.own.zero_sd
+
+    def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
+        """Prepare the channels of a run, without the effects."""
+        return self.own.prepare(experiment)
+
+    def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
+        """Return the contents of a settings file with identified values."""
+        return self.own.document(values)
 
 
 def _is_model(candidate: object) -> TypeGuard[NominalModel]:

@@ -9,7 +9,15 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, Unpack
 
-from dragrig.analysis import CapsuleModel, NominalModel, Progress, RunSelection, find_model, no_progress
+from dragrig.analysis import (
+    CapsuleModel,
+    NominalModel,
+    Progress,
+    RunSelection,
+    find_model,
+    no_progress,
+    parse_model_settings,
+)
 from dragrig.analysis.gap import (
     Diagnosis,
     ExperimentBudget,
@@ -20,11 +28,11 @@ from dragrig.analysis.gap import (
     choose_runs,
 )
 from dragrig.api.measure import simulate
-from dragrig.config import DragrigError, FrictionModelSettings, SettingsError, absolute_if_file, suggestion, to_toml
+from dragrig.config import DragrigError, ModelSettings, SettingsError, absolute_if_file, find_table, suggestion, to_toml
 from dragrig.parallel import map_tasks, open_executor, parallel_map
 from dragrig.present import write_text
 from dragrig.rig import Run
-from dragrig.setup import PlanLike, SetupChoices, friction_model, resolve
+from dragrig.setup import PlanLike, SetupChoices, resolve
 
 if TYPE_CHECKING:
     from dragrig.analysis.gap import Calibration, DiagnosisOptions
@@ -206,7 +214,7 @@ def diagnose_many(
 
 
 def gap_evaluate(
-    model: str | Path | FrictionModelSettings, campaign: str | Path | Iterable[Run], *, specimen: str | None = None
+    model: str | Path | ModelSettings, campaign: str | Path | Iterable[Run], *, specimen: str | None = None
 ) -> ModelEvaluation:
     """Evaluate on fresh runs of the same specimen whether an amended model keeps its promise.
 
@@ -227,7 +235,8 @@ def gap_evaluate(
     from dragrig.analysis.gap import evaluate
 
     runs = choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, specimen)
-    return evaluate(runs, friction_model(model))
+    settings = model if isinstance(model, ModelSettings) else parse_model_settings(*find_table("model", str(model)))
+    return evaluate(runs, settings)
 
 
 def diagnosis_options(
@@ -264,7 +273,7 @@ def _load_calibration(path: Path) -> "Calibration":
 
 
 def save_amended_model(diagnosis: Diagnosis, path: Path, *, overwrite: bool = False) -> Path | None:
-    """Write the amended model, which the simulator loads; None where the diagnosis gives none.
+    """Write the amended model, which `gap_evaluate` loads, and of a friction model the simulator; None without any.
 
     Raises
     ------

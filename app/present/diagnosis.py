@@ -19,6 +19,7 @@ from dragrig.analysis.gap import (
     separation_text,
 )
 from dragrig.analysis.paper import published
+from dragrig.config import FrictionModelSettings
 from dragrig.present import (
     Cell,
     Code,
@@ -316,13 +317,15 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         "an effect explains worst. The grey band is noise and scatter of repeats.",
         lambda: present.before_after_figure(present.representative_runs(diagnosis.traces), floor_mN, named=named),
     )
-    dry_run = f"dragrig run drag --model {model}\ndragrig gap evaluate {model} FRESH_RUNS"
+    simulated = isinstance(diagnosis.model, FrictionModelSettings)
+    dry_run = "A dry run with it contains the effect, and fresh" if simulated else "Fresh"
+    commands = (f"dragrig run drag --model {model}",) if simulated else ()
     amended = (
         Text(
-            f"The amended model is in `{model}`. A dry run with it contains the effect, and fresh runs on the same "
-            "specimen at other speeds show whether the gap shrinks as predicted:"
+            f"The amended model is in `{model}`. {dry_run} runs on the same specimen at other speeds show whether the "
+            "gap shrinks as predicted:"
         ),
-        Code(dry_run),
+        Code("\n".join((*commands, f"dragrig gap evaluate {model} FRESH_RUNS"))),
     )
     return Section(
         "how-much",
@@ -330,7 +333,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         (
             _parameter_table(diagnosis),
             Text(reduction or "No run was held out, or no effect is named, so that the gap reduction is not known."),
-            Section("model", "The simulated rig with the effect", amended if model else ()),
+            Section("model", "The model with the effect", amended if model else ()),
             *((before_after,) if diagnosis.traces else ()),
             *(() if shrink is None else (r2_table(shrink, named=named),)),
         ),

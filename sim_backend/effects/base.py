@@ -23,7 +23,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dragrig.config import EffectSettings, FrictionModelSettings, SettingsError, suggestion
+from dragrig.config import EffectSettings, FrictionModelSettings, ModelSettings, SettingsError, suggestion
 from dragrig.rig import FloatArray
 from dragrig.sim_backend import effects
 from dragrig.sim_backend.effects.run_state import RunState
@@ -354,20 +354,24 @@ class ActiveEffect:
     values: Values
 
 
-def active_effects(settings: FrictionModelSettings) -> tuple[ActiveEffect, ...]:
+def active_effects(settings: ModelSettings) -> tuple[ActiveEffect, ...]:
     """Return the effects that a model has, with default values of the parameters that it does not name.
 
-    Raises `SettingsError` for an unknown effect or parameter, an impossible value, and an effect of another model.
+    Raises `SettingsError` for an unknown effect or parameter, an impossible value, and an effect that the friction
+    model cannot have.
     """
-    return tuple(_active_effect(entry) for entry in settings.effects)
+    active = tuple(_active_effect(entry) for entry in settings.effects)
+    if isinstance(settings, FrictionModelSettings):
+        for effect in (active_effect.effect for active_effect in active):
+            if effect.nominal not in {"", SIMULATED_NOMINAL}:
+                raise SettingsError(
+                    f"effect {effect.id}: belongs to the model {effect.nominal}, which is not the simulated rig's."
+                )
+    return active
 
 
 def _active_effect(entry: EffectSettings) -> ActiveEffect:
     effect = find_effect(entry.id)
-    if effect.nominal not in {"", SIMULATED_NOMINAL}:
-        raise SettingsError(
-            f"effect {effect.id}: belongs to the model {effect.nominal}, which is not the simulated rig's."
-        )
     parameters = {parameter.name: parameter for parameter in effect.parameters}
     for name, value in entry.parameters.items():
         if name not in parameters:
@@ -389,7 +393,7 @@ class EffectChain:
     effects: tuple[ActiveEffect, ...] = ()
 
     @classmethod
-    def of(cls, settings: FrictionModelSettings) -> "EffectChain":
+    def of(cls, settings: ModelSettings) -> "EffectChain":
         """Put the effects of a model in order; raises `SettingsError` as `active_effects`."""
         return cls().with_effects(sorted(active_effects(settings), key=lambda active: active.effect.id))
 
