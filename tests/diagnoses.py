@@ -16,6 +16,7 @@ from dragrig.analysis.gap.diagnosis import (
     PhaseCell,
     R2BeforeAfter,
     RankedHypothesis,
+    RunContributions,
     RunTraces,
     UnexplainedGap,
     Verdict,
@@ -231,8 +232,23 @@ def entry(
     return BudgetEntry(cause, channel, share, (share - 0.06, share + 0.05), rms_mN, presence, what, rivals)
 
 
+def contributions(run: RunTraces, channel: str, entries: tuple[BudgetEntry, ...]) -> RunContributions:
+    """Return a run whose gap has the parts of a budget, each in proportion to its share."""
+    gap = run.after - run.before
+    parts = {entry.cause: entry.share * gap for entry in entries if entry.cause != "unexplained"}
+    noise, unit = run.measured - run.after, "mN" if channel == "force" else "µm"
+    width_s, label = np.gradient(run.time_s), run.label.rpartition(" at ")[2]
+    return RunContributions(
+        run.file, run.kind, label, channel, unit, run.time_s, width_s, run.position_mm, gap + noise, parts
+    )
+
+
 def budget(*entries: BudgetEntry, gap_mN: float = 12.04) -> GapBudget:
-    return GapBudget({"stribeck": 0.981, "adhesion": 0.12, "velocity_ripple": 0.97}, entries, gap_mN, held_out=True)
+    """Return a budget with its parts in every run of `VIEWS`."""
+    presence = {"stribeck": 0.981, "adhesion": 0.12, "velocity_ripple": 0.97}
+    channels = {entry.channel: tuple(one for one in entries if one.channel == entry.channel) for entry in entries}
+    runs = tuple(contributions(run, channel, here) for channel, here in channels.items() for run in VIEWS)
+    return GapBudget(presence, entries, gap_mN, held_out=True, runs=runs)
 
 
 RIPPLE_AND_AGEING = budget(

@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from math import inf, nan
 
+import numpy as np
 import pytest
 from diagnoses import (
     NO_GAP,
@@ -12,19 +13,19 @@ from diagnoses import (
     STRIBECK_ALONE,
     TOGETHER,
     UNKNOWN,
-    VIEWS,
     budget,
     entry,
 )
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
-from dragrig.analysis.gap.diagnosis import Diagnosis, GapBudget
+from dragrig.analysis.gap.diagnosis import Diagnosis, GapBudget, RunContributions
 from dragrig.present.diagnosis import diagnosis_document, diagnosis_json
-from dragrig.present.diagnosis_figures import BAR_THICKNESS, MAX_BUDGET_RUNS, budget_figure
+from dragrig.present.diagnosis_figures import BAR_THICKNESS, budget_figure, runs_showing_parts
 from dragrig.present.diagnosis_sentences import verdict_sentences
-from dragrig.present.document import BLACK, BLUE
-from dragrig.present.gap_budget import budget_bars, budget_json, budget_sentences
+from dragrig.present.gap_budget import budget_bars, budget_json, budget_sentences, budgets_by_channel
 from dragrig.present.html_page import render_page
 from dragrig.present.terminal import BAR_WIDTH, document_text
 
@@ -55,7 +56,6 @@ BUDGETS = {
     "over": TOO_MUCH,
 }
 EACH = pytest.mark.parametrize("given_budget", BUDGETS.values(), ids=BUDGETS)
-IN_POSITION = replace(VIEWS[-1], channel="position", unit="mm")
 
 
 def diagnosed(given_budget: GapBudget | None) -> Diagnosis:
@@ -216,7 +216,7 @@ def test_a_bar_in_the_terminal_is_as_wide_as_its_parts(given_budget: GapBudget) 
 
 @EACH
 def test_the_picture_cuts_the_gap_by_its_shares(given_budget: GapBudget) -> None:
-    figure = budget_figure(given_budget, (*VIEWS, IN_POSITION))
+    figure = budget_figure(given_budget)
     figure.draw_without_rendering()
     bars = budget_bars(given_budget)
     rows = [axes for axes in figure.axes if any(isinstance(patch, Rectangle) for patch in axes.patches)]
@@ -234,20 +234,73 @@ def test_the_picture_cuts_the_gap_by_its_shares(given_budget: GapBudget) -> None
         assert not any(one.overlaps(other) for number, one in enumerate(boxes) for other in boxes[number + 1 :]), (
             "names cover each other"
         )
-    assert len(figure.axes) == len(rows) + MAX_BUDGET_RUNS + (len(rows) - 1)
+    shown = [runs_showing_parts(given_budget.runs, here) for here in budgets_by_channel(given_budget)]
+    assert len(figure.axes) == len(rows) + sum(map(len, shown))
 
 
-def test_the_picture_shows_the_gap_in_runs_and_what_the_effects_explain_of_it() -> None:
-    panel = budget_figure(STRIBECK_ALONE, VIEWS).axes[1]
-    run = next(run for run in VIEWS if run.label == "drag at 0.5 mm/s")
-    gap, explained, *_ = panel.lines
-    assert panel.get_title(loc="left") == "Drag at 0.5 mm/s"
-    assert max(gap.get_ydata()) == pytest.approx(max(run.measured - run.before))
-    assert max(explained.get_ydata()) == pytest.approx(max(run.after - run.before))
-    assert explained.get_color() == BLUE
-    assert budget_figure(RIPPLE_AND_AGEING, VIEWS).axes[1].lines[1].get_color() == BLACK
-    assert len(budget_figure(UNNAMED, VIEWS).axes[1].lines) == len(panel.lines) - 1
-    assert len(budget_figure(RIPPLE_AND_AGEING, ()).axes) == 1
+def panels_of(figure: Figure) -> list[Axes]:
+    return [axes for axes in figure.axes if axes.get_xlabel() == "Time (s)"]
+
+
+def test_the_picture_shows_the_gap_of_a_run_and_its_parts_in_the_colours_of_the_bar() -> None:
+    panel = panels_of(budget_figure(STRIBECK_ALONE))[0]
+    run = next(run for run in STRIBECK_ALONE.runs if run.file == "000-drag.h5")
+    gap, *parts, _ = panel.lines
+    assert panel.get_title(loc="left") == "Drag, 0.5 mm/s"
+    assert max(gap.get_ydata()) == pytest.approx(max(run.gap))
+    assert [max(part.get_ydata()) for part in parts] == pytest.approx(
+        [max(run.parts[cause]) for cause in ("stribeck", "model")]
+    )
+    assert [part.get_color() for part in parts] == [part.colour for part in budget_bars(STRIBECK_ALONE)[0].parts[:2]]
+    assert gap.get_color() not in {part.colour for part in budget_bars(CROWDED)[0].parts}
+    (words,) = panel.texts
+    assert words.get_text() == f"Stribeck friction or adhesion: {run.rms('stribeck'):.0f} mN"
+    assert words.get_color() == parts[0].get_color()
+    assert len(panels_of(budget_figure(UNNAMED))[0].lines) == 2, "the rest is not drawn"
+    assert not panels_of(budget_figure(replace(RIPPLE_AND_AGEING, runs=())))
+
+
+def run_with(file: str, kind: str, **sizes: float) -> RunContributions:
+    """Return a run whose parts have these root mean squares, and whose gap is their sum."""
+    ones = np.ones(4)
+    parts = {cause: size * ones for cause, size in sizes.items()}
+    gap = np.asarray(sum(sizes.values()) * ones)
+    return RunContributions(file, kind, "1 mm/s", "force", "mN", np.arange(4.0), ones, np.arange(4.0), gap, parts)
+
+
+def test_each_part_is_shown_in_the_run_where_it_is_largest_and_no_run_twice() -> None:
+    parts = budget(entry("stribeck", 0.5), entry("folds", 0.3), entry("unexplained", 0.2, 4.0, None))
+    (here,) = budgets_by_channel(parts)
+    runs = (
+        run_with("a", "drag", stribeck=3.0, folds=1.0),
+        run_with("b", "drag", stribeck=9.0, folds=4.0),
+        run_with("c", "relaxation", stribeck=1.0, folds=9.0),
+        run_with("d", "relaxation", stribeck=2.0, folds=1.0),
+        run_with("e", "blank", stribeck=0.1, folds=2.0),
+    )
+    chosen = runs_showing_parts(runs, here)
+    assert [(shown.run.file, shown.part.cause) for shown in chosen if shown.part is not None] == [
+        ("b", "stribeck"),
+        ("c", "folds"),
+        ("a", "stribeck"),
+    ]
+    # Where it misleads the fit most, a part is not shown if another kind of run shows it nearly as well.
+    misled = replace(runs[2], kind="drag"), run_with("f", "coulomb", stribeck=0.2, folds=3.0)
+    assert [shown.run.file for shown in runs_showing_parts((*runs[:2], *misled), here)][:2] == ["b", "f"]
+    assert [shown.run.file for shown in runs_showing_parts(runs[:1], here)] == ["a"]
+    assert runs_showing_parts((), here) == ()
+
+
+def test_a_gap_without_a_name_is_shown_where_it_is_largest() -> None:
+    (here,) = budgets_by_channel(UNNAMED)
+    runs = tuple(run_with(f"{size:g}", "drag", place=size) for size in (1.0, 5.0, 3.0, 2.0))
+    assert [(shown.run.file, shown.part) for shown in runs_showing_parts(runs, here)] == [
+        ("5", None),
+        ("3", None),
+        ("2", None),
+    ]
+    (hum,) = budgets_by_channel(budget(entry("mains_hum", 0.9), entry("unexplained", 0.1, 4.0, None)))
+    assert runs_showing_parts(runs, hum) == (), "block means do not show a spectral line"
 
 
 def test_a_page_draws_the_bar_with_its_hatching() -> None:

@@ -35,6 +35,7 @@ def test_without_a_gap_nothing_is_there_and_nothing_is_shared(tmp_path: Path) ->
     budget = budget_of(diagnosis)
     assert diagnosis.verdict is Verdict.NO_GAP
     assert budget.entries == ()
+    assert budget.runs == ()
     assert set(budget.presence) == set(catalogue())
     assert max(budget.presence.values()) < 0.2
 
@@ -59,6 +60,19 @@ def test_two_effects_share_the_gap_as_the_plant_has_them(tmp_path: Path) -> None
     assert shares(budget)["film_depletion"] > 0.1
     assert shares(budget)["force_drift"] > 0.1
     assert abs(shares(budget)[UNEXPLAINED]) < 0.2
+    assert_runs_add_up(budget)
+
+
+def assert_runs_add_up(budget: GapBudget) -> None:
+    """The parts that each run shows are those whose shares and sizes the budget states."""
+    named = [entry for entry in budget.entries if entry.cause != UNEXPLAINED]
+    duration = sum(run.width_s.sum() for run in budget.runs)
+    moments = [sum(run.width_s @ (run.parts[entry.cause] * run.gap) for run in budget.runs) for entry in named]
+    squares = [sum(run.width_s @ run.parts[entry.cause] ** 2 for run in budget.runs) for entry in named]
+    gap_square = budget.gap_mN**2 * duration
+    assert [entry.share for entry in named] == pytest.approx([moment / gap_square for moment in moments])
+    assert [entry.rms_mN for entry in named] == pytest.approx([np.sqrt(square / duration) for square in squares])
+    assert all(run.unit == "mN" and run.time_s.shape == run.gap.shape for run in budget.runs)
 
 
 def test_what_no_catalogue_has_is_an_unnamed_law(tmp_path: Path) -> None:

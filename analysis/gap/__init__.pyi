@@ -21,6 +21,7 @@ from .diagnosis import NextRun as NextRun
 from .diagnosis import PhaseCell as PhaseCell
 from .diagnosis import R2BeforeAfter as R2BeforeAfter
 from .diagnosis import RankedHypothesis as RankedHypothesis
+from .diagnosis import RunContributions as RunContributions
 from .diagnosis import RunTraces as RunTraces
 from .diagnosis import UnexplainedGap as UnexplainedGap
 from .diagnosis import Verdict as Verdict

@@ -22,6 +22,7 @@ from dragrig.analysis.gap.diagnosis import (
     BudgetEntry,
     GapBudget,
     GapReduction,
+    RunContributions,
     Verdict,
 )
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
@@ -43,6 +44,7 @@ from dragrig.analysis.gap.presence import (
     judge_presence,
     prepare_competition,
 )
+from dragrig.analysis.gap.run_data import RunData
 from dragrig.rig import FloatArray, IndexArray
 
 MIN_GAP_OVER_NOISE = 0.1
@@ -108,7 +110,8 @@ def gap_budget(
         Rms of the effects that are spectral lines, which block means average out.
     """
     established = {name: causes.effects[name] for name in classification.effects if name in causes.effects}
-    entries, gap_mN, held_out = force_budget(study, causes.competition, causes.presence, established)
+    force = force_budget(study, causes.competition, causes.presence, established)
+    entries, gap_mN = force.entries, force.gap_mN
     presence = dict(causes.effects)
     for line, rms_mN in lines_mN.items():
         presence[line] = classification.marginal(line)
@@ -128,7 +131,8 @@ def gap_budget(
                 BudgetEntry(UNEXPLAINED, "position", 1.0 - closed, rest, None),
             )
     limited = {name: min(max(value, MIN_PRESENCE), 1.0 - MIN_PRESENCE) for name, value in presence.items()}
-    return GapBudget(limited, entries, gap_mN, held_out, dict(causes.presence.probabilities))
+    runs = force.runs if entries else ()
+    return GapBudget(limited, entries, gap_mN, force.held_out, dict(causes.presence.probabilities), runs)
 
 
 def _with_line(
@@ -153,10 +157,21 @@ def _with_line(
     return (*sorted((part, *scaled[:-1]), key=lambda entry: -entry.share), scaled[-1])
 
 
+@dataclass(frozen=True, slots=True)
+class ForceBudget:
+    """The budget of the force: its parts, none without a gap; the gap's rms above noise; the parts in each run."""
+
+    entries: tuple[BudgetEntry, ...]
+    gap_mN: float
+    held_out: bool
+    """Whether runs were held out."""
+    runs: tuple[RunContributions, ...]
+
+
 def force_budget(
     study: Study, competition: Competition, presence: Presence, established: Mapping[str, float]
-) -> tuple[tuple[BudgetEntry, ...], float, bool]:
-    """Return the parts of the force's gap, the gap's rms above noise [mN], and whether runs were held out.
+) -> ForceBudget:
+    """Return the parts of the force's gap.
 
     Parameters
     ----------
@@ -170,7 +185,7 @@ def force_budget(
     rows = np.array([run.sums for run in contributions])
     duration, noise, square, rest = rows.sum(axis=0)[:4].tolist()
     if square - noise < MIN_GAP_OVER_NOISE * noise:
-        return (), float(np.sqrt(max(square - noise, 0.0) / duration)), held_out
+        return ForceBudget((), float(np.sqrt(max(square - noise, 0.0) / duration)), held_out, ())
     shares, intervals = _shares(rows[None])[0].tolist(), _share_intervals(rows)
     sizes = np.sqrt(rows.sum(axis=0)[4 + len(parts) :] / duration).tolist()
     entries = [
@@ -191,7 +206,26 @@ def force_budget(
     left = BudgetEntry(
         UNEXPLAINED, "force", 1.0 - sum(shares), intervals[-1], left_mN, what=_words_of(competition, unnamed)
     )
-    return (*entries, left), float(np.sqrt((square - noise) / duration)), held_out
+    gap_mN = float(np.sqrt((square - noise) / duration))
+    runs = tuple(
+        _contributions_to_run(run, split, tuple(parts)) for run, split in zip(study.runs, contributions, strict=True)
+    )
+    return ForceBudget((*entries, left), gap_mN, held_out, runs)
+
+
+def _contributions_to_run(run: RunData, split: _Contributions, causes: Sequence[str]) -> RunContributions:
+    return RunContributions(
+        file=run.file,
+        kind=run.experiment.kind,
+        label=run.label,
+        channel="force",
+        unit="mN",
+        time_s=run.coordinates.time_s,
+        width_s=split.weights_s,
+        position_mm=run.coordinates.position_mm,
+        gap=split.gap,
+        parts=dict(zip(causes, split.parts, strict=True)),
+    )
 
 
 def _presence_of_part(presence: Presence, competition: Competition, causes: CauseSet) -> float:

@@ -37,6 +37,7 @@ from dragrig.analysis.gap.diagnosis import (
     GapLocation,
     GapReduction,
     RankedHypothesis,
+    RunContributions,
     RunTraces,
     Verdict,
 )
@@ -66,7 +67,12 @@ from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, is_periodic_in_se
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
 from dragrig.analysis.gap.localise import ALPHA, attribute_to_effects, localise
 from dragrig.analysis.gap.next_run import reasons_for_no_run, recommend_next_run
-from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position, position_gap_reduction
+from dragrig.analysis.gap.position_channel import (
+    PositionAnalysis,
+    analyse_position,
+    position_gap_reduction,
+    predicted_position_error,
+)
 from dragrig.analysis.gap.spectral_lines import (
     SpectralLine,
     SpectralLines,
@@ -215,13 +221,11 @@ def _quantity(name: str, unit: str, value: float, error: float) -> EstimatedQuan
 
 def _traces_of_run(gap: RunGap) -> RunTraces:
     run, at = gap.run, gap.run.coordinates
-    kind, value = run.condition
     measured = run.block_data.blocks.mean
-    label = f"{value:g} × strain" if kind == "relaxation" else f"{value:g} mm/s"
     return RunTraces(
         file=run.file,
-        kind=kind,
-        label=label,
+        kind=run.experiment.kind,
+        label=run.label,
         channel=run.block_data.channel,
         unit="mN",
         time_s=at.time_s,
@@ -481,7 +485,31 @@ def _budget(
     probabilities = {name: classification.marginal(name) for name in in_position}
     closed = None if reduction is None else position_gap_reduction(position, reduction)
     hum_mN = float(np.sqrt(0.5)) * lines.mains.amplitude
-    return gap_budget(study, causes, classification, probabilities, closed, {hum_effect().id: hum_mN})
+    budget = gap_budget(study, causes, classification, probabilities, closed, {hum_effect().id: hum_mN})
+    if any(entry.channel == "position" for entry in budget.entries):
+        return replace(budget, runs=(*budget.runs, *_contributions_in_position(study, position)))
+    return budget
+
+
+def _contributions_in_position(study: Study, position: PositionAnalysis) -> Iterator[RunContributions]:
+    """Yield the position error of each run, and what the effect on the position adds to it [µm]."""
+    candidate, labels = position.candidate, {run.file: run.label for run in study.runs}
+    if candidate is None:
+        return
+    for run in position.runs:
+        experiment = run.experiment
+        yield RunContributions(
+            file=experiment.file,
+            kind=experiment.kind,
+            label=labels.get(experiment.file, experiment.file),
+            channel="position",
+            unit="µm",
+            time_s=run.time_s,
+            width_s=np.ones_like(run.time_s),
+            position_mm=run.command_mm,
+            gap=1e3 * run.error_mm,
+            parts={candidate.effect.id: 1e3 * predicted_position_error(candidate, run)},
+        )
 
 
 def _named_force(study: Study, fit: HypothesisFit | None, hum: SpectralLine) -> list[FloatArray]:

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+import numpy as np
+
 from dragrig.analysis import EstimatedQuantity, Exclusion, join_names
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.config import ModelSettings, PlanStep
@@ -386,6 +388,39 @@ class BudgetEntry:
     not_separable_from: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RunContributions:
+    """The gap of one run and what each part of the budget adds to it, whose shares the budget states.
+
+    Attributes
+    ----------
+    unit
+        Of the gap and the parts: mN of a force, µm of a position.
+    time_s, width_s, position_mm
+        Middle and duration of `B` blocks, and the position there; shape `(B,)` each.
+    gap
+        What the model without causes leaves of the run, without what the run itself is off by; shape `(B,)`.
+    parts
+        What each named cause adds, predicted from fits to other runs where runs were held out; shape `(B,)` each.
+    """
+
+    file: str
+    kind: str
+    label: str
+    channel: str
+    unit: str
+    time_s: FloatArray
+    width_s: FloatArray
+    position_mm: FloatArray
+    gap: FloatArray
+    parts: Mapping[str, FloatArray]
+
+    def rms(self, cause: str = "") -> float:
+        """Return the root mean square over time of a part, or of the gap; 0 for a part that the run lacks."""
+        values = self.parts.get(cause) if cause else self.gap
+        return 0.0 if values is None else float(np.sqrt(np.average(values**2, weights=self.width_s)))
+
+
 @dataclass(frozen=True, slots=True)
 class GapBudget:
     """The gap of a campaign by causes.
@@ -402,6 +437,9 @@ class GapBudget:
         Whether shares are of runs that took no part in the fit; False for too few runs.
     competition
         Probability that each cause is there, unnamed ones included, by the competition of causes alone.
+    runs
+        What each part adds to each run, by channel; empty without a gap. Spectral lines, which block means average
+        out, have no part in them.
     """
 
     presence: Mapping[str, float]
@@ -409,6 +447,7 @@ class GapBudget:
     gap_mN: float
     held_out: bool
     competition: Mapping[str, float] = field(default_factory=dict)
+    runs: tuple[RunContributions, ...] = ()
 
     def leaves_more_than(self, share: float, tolerance_mN: float) -> bool:
         """Whether the unexplained rest of the force is surely there, larger than a share of the gap and a tolerance."""

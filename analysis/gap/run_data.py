@@ -272,6 +272,12 @@ class RunData:
             return self.experiment.kind, 0.0
         return self.experiment.kind, float(f"{self.coordinates.top_speed_mm_s[0]:.2g}")
 
+    @property
+    def label(self) -> str:
+        """What sets it apart from others of its kind, for a reader: `0.5 mm/s`, `50 % strain`."""
+        kind, value = self.condition
+        return f"{100 * value:g} % strain" if kind == "relaxation" else f"{value:g} mm/s"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockCoordinates:

@@ -1,6 +1,8 @@
 """Figures of a gap diagnosis: budget, location map, ranking, runs before and after, and the isolability matrix."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 
@@ -8,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
 
@@ -28,6 +29,7 @@ from dragrig.analysis.gap import (
     Isolability,
     PhaseCell,
     RankedHypothesis,
+    RunContributions,
     RunTraces,
     display_name,
     isolability_sentences,
@@ -56,55 +58,71 @@ from dragrig.present import (
     probability_text,
     set_time_range,
     shortened_to_width,
+    significant,
     text_width_in,
     tint,
     write_legend,
 )
 from dragrig.present.diagnosis_sentences import is_stated_verdict, verdict_sentences
-from dragrig.present.gap_budget import budget_bars, budget_sentences, budgets_by_channel, cause_colours
+from dragrig.present.gap_budget import (
+    ChannelBudget,
+    budget_bars,
+    budget_sentences,
+    budgets_by_channel,
+    cause_colours,
+    part_name,
+)
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import catalogue
 
-BAR_ROW_IN, RUNS_ROW_IN = 1.75, 2.5
-MAX_BUDGET_RUNS = 3
+BAR_ROW_IN, RUNS_ROW_IN = 1.75, 3.3
+MIN_BUDGET_RUNS, MAX_BUDGET_RUNS = 3, 4
 BAR_THICKNESS = 0.86
 BOLD_WIDTH = 1.12
 """Width of bold letters, in widths of others."""
-EXPLAINED_NAME_IN = 1.5
-"""Room for the name of what explains a gap, in the legend of one of three panels."""
 NAME_LINES = 3
 """Lines that a name may take inside its part of the bar; longer ones stand above it."""
 LIGHT_COLOURS = frozenset({SKY, ORANGE, PALE})
 """Colours on which black is read better than white."""
 GAP_LINE = LineStyle("gap", PALE, 4.0)
+PART_WIDTH = 1.8
+ELSEWHERE = 0.25
+"""A part is shown in a kind of run that is not shown yet, if it adds at least this share of its most there."""
+MIN_DRAWN = 0.01
+"""A part that is smaller than this share of the gap in a run is not drawn there."""
 
 
-def budget_figure(budget: GapBudget, views: Sequence[RunTraces]) -> Figure:
-    """Draw the gap of each channel as a bar cut into its parts, above the gap in the runs that show it best.
+@dataclass(frozen=True, slots=True)
+class ShownRun:
+    """A run of a budget's picture, and the part of the gap that it is shown for; None for the gap itself."""
+
+    run: RunContributions
+    part: BudgetEntry | None
+
+
+def budget_figure(budget: GapBudget) -> Figure:
+    """Draw the gap of each channel as a bar cut into its parts, above what each part looks like in the runs.
 
     Parameters
     ----------
     budget
-        Of a gap: with parts.
-    views
-        All runs; of each channel at most three are shown.
+        Of a gap: with parts. For each part, the run is shown where it adds most; no run twice.
     """
     bars, channels = budget_bars(budget), budgets_by_channel(budget)
-    rows = [(bar, here.named, _runs_showing_gap(views, here.channel))
-            for bar, here in zip(bars, channels, strict=True)]  # fmt: skip
+    rows = [(bar, here, runs_showing_parts(budget.runs, here)) for bar, here in zip(bars, channels, strict=True)]
     heights = [height for _, _, runs in rows for height in (BAR_ROW_IN, *((RUNS_ROW_IN,) if runs else ()))]
     colours = cause_colours(budget)
     with figure_style():
         whole = "the gap" if len(rows) > 1 else f"{bars[0].whole[:1].lower()}{bars[0].whole[1:]}"
         subtitle = " ".join(budget_sentences(budget)[: len(rows)])
         figure = new_figure(13.0, sum(heights), f"What {whole} is made of", subtitle)
-        grid = figure.add_gridspec(len(heights), 6, height_ratios=heights)
+        grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
         row = 0
-        for bar, named, runs in rows:
-            _draw_budget_bar(figure.add_subplot(grid[row, :]), bar, titled=len(rows) > 1)
+        for bar, here, runs in rows:
+            _draw_budget_bar(figure.add_subplot(grid[row, 0]), bar, titled=len(rows) > 1)
             row += 1
             if runs:
-                _draw_gaps(figure, grid, row, runs, _explained_line(named, colours))
+                panels = grid[row, 0].subgridspec(1, len(runs))
+                _draw_runs([figure.add_subplot(panels[0, number]) for number in range(len(runs))], runs, here, colours)
                 row += 1
         return figure
 
@@ -157,54 +175,69 @@ def _write_name_inside(axes: Axes, part: BarPart, middle: float, room_in: float)
     return True
 
 
-def _runs_showing_gap(views: Sequence[RunTraces], channel: str) -> tuple[RunTraces, ...]:
-    """Choose the runs of a channel with the largest gap among those that represent the campaign."""
-    force = channel == "force"
-    chosen = representative_runs([view for view in views if (view.unit == "mN") == force])
-    largest = sorted(chosen, key=_rms_before, reverse=True)[:MAX_BUDGET_RUNS]
-    return tuple(view for view in chosen if view in largest)
+def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) -> tuple[ShownRun, ...]:
+    """Choose for each large part of a channel's gap the run where it adds most, of a kind that is not shown yet.
+
+    A part misleads the fit of the nominal parameters, so that it shows in runs where it does not act itself, often
+    most of all in relaxations, whose forces are the largest; one kind alone would hide what the parts look like.
+
+    Returns
+    -------
+    Three or four runs, none of them twice; fewer where there are not so many. Of a gap without a name, the runs where
+    it is largest.
+    """
+    left = [run for run in runs if run.channel == here.channel]
+    parts = [entry for entry in here.large if any(run.rms(entry.cause) > 0 for run in left)]
+    if here.named and not parts:
+        return ()  # a spectral line, which block means do not show
+    chosen: list[ShownRun] = []
+    rounds: tuple[BudgetEntry | None, ...] = tuple(parts[:MAX_BUDGET_RUNS]) or (None,)
+    while left and len(chosen) < max(MIN_BUDGET_RUNS, len(rounds)):
+        size = partial(_size_of, part=rounds[len(chosen) % len(rounds)])
+        kinds, most = {shown.run.kind for shown in chosen}, max(map(size, left))
+        others = [run for run in left if run.kind not in kinds and size(run) >= ELSEWHERE * most]
+        best = max(others or left, key=size)
+        chosen.append(ShownRun(best, rounds[len(chosen) % len(rounds)]))
+        left.remove(best)
+    return tuple(chosen)
 
 
-def _explained_line(named: Sequence[BudgetEntry], colours: Mapping[str, str]) -> LineStyle | None:
-    """Return how to draw what the effects explain: in the colour of its part, if there is one part; None for none."""
-    effects = [entry for entry in named if entry.cause in catalogue()]
-    if not effects:
-        return None
-    if len(effects) > 1:
-        return LineStyle("named effects", BLACK, 1.6)
-    name = display_name(effects[0].cause)
-    short = text_width_in(name, SMALL_PT) <= EXPLAINED_NAME_IN
-    return LineStyle(name if short else "named effect", colours.get(effects[0].cause, BLACK), 1.8)
+def _size_of(run: RunContributions, part: BudgetEntry | None) -> float:
+    return run.rms() if part is None else run.rms(part.cause)
 
 
-def _draw_gaps(
-    figure: Figure, grid: GridSpec, row: int, runs: Sequence[RunTraces], explained: LineStyle | None
+def _draw_runs(
+    panels: Sequence[Axes], runs: Sequence[ShownRun], here: ChannelBudget, colours: Mapping[str, str]
 ) -> None:
-    """Draw the gap of each run in a panel with a scale of its own."""
-    span = 6 // len(runs)
-    panels = [figure.add_subplot(grid[row, number * span : (number + 1) * span]) for number in range(len(runs))]
-    for axes, view in zip(panels, runs, strict=True):
-        _draw_gap(axes, view, explained)
-    panels[0].set_ylabel(f"Gap ({runs[0].unit})")
-    write_legend(panels[0], (GAP_LINE,) if explained is None else (GAP_LINE, explained))
+    """Draw each run in a panel with a scale of its own: the gap behind, the parts in the colours of the bar."""
+    for axes, shown in zip(panels, runs, strict=True):
+        _draw_parts(axes, shown, [entry.cause for entry in here.large], colours)
+    panels[0].set_ylabel(f"Gap ({runs[0].run.unit})")
+    write_legend(panels[0], (GAP_LINE,))
 
 
-def _draw_gap(axes: Axes, view: RunTraces, explained: LineStyle | None) -> None:
-    """Draw what the model without effects leaves of a run, and what the named effects explain of it."""
-    shown = _shown_range_s(view)
-    inside = (view.time_s >= shown[0]) & (view.time_s <= shown[1])
-    time, gap, part = view.time_s[inside], (view.measured - view.before)[inside], (view.after - view.before)[inside]
+def _draw_parts(axes: Axes, shown: ShownRun, causes: Sequence[str], colours: Mapping[str, str]) -> None:
+    run = shown.run
+    first, last = _shown_range_s(run)
+    inside = (run.time_s >= first) & (run.time_s <= last)
+    time, gap = run.time_s[inside], run.gap[inside]
+    drawn = [cause for cause in causes if run.rms(cause) > MIN_DRAWN * run.rms()]
+    parts = {cause: run.parts[cause][inside] for cause in drawn}
     draw_line(axes, time, gap, GAP_LINE)
-    if explained is not None:
-        if explained.colour != BLACK:
-            axes.fill_between(time, part, color=tint(explained.colour, 0.25), linewidth=0.0, zorder=0.8)
-        draw_line(axes, time, part, explained)
+    for cause, part in parts.items():
+        draw_line(axes, time, part, LineStyle(cause, colours[cause], PART_WIDTH))
     axes.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
-    fit_y_range(axes, (gap,) if explained is None else (gap, part), _min_span(view))
-    label = view.label if view.kind in view.label.lower() else f"{view.kind.replace('_', ' ')}, {view.label}"
-    axes.set_title(shortened_to_width(capitalise(label), TEXT_PT, 0.9 * panel_size_in(axes)[0]))
+    fit_y_range(axes, (gap, *parts.values()), MIN_SPAN.get(run.unit, 0.0))
+    room_in = 0.95 * panel_size_in(axes)[0]
+    label = f"{run.kind.replace('_', ' ')}, {run.label}"
+    axes.set_title(shortened_to_width(capitalise(label), TEXT_PT, room_in), pad=26.0)
+    name = "gap" if shown.part is None else part_name(shown.part)
+    size = f": {significant(2)(_size_of(run, shown.part))} {run.unit}"
+    words = shortened_to_width(name, SMALL_PT, room_in - text_width_in(size, SMALL_PT)) + size
+    colour = GREY if shown.part is None else colours[shown.part.cause]
+    axes.annotate(words, (0.0, 1.0), (0.0, 8.0), "axes fraction", "offset points", fontsize=SMALL_PT, color=colour)
     axes.set_xlabel("Time (s)")
-    set_time_range(axes, *shown)
+    set_time_range(axes, first, last)
 
 
 DARKEST_SD = 30.0
@@ -521,7 +554,7 @@ def _draw_run_row(left: Axes, right: Axes, view: RunTraces, floor_mN: float | No
     set_time_range(left, *shown)
 
 
-def _shown_range_s(view: RunTraces) -> tuple[float, float]:
+def _shown_range_s(view: RunTraces | RunContributions) -> tuple[float, float]:
     """Return from when to when [s] a run is shown."""
     first, last = float(view.time_s[0]), float(view.time_s[-1])
     begin, end = _motion_range_s(view)
@@ -531,7 +564,7 @@ def _shown_range_s(view: RunTraces) -> tuple[float, float]:
     return max(first, begin - 0.4 * apart), min(last, end + 0.8 * apart)
 
 
-def _motion_range_s(view: RunTraces) -> tuple[float, float]:
+def _motion_range_s(view: RunTraces | RunContributions) -> tuple[float, float]:
     moved = np.abs(view.position_mm - view.position_mm[0])
     travel = float(moved.max(initial=0.0))
     if not travel > 0:
@@ -553,8 +586,12 @@ def _rms_before(view: RunTraces) -> float:
     return float(np.sqrt(np.nanmean(left**2))) if np.isfinite(left).any() else 0.0
 
 
+MIN_SPAN = {"mN": 4.0, "mm": 0.004, "µm": 4.0}
+"""Smallest range of an ordinate by its unit: noise is not blown up."""
+
+
 def _min_span(view: RunTraces) -> float:
-    return 4.0 if view.unit == "mN" else 0.004
+    return MIN_SPAN.get(view.unit, 0.0)
 
 
 CELL_PT = 10.5

@@ -18,7 +18,6 @@ from dragrig.analysis.gap import (
 from dragrig.present import (
     CYCLE,
     GREY,
-    PALE,
     Bar,
     BarPart,
     Field,
@@ -152,7 +151,7 @@ def _bar_parts(here: ChannelBudget, colours: Mapping[str, str]) -> Iterator[BarP
     for entry in here.large:
         yield BarPart(part_name(entry), entry.share, colours[entry.cause])
     if here.small_share > 0:
-        yield BarPart("others", here.small_share, PALE)
+        yield BarPart("others", here.small_share, GREY)
     if here.rest is not None and here.rest.share > 0:
         yield BarPart(_NAMES[UNEXPLAINED], here.rest.share, GREY, hatched=True)
 
