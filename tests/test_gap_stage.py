@@ -296,3 +296,34 @@ def test_a_model_that_cannot_be_found_again_is_not_written(own: Path, blanks: li
     assert diagnosis.effects == ("force_drift",)
     assert diagnosis.model is None
     assert any("No amended model is written" in text for text in diagnosis.limitations)
+
+
+def cogging(runs: list[Run], amplitude_mN: float, pitch_mm: float) -> list[Run]:
+    """Add to the recorded motor force a sine of the place on the machine."""
+    changed = []
+    for run in runs:
+        place = float(str(run.info.header.entry["origin_mm"])) + np.asarray(run.trace.position, dtype=np.float64)
+        force = run.trace.channels["motor_force"] + amplitude_mN * np.sin(2 * np.pi * place / pitch_mm + 0.7)
+        channels = {**run.trace.channels, "motor_force": force.astype(np.float32)}
+        changed.append(replace(run, trace=replace(run.trace, channels=channels)))
+    return changed
+
+
+@pytest.mark.parametrize(("amplitude_mN", "pitch_mm"), [(5.0, 12.0), (20.0, 27.0), (60.0, 1.3)])
+def test_cogging_is_named_with_its_pitch_and_found_again(
+    amplitude_mN: float, pitch_mm: float, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run]
+) -> None:
+    diagnosis = dragrig.diagnose(cogging(blanks, amplitude_mN, pitch_mm), nominal="drive")
+    assert diagnosis.effects == ("cogging",)
+    amplitude, pitch, _ = diagnosis.ranking[0].parameters
+    assert amplitude.value == pytest.approx(amplitude_mN, rel=0.05)
+    assert pitch.value == pytest.approx(pitch_mm, rel=0.005)
+    file = save_amended_model(diagnosis, tmp_path / "amended.toml")
+    assert file is not None
+    assert judged(file, cogging(fresh_blanks, amplitude_mN, pitch_mm))[0] == "KEPT"
+    assert judged(file, fresh_blanks) == ("NOT_KEPT", pytest.approx(0.0, abs=0.1))
+
+
+def test_cogging_and_friction_that_differs_with_direction_are_both_named(blanks: list[Run]) -> None:
+    diagnosis = dragrig.diagnose(asymmetric(cogging(blanks, 30.0, 12.0), 0.1), nominal="drive")
+    assert set(diagnosis.effects) == {"cogging", "direction_asymmetry"}

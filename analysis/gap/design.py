@@ -97,6 +97,8 @@ def signatures(
 
 DERIVATIVE_STEP = 0.02
 """Step of a numerical derivative, relative to the value or its default."""
+PERIOD_STEP = 1e-5
+"""The same of a period on the machine, of which runs may hold thousands."""
 SHAPE_PRIOR_SD = 0.5
 """Prior standard deviation of a shape parameter, relative."""
 PHASE_PRIOR_SD_RAD = 2.0
@@ -172,6 +174,8 @@ class Candidate:
             return DERIVATIVE_STEP
         if parameter.role is Role.SIZE:
             return DERIVATIVE_STEP * max(abs(value), 0.05 * abs(parameter.default))
+        if self.effect.origin_parameter and parameter == self.effect.period:
+            return PERIOD_STEP * value
         step = DERIVATIVE_STEP * max(abs(value), 1e-3 * abs(parameter.high))
         return step if value + step <= parameter.high else -step
 
@@ -235,7 +239,8 @@ class Study(ABC):
                 continue
             scene, gain = first[first_run]
             order = run.experiment.run.info.header.order
-            yield replace(scene, session_start_s=run.session_start_s, order=order), gain
+            origin_mm = run.experiment.origin_mm
+            yield replace(scene, session_start_s=run.session_start_s, order=order, origin_mm=origin_mm), gain
 
     @abstractmethod
     def limitations(self) -> Iterator[str]:

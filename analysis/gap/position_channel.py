@@ -125,8 +125,7 @@ def origin_of(experiment: Experiment) -> float:
 
     Runs of this rig begin at 0: a ripple of the catalogue is relative to the start of each run.
     """
-    origin = experiment.run.info.header.entry.get("origin_mm", 0.0) if experiment.imported else 0.0
-    return round(float(origin), 3) if isinstance(origin, int | float) and np.isfinite(origin) else 0.0
+    return round(experiment.origin_mm, 3) if experiment.imported else 0.0
 
 
 def _errors_of_run(experiment: Experiment, session_s: float | None, origin_mm: float) -> PositionErrors | None:

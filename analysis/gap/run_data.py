@@ -238,9 +238,10 @@ class RunData:
         """Return the state that effects act on, at the nodes of the blocks, for a nominal model with these settings."""
         experiment = self.experiment
         still = experiment.unsmoothed_motion if self.acquisition.contact is Contact.STICKING else None
-        return gut_run_state(
+        state = gut_run_state(
             self.acquisition, settings, experiment.motion, self.block_data.blocks.nodes_s, self.session_start_s, still
         )
+        return replace(state, origin_mm=experiment.origin_mm)
 
     @cached_property
     def direction(self) -> int:

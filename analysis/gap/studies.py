@@ -28,7 +28,16 @@ from dragrig.analysis import (
     solve_joint,
     zero_remarks,
 )
-from dragrig.analysis.gap.design import ColumnKind, Design, Study, fit_columns, problem_of_runs, signature, variants_of
+from dragrig.analysis.gap.design import (
+    ColumnKind,
+    Design,
+    Study,
+    fit_columns,
+    linearise,
+    problem_of_runs,
+    signature,
+    variants_of,
+)
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
 from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, known_effects, without_hum
 from dragrig.config import AmendedModelSettings, AnalysisError, Fixture, FrictionModelSettings
@@ -39,6 +48,7 @@ from dragrig.sim_backend.effects import (
     Coordinate,
     Effect,
     EffectChain,
+    EffectParameter,
     Location,
     Role,
     RunState,
@@ -249,6 +259,7 @@ def predicted_scene(run: RunData, predicted: FloatArray, parts: Mapping[ForcePar
         time_s=time_s,
         session_start_s=run.session_start_s,
         order=run.experiment.run.info.header.order,
+        origin_mm=run.experiment.origin_mm,
         contact=Contact.SLIDING if slides else Contact.NONE,
         # Sliding under a given load without a surrounding wall, as in the vacuum fixture.
         fixture=Fixture.VACUUM if slides else Fixture.NONE,
@@ -302,11 +313,93 @@ def _with_scaled_shapes(effect: Effect, factors: Mapping[str, float]) -> Effect:
             )
         else:
             parameters.append(parameter)
-    if tuple(parameters) == effect.parameters:
-        return effect
+    return effect if tuple(parameters) == effect.parameters else _with_parameters(effect, tuple(parameters))
+
+
+def _with_parameters(effect: Effect, parameters: tuple[EffectParameter, ...]) -> Effect:
     kind = type(effect)
-    scaled: Effect = type(kind.__name__, (kind,), {"parameters": tuple(parameters)})()
-    return scaled
+    changed: Effect = type(kind.__name__, (kind,), {"parameters": parameters})()
+    return changed
+
+
+STARTS_OF_PERIOD, WAVES_AT_ONCE, MAX_WAVES = 6, 200, 4000
+"""Best periods on the machine from which a search starts, and how many are tried."""
+BLOCKS_PER_PERIOD = 4.0
+"""Shorter periods do not show in means over blocks."""
+
+
+def with_periods_of_runs(bare: Study, effects: Sequence[Effect]) -> list[Effect]:
+    """Return effects, those that are periodic on the machine with start values that the runs show.
+
+    Over hundreds of periods a fit finds the nearest of many optima. All periods are therefore tried beside the nominal
+    model, a quarter of a period apart over the whole reach of the runs, and a fit starts from the best.
+
+    Parameters
+    ----------
+    bare
+        The campaign, prepared without effects.
+    """
+    if not any(effect.origin_parameter for effect in effects):
+        return list(effects)
+    design = linearise(bare, bare.initial_z)
+    scenes = [scene for scene, _ in bare.scenes(bare.initial_z)]
+    places = [scene.origin_mm + scene.position_mm for scene in scenes]
+    lowest, highest = min(float(place.min()) for place in places), max(float(place.max()) for place in places)
+    if highest <= lowest:
+        return list(effects)
+    middle = round(0.5 * (lowest + highest), 3)
+    result = []
+    for effect in effects:
+        period = effect.period if effect.origin_parameter else None
+        if period is None:
+            result.append(effect)
+            continue
+        steps = [float(np.median(np.abs(np.diff(place[::2])))) for place in places]
+        shortest = max(period.low, BLOCKS_PER_PERIOD * min(steps))
+        from_per_mm, to_per_mm = 1.0 / min(period.high, highest - lowest), 1.0 / shortest
+        count = int(np.clip(2.0 * (highest - lowest) * (to_per_mm - from_per_mm), 2, MAX_WAVES))
+        waves = np.linspace(from_per_mm, to_per_mm, count)
+        centred = [place - middle for place in places]
+        best = _strongest_waves(bare, design, centred, waves)
+        starts = {period.name: tuple(sorted(float(1.0 / wave) for wave in best))}
+        parameters = tuple(
+            replace(parameter, grid=starts[parameter.name])
+            if parameter.name in starts
+            else replace(parameter, default=middle)
+            if parameter.name == effect.origin_parameter
+            else parameter
+            for parameter in effect.parameters
+        )
+        result.append(_with_parameters(effect, parameters))
+    return result
+
+
+def _strongest_waves(bare: Study, design: Design, places: Sequence[FloatArray], waves: FloatArray) -> FloatArray:
+    """Return the wave numbers that explain most of the residuals beside the nominal model, none next to another."""
+    rows = [
+        run.whitening.whiten(np.column_stack((run.residual, run.columns[:, design.columns_of(ColumnKind.NOMINAL)])))
+        for run in design.runs
+    ]
+    residual, nominal = np.split(np.concatenate(rows), [1], axis=1)
+    basis = np.linalg.svd(nominal, full_matrices=False)[0]
+    residual = residual[:, 0] - basis @ (basis.T @ residual[:, 0])
+    powers = []
+    for few in np.array_split(waves, max(1, waves.size // WAVES_AT_ONCE)):
+        columns = []
+        for run_data, run, place in zip(bare.runs, design.runs, places, strict=True):
+            angle = 2 * np.pi * few[:, None] * place
+            both = np.concatenate((np.cos(angle), np.sin(angle)))
+            columns.append(run.whitening.whiten(run_data.block_means(both).T))
+        white = np.concatenate(columns)
+        white -= basis @ (basis.T @ white)
+        pairs = white.reshape(len(white), 2, few.size)
+        grams = np.einsum("nap,nbp->pab", pairs, pairs, optimize=True) + 1e-9 * np.eye(2)
+        moments = np.einsum("nap,n->pa", pairs, residual)
+        powers.append(np.einsum("pa,pa->p", moments, np.linalg.solve(grams, moments[:, :, None])[:, :, 0]))
+    power = np.concatenate(powers)
+    neighbours = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
+    peaks = np.flatnonzero(power >= neighbours)
+    return np.asarray(waves[peaks[np.argsort(-power[peaks])[:STARTS_OF_PERIOD]]])
 
 
 def effects_that_act(study: Study, effects: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -634,10 +727,13 @@ class PredictedStudy(Study):
         return predicted_scene(run, predictor.predict(values, time_s).total, predictor.parts(values, time_s)), 1.0
 
     def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray:
-        """Return blocks whose uncertainty from the motion is below the noise of a single sample."""
-        return motion_sd <= float(
-            np.hypot(self.problem.noises[number].white, self.runs[number].block_data.moving_white)
-        )
+        """Return blocks whose uncertainty from the motion is below the noise of a single sample.
+
+        Where no block is that certain, as in a motion that is nowhere steady, those that are as certain as usual count.
+        """
+        noise = float(np.hypot(self.problem.noises[number].white, self.runs[number].block_data.moving_white))
+        known = motion_sd <= noise
+        return known if known.any() else motion_sd <= float(np.median(motion_sd))
 
     def naming_obstacle(self, design: Design) -> str:
         """Return why these runs do not establish a design's candidates."""
@@ -666,7 +762,7 @@ class StageStudy(PredictedStudy):
         problem, why_not = empirical_priors(JointProblem.of(selection, nominal, MAX_BLOCK_MM))
         bare = cls(problem, run_data_of(problem.channels), (), why_not)
         own = [effect for effect in effects if effect.nominal in {"", DriveModel().name}]
-        return replace(bare, effects=effects_that_act(bare, scaled_to_runs(own, bare.runs)))
+        return replace(bare, effects=effects_that_act(bare, with_periods_of_runs(bare, scaled_to_runs(own, bare.runs))))
 
     def limitations(self) -> Iterator[str]:
         """Yield what these runs cannot answer, a sentence each."""
@@ -731,7 +827,7 @@ class OwnModelStudy(PredictedStudy):
         # The motor's own effects show in its force, whoever models it.
         belongs_to = {"", DriveModel().name} if channel == MOTOR_FORCE_CHANNEL else {""}
         tried = [effect for effect in effects if effect.channel is Channel.FORCE and effect.nominal in belongs_to]
-        return replace(bare, effects=effects_that_act(bare, scaled_to_runs(tried, runs)))
+        return replace(bare, effects=effects_that_act(bare, with_periods_of_runs(bare, scaled_to_runs(tried, runs))))
 
     def untried_lookalikes(self, design: Design) -> int:
         """Return the number of untried effects if the candidates look like friction along the stroke."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from math import log
+from math import comb, isfinite, log
 
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
@@ -53,6 +53,8 @@ QUIETEST_SPAN_SDS, TYPICAL_SPAN_SDS = 2.9, 6.0
 """Largest span of the quietest windows in white noise, in its standard deviations, and that of nearly all windows."""
 MAX_WANDER_MM = 0.02
 """A larger span is a motion, unless it is from one count to the next."""
+WANDER_DIFFERENCES = 4
+"""Differences of the samples of this order show their noise; of a motion of 60 Hz at 1 kHz they hold a fiftieth."""
 MIN_COUNT_MM = 0.001
 """Smallest count of an encoder, and the default."""
 MAX_BEND_SHARE = 0.1
@@ -102,7 +104,8 @@ def position_wander_mm(
         The record, shape `(N,)`: rising times from 0, finite positions.
     command_mm
         The command, shape `(N,)`, which shows the rests; None where it is not known. Then the
-        wander is that of white noise with the residual of a parabola in the middle of a window.
+        wander is that of white noise with the residual of a parabola in the middle of a window, or with the fourth
+        differences of the samples where these are smaller.
     count_mm
         The encoder's count.
 
@@ -125,6 +128,9 @@ def position_wander_mm(
         # The filter's own weight of a sample in the middle of a window, for order 2 or 3, is about 9 / (4 window).
         residual_share = 1.0 - 9.0 / (4.0 * window)
         sd = 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(residual_share))
+        # A motion that the parabola does not follow, as of a motor that cogs, differs less from sample to sample.
+        differences = np.diff(position, WANDER_DIFFERENCES) / np.sqrt(comb(2 * WANDER_DIFFERENCES, WANDER_DIFFERENCES))
+        sd = min(sd, 1.4826 * float(np.median(np.abs(differences))))
     else:
         spans = maximum_filter1d(position, window) - minimum_filter1d(position, window)
         sd = float(np.quantile(spans[rests], QUIETEST_SHARE)) / QUIETEST_SPAN_SDS
@@ -259,6 +265,12 @@ class Experiment:
     def count_mm(self) -> float:
         """The encoder's count in the run's settings, at least 1 µm."""
         return encoder_count_mm(self.run.info.header.settings_toml)
+
+    @property
+    def origin_mm(self) -> float:
+        """Where on its machine the run begins; 0 where it does not say so."""
+        origin = self.run.info.header.entry.get("origin_mm", 0.0)
+        return float(origin) if isinstance(origin, int | float) and isfinite(origin) else 0.0
 
     @cached_property
     def wander_mm(self) -> float:
@@ -650,11 +662,11 @@ def _displacement_basis(joints_s: FloatArray, time_s: FloatArray) -> tuple[Float
     return np.vstack((nothing, rising)), np.vstack((elapsed - rising, nothing))
 
 
-KNOT_STEP_S, MIN_SAMPLES_PER_KNOT, MAX_KNOTS = 0.01, 4, 2000
-"""Distance of a spline's knots, and its limits."""
+KNOT_STEP_S, MIN_SAMPLES_PER_KNOT, MAX_KNOTS = 0.004, 4, 2000
+"""Distance of a spline's knots, which follows a motion of 60 Hz, as of a motor that cogs, and its limits."""
 SPLINE_DEGREE, PENALISED_DERIVATIVE = 5, 3
 """A quintic spline whose third derivative is penalised has an acceleration that changes gradually."""
-PENALTIES = np.geomspace(1e-6, 1e8, 15)
+PENALTIES = np.geomspace(1e-6, 1e10, 17)
 """Weights of the penalty that are tried, relative to that of the data."""
 HELD_OUT_FOLDS, HELD_OUT_SAMPLES = 5, 3
 """Every fifth stretch of three samples is held out at a time."""
@@ -699,6 +711,7 @@ def _fit_smooth(time_s: FloatArray, position_mm: FloatArray) -> _SmoothMotion | 
     """Fit a spline whose penalty predicts held-out samples best; None for too short a record."""
     from scipy.interpolate import BSpline
     from scipy.linalg import cho_solve_banded, cholesky_banded
+    from scipy.sparse import diags_array
 
     span = float(time_s[-1] - time_s[0])
     step = max(KNOT_STEP_S, MIN_SAMPLES_PER_KNOT * span / len(time_s), span / MAX_KNOTS)
@@ -710,11 +723,16 @@ def _fit_smooth(time_s: FloatArray, position_mm: FloatArray) -> _SmoothMotion | 
     knots[SPLINE_DEGREE + intervals] = max(knots[SPLINE_DEGREE + intervals], time_s[-1])
     design = BSpline.design_matrix(time_s, knots, SPLINE_DEGREE).tocsr()
     count = design.shape[1]
-    differences = np.diff(np.eye(count), PENALISED_DERIVATIVE, axis=0)
-    penalty = _lower_bands(differences.T @ differences)
+    weights = np.diff(np.eye(PENALISED_DERIVATIVE + 1), PENALISED_DERIVATIVE, axis=0)[0]
+    differences = diags_array(
+        [np.full(count - PENALISED_DERIVATIVE, weight).tolist() for weight in weights],
+        offsets=np.arange(PENALISED_DERIVATIVE + 1),
+        shape=(count - PENALISED_DERIVATIVE, count),
+    )
+    penalty = _lower_bands((differences.T @ differences).diagonal)
     fold = np.arange(len(time_s)) // HELD_OUT_SAMPLES % HELD_OUT_FOLDS
     parts = [(design[fold == number], position_mm[fold == number]) for number in range(HELD_OUT_FOLDS)]
-    grams = [_lower_bands((rows.T @ rows).toarray()) for rows, _ in parts]
+    grams = [_lower_bands((rows.T @ rows).diagonal) for rows, _ in parts]
     moments = [rows.T @ values for rows, values in parts]
     total, moment = np.sum(grams, axis=0), np.sum(moments, axis=0)
     errors = np.zeros((len(PENALTIES), len(time_s)))
@@ -731,9 +749,15 @@ def _fit_smooth(time_s: FloatArray, position_mm: FloatArray) -> _SmoothMotion | 
     return _SmoothMotion(knots, coefficients, errors[best], factor, less_smooth)
 
 
-def _lower_bands(matrix: FloatArray) -> FloatArray:
-    """Return the diagonal and the bands below it, as banded solvers take them, shape `(degree + 1, n)`."""
-    return np.array([np.append(np.diag(matrix, -band), np.zeros(band)) for band in range(SPLINE_DEGREE + 1)])
+def _lower_bands(diagonal: Callable[[int], FloatArray]) -> FloatArray:
+    """Return the diagonal and the bands below it, as banded solvers take them, shape `(degree + 1, n)`.
+
+    Parameters
+    ----------
+    diagonal
+        Returns the diagonal of a matrix by its number, 0 for the main one and negative below it.
+    """
+    return np.array([np.append(diagonal(-band), np.zeros(band)) for band in range(SPLINE_DEGREE + 1)])
 
 
 def _ridge(bands: FloatArray) -> FloatArray:
@@ -769,8 +793,8 @@ def _predicts_better(errors: FloatArray, rival: FloatArray) -> bool:
 
 RAMP_LENGTH_WANDERS = 4 / 3
 """Error of a ramp's length in units of the wander: a count at either end."""
-GENTLE_WANDERS, MAX_GENTLE_START_S = 8.0, 0.1
-"""Wanders over speed by which a smooth motion may begin before it shows, and the longest such time."""
+GENTLE_WANDERS, TURNING_WANDERS, MAX_GENTLE_START_S = 8.0, 2.0, 0.1
+"""Wanders over speed by which a smooth motion may begin before it shows, and turn, and the longest such time."""
 MAX_JOINT_TIMING_S = 0.01
 """Uncertainty of a joint's time in the slowest motion."""
 
@@ -854,7 +878,8 @@ class Kinematics:
         """Return when a smooth motion starts, stops or turns, and how well that is known [s], shapes `(T,)`.
 
         Such a motion sets in so gently that it shows only after it has left the encoder's wander: where it grows with
-        a power n of the time, it began n + 1 wanders over its speed before.
+        a power n of the time, it began n + 1 wanders over its speed before. A motion that turns without a rest passes
+        through zero in a straight line.
         """
         still = self.velocity_mm_s == 0
         before, after = np.append(True, still[:-1]), np.append(still[1:], True)
@@ -862,7 +887,8 @@ class Kinematics:
         turns = np.union1d(turns, [0, len(still) - 1])
         speed = np.abs(self.velocity_mm_s)
         beside = np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))[turns]
-        gentle_s = np.minimum(GENTLE_WANDERS * self.wander_mm / np.maximum(beside, 1e-9), MAX_GENTLE_START_S)
+        wanders = np.where((before | after)[turns], GENTLE_WANDERS, TURNING_WANDERS)
+        gentle_s = np.minimum(wanders * self.wander_mm / np.maximum(beside, 1e-9), MAX_GENTLE_START_S)
         return self.joints_s[turns], self.step_s + np.where(beside > 0, gentle_s, 0.0)
 
     def _piece(self, time_s: FloatArray) -> IndexArray:

@@ -172,6 +172,8 @@ class Effect(ABC):
     """Whether it acts where the force is steepest, so that another form of it leaves much unexplained."""
     period_parameter: ClassVar[str] = ""
     """For what is periodic: name of the parameter that sets the length of a period, or its frequency."""
+    origin_parameter: ClassVar[str] = ""
+    """For what is periodic on the machine, not along a run: name of the parameter from which its phase counts [mm]."""
     spectral_line: ClassVar[bool] = False
     """Whether a diagnosis finds it as a line at the mains' frequency, of amplitude `size` and frequency `period`."""
     position_form: ClassVar[PositionForm | None] = None

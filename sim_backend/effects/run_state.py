@@ -241,6 +241,8 @@ class RunState:
     """The wall on a capsule that slides in a closed gut; None elsewhere."""
     sheared: ShearedWall | None = None
     """The wall under a capsule that sticks; None elsewhere."""
+    origin_mm: float = 0.0
+    """Where on its machine the run begins; 0 where that is not known."""
 
     @property
     def sliding(self) -> bool:
