@@ -21,11 +21,15 @@ def with_minus_sign(text: str) -> str:
 
 
 def percent_text(share: float) -> str:
-    """Write a share as percentage: 71 %, 99.3 %."""
+    """Write a share as percentage: 71 %, 99.3 %; never as the whole, or as nothing, what only rounds to that."""
     if not isfinite(share):
         return "an unknown share"
+    if 0.9995 <= share < 1:
+        return "above 99.9 %"
+    if 0 < share < 0.0005:
+        return "below 0.1 %"
     precise = 0.9 < share < 1 or 0 < share < 0.01
-    return with_minus_sign(f"{100 * share:.{1 if precise else 0}f} %")
+    return with_minus_sign(f"{100 * share:z.{1 if precise else 0}f} %")
 
 
 def join_names(names: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ import pytest
 from diagnoses import (
     NO_GAP,
     RIPPLE_AND_AGEING,
+    STRIBECK,
     STRIBECK_ALONE,
     TOGETHER,
     UNKNOWN,
@@ -21,11 +22,19 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
+from dragrig.analysis import capitalise
 from dragrig.analysis.gap.diagnosis import Diagnosis, GapBudget, RunContributions
-from dragrig.present.diagnosis import diagnosis_document, diagnosis_json
+from dragrig.present.diagnosis import campaigns_document, diagnosis_document, diagnosis_json
 from dragrig.present.diagnosis_figures import BAR_THICKNESS, budget_figure, runs_showing_parts
 from dragrig.present.diagnosis_sentences import verdict_sentences
-from dragrig.present.gap_budget import budget_bars, budget_json, budget_sentences, budgets_by_channel
+from dragrig.present.gap_budget import (
+    ChannelBudget,
+    budget_bars,
+    budget_json,
+    budget_sentences,
+    budgets_by_channel,
+    part_name,
+)
 from dragrig.present.html_page import render_page
 from dragrig.present.terminal import BAR_WIDTH, document_text
 
@@ -184,7 +193,10 @@ def test_a_budget_knows_no_nan() -> None:
 def test_the_table_has_every_part_with_its_numbers() -> None:
     shown = text(diagnosed(CROWDED))
     assert re.search(r"Hyperelastic wall or wall lift-off +34 % +28 % to 39 % +5\.0 +0\.98 +The muscular", shown)
-    assert re.search(r"The model itself +31 % .* 0\.98 +The nominal model's own parameters or structure: param", shown)
+    assert re.search(r"The model itself +31 % .* 0\.98 +The nominal model's parameters are off", shown)
+    assert re.search(
+        r"The specimen itself +15 % .* 0\.98 +Runs or specimens differ more than usual, by a factor", shown
+    )
     assert re.search(r"Encoder scale +−3 % +−9 % to 2 % ", shown)
     assert re.search(r"Adhesion +1 % ", shown)
     assert re.search(r"No name +11 % ", shown)
@@ -205,13 +217,127 @@ def test_a_bar_in_the_terminal_is_as_wide_as_its_parts(given_budget: GapBudget) 
     lines = text(diagnosed(given_budget)).splitlines()
     drawn = [line.strip() for line in lines if line.strip() and set(line.strip()) <= set("█▓░")]
     for line, bar in zip(drawn, budget_bars(given_budget), strict=True):
-        assert len(line) == pytest.approx(BAR_WIDTH * sum(part.share for part in bar.parts), abs=1.0)
+        whole = max(1.0, sum(part.share for part in bar.parts))
+        assert len(line) == pytest.approx(BAR_WIDTH * sum(part.share for part in bar.parts) / whole, abs=1.0)
         widths = [len(run[0]) for run in re.finditer(r"█+|▓+|░+", line)]
-        assert widths == pytest.approx([BAR_WIDTH * part.share for part in bar.parts], abs=1.5)
+        assert widths == pytest.approx([BAR_WIDTH * part.share / whole for part in bar.parts], abs=1.5)
         for part in bar.parts:
-            named = [line for line in lines if f"{part.name} {100 * part.share:.0f} %" in line and line[:2] == "  "]
+            named = [line for line in lines if f"{part.name} {part.size}" in line and line[:2] == "  "]
             assert named
             assert len(named[0]) <= 80
+
+
+@EACH
+def test_whole_per_cent_sum_up_and_are_the_same_in_bar_table_and_sentence(given_budget: GapBudget) -> None:
+    shown, sentences = text(diagnosed(given_budget)), " ".join(budget_sentences(given_budget))
+    for here, bar in zip(budgets_by_channel(given_budget), budget_bars(given_budget), strict=True):
+        opposed = sum(entry.share for entry in here.opposed)
+        assert sum(here.percents.values()) == pytest.approx(100 * (1 - opposed), abs=0.5)
+        for part in bar.parts:
+            assert part.size == f"{here.percents[cause_of(part.name, here)]} %"
+            assert part.size in sentences or "all is" in sentences or "nothing has a name" in sentences
+            assert part.name == "others" or re.search(f"{re.escape(capitalise(part.name))} +{part.size} ", shown)
+
+
+def cause_of(name: str, here: ChannelBudget) -> str:
+    return next((entry.cause for entry in here.shown if part_name(entry) == name), name)
+
+
+OWN = budget(entry("model", 0.8, what="laws of the model"), entry("unexplained", 0.2, 4.0, None), gap_mN=50.2)
+MIXED = budget(
+    entry("specimen", 0.4, what="gain of a run"), entry("model", 0.35), entry("unexplained", 0.25, 4.0, None)
+)
+BESIDE = budget(entry("specimen", 0.93), entry("stribeck", 0.05), entry("unexplained", 0.02, 4.0, None))
+
+
+def test_a_gap_of_the_model_or_the_specimen_is_called_theirs() -> None:
+    assert budget_sentences(OWN)[0] == (
+        "The gap is mostly the nominal model's own: of 50 mN, 80 % is the model itself; 20 % has no name."
+    )
+    assert budget_sentences(MIXED)[0].startswith(
+        "The gap is mostly the nominal model's and the specimen's own: of 12 mN, 40 % is the specimen itself, 35 % "
+    )
+    assert budget_sentences(BESIDE)[0].startswith(
+        "The gap is the specimen's own: of 12 mN, 93 % is the specimen itself"
+    )
+    unsure = replace(OWN, entries=(replace(OWN.entries[0], share_95ci=(-0.05, 0.9)), OWN.entries[1]))
+    assert budget_sentences(unsure)[0].startswith("Of a gap of 50 mN, 80 % is the model itself")
+    in_both = budget(*OWN.entries, entry("servo_lag", 1.0, channel="position"), gap_mN=nan)
+    assert budget_sentences(in_both)[0] == (
+        "The gap is mostly the nominal model's own: of the gap in the force, 80 % is the model itself; "
+        "20 % has no name."
+    )
+
+
+def test_a_gap_of_the_models_own_is_not_called_unknown() -> None:
+    diagnosis = replace(UNKNOWN, budget=OWN)
+    assert verdict_sentences(diagnosis)[:2] == (
+        "No effect of the catalogue is established (probability 0.88 for none).",
+        "The gap lives in the steady force of drag runs, from 0.5 to 5 mm/s.",
+    )
+    assert "A gap that no effect" not in text(diagnosis) + page(diagnosis)
+    assert diagnosis_json(diagnosis)["verdict"] == "unknown"
+    rows = document_text(campaigns_document([("a", diagnosis, ""), ("b", UNKNOWN, "")]))
+    assert re.search(r"a +the nominal model's own +0\.88", rows)
+    assert re.search(r"b +unknown +0\.88", rows)
+
+
+def test_the_probability_of_a_single_effect_is_that_it_is_there() -> None:
+    (first, *_) = verdict_sentences(replace(STRIBECK, budget=STRIBECK_ALONE))
+    assert (
+        first == "Most likely: Stribeck friction (probability 0.98 that it is there, 0.93 that it is the only effect)."
+    )
+    same = replace(STRIBECK_ALONE, presence={"stribeck": 0.931})
+    assert verdict_sentences(replace(STRIBECK, budget=same))[0].endswith("(probability 0.93).")
+    assert verdict_sentences(replace(STRIBECK, budget=replace(same, presence={})))[0].endswith("(probability 0.93).")
+
+
+def with_intervals(given_budget: GapBudget, *intervals: tuple[float, float]) -> GapBudget:
+    entries = [replace(one, share_95ci=ends) for one, ends in zip(given_budget.entries, intervals, strict=True)]
+    return replace(given_budget, entries=tuple(entries))
+
+
+def test_shares_are_stated_as_surely_as_the_runs_fix_them() -> None:
+    rough = with_intervals(OWN, (0.51, 0.86), (0.14, 0.49))
+    assert budget_sentences(rough)[1:] == (
+        "These runs fix the shares only roughly: the model itself 51 % to 86 %, no name 14 % to 49 %.",
+    )
+    vague = with_intervals(OWN, (-0.66, 1.31), (-0.31, 1.66))
+    assert budget_sentences(vague) == (
+        "Of a gap of 50 mN, these runs do not say how much is the model itself.",
+        "These runs fix the shares only roughly: the model itself −66 % to 131 %, no name −31 % to 166 %; "
+        "above 100 % a part overshoots the gap.",
+    )
+    (part,) = budget_bars(vague)[0].parts
+    assert (part.name, part.share, part.size, part.hatched) == ("the model itself or no name", 1.0, "100 %", True)
+    overshot = with_intervals(TOO_MUCH, (0.75, 1.84), (-0.84, 0.25))
+    assert budget_sentences(overshot)[0] == "Of a gap of 12 mN, at least 75 % is Stribeck friction."
+    assert [(part.name, part.share, part.size) for part in budget_bars(overshot)[0].parts] == [
+        ("Stribeck friction", 0.75, "at least 75 %"),
+        ("Stribeck friction or no name", 0.25, "25 %"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("laws of the model", "The nominal model's laws are off"),
+        ("parameters of the model in relaxations", "The nominal model's parameters are off in relaxations"),
+        (
+            "parameters of the model, parameters of the model in relaxations, laws of the model in relaxations",
+            "The nominal model's parameters are off, and in relaxations parameters and laws beyond that",
+        ),
+        ("", "The nominal model's own parameters or structure are off"),
+    ],
+)
+def test_what_of_the_model_is_off_is_said_in_plain_words(what: str, words: str) -> None:
+    shown = text(diagnosed(budget(entry("model", 0.8, what=what), entry("unexplained", 0.2, 4.0, None))))
+    assert re.search(rf"The model itself .* {words} *\n", shown)
+
+
+def test_two_sizes_of_a_gap_are_told_apart() -> None:
+    assert "The residual is not the budget’s gap of 50 mN." in page(replace(STRIBECK, budget=OWN))
+    assert "is not the budget’s gap" not in page(replace(STRIBECK, budget=replace(OWN, gap_mN=9.5)))
 
 
 @EACH
@@ -229,7 +355,7 @@ def test_the_picture_cuts_the_gap_by_its_shares(given_budget: GapBudget) -> None
         assert [patch.get_x() for patch in cut] == pytest.approx([0.0, *ends[:-1]])
         assert axes.get_xlim() == pytest.approx((0.0, max(100.0, ends[-1])))
         names = " ".join(label.get_text() for label in axes.texts).replace("\n", " ")
-        assert all(f"{part.name} {100 * part.share:.0f} %" in names for part in bar.parts)
+        assert all(f"{part.name} {part.size}" in names for part in bar.parts)
         boxes = [Text.get_window_extent(label) for label in axes.texts]
         assert not any(one.overlaps(other) for number, one in enumerate(boxes) for other in boxes[number + 1 :]), (
             "names cover each other"

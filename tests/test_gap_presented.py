@@ -13,7 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from dragrig.analysis.gap.diagnosis import Diagnosis, R2BeforeAfter, RankedHypothesis, display_name
+from dragrig.analysis import percent_text
+from dragrig.analysis.gap import separation_text
+from dragrig.analysis.gap.diagnosis import Diagnosis, ModelPair, R2BeforeAfter, RankedHypothesis, display_name
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.present.diagnosis import (
     diagnosis_document,
@@ -21,7 +23,7 @@ from dragrig.present.diagnosis import (
     round_probabilities,
     shrink_json,
 )
-from dragrig.present.diagnosis_figures import before_after_figure, ranking_figure, representative_runs
+from dragrig.present.diagnosis_figures import before_after_figure, location_figure, ranking_figure, representative_runs
 from dragrig.present.diagnosis_sentences import shrink_sentences
 from dragrig.present.html_page import render_page
 from dragrig.present.numbers import to_json_value
@@ -145,6 +147,59 @@ def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:
         sentence
         == "The whole gap closes (101 %; 95 % interval: 100 % to 105 %): the residual is below noise and repeatability."
     )
+
+
+def test_what_the_runs_do_not_fix_is_not_stated() -> None:
+    wide = replace(shrink(), closed=0.24, closed_95ci=(-10.6, 0.9991))
+    assert shrink_sentences(wide)[1] == (
+        "What share of the gap closes these runs do not say: 24 % here (95 % interval: below −100 % to 99.9 %)."
+    )
+    nearly = replace(shrink(), closed=0.99996, closed_95ci=(0.9999, 1.0001))
+    assert shrink_sentences(nearly)[1] == "Above 99.9 % of the gap closes (95 % interval: above 99.9 %)."
+    none_named = text(replace(UNKNOWN, shrink=shrink()))
+    assert re.search(r"Eq\. 15 +model +0\.7000", none_named)
+    assert "without the effect" not in none_named
+
+
+@pytest.mark.parametrize(
+    ("score", "words"),
+    [
+        (0.71, "is mainly a function of speed, which accounts for 71 % of its squares on held-out runs."),
+        (0.24, "depends most on speed, which accounts for 24 % of its squares on held-out runs."),
+        (0.01, "No coordinate accounts for more than 10 % of the squares of the residual on held-out runs."),
+    ],
+)
+def test_a_coordinate_that_explains_little_is_not_called_the_main_one(score: float, words: str) -> None:
+    where = replace(STRIBECK.where, domain_scores={"speed": score})
+    assert words in text(replace(STRIBECK, where=where))
+    title = location_figure(where).texts[0].get_text()
+    assert title.endswith("above all a matter of speed") == (score > 0.5)
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.71, "71 %"),
+        (0.993, "99.3 %"),
+        (0.9996, "above 99.9 %"),
+        (1.0, "100 %"),
+        (0.0001, "below 0.1 %"),
+        (-0.001, "0 %"),
+        (-10.6, "−1060 %"),
+        (nan, "an unknown share"),
+    ],
+)
+def test_shares_are_never_rounded_to_all_or_nothing(share: float, words: str) -> None:
+    assert percent_text(share) == words
+
+
+def test_growth_is_told_with_as_many_digits_as_it_takes() -> None:
+    def told(before: float, after: float) -> str:
+        return separation_text(ModelPair("stribeck", "folds", before, 1.0), ModelPair("stribeck", "folds", after, 1.0))
+
+    assert told(0.19, 0.23).endswith("d′ grows from 0.19 to 0.23")
+    assert told(84.0, 88.6).endswith("d′ grows from 84 to 89")
+    assert told(42.1, 42.4).endswith("d′ grows from 42.1 to 42.4")
 
 
 def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:

@@ -65,6 +65,8 @@ class ResidualBlocks:
     """
     origin_mm: float = 0.0
     """Where on the machine the run begins."""
+    file: str = ""
+    """Name of its file, where it has one."""
 
     def __post_init__(self) -> None:
         """Raise `ValueError` for arrays of unequal lengths, and for noise or durations that are not positive."""

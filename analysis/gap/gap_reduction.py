@@ -231,6 +231,7 @@ def force_residual_blocks(
                 position_mm=coordinates.position_mm,
                 force_mN=run_design.predicted,
                 origin_mm=origin_of(run.experiment),
+                file=run.file,
             )
         )
     return blocks_of_runs
@@ -261,6 +262,7 @@ def position_residual_blocks(runs: Sequence[PositionErrors]) -> list[ResidualBlo
                 phase=commanded_phase(experiment, run.time_s).astype(np.uint8),
                 position_mm=run.command_mm,
                 origin_mm=origin_of(experiment),
+                file=experiment.file,
             )
         )
     return blocks

@@ -13,7 +13,15 @@ from typing import Self
 
 import numpy as np
 
-from dragrig.analysis import CapsuleModel, RunSelection, capitalise, join_names, percent_text, single_blas_thread
+from dragrig.analysis import (
+    CapsuleModel,
+    RunSelection,
+    capitalise,
+    join_names,
+    percent_text,
+    significant_text,
+    single_blas_thread,
+)
 from dragrig.analysis.gap.candidate_runs import (
     DECIDED_LOG_ODDS,
     FIXTURE_CHANGE_MIN,
@@ -455,7 +463,7 @@ def run_subject(step: PlanStep) -> str:
 
 def separation_text(before: ModelPair, after: ModelPair) -> str:
     """Say what a run separates, as the rest of a sentence."""
-    change = f"d′ grows from {before.d_prime:.1f} to {after.d_prime:.1f}"
+    change = f"d′ grows {_growth_text(before.d_prime, after.d_prime)}"
     if not after.rival:
         return f"lowers the detection limit of {display_name(after.truth)}: {change}"
     truth, rival = display_name(after.truth), display_name(after.rival)
@@ -464,6 +472,13 @@ def separation_text(before: ModelPair, after: ModelPair) -> str:
         return text
     shares = f"from {percent_text(before.remaining_share)} to {percent_text(after.remaining_share)}"
     return f"{text}, and the share of {truth} that {rival} cannot explain {shares}"
+
+
+def _growth_text(before: float, after: float) -> str:
+    """Write both with two digits, or with as many as it takes to tell them apart: `from 0.19 to 0.23`."""
+    texts = [(significant_text(before, digits), significant_text(after, digits)) for digits in (2, 3, 4)]
+    low, high = next((ends for ends in texts if ends[0] != ends[1]), texts[0])
+    return f"from {low} to {high}"
 
 
 MIN_LOG_DISTANCE = log(1.5)

@@ -6,6 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from dragrig.analysis import percent_text
 from dragrig.analysis.gap.classifier import Classification
 from dragrig.analysis.gap.diagnosis import AxisLocation, GapLocation, UnexplainedGap, Verdict, display_name
 from dragrig.analysis.gap.excess import ResidualBlocks
@@ -103,7 +104,7 @@ def _domain_values(blocks: ResidualBlocks, domain: str) -> FloatArray:
         case "time":
             return time_since_start(blocks)
         case "session":
-            return np.full_like(blocks.residual, blocks.session_s or 0.0)
+            return np.full_like(blocks.residual, (blocks.session_s or 0.0) / 60)
         case _:
             return np.full_like(blocks.residual, blocks.strain)
 
@@ -269,7 +270,7 @@ _DOMAIN_PHRASES: Mapping[str, tuple[str, str, str]] = {
     "speed": ("of speed", "speed", " mm/s"),
     "position": ("of the position along the stroke", "position", " mm"),
     "time": ("of the time since the start of a run", "time", " s"),
-    "session": ("of session time", "session time", " s"),
+    "session": ("of session time", "session time", " min"),
     "strain": ("of strain", "strain", ""),
     "frequency": ("of frequency", "", ""),
     "transient": ("of changes of velocity", "", ""),
@@ -299,18 +300,18 @@ def _agreement_text(where: GapLocation, region: GapRegion, phrase: str, periodic
     total = sum(float((blocks.weight * blocks.deviation**2).sum()) for blocks in region.blocks)
     share = min(score * total / region.excess, 1.0) if region.excess > 0 else score
     if where.domain == "transient" and share >= MIN_COMMON_SHARE:
-        return f"{share:.0%} of it is at changes of velocity and shortly after. {_transient_text(region)}".rstrip()
+        at_changes = f"{percent_text(share)} of it is at changes of velocity and shortly after."
+        return f"{at_changes} {_transient_text(region)}".rstrip()
     if where.domain == "frequency" and share >= MIN_COMMON_SHARE:
-        return f"{share:.0%} of it is faster than {FAST_HZ:g} Hz."
+        return f"{percent_text(share)} of it is faster than {FAST_HZ:g} Hz."
     if where.runs == 1:
         return ""
     if share < MIN_COMMON_SHARE and not periodic:
         return "It differs from run to run and does not clearly depend on any coordinate that runs share."
-    conclusion = ", so it is nearly the same in every run" if share >= COMMON_SHARE and not periodic else ""
-    if where.domain == "session" and not periodic:
-        conclusion = ", so it changes slowly"
-    agreement = "" if periodic else f": runs with equal values predict {share:.0%} of each other{conclusion}"
-    return f"Mainly a function {phrase}{agreement}."
+    agreement = ", nearly the same in every run" if share >= COMMON_SHARE else ", in part the same in every run"
+    if where.domain == "session":
+        agreement = ": it changes slowly"
+    return f"Mainly a function {phrase}{'' if periodic else agreement}."
 
 
 def _sign_text(region: GapRegion) -> str:
@@ -398,7 +399,7 @@ def location_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
     text = f"It is in {_channels_text(where)} of {kinds_text(kinds)}{_speeds_text(where, blocks)}"
     text += _range_text(where.location("strain"), "at shear strains of", "")
     text += _range_text(where.location("position"), "between", " mm of the stroke", joiner="and")
-    text += _range_text(where.location("session"), "between", " s of the session", joiner="and")
+    text += _range_text(where.location("session"), "between", " min of the session", joiner="and", unit=60.0)
     text += f", {span}" if (span := phase_span(where)) else ""
     text += _range_text(where.location("band_hz"), "at", " Hz") if where.domain == "frequency" else ""
     text += f"; not in {kinds_text(absent, 'or')}" if absent else ""
@@ -433,18 +434,18 @@ def _speeds_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
     return f" at {location.low:g} to {location.high:g} mm/s"
 
 
-def _range_text(location: AxisLocation, before: str, after: str, joiner: str = "to") -> str:
+def _range_text(location: AxisLocation, before: str, after: str, joiner: str = "to", unit: float = 1.0) -> str:
     if location.low is None or location.high is None or location.p >= ALPHA:
         return ""
-    if location.low == location.high:
-        return f", {before} {location.low:.4g}{after}"
-    return f", {before} {location.low:.4g} {joiner} {location.high:.4g}{after}"
+    low, high = location.low / unit, location.high / unit
+    return f", {before} {low:.3g}{after}" if low == high else f", {before} {low:.3g} {joiner} {high:.3g}{after}"
 
 
 def _single_run_text(blocks: Sequence[ResidualBlocks]) -> str:
     excess: dict[str, float] = {}
     for run in blocks:
-        excess[run.run_id] = excess.get(run.run_id, 0.0) + float(run.excess.sum())
+        name = run.file or run.run_id
+        excess[name] = excess.get(name, 0.0) + float(run.excess.sum())
     if len(excess) == 1:
         return ""
     total = sum(max(value, 0.0) for value in excess.values())
@@ -497,7 +498,8 @@ def nonparametric_law_text(inputs: DecisionInputs) -> str:
     ):
         return ""
     text = (
-        f"A force {_LAW_PHRASES[law.name]}, in any form, explains {_share_of_excess(law_chi2_difference, inputs)} of it"
+        f"By itself, a force {_LAW_PHRASES[law.name]}, in any form, would explain "
+        f"{_share_of_excess(law_chi2_difference, inputs)} of it"
     )
     if best is not None:
         effect = display_name(best.effects[0])
@@ -506,7 +508,7 @@ def nonparametric_law_text(inputs: DecisionInputs) -> str:
 
 
 def _share_of_excess(chi2_difference: float, inputs: DecisionInputs) -> str:
-    return f"{min(chi2_difference / max(inputs.excess, 1.0), 1.0):.0%}"
+    return percent_text(min(chi2_difference / max(inputs.excess, 1.0), 1.0))
 
 
 def resemblance_text(inputs: DecisionInputs) -> str:
@@ -534,7 +536,7 @@ def line_texts(line: SpectralLine, channel: str) -> tuple[str, str]:
     return f"{location}.", f"{line_text}."
 
 
-NOT_LOCALISABLE = "It is too small compared with noise and repeatability to say where it is."
+NOT_LOCALISABLE = "It shows in many runs together, and in no place of them alone beyond noise and repeatability."
 """Of a gap that many runs show together, and none of its parts alone."""
 
 

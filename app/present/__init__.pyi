@@ -117,6 +117,7 @@ from .numbers import percent as percent
 from .numbers import percent_difference as percent_difference
 from .numbers import probability_text as probability_text
 from .numbers import range_text as range_text
+from .numbers import round_to_sum as round_to_sum
 from .numbers import rounded_to_error as rounded_to_error
 from .numbers import run_problem as run_problem
 from .numbers import run_subtitle as run_subtitle

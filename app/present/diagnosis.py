@@ -1,7 +1,7 @@
 """A gap diagnosis laid out for a reader: where the gap is, which hypothesis explains it, how far it shrinks."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from math import floor, isfinite
+from math import isfinite, log
 
 from dragrig import present
 from dragrig.analysis import as_sentence, capitalise, percent_text
@@ -41,8 +41,10 @@ from dragrig.present import (
     p_value_text,
     percent,
     probability_text,
+    round_to_sum,
     rounded_to_error,
     shortest,
+    significant,
     to_json_object,
     unit_text,
 )
@@ -56,7 +58,14 @@ from dragrig.present.diagnosis_sentences import (
     shrink_sentences,
     verdict_sentences,
 )
-from dragrig.present.gap_budget import budget_bars, budget_json, budget_sentences, budget_table, presence_json
+from dragrig.present.gap_budget import (
+    budget_bars,
+    budget_json,
+    budget_sentences,
+    budget_table,
+    owner_of_gap,
+    presence_json,
+)
 from dragrig.sim_backend.effects import catalogue
 
 FORMAT, VERSION = "dragrig-gap", 2
@@ -66,6 +75,8 @@ PROBABILITY_STEPS = 1_000_000
 MAX_RANKED = 8
 """Hypotheses that a terminal and a window list; those beyond are next to impossible in any campaign seen so far."""
 MAX_LEFT_OUT = 12
+SAME_SIZE = 1.2
+"""Ratio up to which two sizes of a gap look alike to a reader."""
 CAMPAIGN_COLUMNS = (
     Column("campaign", "campaign"),
     Column("verdict", "verdict"),
@@ -160,7 +171,7 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
         return Section("budget", "The budget", ())
     basis = (
         "Shares of the gap above noise on runs that took no part in the fit, with 95 % intervals over runs. They sum "
-        "to 1 in each channel."
+        "to 100 % in each channel."
     )
     fitted = "There are too few runs to hold any out: the shares are of the runs that were fitted, and flatter them."
     return Section(
@@ -333,11 +344,26 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         "3. How much",
         (
             _parameter_table(diagnosis),
+            Text(_why_sizes_differ(diagnosis), TextKind.EXPLANATION),
             Text(reduction or "No run was held out, or no effect is named, so that the gap reduction is not known."),
             Section("model", "The model with the effect", amended if model else ()),
             *((before_after,) if diagnosis.traces else ()),
             *(() if shrink is None else (r2_table(shrink, named=named),)),
         ),
+    )
+
+
+def _why_sizes_differ(diagnosis: Diagnosis) -> str:
+    """Say why the residual before is not the gap of the budget, where a reader would wonder."""
+    budget, shrink = diagnosis.budget, diagnosis.shrink
+    if budget is None or not budget.entries or shrink is None or shrink.position_um is not None:
+        return ""
+    if not budget.gap_mN > 0 or abs(log(shrink.gap_before_mN / budget.gap_mN)) < log(SAME_SIZE):
+        return ""
+    return (
+        f"The residual is not the budget's gap of {significant(2)(budget.gap_mN)} mN. It includes noise, counts only "
+        "times that tell effects apart, and is what each run leaves after factors of its own; the budget counts all "
+        "times, and gives to a run's own factors only what the causes do not explain."
     )
 
 
@@ -385,7 +411,7 @@ def r2_table(shrink: GapReduction, *, named: bool) -> Table:
     )
     rows: list[tuple[Cell, ...]] = []
     for form, r2 in (("Eq. 15", shrink.r2_eq15), ("correlation²", shrink.r2_corr)):
-        rows.append((form, "without the effect", r2.before_below, r2.before_above))
+        rows.append((form, "without the effect" if named else "model", r2.before_below, r2.before_above))
         if named:
             rows.append((form, "with it", r2.after_below, r2.after_above))
     if all(value is None for row in rows for value in row[2:]):
@@ -428,13 +454,18 @@ def _campaign_row(source: str, diagnosis: Diagnosis | None, why_not: str) -> tup
     interval = None if shrink is None or not diagnosis.effects else shrink.closed_95ci
     return (
         source,
-        " + ".join(diagnosis.effects) or diagnosis.verdict.value.replace("_", " "),
+        " + ".join(diagnosis.effects) or _verdict_without_effect(diagnosis),
         "" if verdict is None else FormattedNumber(verdict.probability, probability_text(verdict.probability)),
         ", ".join(diagnosis.confusable_with),
         "" if shrink is None else shrink.gap_before_mN,
         "" if closed is None else FormattedNumber(closed, percent_text(closed)),
         "" if interval is None else f"{percent_text(interval[0])} to {percent_text(interval[1])}",
     )
+
+
+def _verdict_without_effect(diagnosis: Diagnosis) -> str:
+    owner = owner_of_gap(diagnosis.budget) if diagnosis.verdict is Verdict.UNKNOWN else ""
+    return owner or diagnosis.verdict.value.replace("_", " ")
 
 
 def diagnosis_json(
@@ -506,11 +537,7 @@ def round_probabilities(probabilities: Sequence[float]) -> tuple[float, ...]:
     total = sum(known)
     if not total > 0:
         return tuple(0.0 for _ in known)
-    exact = [PROBABILITY_STEPS * probability / total for probability in known]
-    steps = [floor(share) for share in exact]
-    by_remainder = sorted(range(len(exact)), key=lambda at: steps[at] - exact[at])
-    for at in by_remainder[: PROBABILITY_STEPS - sum(steps)]:
-        steps[at] += 1
+    steps = round_to_sum([PROBABILITY_STEPS * probability / total for probability in known])
     return tuple(count / PROBABILITY_STEPS for count in steps)
 
 

@@ -63,7 +63,7 @@ from dragrig.present import (
     tint,
     write_legend,
 )
-from dragrig.present.diagnosis_sentences import is_stated_verdict, verdict_sentences
+from dragrig.present.diagnosis_sentences import DOMAIN_NAMES, MAIN_SCORE, is_stated_verdict, verdict_sentences
 from dragrig.present.gap_budget import (
     ChannelBudget,
     budget_bars,
@@ -140,7 +140,7 @@ def _draw_budget_bar(axes: Axes, bar: Bar, *, titled: bool) -> None:
         room_in = 0.88 * panel_size_in(axes)[0] * part.share / whole - 0.16
         if not _write_name_inside(axes, part, middle, room_in):
             colour = BLACK if part.colour in LIGHT_COLOURS else part.colour
-            outside.append(CurveLabel(middle, f"{part.name} {100 * part.share:.0f} %", colour))
+            outside.append(CurveLabel(middle, f"{part.name} {part.size}", colour))
         left += part.share
     axes.set_xlim(0.0, 100 * whole)
     axes.set_ylim(-0.5, 0.5)
@@ -155,14 +155,13 @@ def _draw_budget_bar(axes: Axes, bar: Bar, *, titled: bool) -> None:
 
 def _write_name_inside(axes: Axes, part: BarPart, middle: float, room_in: float) -> bool:
     """Write name and share into a part of the bar; False where they do not fit."""
-    share = f"{100 * part.share:.0f} %"
     words = next(
         (
             lines
             for width in range(60, 3, -1)
             if max(map(len, part.name.split())) <= width
             and len(lines := wrap(part.name, width, break_on_hyphens=False)) <= NAME_LINES
-            and BOLD_WIDTH * max(text_width_in(line, TEXT_PT) for line in (*lines, share)) <= room_in
+            and BOLD_WIDTH * max(text_width_in(line, TEXT_PT) for line in (*lines, part.size)) <= room_in
         ),
         None,
     )
@@ -170,8 +169,9 @@ def _write_name_inside(axes: Axes, part: BarPart, middle: float, room_in: float)
         return False
     colour = BLACK if part.hatched or part.colour in LIGHT_COLOURS else "white"
     box = {"boxstyle": "round,pad=0.3", "facecolor": PAPER, "edgecolor": "none"} if part.hatched else None
-    axes.text(middle, 0.0, "\n".join((*words, share)), ha="center", va="center", fontsize=TEXT_PT, fontweight="bold",
-              color=colour, bbox=box, linespacing=1.3)  # fmt: skip
+    text = "\n".join((*words, part.size))
+    axes.text(middle, 0.0, text, ha="center", va="center", fontsize=TEXT_PT, fontweight="bold", color=colour, bbox=box,
+              linespacing=1.3)  # fmt: skip
     return True
 
 
@@ -297,7 +297,8 @@ def _location_title(where: GapLocation) -> str:
     channel, protocol = (where.location(axis).shares for axis in ("channel", "protocol"))
     in_channel, in_runs = (max(shares, key=lambda name: shares[name]) for shares in (channel, protocol))
     share = f"{100 * protocol[in_runs]:.0f} %"
-    matter = f", above all a matter of {where.domain}" if where.domain else ""
+    main = where.domain_scores.get(where.domain, 0.0) >= MAIN_SCORE
+    matter = f", above all a matter of {DOMAIN_NAMES.get(where.domain, where.domain)}" if main else ""
     return f"Gap in {in_channel}, {share} of it in {in_runs} runs{matter}"
 
 

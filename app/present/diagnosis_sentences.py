@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 
 from dragrig.analysis import as_sentence, capitalise, count_text, join_names, percent_text
 from dragrig.analysis.gap import (
@@ -15,8 +15,15 @@ from dragrig.analysis.gap import (
     display_name,
 )
 from dragrig.present import force_text, probability_text
+from dragrig.present.gap_budget import owner_of_gap
 from dragrig.sim_backend.effects import catalogue
 
+MAX_CLOSED_WIDTH = 1.0
+"""A share that closes is not stated where its 95 % interval is wider."""
+ABOVE_ALL = 0.9995
+"""Shares from here to the whole are written as "above 99.9 %"."""
+MAIN_SCORE, MIN_SCORE = 0.5, 0.1
+"""Share of the residual's squares from which on it is mainly a function of a coordinate, and below which of none."""
 UNCALIBRATED_NOTE = "The probabilities are not calibrated: use them as a ranking only."
 
 
@@ -28,9 +35,12 @@ def verdict_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
             return (f"No gap {probability}: {_detection_limit_clause(diagnosis)}.",)
         case Verdict.UNKNOWN:
             gap = diagnosis.unknown
+            place, shape = ("", "") if gap is None else (as_sentence(gap.location), as_sentence(gap.dependence))
             first = f"A gap that no effect of the catalogue explains {probability}."
-            description = () if gap is None else (as_sentence(gap.location), as_sentence(gap.dependence))
-            return tuple(sentence for sentence in (first, *description, *_law_sentences(diagnosis)) if sentence)
+            if owner_of_gap(diagnosis.budget):
+                first = f"No effect of the catalogue is established ({_verdict_probability_text(diagnosis)} for none)."
+                place = place.replace("It ", "The gap ", 1)
+            return tuple(sentence for sentence in (first, place, shape, *_law_sentences(diagnosis)) if sentence)
         case Verdict.SEVERAL:
             names = join_names([display_name(name) for name in diagnosis.effects])
             first = f"{capitalise(names)} act together {probability}."
@@ -40,8 +50,16 @@ def verdict_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
 
 
 def _verdict_probability_text(diagnosis: Diagnosis) -> str:
+    """Return the probability of the verdict; of one effect, that it is there, and then that it is so alone."""
     probability = verdict_probability(diagnosis)
-    return f"probability {probability_text(probability)}" if isfinite(probability) else probability_text(probability)
+    alone = probability_text(probability)
+    if not isfinite(probability):
+        return alone
+    presence = {} if diagnosis.budget is None else diagnosis.budget.presence
+    there = probability_text(presence.get(diagnosis.effects[0], nan)) if len(diagnosis.effects) == 1 else alone
+    if there == alone or not isfinite(presence.get(diagnosis.effects[0], nan)):
+        return f"probability {alone}"
+    return f"probability {there} that it is there, {alone} that it is the only effect"
 
 
 def detection_limit_sentence(diagnosis: Diagnosis) -> str:
@@ -68,15 +86,24 @@ def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, 
     if shrink.closed is None or not isfinite(shrink.closed):
         sizes = f"Residual (rms){runs}: {before}; {floor}."
         return sizes, "This is too close to noise and repeatability to say what share of a gap closes."
-    share, interval = percent_text(shrink.closed), ""
-    if shrink.closed_95ci is not None:
-        low, high = shrink.closed_95ci
-        interval = f"95 % interval: {percent_text(low)} to {percent_text(high)}"
+    share, interval = percent_text(shrink.closed), _closed_interval_text(shrink)
+    if shrink.closed_95ci is not None and shrink.closed_95ci[1] - shrink.closed_95ci[0] > MAX_CLOSED_WIDTH:
+        return sizes, f"What share of the gap closes these runs do not say: {share} here ({interval})."
     if shrink.closed > 1:
         details = "; ".join(detail for detail in (share, interval) if detail)
         return sizes, f"The whole gap closes ({details}): the residual is below noise and repeatability."
-    closed = f"{share} of the gap closes" + (f" ({interval})" if interval else "")
+    closed = f"{capitalise(share)} of the gap closes" + (f" ({interval})" if interval else "")
     return sizes, f"{closed}{': it grows' if shrink.closed < 0 else ''}."
+
+
+def _closed_interval_text(shrink: GapReduction) -> str:
+    if shrink.closed_95ci is None:
+        return ""
+    low, high = shrink.closed_95ci
+    low_text, high_text = "below −100 %" if low < -1 else percent_text(low), percent_text(high)
+    # "above 99.9 % to 100 %" says nothing that its lower end does not.
+    whole = low >= ABOVE_ALL and high_text in {low_text, "100 %"}
+    return f"95 % interval: {low_text}{'' if whole else f' to {high_text}'}"
 
 
 def verdict_probability(diagnosis: Diagnosis) -> float:
@@ -180,10 +207,15 @@ def axis_texts(where: GapLocation) -> tuple[AxisText, ...]:
         return ()
     alone = where.runs == 1
     return tuple(
-        AxisText(_AXIS_UNITS.get(location.name, (location.name,))[0], text, float("nan") if alone else location.min_p)
+        AxisText(_AXIS_UNITS.get(location.name, (location.name,))[0], text, nan if alone else _p_of_text(location))
         for location in where.locations
         if (text := _axis_text(location, alone=alone))
     )
+
+
+def _p_of_text(location: AxisLocation) -> float:
+    """Return the p-value of what is said of an axis: of its range, or of the most significant of its named bins."""
+    return location.min_p if location.shares else location.p
 
 
 def domain_sentence(where: GapLocation) -> str:
@@ -194,12 +226,14 @@ def domain_sentence(where: GapLocation) -> str:
         return "A single run does not show what the residual is a function of."
     if not where.domain:
         return "No coordinate predicts the residual of held-out runs."
-    score = where.domain_scores.get(where.domain, float("nan"))
+    score, name = where.domain_scores.get(where.domain, nan), DOMAIN_NAMES.get(where.domain, where.domain)
     basis = "" if where.runs == 1 else " on held-out runs"
-    share = f", which accounts for {100 * score:.0f} % of its squares{basis}"
     if not isfinite(score):
-        share = ""
-    return f"The residual is mainly a function of {DOMAIN_NAMES.get(where.domain, where.domain)}{share}."
+        return f"The residual is mainly a function of {name}."
+    share = f"which accounts for {100 * score:.0f} % of its squares{basis}"
+    if score < MIN_SCORE:
+        return f"No coordinate accounts for more than {100 * MIN_SCORE:.0f} % of the squares of the residual{basis}."
+    return f"The residual {'is mainly a function of' if score >= MAIN_SCORE else 'depends most on'} {name}, {share}."
 
 
 def _axis_text(location: AxisLocation, *, alone: bool) -> str:

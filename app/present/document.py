@@ -174,10 +174,13 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class BarPart:
-    """A part of a bar: its name, its share of the whole, its colour; a hatched one is what is left over."""
+    """A part of a bar; a hatched one is what is left over."""
 
     name: str
     share: float
+    """Of the whole: its width."""
+    size: str
+    """Its share as it is written."""
     colour: str
     hatched: bool = False
 

@@ -26,22 +26,27 @@ from dragrig.present import (
     decimals,
     percent,
     probability_text,
+    round_to_sum,
     significant,
 )
 from dragrig.sim_backend.effects import catalogue
 
 MIN_SHOWN_SHARE = 0.02
 """Smaller parts are summed up as others in sentences and bars; the table has them all."""
-MIN_WHOLE_PERCENT = 0.005
-"""Shares below are 0 % when rounded."""
 MAX_SENTENCE_PARTS = 4
 """Parts that a sentence names; it sums up further ones, which bar and table have."""
 SHARE_DECIMALS = 4
+MOSTLY, NEARLY_ALL = 0.5, 0.9
+"""Shares from which on a gap is mostly, or simply, that of the model or the specimen."""
+ROUGH_WIDTH = 0.3
+"""A share whose 95 % interval is wider stands beside its interval in a sentence."""
+VAGUE_WIDTH = 1.0
+"""A share whose 95 % interval is wider is not stated: it may be next to nothing or all."""
+LEAST_STATED = 0.05
 _NAMES = {MODEL: "the model itself", SPECIMEN: "the specimen itself", UNEXPLAINED: "no name"}
-_MEANINGS = {
-    MODEL: "The nominal model's own parameters or structure",
-    SPECIMEN: "What specimens and repeats vary in, beyond what is usual",
-}
+OTHERS = "others"
+_OWNERS = {MODEL: "the nominal model's", SPECIMEN: "the specimen's"}
+_IN_RELAXATIONS = " in relaxations"
 _WHOLE_PERCENT = percent()
 _ROUGH = significant(2)
 
@@ -69,6 +74,29 @@ class ChannelBudget:
         """Named parts that run against the gap."""
         return tuple(entry for entry in self.named if entry.share < 0)
 
+    @property
+    def shown(self) -> tuple[BudgetEntry, ...]:
+        """Large parts and the rest."""
+        return (*self.large, *(() if self.rest is None else (self.rest,)))
+
+    @property
+    def vague(self) -> bool:
+        """Whether the shares of large parts are next to unknown."""
+        return any(_interval_width(entry) > VAGUE_WIDTH for entry in self.large)
+
+    @property
+    def percents(self) -> Mapping[str, int]:
+        """Shares of the large parts, of the others and of the rest in whole per cent, which sum up as the shares do."""
+        shares = {entry.cause: 100 * entry.share for entry in self.large} | {OTHERS: 100 * self.small_share}
+        if self.rest is not None:
+            shares[UNEXPLAINED] = 100 * self.rest.share
+        return dict(zip(shares, round_to_sum(tuple(shares.values())), strict=True))
+
+
+def _interval_width(entry: BudgetEntry) -> float:
+    low, high = entry.share_95ci or (0.0, 0.0)
+    return high - low if isfinite(high - low) else 0.0
+
 
 def budgets_by_channel(budget: GapBudget | None) -> tuple[ChannelBudget, ...]:
     """Return the budget of each channel, the force's first; parts without a finite share are left out."""
@@ -90,44 +118,103 @@ def part_name(entry: BudgetEntry) -> str:
     return " or ".join(map(display_name, (entry.cause, *entry.not_separable_from)))
 
 
-def _gap_text(budget: GapBudget, channel: str) -> str:
+def owner_of_gap(budget: GapBudget | None) -> str:
+    """Say whose own most of the force's gap is: `the nominal model's own`; nothing where it is neither's."""
+    here = next((here for here in budgets_by_channel(budget) if here.channel == "force"), None)
+    return "" if here is None else _owner(here)[0]
+
+
+def _owner(here: ChannelBudget) -> tuple[str, float]:
+    """Return whose own the gap of a channel is, and how much of it."""
+    own = {entry.cause: entry for entry in here.named if entry.cause in _OWNERS and entry.share > 0}
+    sure = any(entry.share_95ci is None or entry.share_95ci[0] > 0 for entry in own.values())
+    total = sum(entry.share for entry in own.values())
+    if not sure or total < MOSTLY:
+        return "", 0.0
+    most = max(own.values(), key=lambda entry: entry.share)
+    if most.share >= MOSTLY:
+        return f"{_OWNERS[most.cause]} own", most.share
+    return f"{' and '.join(_OWNERS.values())} own", total
+
+
+def _gap_text(budget: GapBudget, channel: str, article: str = "a gap of ") -> str:
     """Name the gap of a channel, with its size where that is known: `a gap of 12 mN`."""
     if channel != "force":
         return f"the gap in the {channel.replace('_', ' ')}"
     several = any(entry.channel != "force" for entry in budget.entries)
-    gap = f"a gap of {_ROUGH(budget.gap_mN)} mN" if isfinite(budget.gap_mN) else "the gap"
+    gap = f"{article}{_ROUGH(budget.gap_mN)} mN" if isfinite(budget.gap_mN) else "the gap"
     return f"{gap} in the force" if several else gap
 
 
 def budget_sentences(budget: GapBudget | None) -> tuple[str, ...]:
-    """Say what a gap is made of: a sentence for each channel, then what runs against its gap; none without a gap."""
+    """Say what a gap is made of: a sentence for each channel, then how sure its shares are, then what runs against it.
+
+    None without a gap.
+    """
     if budget is None:
         return ()
     channels = budgets_by_channel(budget)
-    whole = tuple(f"Of {_gap_text(budget, here.channel)}, {_parts_text(here)}." for here in channels)
+    whole = tuple(_channel_sentence(budget, here) for here in channels)
+    rough = filter(None, map(_roughness_sentence, channels))
     opposed = (
         f"None of it is {part_name(entry)}: that runs against the gap ({_WHOLE_PERCENT(entry.share)})."
         for here in channels
         for entry in here.opposed
     )
-    return *whole, *opposed
+    return *whole, *rough, *opposed
+
+
+def _channel_sentence(budget: GapBudget, here: ChannelBudget) -> str:
+    parts = _vague_parts_text(here) if here.vague else _parts_text(here)
+    owner, share = _owner(here) if here.channel == "force" else ("", 0.0)
+    if not owner:
+        return f"Of {_gap_text(budget, here.channel)}, {parts}."
+    mostly = "" if share >= NEARLY_ALL and not here.vague else "mostly "
+    return f"The gap is {mostly}{owner}: of {_gap_text(budget, here.channel, '')}, {parts}."
 
 
 def _parts_text(here: ChannelBudget) -> str:
     """Say what share each part has; `nothing has a name`, `all is velocity ripple`."""
-    rest = 0.0 if here.rest is None else here.rest.share
-    shares = [(entry.share, part_name(entry)) for entry in here.large[:MAX_SENTENCE_PARTS]]
-    others = here.small_share + sum(entry.share for entry in here.large[MAX_SENTENCE_PARTS:])
-    if others >= MIN_WHOLE_PERCENT and shares:
-        shares.append((others, "others"))
+    percents = here.percents
+    rest = percents.get(UNEXPLAINED, 0)
+    shares = [(percents[entry.cause], part_name(entry)) for entry in here.large[:MAX_SENTENCE_PARTS]]
+    others = percents[OTHERS] + sum(percents[entry.cause] for entry in here.large[MAX_SENTENCE_PARTS:])
+    if others > 0 and shares:
+        shares.append((others, OTHERS))
     if not shares:
-        return "nothing has a name" if rest >= 1 - MIN_WHOLE_PERCENT else f"{_WHOLE_PERCENT(rest)} has no name"
-    if len(shares) == 1 and rest < MIN_WHOLE_PERCENT:
+        return "nothing has a name" if rest >= 100 else f"{rest} % has no name"
+    if len(shares) == 1 and rest <= 0:
         return f"all is {shares[0][1]}"
     (share, name), *further = shares
-    parts = [f"{_WHOLE_PERCENT(share)} is {name}", *(f"{_WHOLE_PERCENT(share)} {name}" for share, name in further)]
-    left = f"{_WHOLE_PERCENT(rest)} has no name" if rest >= MIN_WHOLE_PERCENT else "nothing is left without a name"
-    return f"{', '.join(parts)}; {left}"
+    parts = [f"{share} % is {name}", *(f"{share} % {name}" for share, name in further)]
+    return f"{', '.join(parts)}; {f'{rest} % has no name' if rest > 0 else 'nothing is left without a name'}"
+
+
+def _vague_parts_text(here: ChannelBudget) -> str:
+    """Say what is known of shares that may be next to nothing or all."""
+    parts = [f"at least {_WHOLE_PERCENT(low)} is {part_name(entry)}" for entry, low in _surely(here) if low > 0]
+    possible = [part_name(entry) for entry, low in _surely(here) if not low]
+    if possible:
+        parts.append(f"these runs do not say how much is {join_names(possible)}")
+    return ", ".join(parts)
+
+
+def _surely(here: ChannelBudget) -> list[tuple[BudgetEntry, float]]:
+    """Return the large parts with the share that each has at least; 0 where it may be next to nothing."""
+    lows = [0.0 if entry.share_95ci is None else entry.share_95ci[0] for entry in here.large]
+    return [(entry, low if low >= LEAST_STATED else 0.0) for entry, low in zip(here.large, lows, strict=True)]
+
+
+def _roughness_sentence(here: ChannelBudget) -> str:
+    """Give the intervals of shares that are only roughly known; nothing where all are known well."""
+    rough = [entry for entry in here.shown if _interval_width(entry) > ROUGH_WIDTH]
+    if not rough:
+        return ""
+    parts = ", ".join(f"{part_name(entry)} {_interval_text(entry)}" for entry in rough)
+    over = any(entry.share_95ci is not None and entry.share_95ci[1] > 1 for entry in rough)
+    return (
+        f"These runs fix the shares only roughly: {parts}{'; above 100 % a part overshoots the gap' if over else ''}."
+    )
 
 
 def budget_bars(budget: GapBudget | None) -> tuple[Bar, ...]:
@@ -148,25 +235,42 @@ def cause_colours(budget: GapBudget) -> Mapping[str, str]:
 
 
 def _bar_parts(here: ChannelBudget, colours: Mapping[str, str]) -> Iterator[BarPart]:
+    if here.vague:
+        yield from _vague_bar_parts(here, colours)
+        return
+    percents = here.percents
     for entry in here.large:
-        yield BarPart(part_name(entry), entry.share, colours[entry.cause])
-    if here.small_share > 0:
-        yield BarPart("others", here.small_share, GREY)
-    if here.rest is not None and here.rest.share > 0:
-        yield BarPart(_NAMES[UNEXPLAINED], here.rest.share, GREY, hatched=True)
+        yield BarPart(part_name(entry), entry.share, f"{percents[entry.cause]} %", colours[entry.cause])
+    if percents[OTHERS] > 0:
+        yield BarPart(OTHERS, here.small_share, f"{percents[OTHERS]} %", GREY)
+    if here.rest is not None and percents[UNEXPLAINED] > 0:
+        yield BarPart(_NAMES[UNEXPLAINED], here.rest.share, f"{percents[UNEXPLAINED]} %", GREY, hatched=True)
+
+
+def _vague_bar_parts(here: ChannelBudget, colours: Mapping[str, str]) -> Iterator[BarPart]:
+    """Yield what each part has at least; what lies between that and the whole is any of them, or without a name."""
+    surely = _surely(here)
+    for entry, low in surely:
+        if low > 0:
+            yield BarPart(part_name(entry), low, f"at least {_WHOLE_PERCENT(low)}", colours[entry.cause])
+    left = 1.0 - sum(low for _, low in surely)
+    if left >= MIN_SHOWN_SHARE:
+        names = " or ".join((*(part_name(entry) for entry in here.large), _NAMES[UNEXPLAINED]))
+        yield BarPart(names, left, _WHOLE_PERCENT(left), GREY, hatched=True)
 
 
 def budget_table(diagnosis: Diagnosis) -> Table:
     """Tabulate the parts of a gap, the largest first and the rest last, by channel."""
     channels = budgets_by_channel(diagnosis.budget)
     entries = [entry for here in channels for entry in (*here.named, *(() if here.rest is None else (here.rest,)))]
+    percents = {(here.channel, cause): value for here in channels for cause, value in here.percents.items()}
     table = Table.of(
         "budget",
         "",
         entries,
         Field("channel", "channel", lambda entry: entry.channel.replace("_", " ")),
         Field("cause", "part of the gap", lambda entry: capitalise(part_name(entry))),
-        Field("share", "share", lambda entry: entry.share, percent()),
+        Field("share", "share", lambda entry: _share_cell(entry, percents.get((entry.channel, entry.cause)))),
         Field("share_95ci", "95 % interval", _interval_text),
         Field("rms_mN", "rms, mN", lambda entry: entry.rms_mN, decimals(1)),
         Field("presence", "probability that it is there", _presence_cell),
@@ -174,6 +278,11 @@ def budget_table(diagnosis: Diagnosis) -> Table:
     )
     single = len(channels) < 2
     return table.select(*(column.name for column in table.columns if not (single and column.name == "channel")))
+
+
+def _share_cell(entry: BudgetEntry, whole_percent: int | None) -> FormattedNumber:
+    text = _WHOLE_PERCENT(entry.share) if whole_percent is None else _WHOLE_PERCENT(whole_percent / 100)
+    return FormattedNumber(entry.share, text)
 
 
 def _interval_text(entry: BudgetEntry) -> str:
@@ -194,11 +303,28 @@ def _description(entry: BudgetEntry, unknown: UnexplainedGap | None) -> str:
         return f"Best described by {join_names([_cause_name(name) for name in _causes(entry)])}; not established"
     if entry.cause == UNEXPLAINED and unknown is not None:
         return as_sentence(unknown.location)
-    if entry.cause in _MEANINGS:
-        return f"{_MEANINGS[entry.cause]}{': ' if entry.what else ''}{entry.what}"
+    if entry.cause == MODEL:
+        return _model_description(entry)
+    if entry.cause == SPECIMEN:
+        what = ", by a factor on their force" if entry.what in {"", "gain of a run"} else f": {entry.what}"
+        return f"Runs or specimens differ more than usual{what}"
     if entry.what:
         return capitalise(entry.what)
     return catalogue()[entry.cause].summary if entry.cause in catalogue() else ""
+
+
+def _model_description(entry: BudgetEntry) -> str:
+    """Say what of the nominal model is off, in all runs and in relaxations alone."""
+    names = [name.replace(" of the model", "") for name in _causes(entry)]
+    everywhere = join_names([name for name in names if not name.endswith(_IN_RELAXATIONS)])
+    in_relaxations = join_names(
+        [name.removesuffix(_IN_RELAXATIONS) for name in names if name.endswith(_IN_RELAXATIONS)]
+    )
+    if not in_relaxations:
+        return f"The nominal model's {everywhere or 'own parameters or structure'} are off"
+    if not everywhere:
+        return f"The nominal model's {in_relaxations} are off in relaxations"
+    return f"The nominal model's {everywhere} are off, and in relaxations {in_relaxations} beyond that"
 
 
 def _causes(entry: BudgetEntry) -> tuple[str, ...]:

@@ -45,6 +45,7 @@ def render_template(template: str, context: Mapping[str, object]) -> str:
         finalize=typographic_apostrophes,
     )
     environment.filters["prose"] = prose
+    environment.filters["unbroken"] = without_breaks
     return environment.get_template(template).render({"software": software_version(), "glyphs": "", **context})
 
 

@@ -30,7 +30,7 @@ def significant(digits: int) -> NumberFormat:
 
 def decimals(digits: int, *, signed: bool = False) -> NumberFormat:
     """Return a format with so many decimal places; `signed` writes the plus sign too."""
-    return partial(_format_text, f"{'+' if signed else ''}.{digits}f")
+    return partial(_format_text, f"{'+' if signed else ''}z.{digits}f")
 
 
 def shortest(digits: int = 6) -> NumberFormat:
@@ -40,7 +40,7 @@ def shortest(digits: int = 6) -> NumberFormat:
 
 def percent(digits: int = 0) -> NumberFormat:
     """Return a format for shares: 71 %."""
-    return partial(_format_text, f".{digits}f", factor=100.0, unit=" %")
+    return partial(_format_text, f"z.{digits}f", factor=100.0, unit=" %")
 
 
 def shortest_percent(value: float) -> str:
@@ -52,6 +52,15 @@ def percent_difference(value: float) -> str:
     """Write a relative difference with its sign: +20 %, −0.4 %."""
     digits = 1 if abs(value) < 0.0095 else 2
     return f"{'+' if value > 0 else ''}{significant(digits)(100 * value)} %"
+
+
+def round_to_sum(values: Sequence[float]) -> tuple[int, ...]:
+    """Round values to whole numbers that sum to their rounded sum, by largest remainders."""
+    steps = [floor(value) for value in values]
+    by_remainder = sorted(range(len(values)), key=lambda at: steps[at] - values[at])
+    for at in by_remainder[: round(sum(values)) - sum(steps)]:
+        steps[at] += 1
+    return tuple(steps)
 
 
 def rounded_to_error(value: float | None, error: float | None) -> str:

@@ -119,9 +119,9 @@ def _bars(bars: Sequence[Bar]) -> "Iterator[RenderableType]":
     from rich.text import Text as RichText
 
     for bar in bars:
-        ends = [0]
+        ends, whole = [0], max(1.0, sum(part.share for part in bar.parts))
         for end in accumulate(part.share for part in bar.parts):
-            ends.append(max(round(BAR_WIDTH * end), ends[-1] + 1))
+            ends.append(max(round(BAR_WIDTH * end / whole), ends[-1] + 1))
         drawn = RichText("  ")
         for number, part in enumerate(bar.parts):
             shade = "░" if part.hatched else "█▓"[number % 2]
@@ -137,7 +137,7 @@ def _names_below(parts: Sequence[BarPart], starts: Sequence[int]) -> "list[RichT
 
     lines: list[RichText] = []
     for part, start in zip(parts, starts, strict=False):
-        name = f"{part.name} {100 * part.share:.0f} %"
+        name = f"{part.name} {part.size}"
         place = 2 + max(0, min(start, NAMES_WIDTH - len(name)))
         line = next((line for line in lines if len(line) + 2 <= place), None)
         if line is None:
