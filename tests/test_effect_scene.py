@@ -7,8 +7,7 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Acquisition, Contact
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
-from dragrig.sim_backend.effects.dynamics import first_order, resonator
-from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
+from dragrig.sim_backend.effects.run_state import RunState, first_order, gut_run_state, resonator
 from dragrig.sim_backend.friction.motion import ProfileMotion
 
 SPEED, ACCELERATION, TRAVEL = 10.0, 400.0, 15.0

@@ -10,6 +10,7 @@ import pytest
 
 import dragrig
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.gap.position_channel import position_errors, score_model_classes
 from dragrig.analysis.models.catalogue import CheckedModel, find_model
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.api.gap import gap_evaluate, save_amended_model
@@ -327,3 +328,49 @@ def test_cogging_is_named_with_its_pitch_and_found_again(
 def test_cogging_and_friction_that_differs_with_direction_are_both_named(blanks: list[Run]) -> None:
     diagnosis = dragrig.diagnose(asymmetric(cogging(blanks, 30.0, 12.0), 0.1), nominal="drive")
     assert set(diagnosis.effects) == {"cogging", "direction_asymmetry"}
+
+
+def strokes_there_and_back(folder: Path, effects: list[str], speeds_mm_s: tuple[int, ...], seed: int) -> list[Run]:
+    plan = folder / "strokes.toml"
+    steps = ""
+    for speed in speeds_mm_s:
+        strokes = ", ".join(f"{{travel_mm = {way * 15}, speed_mm_s = {speed}}}" for way in (1, -1, 1, -1))
+        steps += f'[[steps]]\nkind = "motion"\nfixture = "none"\nrepeats = 2\nstrokes = [{strokes}]\n'
+    plan.write_text(f'name = "strokes"\n{steps}')
+    return dragrig.simulate(str(plan), effects=effects, assignments=[f"rig.simulated.seed={seed}", RATE])
+
+
+@pytest.mark.parametrize(("play_mm", "taken_up"), [(0.02, 0.0), (0.2, 0.3)])
+def test_backlash_is_named_with_its_play_and_found_again(play_mm: float, taken_up: float, tmp_path: Path) -> None:
+    backlash = [f"backlash:play_mm={play_mm},taken_up={taken_up}"]
+    runs = strokes_there_and_back(tmp_path, backlash, (5, 15, 40), seed=3)
+    diagnosis = dragrig.diagnose(runs, nominal="drive")
+    assert diagnosis.effects == ("backlash",)
+    play, share = diagnosis.ranking[0].parameters
+    assert play.value == pytest.approx(play_mm, abs=0.001)
+    assert share.value == pytest.approx(taken_up, abs=0.02)
+    file = save_amended_model(diagnosis, tmp_path / "amended.toml")
+    assert file is not None
+    assert judged(file, strokes_there_and_back(tmp_path, backlash, (8, 25), seed=9)) == (
+        "KEPT",
+        pytest.approx(1.0, 0.02),
+    )
+    assert judged(file, strokes_there_and_back(tmp_path, [], (8, 25), seed=9)) == (
+        "NOT_KEPT",
+        pytest.approx(0.0, abs=0.02),
+    )
+
+
+@pytest.mark.parametrize("other", ["servo_lag:lag_s=0.01", "velocity_ripple:amplitude_mm=0.03", "encoder_scale"])
+def test_what_is_no_backlash_is_not_called_so(other: str, tmp_path: Path) -> None:
+    diagnosis = dragrig.diagnose(strokes_there_and_back(tmp_path, [other], (5, 15, 40), seed=3), nominal="drive")
+    assert diagnosis.effects == (other.partition(":")[0],)
+    assert next(entry.probability for entry in diagnosis.ranking if entry.hypothesis == "backlash") < 0.01
+
+
+def test_a_play_shows_only_where_runs_go_both_ways(tmp_path: Path) -> None:
+    runs = [Experiment(run) for run in strokes_there_and_back(tmp_path, ["backlash"], (5, 15), seed=3)]
+    assert score_model_classes(position_errors(runs))[0].effect == "backlash"
+    one_way = [run for run in there_and_back(tmp_path) if run.trace.position[-1] > run.trace.position[0]]
+    classes = score_model_classes(position_errors([Experiment(run) for run in one_way]))
+    assert "backlash" not in {model_class.effect for model_class in classes}

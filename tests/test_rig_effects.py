@@ -124,3 +124,18 @@ def test_a_drive_that_runs_heavier_one_way_does_so_by_twice_the_asymmetry() -> N
     added = changed(effect, seen, {"asymmetry": 0.1})
     assert added == pytest.approx(0.1 * np.abs(seen.nominal))
     assert effect.nominal == "drive"
+
+
+@given(play_mm=st.floats(0.01, 2.0), taken_up=st.floats(0.0, 1.0))
+def test_backlash_leaves_the_payload_behind_by_the_play_after_each_reversal(play_mm: float, taken_up: float) -> None:
+    time = np.arange(0.0, 4.0, 0.001)
+    command = 10.0 * np.abs(1.0 - np.abs(time % 2.0 - 1.0))
+    values = {"play_mm": play_mm, "taken_up": taken_up}
+    moved = motor("backlash").stage_position(time, command, values)
+    forwards, backwards, again = (float((moved - command)[round(1000 * at)]) for at in (0.9, 1.9, 2.9))
+    assert moved[0] == command[0]
+    assert forwards == pytest.approx(-play_mm * (1.0 - taken_up), abs=1e-9)
+    assert backwards - forwards == pytest.approx(play_mm, abs=1e-9)
+    assert again == pytest.approx(forwards, abs=1e-9)
+    faster = motor("backlash").stage_position(0.1 * time, command, values)
+    assert (faster == moved).all()

@@ -2,10 +2,11 @@
 
 Free-form model classes come first. They ask whether the error can be of a kind at all, whatever its law: a linear
 response to the command (servo lag), a function of distance (encoder scale), a periodic one (ripple), the command at
-another time (latency). Each class is scored on held-out runs; the best is then fitted in the catalogue's form.
+another time (latency), a way left behind at each reversal (play). Each class is scored on held-out runs; the best is
+then fitted in the catalogue's form.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -15,7 +16,15 @@ from dragrig.analysis import MIN_COUNT_MM, Experiment, session_starts, wander_no
 from dragrig.analysis.gap.design import Candidate
 from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import Channel, Effect, PositionForm, Role, catalogue, find_effect
+from dragrig.sim_backend.effects import (
+    Channel,
+    Effect,
+    PositionForm,
+    Role,
+    behind_by_play,
+    catalogue,
+    find_effect,
+)
 
 MAX_BLOCKS = 400
 BEFORE_S, AFTER_S = 0.05, 1.5
@@ -182,6 +191,9 @@ MIN_WAVENUMBER_PER_MM, MAX_WAVENUMBER_PER_MM, RIPPLE_STROKE_MM, WAVE_SPACING_PER
 """Trial wave numbers of a ripple: adjacent ones differ by a quarter of a period over the travel."""
 DOMINANT_SCALE_SHARE, LONG_WAVE_PER_MM, LONG_WAVE_HANDICAP = 0.9, 1 / 15, 0.02
 """Where a scale explains this share, a ripple with longer waves than this ranks behind it by the handicap."""
+PLAYS_MM, SHARES_TAKEN_UP = np.geomspace(0.003, 5.0, 30), (0.0, 0.25, 0.5, 0.75, 1.0)
+MIN_SPEED_SHARE = 0.01
+"""Slower commands than this share of the highest are rounding."""
 RIPPLE_HARMONICS = 3
 POSITION_FOLDS = 4
 POSITION_RIDGE = 1e-6
@@ -198,7 +210,7 @@ class PositionModelClass:
     held_out_share: float
     """Share of the weighted squares that it explains in held-out runs."""
     shape_value: float = 0.0
-    """Wave number per mm, or latency in s; 0 for others."""
+    """Wave number per mm, latency in s, or play in mm; 0 for others."""
 
 
 def score_model_classes(
@@ -226,12 +238,14 @@ def score_model_classes(
             model_class, held_out_share=min(model_class.held_out_share, scale.held_out_share - LONG_WAVE_HANDICAP)
         )
 
-    scores: Mapping[PositionForm, Callable[[], PositionModelClass]] = {
+    scores: dict[PositionForm, Callable[[], PositionModelClass]] = {
         PositionForm.SCALE: lambda: scale,
         PositionForm.RESPONSE: lambda: _lag_class(names[PositionForm.RESPONSE], runs),
         PositionForm.DELAY: lambda: _latency_class(names[PositionForm.DELAY], runs),
         PositionForm.RIPPLE: ripple,
     }
+    if _goes_both_ways(runs):
+        scores |= {PositionForm.PLAY: lambda: _play_class(names[PositionForm.PLAY], runs)}
     classes = [score() for form, score in scores.items() if effects is None or names[form] in effects]
     return tuple(sorted(classes, key=lambda model_class: -model_class.held_out_share))
 
@@ -263,6 +277,24 @@ def _latency_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModel
         moments += (run.error_mm * weight) @ column
     best = float(LATENCIES_S[int((moments**2 / (squares + 1e-300)).argmax())])
     return PositionModelClass(effect, _held_out_share(runs, delayed(np.array([best]))), best)
+
+
+def _goes_both_ways(runs: Sequence[PositionErrors]) -> bool:
+    """Whether the command goes forwards at some moments and backwards at others: no play shows one way."""
+    velocity = np.concatenate([run.velocity_mm_s for run in runs])
+    noticed = MIN_SPEED_SHARE * float(np.abs(velocity).max())
+    return bool(velocity.min() < -noticed and velocity.max() > noticed)
+
+
+def _play_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModelClass:
+    """Score a play that is taken up by some share as runs begin."""
+
+    def column(play: tuple[float, float]) -> ColumnFunction:
+        return lambda run: behind_by_play(run.command_mm, *play)[:, None]
+
+    plays = product(PLAYS_MM.tolist(), SHARES_TAKEN_UP)
+    best = max(plays, key=lambda play: _in_sample_share(runs, column(play)))
+    return PositionModelClass(effect, _held_out_share(runs, column(best)), best[0])
 
 
 def _ripple_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModelClass:
@@ -471,7 +503,9 @@ def _start_candidates(effect: Effect, model_class: PositionModelClass) -> list[C
         else parameter.start_values
         for parameter in effect.shapes
     ]
-    sizes = (0.3, 1.0, 3.0) if effect.size.low >= 0 else (-1.0, 1.0)
+    sizes: tuple[float, ...] = (0.3, 1.0, 3.0) if effect.size.low >= 0 else (-1.0, 1.0)
+    if effect.position_form is PositionForm.PLAY and model_class.shape_value > 0:
+        sizes = tuple(factor * model_class.shape_value / effect.size.default for factor in (0.8, 1.0, 1.25))
     phases = np.linspace(-np.pi, np.pi, 8, endpoint=False) if effect.phase is not None else (0.0,)
     starts = []
     for *shapes, size, phase_rad in product(*grids, sizes, phases):

@@ -83,6 +83,8 @@ class PositionForm(StrEnum):
     """The command at another time."""
     RIPPLE = "ripple"
     """Periodic in position."""
+    PLAY = "play"
+    """Left behind by a fixed way after each reversal."""
 
 
 class Role(StrEnum):

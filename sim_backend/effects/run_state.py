@@ -1,10 +1,13 @@
 """The state of a run that effects depend on: motion, nominal forces, contact, wall and clock at rising times.
 
-The wall is resolved point by point on the leading hemisphere, or is sheared under a capsule that sticks.
+The wall is resolved point by point on the leading hemisphere, or is sheared under a capsule that sticks. Responses that
+several effects share come last: linear systems, exact at uneven times for inputs that are linear between them, distance
+travelled, the deflection of a bristle, and play.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +25,13 @@ from dragrig.sim_backend.friction import (
     StickingForce,
     WallParameters,
     gauss_legendre,
+    linear_recursion,
     model_wall,
     prepare,
     shear_strain,
 )
 
+ComplexArray = npt.NDArray[np.complex128]
 WALL_POINTS = 32
 """Points of the wall; they crowd near first contact, because the fast branch relaxes within milliseconds."""
 
@@ -410,3 +415,95 @@ def normal_force(run: RunState) -> FloatArray:
     if run.wall is None:
         return np.full_like(run.time_s, run.weight_mN)
     return np.asarray(run.weight_mN + run.wall.side_force(HoopStress.at_equator(run.wall).total))
+
+
+def first_order(time_s: FloatArray, driving: FloatArray, time_constant_s: float) -> FloatArray:
+    """Return y with τ y' + y = driving, in equilibrium before the first time, shapes `(n,)`."""
+    change = _modal(time_s, driving - driving[0], complex(-1.0 / time_constant_s))
+    return np.asarray(driving[0] + change.real / time_constant_s)
+
+
+def resonator(time_s: FloatArray, driving: FloatArray, frequency_hz: float, damping: float) -> FloatArray:
+    """Return y with y'' + 2 ζ ω y' + ω² y = ω² driving, in equilibrium before the first time; `damping` ζ in (0, 1)."""
+    omega = 2 * np.pi * frequency_hz
+    pole = omega * (-damping + 1j * np.sqrt(1 - damping**2))
+    change = _modal(time_s, driving - driving[0], pole)
+    return np.asarray(driving[0] + change.imag * omega**2 / pole.imag)
+
+
+def _modal(time_s: FloatArray, driving: FloatArray, pole: complex) -> ComplexArray:
+    """Return ∫ exp(pole (t − s)) driving(s) ds from the first time on, complex, driving linear between times."""
+    step = np.diff(time_s)
+    scaled = pole * step
+    decay = np.exp(scaled)
+    small = np.abs(scaled) < 1e-4
+    safe = np.where(small, 1.0, scaled)
+    whole = np.where(small, 1 + scaled / 2, (decay - 1) / safe)
+    later = np.where(small, 0.5 + scaled / 6, (decay - 1 - scaled) / safe**2)
+    added = step * (driving[:-1] * (whole - later) + driving[1:] * later)
+    return linear_recursion(np.append(0.0, decay), np.append(0.0, added))
+
+
+def distance_travelled(motion: Motion, time_s: FloatArray) -> FloatArray:
+    """Return the distance travelled since the motion began, both directions added up, of the times' shape."""
+    index, moved = _since_break(motion, time_s)
+    steps = np.abs(np.diff(motion.position(motion.breaks_s)))
+    return np.asarray(np.append(0.0, np.cumsum(steps))[index] + moved)
+
+
+def bristle_deflection(motion: Motion, time_s: FloatArray, length_mm: float) -> FloatArray:
+    """Return a bristle's deflection over its steady one, −1 to 1, of the times' shape.
+
+    It starts from 0, follows the motion over a sliding distance, `length_mm · dz/ds = sign − z`, and keeps its value
+    while nothing moves (Dahl).
+    """
+    index, moved = _since_break(motion, time_s)
+    signs = motion.signs.astype(np.float64)
+    decay = np.exp(-np.abs(np.diff(motion.position(motion.breaks_s))) / length_mm)
+    begin = linear_recursion(np.append(0.0, decay), np.append(0.0, signs * (1 - decay)))
+    share = np.exp(-moved / length_mm)
+    return np.asarray(begin[index] * share + signs[index] * (1 - share))
+
+
+def _since_break(motion: Motion, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """Return the interval that each time lies in, and the distance travelled since that began."""
+    breaks = motion.breaks_s
+    time = np.clip(time_s, 0.0, breaks[-1])
+    index = np.clip(np.searchsorted(breaks, time, side="right") - 1, 0, breaks.size - 2)
+    return index, np.asarray(np.abs(motion.position(time) - motion.position(breaks[index])))
+
+
+def behind_by_play(driving_mm: FloatArray, play_mm: float, taken_up: float) -> FloatArray:
+    """Return by how much what is driven through a play is behind what drives it [mm], shape `(n,)`.
+
+    It starts with 0, is left behind until the play is taken up, follows then, and is left behind anew after each
+    reversal, however fast the motion is.
+
+    Parameters
+    ----------
+    driving_mm
+        Positions in sequence, shape `(n,)`.
+    play_mm
+        Width of the play.
+    taken_up
+        Share of it that is taken up at the begin in the direction of the first motion.
+    """
+    position = driving_mm - driving_mm[0]
+    steps = np.diff(position)
+    moving = np.flatnonzero(steps)
+    if not moving.size or play_mm <= 0:
+        return np.zeros_like(position)
+    signs = np.sign(steps[moving])
+    starts = moving[np.append(True, np.diff(signs) != 0)]
+    driven = np.zeros_like(position)
+    # Where it is while the play is open on either side: behind by at most so much, ahead by at most so much.
+    ahead_mm = play_mm * (taken_up if signs[0] > 0 else 1.0 - taken_up)
+    behind_mm = play_mm - ahead_mm
+    for start, end in pairwise((*starts.tolist(), position.size - 1)):
+        piece = slice(start + 1, end + 1)
+        here = float(driven[start])
+        rising = steps[start] > 0
+        driven[piece] = (
+            np.maximum(here, position[piece] - behind_mm) if rising else np.minimum(here, position[piece] + ahead_mm)
+        )
+    return np.asarray(driven - position)
