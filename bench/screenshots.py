@@ -132,7 +132,7 @@ def diagnose_page(camera: Photographer, campaign: Path) -> None:
     page.offer(str(campaign))
     page.start.click()
     camera.until(lambda: not page.busy)
-    for at, name in enumerate(("confidence", "where", "which", "how-much", "runs", "before-after")):
+    for at, name in enumerate(("budget", "confidence", "where", "which", "how-much", "runs", "before-after")):
         page.results.view.tabs.setCurrentIndex(at)
         camera.take(f"diagnose-{name}")
 

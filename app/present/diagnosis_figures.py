@@ -183,8 +183,8 @@ def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) ->
 
     Returns
     -------
-    Three or four runs, none of them twice; fewer where there are not so many. Of a gap without a name, the runs where
-    it is largest.
+    Three or four runs, none of them twice, and repeats only where there is no other condition; fewer where there are
+    not so many. Of a gap without a name, the runs where it is largest.
     """
     left = [run for run in runs if run.channel == here.channel]
     parts = [entry for entry in here.large if any(run.rms(entry.cause) > 0 for run in left)]
@@ -195,8 +195,10 @@ def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) ->
     while left and len(chosen) < max(MIN_BUDGET_RUNS, len(rounds)):
         size = partial(_size_of, part=rounds[len(chosen) % len(rounds)])
         kinds, most = {shown.run.kind for shown in chosen}, max(map(size, left))
+        conditions = {(shown.run.kind, shown.run.label) for shown in chosen}
         others = [run for run in left if run.kind not in kinds and size(run) >= ELSEWHERE * most]
-        best = max(others or left, key=size)
+        new = [run for run in left if (run.kind, run.label) not in conditions]
+        best = max(others or new or left, key=size)
         chosen.append(ShownRun(best, rounds[len(chosen) % len(rounds)]))
         left.remove(best)
     return tuple(chosen)

@@ -43,6 +43,9 @@ ROUGH_WIDTH = 0.3
 VAGUE_WIDTH = 1.0
 """A share whose 95 % interval is wider is not stated: it may be next to nothing or all."""
 LEAST_STATED = 0.05
+SURE = 0.9
+"""A part whose probability of presence is smaller is called probable in sentences."""
+ALL = "all"
 _NAMES = {MODEL: "the model itself", SPECIMEN: "the specimen itself", UNEXPLAINED: "no name"}
 OTHERS = "others"
 _OWNERS = {MODEL: "the nominal model's", SPECIMEN: "the specimen's"}
@@ -83,6 +86,12 @@ class ChannelBudget:
     def vague(self) -> bool:
         """Whether the shares of large parts are next to unknown."""
         return any(_interval_width(entry) > VAGUE_WIDTH for entry in self.large)
+
+    @property
+    def single(self) -> bool:
+        """Whether one part has all of the gap."""
+        percents = self.percents
+        return len(self.large) == 1 and percents[OTHERS] <= 0 and percents.get(UNEXPLAINED, 0) <= 0
 
     @property
     def percents(self) -> Mapping[str, int]:
@@ -137,6 +146,12 @@ def _owner(here: ChannelBudget) -> tuple[str, float]:
     return f"{' and '.join(_OWNERS.values())} own", total
 
 
+def _stated_name(entry: BudgetEntry) -> str:
+    """Name a part in a sentence, as probable where its presence is not sure."""
+    probable = entry.presence is not None and entry.presence < SURE
+    return f"{'probably ' if probable else ''}{part_name(entry)}"
+
+
 def _gap_text(budget: GapBudget, channel: str, article: str = "a gap of ") -> str:
     """Name the gap of a channel, with its size where that is known: `a gap of 12 mN`."""
     if channel != "force":
@@ -177,14 +192,14 @@ def _parts_text(here: ChannelBudget) -> str:
     """Say what share each part has; `nothing has a name`, `all is velocity ripple`."""
     percents = here.percents
     rest = percents.get(UNEXPLAINED, 0)
-    shares = [(percents[entry.cause], part_name(entry)) for entry in here.large[:MAX_SENTENCE_PARTS]]
+    shares = [(percents[entry.cause], _stated_name(entry)) for entry in here.large[:MAX_SENTENCE_PARTS]]
     others = percents[OTHERS] + sum(percents[entry.cause] for entry in here.large[MAX_SENTENCE_PARTS:])
     if others > 0 and shares:
         shares.append((others, OTHERS))
     if not shares:
         return "nothing has a name" if rest >= 100 else f"{rest} % has no name"
-    if len(shares) == 1 and rest <= 0:
-        return f"all is {shares[0][1]}"
+    if here.single:
+        return f"{ALL} is {shares[0][1]}"
     (share, name), *further = shares
     parts = [f"{share} % is {name}", *(f"{share} % {name}" for share, name in further)]
     return f"{', '.join(parts)}; {f'{rest} % has no name' if rest > 0 else 'nothing is left without a name'}"
@@ -192,7 +207,7 @@ def _parts_text(here: ChannelBudget) -> str:
 
 def _vague_parts_text(here: ChannelBudget) -> str:
     """Say what is known of shares that may be next to nothing or all."""
-    parts = [f"at least {_WHOLE_PERCENT(low)} is {part_name(entry)}" for entry, low in _surely(here) if low > 0]
+    parts = [f"at least {_WHOLE_PERCENT(low)} is {_stated_name(entry)}" for entry, low in _surely(here) if low > 0]
     possible = [part_name(entry) for entry, low in _surely(here) if not low]
     if possible:
         parts.append(f"these runs do not say how much is {join_names(possible)}")
@@ -240,7 +255,8 @@ def _bar_parts(here: ChannelBudget, colours: Mapping[str, str]) -> Iterator[BarP
         return
     percents = here.percents
     for entry in here.large:
-        yield BarPart(part_name(entry), entry.share, f"{percents[entry.cause]} %", colours[entry.cause])
+        size = ALL if here.single else f"{percents[entry.cause]} %"
+        yield BarPart(part_name(entry), entry.share, size, colours[entry.cause])
     if percents[OTHERS] > 0:
         yield BarPart(OTHERS, here.small_share, f"{percents[OTHERS]} %", GREY)
     if here.rest is not None and percents[UNEXPLAINED] > 0:
