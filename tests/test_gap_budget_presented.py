@@ -146,6 +146,7 @@ def test_the_budget_in_json_sums_to_one_in_each_channel(given_budget: GapBudget)
 
 def test_json_tells_each_part() -> None:
     ripple, ageing, rest = budget_json(diagnosed(RIPPLE_AND_AGEING))
+    runs = {run.file: run.rms("velocity_ripple") for run in RIPPLE_AND_AGEING.runs}
     assert ripple == {
         "cause": "velocity_ripple",
         "channel": "force",
@@ -155,7 +156,14 @@ def test_json_tells_each_part() -> None:
         "presence": 0.98,
         "what": None,
         "not_separable_from": (),
+        "largest_in": {"run": "000-drag.h5", "rms": pytest.approx(runs["000-drag.h5"]), "unit": "mN"},
     }
+    assert runs["000-drag.h5"] == max(runs.values())
+    named = diagnosis_json(diagnosed(RIPPLE_AND_AGEING), run_ids={"000-drag.h5": "id-0"})["budget"]
+    assert isinstance(named, list)
+    assert named[0]["largest_in"]["run"] == "id-0"
+    assert "largest_in" not in rest
+    assert budget_json(diagnosed(replace(RIPPLE_AND_AGEING, runs=())))[0]["largest_in"] is None
     assert ageing["not_separable_from"] == ("preconditioning",)
     assert rest["where"] == {"in_words": "It lives in the hold after the stop"}
     assert (rest["depends_on"], rest["law"], rest["presence"]) == ("speed", None, None)

@@ -492,7 +492,7 @@ def diagnosis_json(
             "confusable_with": diagnosis.confusable_with,
             "residual_unknown": diagnosis.residual_unknown,
             "presence": presence_json(diagnosis.budget),
-            "budget": budget_json(diagnosis),
+            "budget": budget_json(diagnosis, ids),
             "unknown": None
             if diagnosis.unknown is None
             else {

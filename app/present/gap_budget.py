@@ -12,6 +12,7 @@ from dragrig.analysis.gap import (
     BudgetEntry,
     Diagnosis,
     GapBudget,
+    RunContributions,
     UnexplainedGap,
     display_name,
 )
@@ -357,16 +358,36 @@ def presence_json(budget: GapBudget | None) -> Mapping[str, float | None]:
     return {} if budget is None else {effect: _rounded(value) for effect, value in budget.presence.items()}
 
 
-def budget_json(diagnosis: Diagnosis) -> list[Mapping[str, object]]:
-    """Return the parts of a gap as in a gap report; empty without a gap."""
+def budget_json(diagnosis: Diagnosis, run_ids: Mapping[str, str] | None = None) -> list[Mapping[str, object]]:
+    """Return the parts of a gap as in a gap report; empty without a gap.
+
+    Parameters
+    ----------
+    run_ids
+        Ids of the runs by the names of their files; a file without one is named.
+    """
     channels = budgets_by_channel(diagnosis.budget)
+    runs = () if diagnosis.budget is None else diagnosis.budget.runs
     described = _described_channel(diagnosis, [here.channel for here in channels])
     parts: list[Mapping[str, object]] = []
     for here in channels:
-        parts += map(_entry_json, here.named)
+        parts += (
+            {**_entry_json(entry), "largest_in": _largest_json(entry, runs, run_ids or {})} for entry in here.named
+        )
         if here.rest is not None:
             parts.append({**_entry_json(here.rest), **_rest_json(here, diagnosis, here.channel == described)})
     return parts
+
+
+def _largest_json(
+    entry: BudgetEntry, runs: Sequence[RunContributions], run_ids: Mapping[str, str]
+) -> Mapping[str, object] | None:
+    """Return the run where a part adds most, and how much; None where no run shows it."""
+    showing = [run for run in runs if run.channel == entry.channel and run.rms(entry.cause) > 0]
+    if not showing:
+        return None
+    largest = max(showing, key=lambda run: run.rms(entry.cause))
+    return {"run": run_ids.get(largest.file, largest.file), "rms": largest.rms(entry.cause), "unit": largest.unit}
 
 
 def _entry_json(entry: BudgetEntry) -> Mapping[str, object]:
