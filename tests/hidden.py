@@ -6,6 +6,7 @@ from pathlib import Path
 
 import dragrig
 from dragrig.analysis.gap.run_data import choose_runs
+from dragrig.analysis.models.experiment import SOURCE_KEY, START_UNKNOWN_KEY
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
@@ -44,3 +45,14 @@ def thinned(whole: RunSelection) -> RunSelection:
 def simulated(model: FrictionModelSettings) -> RunSelection:
     """Return the runs of a short plan on the simulated rig, with its noise and with specimens that vary."""
     return choose_runs(dragrig.simulate(Plan.model_validate(PLAN), model=model))
+
+
+def without_clock(selection: RunSelection) -> RunSelection:
+    """Return the same runs, of which it is not known when each was made."""
+    experiments = []
+    for experiment in selection.experiments:
+        info = experiment.run.info
+        entry = {**info.header.entry, START_UNKNOWN_KEY: True, SOURCE_KEY: info.path.name}
+        header = replace(info.header, entry=entry)
+        experiments.append(replace(experiment, run=replace(experiment.run, info=replace(info, header=header))))
+    return replace(selection, experiments=tuple(experiments))

@@ -6,15 +6,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hidden import hidden
+from hidden import hidden, without_clock
 
 from dragrig.analysis.gap.budget import combined_presence, restate
 from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN, Classification
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import UNEXPLAINED, Diagnosis, GapBudget, Verdict
-from dragrig.analysis.gap.presence import CauseKind, Presence
+from dragrig.analysis.gap.evaluation import PromiseVerdict, evaluate
+from dragrig.analysis.gap.features import DecisionInputs
+from dragrig.analysis.gap.forward_selection import search_effects
+from dragrig.analysis.gap.presence import CauseKind, Presence, prepare_competition
+from dragrig.analysis.gap.run_data import choose_runs
+from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
-from dragrig.sim_backend.effects import catalogue
+from dragrig.analysis.selection import RunSelection
+from dragrig.config.friction_model import FrictionModelSettings, parse_effects
+from dragrig.sim_backend.blind import draw_campaign, write_campaign
+from dragrig.sim_backend.effects import Coordinate, catalogue
 
 
 def diagnosed(folder: Path, *effects: str, seed: int = 20, size: Sequence[float] | float = 1.0) -> Diagnosis:
@@ -114,6 +122,41 @@ def test_beside_a_spectral_line_the_probabilities_still_sum_to_one() -> None:
     restated = restate(classification, {"stribeck": 0.9})
     assert restated.effects == ("stribeck", "sensor_hum")
     assert sum(restated.probabilities.values()) == pytest.approx(1.0)
+
+
+def causes(selection: RunSelection) -> set[str]:
+    study = prepare_study(selection, MODEL, [effect for effect in catalogue().values() if effect.has_force_signature])
+    return {cause.name for cause in prepare_competition(search_effects(study)).causes}
+
+
+def test_without_a_clock_nothing_of_the_session_competes(tmp_path: Path) -> None:
+    selection = hidden(tmp_path, 20, "tissue_ageing")
+    of_session = {effect.id for effect in catalogue().values() if effect.coordinate is Coordinate.SESSION}
+    assert {"session", "tissue_ageing"} <= causes(selection)
+    assert not causes(without_clock(selection)) & {"session", *of_session}
+
+
+def test_an_effect_of_the_session_cannot_be_judged_without_a_clock(tmp_path: Path) -> None:
+    selection = hidden(tmp_path, 20, "tissue_ageing")
+    model = FrictionModelSettings(effects=parse_effects(["tissue_ageing"]))
+    (size,) = evaluate(without_clock(selection), model).sizes
+    assert (size.verdict, size.d_prime) == (PromiseVerdict.NO_POWER, 0.0)
+    (known,) = evaluate(selection, model).sizes
+    assert known.d_prime > 0.0
+
+
+def test_what_one_run_does_not_tell_from_a_force_in_motion_is_not_named(tmp_path: Path) -> None:
+    write_campaign(draw_campaign(75040, effects=("force_hysteresis",), conditions=("one run",)), tmp_path)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL)
+    assert diagnosis.verdict is Verdict.UNKNOWN
+    assert budget_of(diagnosis).presence["force_hysteresis"] < 0.1
+    (hypothesis,) = [entry for entry in inputs_of(diagnosis).hypotheses if entry.effects == ("force_hysteresis",)]
+    assert "do not tell it from a force that changes" in hypothesis.not_established
+
+
+def inputs_of(diagnosis: Diagnosis) -> DecisionInputs:
+    assert diagnosis.decision_inputs is not None
+    return diagnosis.decision_inputs
 
 
 def test_presence_grows_with_either_estimate() -> None:

@@ -17,7 +17,6 @@ from dragrig.analysis.gap.features import (
     DecisionInputs,
     GapGate,
     HypothesisFeatures,
-    HypothesisSummary,
     hypothesis_features,
     largest_llr,
     shipped_calibration,
@@ -118,7 +117,7 @@ def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Calib
         gap *= 1.0 - negligible
     gap = min(max(gap, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
     shares = _softmax([weights.utility(hypothesis.features) for hypothesis in hypotheses])
-    lookalike_factors = {summary.effects: _lookalike_factor(summary) for summary in inputs.hypotheses}
+    lookalike_factors = {summary.effects: 1.0 / (1 + summary.lookalikes) for summary in inputs.hypotheses}
     probabilities = {
         hypothesis.effects: gap * posterior * lookalike_factors[hypothesis.effects]
         for hypothesis, posterior in zip(hypotheses, shares[:-1], strict=True)
@@ -126,16 +125,6 @@ def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Calib
     return _ForcePosterior(
         gap - sum(probabilities.values()), probabilities, frozenset(_leaving_residual(inputs, hypotheses))
     )
-
-
-MANY_LOOKALIKES = 20
-"""Causes of which any may look like an effect that runs do not establish: as many as a catalogue has."""
-
-
-def _lookalike_factor(summary: HypothesisSummary) -> float:
-    """Return the share of a hypothesis where each untried lookalike is as likely as the effect itself."""
-    lookalikes = max(summary.untried_lookalikes, MANY_LOOKALIKES if summary.not_established else 0)
-    return 1.0 / (1 + lookalikes)
 
 
 def _leaving_residual(inputs: DecisionInputs, features: Sequence[HypothesisFeatures]) -> list[tuple[str, ...]]:

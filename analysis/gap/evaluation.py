@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from dragrig.analysis import NORMAL_95, RunSelection, nominal_model, single_blas_thread
+from dragrig.analysis import NORMAL_95, RunSelection, nominal_model, session_starts, single_blas_thread
 from dragrig.analysis.gap.design import Candidate, Design, Study, added_force, linearise
 from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.analysis.gap.gap_reduction import MIN_GAP_OVER_FLOOR, RunGap, gap_of_run, reduction_over_runs
@@ -23,7 +23,7 @@ from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude, find_
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.config import AnalysisError, EffectSettings, ModelSettings
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import ActiveEffect, Channel, Effect, EffectChain, active_effects
+from dragrig.sim_backend.effects import ActiveEffect, Channel, Coordinate, Effect, EffectChain, active_effects
 
 BOOTSTRAP_SAMPLES = 500
 SIZE_GRID = (-1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)
@@ -135,8 +135,15 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
     effects = active_effects(model)
     if not effects:
         raise AnalysisError(f"model {model.name} has no effects: there is nothing to evaluate.")
+    if session_starts(selection.experiments) is None:
+        # Without a clock nothing is known of the session, neither the presence nor the absence of such an effect.
+        unseen = [active.effect for active in effects if active.effect.coordinate is Coordinate.SESSION]
+        ids = {effect.id for effect in unseen}
+        model = model.model_copy(update={"effects": tuple(entry for entry in model.effects if entry.id not in ids)})
+    else:
+        unseen = []
     forces = _ForceEvaluation.of(selection, model)
-    sizes = list(forces.sizes())
+    sizes = [*forces.sizes(), *map(_unseen, unseen)]
     gaps = forces.refitted_gaps()
     reduction = reduction_over_runs(gaps)
     achieved: float | None

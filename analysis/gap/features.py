@@ -32,6 +32,10 @@ class NonparametricLaw:
     change_mN: Annotated[float, Field(alias="changed_mN")]
 
 
+MANY_LOOKALIKES = 20
+"""Causes of which any may look like an effect that runs do not establish: as many as a catalogue has."""
+
+
 @dataclass(frozen=True, slots=True)
 class HypothesisSummary:
     """Numbers of a hypothesis that the verdict uses.
@@ -78,6 +82,11 @@ class HypothesisSummary:
     untried_lookalikes: Annotated[int, Field(alias="untold")] = 0
     not_established: str = ""
 
+    @property
+    def lookalikes(self) -> int:
+        """Number of other causes that look like its effects in these runs, each as likely as they are."""
+        return max(self.untried_lookalikes, MANY_LOOKALIKES if self.not_established else 0)
+
 
 @dataclass(frozen=True, slots=True)
 class DecisionInputs:
@@ -115,6 +124,10 @@ class DecisionInputs:
     def excess(self) -> float:
         """Chi-square above its expectation that the nominal model leaves."""
         return self.chi2 - self.block_count
+
+    def lookalikes(self, effect: str) -> int:
+        """Return the number of other causes that look like an effect in these runs; 0 where it was not fitted."""
+        return min((entry.lookalikes for entry in self.hypotheses if effect in entry.effects), default=0)
 
     def document(self) -> dict[str, object]:
         """Return it as a gap report and an exam's answers store it, under the keys of their format."""

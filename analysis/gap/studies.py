@@ -41,7 +41,7 @@ from dragrig.analysis.gap.design import (
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
 from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, known_effects, without_hum
 from dragrig.config import AmendedModelSettings, AnalysisError, Fixture, FrictionModelSettings
-from dragrig.rig import SIGNALS, BoolArray, Contact, FloatArray, Phase
+from dragrig.rig import SIGNALS, BoolArray, Contact, FloatArray, IndexArray, Phase
 from dragrig.sim_backend.effects import (
     SIMULATED_NOMINAL,
     Channel,
@@ -484,19 +484,46 @@ CONSISTENT_SIZES = 0.5, 2.0
 """Size of an effect beside free functions of the motion over its size in the fit, where the runs tell both apart."""
 
 
-def separable_from_motion(design: Design, runs: Sequence[RunData]) -> bool:
-    """Whether candidates show, at their size, beside any force that depends on speed, or on time or travel in motion.
+@dataclass(frozen=True, slots=True)
+class SizeBesideMotion:
+    """Size of an effect beside any force that depends on speed, or on time or travel in motion, relative to the fit."""
+
+    size: float
+    standard_error: float
+    """Scatter that nothing explains included."""
+
+    @property
+    def is_separable(self) -> bool:
+        """Whether the effect shows at its size beside such a force."""
+        low, high = CONSISTENT_SIZES
+        return low < self.size < high and self.size > MIN_SIZE_SIGMAS * self.standard_error
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the runs would show the effect beside such a force, and do not."""
+        return self.size < CONSISTENT_SIZES[0] and MIN_SIZE_SIGMAS * self.standard_error < 1.0
+
+
+def size_beside_motion(design: Design, runs: Sequence[RunData], number: int) -> SizeBesideMotion | None:
+    """Return what is left of a candidate beside free functions of the motion; None where nothing can be left.
 
     A relaxation or a friction law that the nominal model misses depends on the motion alone. Such a force is added as
     free functions that all runs share; what an effect explains beside these is its own.
+
+    Parameters
+    ----------
+    number
+        Number of the candidate.
     """
     longest = max(float(np.ptp(data.coordinates.position_mm)) for data in runs)
     columns_of_runs, pairs = [], []
+    own, others = _columns_of_candidate(design, number)
     for run_data, run in zip(runs, design.runs, strict=True):
-        nominal = run.columns[:, design.columns_of(ColumnKind.NOMINAL)]
+        force = run.effect_force if len(design.candidates) == 1 else run.columns[:, own] * _size_of(design, number)
+        nominal = run.columns[:, np.concatenate((design.columns_of(ColumnKind.NOMINAL), others))]
         columns = np.hstack((nominal, _friction_columns(run_data, longest), _history_columns(run_data)))
         columns_of_runs.append(run.whitening.whiten(columns))
-        pairs.append(run.whitening.whiten(np.column_stack((run.residual + run.effect_force, run.effect_force))))
+        pairs.append(run.whitening.whiten(np.column_stack((run.residual + force, force))))
     columns = np.concatenate(columns_of_runs)
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 0] / norms[norms > 0]
@@ -504,12 +531,27 @@ def separable_from_motion(design: Design, runs: Sequence[RunData]) -> bool:
     residual, effect = _beside(columns, np.concatenate(pairs)).T
     power = float(effect @ effect)
     if free < MIN_FREE_BLOCKS or power <= 0:
-        return False
+        return None
     size = float(residual @ effect) / power
     # What neither explains makes the size less certain.
     scatter = max(float(np.sum((residual - size * effect) ** 2)) / free, 1.0)
-    low, high = CONSISTENT_SIZES
-    return low < size < high and size > MIN_SIZE_SIGMAS * float(np.sqrt(scatter / power))
+    return SizeBesideMotion(size, float(np.sqrt(scatter / power)))
+
+
+def _columns_of_candidate(design: Design, number: int) -> tuple[int, IndexArray]:
+    """Return the column of a candidate's size, and the columns of all other candidates."""
+    counts = [len(candidate.fitted_parameters) for candidate in design.candidates]
+    owners = np.repeat(np.arange(len(counts)), counts)
+    columns = design.columns_of(ColumnKind.EFFECT)
+    candidate = design.candidates[number]
+    names = [parameter.name for parameter in candidate.fitted_parameters]
+    own = columns[owners == number][names.index(candidate.effect.size.name)]
+    return int(own), columns[owners != number]
+
+
+def _size_of(design: Design, number: int) -> float:
+    candidate = design.candidates[number]
+    return candidate.values[candidate.effect.size.name]
 
 
 def _history_columns(run: RunData) -> FloatArray:
@@ -544,8 +586,31 @@ def naming_obstacle(design: Design, runs: Sequence[RunData]) -> str:
         return f"it would add {added:.3g} mN, and no measured force varies by more than {range_mN:.3g} mN"
     if not _sizes_determined(design):
         return "its size is not determined"
-    if of_sensor and not separable_from_motion(design, runs):
-        return "these runs do not tell it from a force that changes with speed, or with time or travel in motion"
+    return sensor_obstacle(design, runs)
+
+
+NOT_SEPARABLE = "these runs do not tell it from a force that changes with speed, or with time or travel in motion"
+
+
+def sensor_obstacle(design: Design, runs: Sequence[RunData], *, knows_specimen: bool = False) -> str:
+    """Say why runs do not establish the effects of the sensor in a design; empty where nothing stands against them.
+
+    Parameters
+    ----------
+    knows_specimen
+        Whether the nominal model knows how its specimen relaxes. A drift is a function of time like any other; with
+        such a model it counts unless the runs show that a force that changes in motion takes its place.
+    """
+    for number, candidate in enumerate(design.candidates):
+        effect = candidate.effect
+        if effect.location not in SENSOR_PLACES:
+            continue
+        left = size_beside_motion(design, runs, number)
+        if knows_specimen and effect.coordinate is Coordinate.TIME:
+            if left is not None and left.is_contradicted:
+                return f"beside a force that changes in motion these runs show no {effect.name}"
+        elif left is None or not left.is_separable:
+            return NOT_SEPARABLE
     return ""
 
 
@@ -684,6 +749,10 @@ class CapsuleStudy(Study):
     def model_errors(self, number: int, scene: RunState) -> FloatArray:
         """Return the change of the true force by each of `MODEL_ERROR_DIRECTIONS`, shape `(D, n)`."""
         return model_error_columns(scene, self.runs[number].condition[1])
+
+    def naming_obstacle(self, design: Design) -> str:
+        """Return why these runs do not establish a design's effects of the sensor."""
+        return sensor_obstacle(design, self.runs, knows_specimen=True)
 
     def prediction_sds(self, z: FloatArray) -> list[FloatArray]:
         """Return the uncertainty from the measured motion, and for sheared walls from integration steps."""
