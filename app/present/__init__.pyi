@@ -12,7 +12,6 @@ from .diagnosis import diagnosis_json as diagnosis_json
 from .diagnosis import next_experiment_document as next_experiment_document
 from .diagnosis_figures import before_after_figure as before_after_figure
 from .diagnosis_figures import budget_figure as budget_figure
-from .diagnosis_figures import isolability_figure as isolability_figure
 from .diagnosis_figures import location_figure as location_figure
 from .diagnosis_figures import ranking_figure as ranking_figure
 from .diagnosis_figures import representative_runs as representative_runs
@@ -76,6 +75,7 @@ from .exam_figures import exam_detection_figure as exam_detection_figure
 from .exam_figures import exam_promises_figure as exam_promises_figure
 from .exam_figures import exam_rates_figure as exam_rates_figure
 from .exam_figures import exam_reliability_figure as exam_reliability_figure
+from .exam_figures import isolability_figure as isolability_figure
 from .files import PAPER_MODEL_FILE as PAPER_MODEL_FILE
 from .files import PAPER_REPORT_FILE as PAPER_REPORT_FILE
 from .files import PAPER_TABLES as PAPER_TABLES

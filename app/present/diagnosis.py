@@ -1,7 +1,7 @@
 """A gap diagnosis laid out for a reader: where the gap is, which hypothesis explains it, how far it shrinks."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from math import isfinite, log
+from math import isfinite
 
 from dragrig import present
 from dragrig.analysis import as_sentence, capitalise, percent_text
@@ -44,7 +44,6 @@ from dragrig.present import (
     round_to_sum,
     rounded_to_error,
     shortest,
-    significant,
     to_json_object,
     unit_text,
 )
@@ -56,6 +55,7 @@ from dragrig.present.diagnosis_sentences import (
     effect_description,
     is_stated_verdict,
     shrink_sentences,
+    sizes_differ_sentence,
     verdict_sentences,
 )
 from dragrig.present.gap_budget import (
@@ -75,8 +75,6 @@ PROBABILITY_STEPS = 1_000_000
 MAX_RANKED = 8
 """Hypotheses that a terminal and a window list; those beyond are next to impossible in any campaign seen so far."""
 MAX_LEFT_OUT = 12
-SAME_SIZE = 1.2
-"""Ratio up to which two sizes of a gap look alike to a reader."""
 CAMPAIGN_COLUMNS = (
     Column("campaign", "campaign"),
     Column("verdict", "verdict"),
@@ -344,26 +342,12 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         "3. How much",
         (
             _parameter_table(diagnosis),
-            Text(_why_sizes_differ(diagnosis), TextKind.EXPLANATION),
+            Text(sizes_differ_sentence(diagnosis), TextKind.EXPLANATION),
             Text(reduction or "No run was held out, or no effect is named, so that the gap reduction is not known."),
             Section("model", "The model with the effect", amended if model else ()),
             *((before_after,) if diagnosis.traces else ()),
             *(() if shrink is None else (r2_table(shrink, named=named),)),
         ),
-    )
-
-
-def _why_sizes_differ(diagnosis: Diagnosis) -> str:
-    """Say why the residual before is not the gap of the budget, where a reader would wonder."""
-    budget, shrink = diagnosis.budget, diagnosis.shrink
-    if budget is None or not budget.entries or shrink is None or shrink.position_um is not None:
-        return ""
-    if not budget.gap_mN > 0 or abs(log(shrink.gap_before_mN / budget.gap_mN)) < log(SAME_SIZE):
-        return ""
-    return (
-        f"The residual is not the budget's gap of {significant(2)(budget.gap_mN)} mN. It includes noise, counts only "
-        "times that tell effects apart, and is what each run leaves after factors of its own; the budget counts all "
-        "times, and gives to a run's own factors only what the causes do not explain."
     )
 
 

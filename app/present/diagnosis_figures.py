@@ -1,9 +1,8 @@
-"""Figures of a gap diagnosis: budget, location map, ranking, runs before and after, and the isolability matrix."""
+"""Figures of a gap diagnosis: budget, location map, ranking, runs before and after."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
@@ -17,22 +16,17 @@ from dragrig.analysis import capitalise
 from dragrig.analysis.gap import (
     ALPHA,
     CHANNELS,
-    CONFUSED_SIN2,
-    DETECTABLE_D_PRIME,
     PROTOCOLS,
     AxisLocation,
     BudgetEntry,
     Diagnosis,
-    EffectPair,
     GapBudget,
     GapLocation,
-    Isolability,
     PhaseCell,
     RankedHypothesis,
     RunContributions,
     RunTraces,
     display_name,
-    isolability_sentences,
 )
 from dragrig.present import (
     BLACK,
@@ -595,74 +589,3 @@ MIN_SPAN = {"mN": 4.0, "mm": 0.004, "µm": 4.0}
 
 def _min_span(view: RunTraces) -> float:
     return MIN_SPAN.get(view.unit, 0.0)
-
-
-CELL_PT = 10.5
-
-FAINTEST_D_PRIME = 1000.0
-"""d′ at which a cell is white."""
-
-WHITE_TEXT_SHADE = 0.55
-"""Shades darker than this have white text."""
-
-CELL_EDGE_COLOUR = "#D3D9DF"
-
-_SIMILARITY_COLOURS = LinearSegmentedColormap.from_list("near", ["#FFFFFF", "#BFD9EA", BLUE, "#002B45"])
-
-
-def isolability_figure(isolability: Isolability) -> Figure:
-    """Draw every pair of effects of the force: sin² below the diagonal, d′ above it.
-
-    Dark cells are similar; a thick frame marks pairs that the runs hardly distinguish.
-    """
-    names = [visibility.effect for visibility in isolability.visible_in("force")]
-    legend = (
-        f"Below the diagonal: 100 sin² of the angle, 0 for indistinguishable effects. Framed: below "
-        f"{100 * CONFUSED_SIN2:.0f}, or d′ below {DETECTABLE_D_PRIME:g}.\n"
-        "Above: d′ between the two at their default sizes. Dark: similar. The catalogue's effects of the force only."
-    )
-    with figure_style():
-        side = 0.56 * max(len(names), 1) + 3.2
-        title = f"Effects that {Path(isolability.source).absolute().name} can distinguish"
-        figure = new_figure(max(side, 10.0), side + 0.7, title, isolability_sentences(isolability)[0])
-        axes = figure.add_subplot(aspect="equal")
-        for row, effect in enumerate(names):
-            axes.add_patch(Rectangle((row - 0.5, row - 0.5), 1, 1, facecolor="#F1F3F5", edgecolor=CELL_EDGE_COLOUR))
-            for column, column_effect in enumerate(names[:row]):
-                pair = isolability.pair(effect, column_effect)
-                if pair is not None:
-                    _draw_pair_cells(axes, row, column, pair)
-        _set_effect_ticks(axes, [display_name(effect) for effect in names])
-        figure.supxlabel(legend, x=0.03, ha="left", fontsize=SMALL_PT, color=GREY)
-        return figure
-
-
-def _draw_pair_cells(axes: Axes, row: int, column: int, pair: EffectPair) -> None:
-    near = 1.0 - float(np.sqrt(max(pair.sin2, 0.0)))
-    _draw_cell(axes, column, row, near, f"{100 * pair.sin2:.0f}", framed=pair.confused)
-    shade = Normalize(np.log(DETECTABLE_D_PRIME), np.log(FAINTEST_D_PRIME), clip=True)
-    weak = 1.0 - float(shade(np.log(max(pair.separation, 1e-3))))
-    _draw_cell(axes, row, column, weak, f"{pair.separation:.0f}", framed=pair.confused)
-
-
-def _draw_cell(axes: Axes, x: int, y: int, shade: float, text: str, *, framed: bool) -> None:
-    axes.add_patch(
-        Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=_SIMILARITY_COLOURS(shade), edgecolor=CELL_EDGE_COLOUR)
-    )
-    if framed:
-        frame = Rectangle((x - 0.46, y - 0.46), 0.92, 0.92, fill=False, edgecolor=BLACK, linewidth=2.4, zorder=3)
-        axes.add_patch(frame)
-    colour = "white" if shade > WHITE_TEXT_SHADE else BLACK if shade > 0.05 else GREY
-    axes.text(x, y, text, ha="center", va="center", fontsize=CELL_PT, color=colour, zorder=4)
-
-
-def _set_effect_ticks(axes: Axes, words: list[str]) -> None:
-    axes.set_xlim(-0.5, max(len(words), 1) - 0.5)
-    axes.set_ylim(max(len(words), 1) - 0.5, -0.5)
-    axes.set_yticks(range(len(words)), words, fontsize=TEXT_PT)
-    axes.xaxis.tick_top()
-    axes.set_xticks(range(len(words)), words, fontsize=TEXT_PT, rotation=90)
-    axes.tick_params(length=0)
-    axes.grid(visible=False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
