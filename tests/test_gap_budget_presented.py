@@ -296,6 +296,19 @@ def test_a_gap_of_the_models_own_is_not_called_unknown() -> None:
     assert re.search(r"b +unknown +0\.88", rows)
 
 
+def test_where_the_whole_gap_is_is_not_said_of_a_rest() -> None:
+    lives = "It lives in the steady force of drag runs"
+    assert not re.search(f"No name .*{lives}", text(replace(UNKNOWN, budget=OWN)))
+    assert re.search(f"No name .*{lives}", text(replace(UNKNOWN, budget=budget(entry("unexplained", 1.0, 12.0, None)))))
+
+
+def test_an_effect_that_is_not_sure_is_called_probable() -> None:
+    unsure = budget(entry("stribeck", 0.7, presence=0.64), entry("model", 0.1, presence=0.6), entry("unexplained", 0.2))
+    assert budget_sentences(unsure) == (
+        "Of a gap of 12 mN, 70 % is probably Stribeck friction, 10 % the model itself; 20 % has no name.",
+    )
+
+
 def test_the_probability_of_a_single_effect_is_that_it_is_there() -> None:
     (first, *_) = verdict_sentences(replace(STRIBECK, budget=STRIBECK_ALONE))
     assert (

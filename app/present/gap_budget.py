@@ -14,6 +14,7 @@ from dragrig.analysis.gap import (
     GapBudget,
     RunContributions,
     UnexplainedGap,
+    Verdict,
     display_name,
 )
 from dragrig.present import (
@@ -45,7 +46,7 @@ VAGUE_WIDTH = 1.0
 """A share whose 95 % interval is wider is not stated: it may be next to nothing or all."""
 LEAST_STATED = 0.05
 SURE = 0.9
-"""A part whose probability of presence is smaller is called probable in sentences."""
+"""An effect whose probability of presence is smaller is called probable in sentences."""
 ALL = "all"
 _NAMES = {MODEL: "the model itself", SPECIMEN: "the specimen itself", UNEXPLAINED: "no name"}
 OTHERS = "others"
@@ -148,8 +149,8 @@ def _owner(here: ChannelBudget) -> tuple[str, float]:
 
 
 def _stated_name(entry: BudgetEntry) -> str:
-    """Name a part in a sentence, as probable where its presence is not sure."""
-    probable = entry.presence is not None and entry.presence < SURE
+    """Name a part in a sentence; an effect as probable where its presence is not sure."""
+    probable = entry.presence is not None and entry.presence < SURE and entry.cause not in _NAMES
     return f"{'probably ' if probable else ''}{part_name(entry)}"
 
 
@@ -280,6 +281,8 @@ def budget_table(diagnosis: Diagnosis) -> Table:
     """Tabulate the parts of a gap, the largest first and the rest last, by channel."""
     channels = budgets_by_channel(diagnosis.budget)
     entries = [entry for here in channels for entry in (*here.named, *(() if here.rest is None else (here.rest,)))]
+    # Without a named effect, a diagnosis says where the whole gap is, not where the rest beside model or specimen is.
+    of_whole = diagnosis.verdict is Verdict.UNKNOWN and any(here.named for here in channels)
     percents = {(here.channel, cause): value for here in channels for cause, value in here.percents.items()}
     table = Table.of(
         "budget",
@@ -291,7 +294,7 @@ def budget_table(diagnosis: Diagnosis) -> Table:
         Field("share_95ci", "95 % interval", _interval_text),
         Field("rms_mN", "rms, mN", lambda entry: entry.rms_mN, decimals(1)),
         Field("presence", "probability that it is there", _presence_cell),
-        Field("what", "what it is", lambda entry: _description(entry, diagnosis.unknown)),
+        Field("what", "what it is", lambda entry: _description(entry, None if of_whole else diagnosis.unknown)),
     )
     single = len(channels) < 2
     return table.select(*(column.name for column in table.columns if not (single and column.name == "channel")))
