@@ -84,10 +84,7 @@ def test_the_first_sentence_says_what_the_gap_is_made_of() -> None:
         "two": (
             "Of a gap of 12 mN, 55 % is velocity ripple, 20 % tissue ageing or preconditioning; 25 % has no name.",
         ),
-        "one": (
-            "Of a gap of 12 mN, 83 % is Stribeck friction or adhesion, 6 % probably the model itself; 11 % has no "
-            "name.",
-        ),
+        "one": ("Of a gap of 12 mN, 83 % is Stribeck friction or adhesion, 6 % the model itself; 11 % has no name.",),
         "none": ("Of a gap of 12 mN, nothing has a name.",),
         "many": (
             "Of a gap of 12 mN, 34 % is hyperelastic wall or wall lift-off, 31 % the model itself, 15 % the specimen "
