@@ -212,7 +212,15 @@ def test_the_table_has_every_part_with_its_numbers() -> None:
     assert re.search(r"position +Velocity ripple +90 % +84 % to 95 % +– +0\.98", text(diagnosed(CHANNELS)))
 
 
+def test_an_interval_has_the_digits_that_it_takes() -> None:
+    close = with_intervals(OWN, (0.9981, 1.0002), (-0.0002, 0.0019))
+    assert re.search(r"The model itself +80 % +99\.8 % to 100\.0 %", text(diagnosed(close)))
+    assert re.search(r"The model itself +80 % +\d+\.\d ", text(diagnosed(with_intervals(OWN, (1.0, 1.0), (0.0, 0.0)))))
+
+
 def test_shares_of_runs_that_were_fitted_are_called_so() -> None:
+    assert "in the position are of the runs that were fitted" in page(diagnosed(CHANNELS))
+    assert "in the position are of the runs" not in page(diagnosed(RIPPLE_AND_AGEING))
     few, held_out = diagnosed(replace(RIPPLE_AND_AGEING, held_out=False)), diagnosed(RIPPLE_AND_AGEING)
     assert "too few runs to hold any out" in text(few)
     assert "too few runs to hold any out" not in text(held_out)
@@ -408,6 +416,20 @@ def test_the_picture_shows_the_gap_of_a_run_and_its_parts_in_the_colours_of_the_
     assert words.get_color() == parts[0].get_color()
     assert len(panels_of(budget_figure(UNNAMED))[0].lines) == 2, "the rest is not drawn"
     assert not panels_of(budget_figure(replace(RIPPLE_AND_AGEING, runs=())))
+
+
+@EACH
+def test_words_above_the_runs_do_not_cover_each_other(given_budget: GapBudget) -> None:
+    long = tuple(replace(run, label="200 % strain", kind="relaxation") for run in given_budget.runs)
+    figure = budget_figure(replace(given_budget, runs=long))
+    figure.draw_without_rendering()
+    panels = panels_of(figure)
+    words = [label for axes in panels for label in (*axes.texts, axes.get_legend()) if label is not None]
+    titles = [child for axes in panels for child in axes.get_children() if isinstance(child, Text) and child.get_text()]
+    boxes = [one.get_window_extent() for one in dict.fromkeys((*words, *titles))]
+    assert len(boxes) > 2 * len(panels)
+    assert not any(one.overlaps(other) for number, one in enumerate(boxes) for other in boxes[number + 1 :])
+    assert not any("…" in label.get_text() for label in (*titles, *figure.texts))
 
 
 def run_with(file: str, kind: str, **sizes: float) -> RunContributions:

@@ -171,6 +171,8 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
         "Shares of the gap above noise on runs that took no part in the fit, with 95 % intervals over runs. They sum "
         "to 100 % in each channel."
     )
+    several = any(entry.channel == "position" for entry in budget.entries)
+    in_position = "Those in the position are of the runs that were fitted." if several else ""
     fitted = "There are too few runs to hold any out: the shares are of the runs that were fitted, and flatter them."
     return Section(
         "budget",
@@ -186,6 +188,7 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
                 bars=budget_bars(budget),
             ),
             Text(basis if budget.held_out else "", TextKind.EXPLANATION),
+            Text(in_position if budget.held_out else "", TextKind.EXPLANATION),
             Text("" if budget.held_out else fitted, TextKind.CAUTION),
             budget_table(diagnosis),
         ),

@@ -9,8 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
+from matplotlib.transforms import offset_copy
 
 from dragrig.analysis import capitalise
 from dragrig.analysis.gap import (
@@ -69,6 +71,7 @@ from dragrig.present.gap_budget import (
 from dragrig.rig import FloatArray
 
 BAR_ROW_IN, RUNS_ROW_IN = 1.75, 3.3
+SUBTITLE_IN = 12.0
 MIN_BUDGET_RUNS, MAX_BUDGET_RUNS = 3, 4
 BAR_THICKNESS = 0.86
 BOLD_WIDTH = 1.12
@@ -107,7 +110,9 @@ def budget_figure(budget: GapBudget) -> Figure:
     colours = cause_colours(budget)
     with figure_style():
         whole = "the gap" if len(rows) > 1 else f"{bars[0].whole[:1].lower()}{bars[0].whole[1:]}"
-        subtitle = " ".join(budget_sentences(budget)[: len(rows)])
+        sentences = " ".join(budget_sentences(budget)[: len(rows)])
+        # The page has them above; cut off they would say half of it.
+        subtitle = sentences if text_width_in(sentences, SMALL_PT) < SUBTITLE_IN else ""
         figure = new_figure(13.0, sum(heights), f"What {whole} is made of", subtitle)
         grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
         row = 0
@@ -209,7 +214,13 @@ def _draw_runs(
     for axes, shown in zip(panels, runs, strict=True):
         _draw_parts(axes, shown, [entry.cause for entry in here.large], colours)
     panels[0].set_ylabel(f"Gap ({runs[0].run.unit})")
-    write_legend(panels[0], (GAP_LINE,))
+    if len(panels) > MIN_BUDGET_RUNS:
+        write_legend(panels[0], (GAP_LINE,))
+        return
+    # Beside the run's name there is room, and no peak is covered.
+    above = offset_copy(panels[0].transAxes, panels[0].get_figure(root=True), y=20.0, units="points")
+    handle = Line2D([], [], color=GAP_LINE.colour, linewidth=GAP_LINE.width)
+    panels[0].legend([handle], [GAP_LINE.word], loc="lower right", bbox_to_anchor=(1.0, 1.0), bbox_transform=above)
 
 
 def _draw_parts(axes: Axes, shown: ShownRun, causes: Sequence[str], colours: Mapping[str, str]) -> None:
@@ -226,10 +237,13 @@ def _draw_parts(axes: Axes, shown: ShownRun, causes: Sequence[str], colours: Map
     fit_y_range(axes, (gap, *parts.values()), MIN_SPAN.get(run.unit, 0.0))
     room_in = 0.95 * panel_size_in(axes)[0]
     label = f"{run.kind.replace('_', ' ')}, {run.label}"
-    axes.set_title(shortened_to_width(capitalise(label), TEXT_PT, room_in), pad=26.0)
+    axes.set_title(shortened_to_width(capitalise(label), SMALL_PT, room_in), pad=26.0, fontsize=SMALL_PT)
     name = "gap" if shown.part is None else part_name(shown.part)
     size = f": {significant(2)(_size_of(run, shown.part))} {run.unit}"
-    words = shortened_to_width(name, SMALL_PT, room_in - text_width_in(size, SMALL_PT)) + size
+    room_in -= text_width_in(size, SMALL_PT)
+    if shown.part is not None and shown.part.not_separable_from and text_width_in(name, SMALL_PT) > room_in:
+        name = display_name(shown.part.cause)
+    words = shortened_to_width(name, SMALL_PT, room_in) + size
     colour = GREY if shown.part is None else colours[shown.part.cause]
     axes.annotate(words, (0.0, 1.0), (0.0, 8.0), "axes fraction", "offset points", fontsize=SMALL_PT, color=colour)
     axes.set_xlabel("Time (s)")

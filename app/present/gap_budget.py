@@ -38,6 +38,7 @@ MIN_SHOWN_SHARE = 0.02
 MAX_SENTENCE_PARTS = 4
 """Parts that a sentence names; it sums up further ones, which bar and table have."""
 SHARE_DECIMALS = 4
+MAX_PERCENT_DIGITS = 2
 MOSTLY, NEARLY_ALL = 0.5, 0.9
 """Shares from which on a gap is mostly, or simply, that of the model or the specimen."""
 ROUGH_WIDTH = 0.3
@@ -308,8 +309,10 @@ def _share_cell(entry: BudgetEntry, whole_percent: int | None) -> FormattedNumbe
 def _interval_text(entry: BudgetEntry) -> str:
     if entry.share_95ci is None or not all(map(isfinite, entry.share_95ci)):
         return ""
-    low, high = map(_WHOLE_PERCENT, entry.share_95ci)
-    return f"{low} to {high}"
+    # With as many digits as it takes to tell the ends apart.
+    texts = [tuple(map(percent(digits), entry.share_95ci)) for digits in range(MAX_PERCENT_DIGITS + 1)]
+    low, high = next((ends for ends in texts if ends[0] != ends[1]), texts[-1])
+    return f"{low} to {high}" if low != high else ""
 
 
 def _presence_cell(entry: BudgetEntry) -> FormattedNumber | str:
