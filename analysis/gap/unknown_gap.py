@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from dragrig.analysis import percent_text
+from dragrig.analysis import capitalise, percent_text
 from dragrig.analysis.gap.classifier import Classification
 from dragrig.analysis.gap.diagnosis import AxisLocation, GapLocation, UnexplainedGap, Verdict, display_name
 from dragrig.analysis.gap.excess import ResidualBlocks
@@ -300,10 +300,10 @@ def _agreement_text(where: GapLocation, region: GapRegion, phrase: str, periodic
     total = sum(float((blocks.weight * blocks.deviation**2).sum()) for blocks in region.blocks)
     share = min(score * total / region.excess, 1.0) if region.excess > 0 else score
     if where.domain == "transient" and share >= MIN_COMMON_SHARE:
-        at_changes = f"{percent_text(share)} of it is at changes of velocity and shortly after."
+        at_changes = f"{capitalise(percent_text(share))} of it is at changes of velocity and shortly after."
         return f"{at_changes} {_transient_text(region)}".rstrip()
     if where.domain == "frequency" and share >= MIN_COMMON_SHARE:
-        return f"{percent_text(share)} of it is faster than {FAST_HZ:g} Hz."
+        return f"{capitalise(percent_text(share))} of it is faster than {FAST_HZ:g} Hz."
     if where.runs == 1:
         return ""
     if share < MIN_COMMON_SHARE and not periodic:
