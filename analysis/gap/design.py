@@ -713,6 +713,13 @@ def gauss_newton_step(design: Design) -> ParameterPoint:
     return ParameterPoint(z, tuple(candidates))
 
 
+def gain_of_step(design: Design) -> float:
+    """Return by how much a step of the nominal parameters would lower chi-square, priors included."""
+    total = design.total_gram()
+    here = fit_columns(design, total, ColumnKind.MODEL_ERROR).chi2 + float(design.z @ design.z)
+    return here - fit_columns(design, total, ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR).chi2
+
+
 def joint_fit(design: Design, variants: Sequence[int]) -> tuple[FloatArray, FloatArray]:
     """Fit nuisances and some variants together; return nominal parameters and the variants' amplitudes."""
     columns = np.concatenate((design.columns_of(*NUISANCES), design.columns_of(ColumnKind.VARIANT)[list(variants)]))

@@ -20,6 +20,7 @@ from dragrig.analysis.gap.design import (
     RankedEffect,
     RunDesign,
     Study,
+    gain_of_step,
     gauss_newton,
     gauss_newton_step,
     linearise,
@@ -373,6 +374,11 @@ def _best_of_other_domain(
 
 NOMINAL_STEPS = 2
 """Further steps of the nominal model alone, after derivatives were computed twice."""
+MIN_EXCESS_SIGMAS = 4.0
+"""Chi-square above its expectation, over the root of the number of blocks, from which a gap is suspected."""
+MAX_NOMINAL_GAIN, MAX_NOMINAL_GAIN_SHARE, MAX_CONVERGING_STEPS = 4.0, 0.1, 5
+"""The nominal model has converged where a step gains less chi-square than this, or than this share of the log
+likelihood ratio of the best effect; or after so many steps."""
 SHORTLIST = 3
 MIN_SHARE_OF_BEST = 0.2
 """A candidate is fitted if it reaches this share of the best one's log likelihood ratio."""
@@ -391,12 +397,10 @@ def search_effects(study: Study, min_llr: float = MIN_SINGLE_LLR, min_share: flo
     first = gauss_newton_step(linearise(study, study.initial_z))
     second = linearise(study, first.z)
     start = gauss_newton(study, gauss_newton_step(second), NOMINAL_STEPS, second)
-    nominal = linearise(study, start.z, dictionary=True, reference=second)
-    projected = project_dictionary(nominal, nominal.total_gram(), *NUISANCES)
-    ranked = rank_with_free_phases(nominal, rank_effects(projected, nominal.variants))
-    search = ForceSearchResult(study, nominal, projected.chi2, ranked, (), ())
-    threshold = max(min_llr, MIN_SHARE_OF_BEST * ranked[0].llr, 0.5 * min_share * search.excess) if ranked else 0.0
-    likely = [best for best in ranked[:SHORTLIST] if best.llr > threshold]
+    search = _ranked_beside_nominal(study, start.z, second)
+    if _likely_effects(search, min_llr, min_share) or search.excess > MIN_EXCESS_SIGMAS * np.sqrt(search.block_count):
+        search = _with_converged_nominal(search)
+    nominal, likely = search.nominal, _likely_effects(search, min_llr, min_share)
     singles = [refit_with_effect(study, nominal, best, nominal) for best in likely]
     singles.sort(key=search.merit, reverse=True)
     singles[:1] = [_relinearised(study, fit, nominal) for fit in singles[:1]]
@@ -405,6 +409,40 @@ def search_effects(study: Study, min_llr: float = MIN_SINGLE_LLR, min_share: flo
         return search
     search = replace(search, steps=tuple(forward_selection(search)))
     return replace(search, singles=(*singles, *_refit_second_alone(search)))
+
+
+def _ranked_beside_nominal(study: Study, z: FloatArray, reference: Design) -> ForceSearchResult:
+    nominal = linearise(study, z, dictionary=True, reference=reference)
+    projected = project_dictionary(nominal, nominal.total_gram(), *NUISANCES)
+    ranked = rank_with_free_phases(nominal, rank_effects(projected, nominal.variants))
+    return ForceSearchResult(study, nominal, projected.chi2, ranked, (), ())
+
+
+def _likely_effects(search: ForceSearchResult, min_llr: float, min_share: float) -> list[RankedEffect]:
+    """Return the effects to be fitted alone."""
+    ranked = search.ranked
+    if not ranked:
+        return []
+    threshold = max(min_llr, MIN_SHARE_OF_BEST * ranked[0].llr, 0.5 * min_share * search.excess)
+    return [best for best in ranked[:SHORTLIST] if best.llr > threshold]
+
+
+def _with_converged_nominal(search: ForceSearchResult) -> ForceSearchResult:
+    """Return the search around a nominal model whose next step would gain little beside what the best effect does.
+
+    At high rates thousands of blocks resolve when friction sets in, and uncertainty and derivatives change on the way. A
+    gap that a further step of the nominal model would close then looks like any effect whose fit makes that step.
+    """
+    study, z = search.study, search.nominal.z
+    best_llr = max((best.llr for best in search.ranked), default=0.0)
+    allowed = max(MAX_NOMINAL_GAIN, MAX_NOMINAL_GAIN_SHARE * best_llr)
+    moved = False
+    for _ in range(MAX_CONVERGING_STEPS):
+        design = linearise(study, z)
+        if gain_of_step(design) < allowed:
+            break
+        z, moved = gauss_newton_step(design).z, True
+    return _ranked_beside_nominal(study, z, design) if moved else search
 
 
 def _refit_second_alone(search: ForceSearchResult) -> list[HypothesisFit]:
