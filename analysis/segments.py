@@ -31,10 +31,21 @@ MAX_PULSE_SHARE = 0.01
 MIN_PULSE_STEPS = 60
 """So many large steps are no reason not to look for pulses: of a ramp, in a short record."""
 MAX_IMPULSE_SAMPLES = 3
-MAX_DROPOUT_S = 0.1
+MAX_DROPOUT_S = 0.25
 """Longest time for which a reading stays exactly constant and is still taken for a dropout."""
+MIN_DROPOUT_SAMPLES, CHANCE_DROPOUTS, MAX_EQUAL_SHARE = 5, 1e-3, 0.9
+"""A constant reading is a dropout where chance makes so few of its length in a record, and the record is no cleaner
+than that this share of its samples equal their neighbours."""
 CALM_SAMPLES, CALM_SHARE, CALM_SIGMAS = 4, 0.3, 3.0
 """Before and after a pulse so many steps are smaller than this share of it, or than so many usual ones."""
+SMALL_SIGMAS, SUSPECT_SIGMAS, MAX_SMALL_SAMPLES = 6.0, 3.5, 6
+"""A small pulse, or two in succession, is off a parabola through the force around it by so many standard deviations.
+What is off the running median by more than the second does not belong to the force around it."""
+SIDE_SAMPLES, MIN_SIDE_SAMPLES = 6, 4
+"""Samples on each side that the parabola explains; at rest a constant does, near the record's end a straight line."""
+SMOOTH_SIGMAS, SMOOTH_SHARE = 1.8, 0.1
+"""It explains them where it leaves no more than so many standard deviations, or this share of the pulse: of a kink of
+the force it leaves half as much as the kink's tip is off."""
 NEAR_EVENT_S = 0.01
 """So near to a begin or end of a phase, a pulse may be of the motion: of a mass that is accelerated, say."""
 
@@ -173,37 +184,132 @@ def clipped_samples(run: Run) -> Mask:
 def force_pulses(trace: Trace) -> tuple[ForcePulse, ...]:
     """Return the pulses of a force, which means over blocks would hide.
 
-    Between two steps in opposite directions the force is far off what it is before and after, which agree; around them
-    it is calm.
+    Impulses are up to three samples between two large steps in opposite directions, around which the force is calm; or
+    a few samples that are less far off, but clearly off the smooth force around them. Dropouts are samples that are
+    exactly equal for longer than noise allows, or between two such steps.
     """
     force = np.asarray(trace.force, dtype=np.float64)
+    known = np.isfinite(force)
+    if np.count_nonzero(known) < 2 * MAX_SMALL_SAMPLES + 1:
+        return ()
     steps = np.nan_to_num(np.diff(force))
     usual = _usual_step(steps)
-    jumps = np.flatnonzero(np.abs(steps) > FAULT_SIGMAS * usual)
-    if not jumps.size or jumps.size > max(MAX_PULSE_SHARE * steps.size, MIN_PULSE_STEPS):
+    jumps = _jumps(steps, FAULT_SIGMAS * usual)
+    if jumps.size > max(MAX_PULSE_SHARE * steps.size, MIN_PULSE_STEPS):
         return ()
-    # On a ramp every step is large, and those of a pulse are larger than those around it.
-    first_near = np.clip(jumps - CALM_SAMPLES, 0, max(steps.size - 2 * CALM_SAMPLES - 1, 0))
-    around = np.minimum(first_near[:, None] + np.arange(2 * CALM_SAMPLES + 1), steps.size - 1)
-    jumps = jumps[np.abs(steps[jumps] - np.median(steps[around], axis=1)) > FAULT_SIGMAS * usual]
+    found = {
+        (begin, end): (_height_off_median(force, begin, end), True)
+        for begin, end in _constant_spans(force, trace.sample_rate_hz)
+    }
+    found |= dict(_large_pulses(force, steps, jumps, usual, trace.sample_rate_hz))
+    usable = known.copy()
+    for begin, end in found:
+        usable[begin:end] = False
+    sd = usual / float(np.sqrt(2.0))
+    filled = np.interp(np.arange(force.size), np.flatnonzero(usable), force[usable])
+    resting = in_phase(trace, Phase.REST)
+    found |= {span: (height, False) for span, height in _small_pulses(filled, usable, resting, sd)}
     phase = np.asarray(trace.phase, dtype=np.int16)
     changes = np.flatnonzero(np.diff(phase))
-    pulses = []
+
+    def near_phase(begin: int, end: int) -> int | None:
+        near = CALM_SAMPLES + NEAR_EVENT_S * trace.sample_rate_hz + (end - begin)
+        beside = changes[np.abs(changes - (begin - 1)) <= near]
+        # What ends before the motion begins is not the motion's.
+        return int(phase[beside[0] + 1]) if beside.size and not resting[begin : end + 1].all() else None
+
+    return tuple(
+        ForcePulse(begin, end, height, dropout, near_phase(begin, end))
+        for (begin, end), (height, dropout) in sorted(found.items())
+    )
+
+
+def _jumps(steps: FloatArray, least: float) -> IndexArray:
+    """Return which steps are large, and larger by as much than those around: on a ramp every step is large."""
+    jumps = np.flatnonzero(np.abs(steps) > least)
+    first_near = np.clip(jumps - CALM_SAMPLES, 0, max(steps.size - 2 * CALM_SAMPLES - 1, 0))
+    around = np.minimum(first_near[:, None] + np.arange(2 * CALM_SAMPLES + 1), steps.size - 1)
+    return np.asarray(jumps[np.abs(steps[jumps] - np.median(steps[around], axis=1)) > least])
+
+
+def _large_pulses(
+    force: FloatArray, steps: FloatArray, jumps: IndexArray, usual: float, rate_hz: float
+) -> Iterator[tuple[tuple[int, int], tuple[float, bool]]]:
+    """Yield begin and end of pulses between large steps, with their height and whether they are dropouts."""
     for first, last in pairwise(jumps.tolist()):
         begin, end = first + 1, last + 1
         height = _pulse_height(force, steps, begin, end, CALM_SIGMAS * usual)
         short = end - begin <= MAX_IMPULSE_SAMPLES
-        if height == 0.0 or not (short or _is_constant(force[begin:end], trace.sample_rate_hz)):
-            continue
-        near = CALM_SAMPLES + NEAR_EVENT_S * trace.sample_rate_hz + (end - begin)
-        beside = changes[np.abs(changes - first) <= near]
-        near_phase = int(phase[beside[0] + 1]) if beside.size else None
-        pulses.append(ForcePulse(begin, end, height, not short, near_phase))
-    return tuple(pulses)
+        if height > 0.0 and (short or _is_constant(force[begin:end], rate_hz)):
+            yield (begin, end), (height, not short)
 
 
 def _is_constant(values: FloatArray, rate_hz: float) -> bool:
     return values.size <= MAX_DROPOUT_S * rate_hz and float(np.ptp(values)) == 0.0
+
+
+def _constant_spans(force: FloatArray, rate_hz: float) -> list[tuple[int, int]]:
+    """Return where a reading stays exactly constant for longer than noise and converter allow."""
+    equal = np.diff(force) == 0.0
+    # How often a sample that changed equals the next one: a dropout counts once, however long it is.
+    changed = ~equal[:-1]
+    share = float(np.mean(equal[1:][changed])) if changed.any() else 1.0
+    if share > MAX_EQUAL_SHARE:
+        return []
+    by_chance = 1.0 + np.log(CHANCE_DROPOUTS / force.size) / np.log(max(share, 1.0 / force.size))
+    shortest = max(MIN_DROPOUT_SAMPLES, by_chance)
+    spans = [(begin, stop + 1) for begin, stop in mask_spans(equal)]
+    return [(begin, end) for begin, end in spans if shortest <= end - begin <= MAX_DROPOUT_S * rate_hz]
+
+
+def _height_off_median(force: FloatArray, begin: int, end: int) -> float:
+    """Return how far a reading is off those before and after it, in the median."""
+    around = np.concatenate((force[max(begin - SIDE_SAMPLES, 0) : begin], force[end : end + SIDE_SAMPLES]))
+    around = around[np.isfinite(around)]
+    return abs(float(force[begin]) - float(np.median(around))) if around.size else 0.0
+
+
+def _small_pulses(force: FloatArray, usable: Mask, resting: Mask, sd: float) -> Iterator[tuple[tuple[int, int], float]]:
+    """Yield begin and end of the samples that are off the smooth force around them, with their height."""
+    from scipy.ndimage import binary_closing, median_filter
+
+    off = np.where(usable, force - median_filter(force, 2 * MAX_SMALL_SAMPLES + 1, mode="reflect"), 0.0)
+    suspect = np.abs(off) > SUSPECT_SIGMAS * sd
+    around = usable & ~suspect
+    # One sample that noise brings back does not end a pulse; the begin of the motion does.
+    parts = [suspect & part & (off * sign > 0) for part in (resting, ~resting) for sign in (1.0, -1.0)]
+    spans = [mask_spans(binary_closing(np.pad(part, 1), np.ones(3, dtype=np.bool_))[1:-1] & usable) for part in parts]
+    for begin, end in sorted(set().union(*spans)):
+        clearness = abs(float(off[begin:end].mean())) * np.sqrt(end - begin)
+        if end - begin <= MAX_SMALL_SAMPLES and clearness > (SMALL_SIGMAS - 1.0) * sd:
+            height = _height_off_smooth(force, around, resting, (begin, end), sd)
+            if height > 0.0:
+                yield (begin, end), height
+
+
+def _height_off_smooth(force: FloatArray, usable: Mask, resting: Mask, span: tuple[int, int], sd: float) -> float:
+    """Return how far samples are off the curve through those around them; 0 where these are not smooth."""
+    begin, end = span
+    one_sided = bool(resting[begin:end].all()) or min(begin, force.size - end) < MIN_SIDE_SAMPLES
+    count = (1 + one_sided) * SIDE_SAMPLES
+    first, last = max(begin - 2 * count, 0), min(end + 2 * count, force.size)
+    before, after = np.flatnonzero(usable[first:begin]) + first, np.flatnonzero(usable[end:last]) + end
+    near, degree = np.concatenate((before[-count:], after[:count])), 2
+    if one_sided:
+        near, degree = near[resting[near] == resting[begin]], 0 if resting[begin] else 1
+    if near.size < 2 * MIN_SIDE_SAMPLES or (not one_sided and min(before.size, after.size) < MIN_SIDE_SAMPLES):
+        return 0.0
+    middle = 0.5 * (begin + end - 1)
+    powers, inside = (np.vander((index - middle) / SIDE_SAMPLES, degree + 1) for index in (near, np.arange(begin, end)))
+    inverse = np.linalg.pinv(powers)
+    left = force[near] - powers @ (inverse @ force[near])
+    offs = force[begin:end] - inside @ (inverse @ force[near])
+    height = float(offs.mean())
+    height_sd = sd * float(np.sqrt(1.0 / offs.size + np.sum((inside @ inverse).mean(axis=0) ** 2)))
+    misfit = float(np.sqrt(np.sum(left**2) / (near.size - degree - 1)))
+    smooth = misfit < max(SMOOTH_SIGMAS * sd, SMOOTH_SHARE * abs(height))
+    clear = abs(height) > SMALL_SIGMAS * height_sd and bool(np.all(offs * height > 0))
+    return abs(height) if smooth and clear else 0.0
 
 
 def _usual_step(steps: FloatArray) -> float:

@@ -430,8 +430,8 @@ def _likely_effects(search: ForceSearchResult, min_llr: float, min_share: float)
 def _with_converged_nominal(search: ForceSearchResult) -> ForceSearchResult:
     """Return the search around a nominal model whose next step would gain little beside what the best effect does.
 
-    At high rates thousands of blocks resolve when friction sets in, and uncertainty and derivatives change on the way. A
-    gap that a further step of the nominal model would close then looks like any effect whose fit makes that step.
+    At high rates many blocks resolve when friction sets in, and uncertainty and derivatives change on the way. A gap
+    that a further step of the nominal model would close then looks like any effect whose fit makes that step.
     """
     study, z = search.study, search.nominal.z
     best_llr = max((best.llr for best in search.ranked), default=0.0)
