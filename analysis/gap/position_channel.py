@@ -32,6 +32,8 @@ BEFORE_S, AFTER_S = 0.05, 1.5
 RELATIVE_ROUNDING = 1e-9
 MOVING_START_RATIO = 0.5
 """A record whose first speed exceeds this fraction of its highest begins in motion; a ramp starts near 0."""
+JITTER_CHANCE_SIGMAS = 4.0
+"""A mean square of the clock's errors is larger than expected by so many of its standard deviations by chance."""
 MIN_ERROR_COUNTS = 0.7
 """Errors below this number of counts are the encoder's."""
 
@@ -66,6 +68,8 @@ class PositionErrors:
     """
     jitter_mm: float = 0.0
     """Rms error of the blocks from a clock whose sampling times scatter."""
+    jitter_chance_mm: float = 0.0
+    """Root of what the mean square error of few blocks exceeds that of the clock by, by chance."""
 
     @property
     def rms_mm(self) -> float:
@@ -81,7 +85,7 @@ class PositionErrors:
     @property
     def detectable_mm(self) -> float:
         """Smallest detectable error."""
-        return max(MIN_ERROR_COUNTS * self.encoder_count_mm, self.noise_mm, self.jitter_mm)
+        return max(MIN_ERROR_COUNTS * self.encoder_count_mm, self.noise_mm, self.jitter_mm, self.jitter_chance_mm)
 
     @property
     def noise_variance(self) -> float:
@@ -165,6 +169,7 @@ def _errors_of_run(experiment: Experiment, session_s: float | None, origin_mm: f
     def means(values: FloatArray) -> FloatArray:
         return np.asarray(np.add.reduceat(values[inside], edges) / count)
 
+    jitter_variance = experiment.clock_jitter_s**2 * means(velocity**2) / count
     return PositionErrors(
         experiment,
         means(time),
@@ -177,7 +182,8 @@ def _errors_of_run(experiment: Experiment, session_s: float | None, origin_mm: f
         initial_speed,
         experiment.count_mm,
         wander_noise_sd_mm(experiment.wander_mm, experiment.count_mm),
-        experiment.clock_jitter_s * float(np.sqrt(np.mean(means(velocity**2) / count))),
+        float(np.sqrt(np.mean(jitter_variance))),
+        float(np.sqrt(JITTER_CHANCE_SIGMAS * np.sqrt(2.0 * np.sum(jitter_variance**2)) / count.size)),
     )
 
 
