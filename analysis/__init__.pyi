@@ -70,6 +70,7 @@ from .linear_gaussian import PriorScales as PriorScales
 from .linear_gaussian import Whitening as Whitening
 from .linear_gaussian import is_at_bound as is_at_bound
 from .linear_gaussian import prepare_channels as prepare_channels
+from .linear_gaussian import repeat_differences as repeat_differences
 from .linear_gaussian import solve_joint as solve_joint
 from .linear_gaussian import zero_remarks as zero_remarks
 from .measures import UNREADABLE as UNREADABLE

@@ -14,10 +14,17 @@ from typing import TypeVar, cast
 import numpy as np
 
 from dragrig.analysis.models import Experiment, NominalModel, Parameter, Prediction, Predictor
-from dragrig.analysis.noise import BlockMeans, NoiseModel, added_white_in_motion, average_in_blocks, estimate_noise
+from dragrig.analysis.noise import (
+    BlockMeans,
+    NoiseModel,
+    RepeatDifference,
+    added_white_in_motion,
+    average_in_blocks,
+    estimate_noise,
+)
 from dragrig.analysis.selection import RunSelection
 from dragrig.config import AnalysisError
-from dragrig.rig import BoolArray, FloatArray
+from dragrig.rig import BoolArray, Contact, FloatArray
 
 ItemT = TypeVar("ItemT")
 
@@ -251,7 +258,10 @@ class JointProblem:
                 "another model with --nominal."
             )
         names = dict.fromkeys(blocks.channel for blocks in channels)
-        noises = {name: estimate_noise(experiments, name) for name in names}
+        noises = {
+            name: estimate_noise(experiments, name, repeats=repeat_differences(channels, name, nominal))
+            for name in names
+        }
         added = {name: added_white_in_motion(experiments, name) for name in names}
         channels = tuple(replace(blocks, moving_white=added[blocks.channel]) for blocks in channels)
         zero_sds = {name: _zero_sd(channels, name, nominal) for name in names}
@@ -355,6 +365,45 @@ class JointProblem:
                     f"{blocks.experiment.file} at values within the fit's bounds; give its parameters narrower priors, "
                     "or correct the model."
                 )
+
+
+MIN_REPEAT_BLOCK_S, MIN_REPEAT_BLOCKS = 0.02, 20
+"""Shorter blocks follow an event, whose instant differs by a part of a sample between repeats."""
+MIN_SIGNATURE_SHARE = 1e-6
+"""Smaller singular values of the signatures of zero and factors are of columns that depend on each other."""
+
+
+def repeat_differences(
+    channels: Sequence[ChannelBlocks], channel: str, nominal: NominalModel
+) -> tuple[RepeatDifference, ...]:
+    """Return what successive repeats of a sliding run differ by.
+
+    Repeats of a specimen that sticks are left out: it is strained again before it has recovered.
+    """
+    values = np.array([parameter.nominal for parameter in nominal.parameters])
+    latest: dict[Hashable, ChannelBlocks] = {}
+    differences = []
+    for blocks in channels:
+        if blocks.channel != channel or blocks.experiment.contact is Contact.STICKING:
+            continue
+        before, latest[blocks.equivalence_key] = latest.get(blocks.equivalence_key), blocks
+        if before is None:
+            continue
+        layout = blocks.blocks
+        long = layout.end_s - layout.start_s >= MIN_REPEAT_BLOCK_S
+        if np.count_nonzero(long) >= MIN_REPEAT_BLOCKS:
+            signatures = np.vstack((np.ones(long.size), blocks.predict(values).varying))[:, long].T
+            directions, sizes, _ = np.linalg.svd(signatures, full_matrices=False)
+            differences.append(
+                RepeatDifference(
+                    layout.start_s[long],
+                    layout.end_s[long],
+                    layout.samples[long],
+                    layout.mean[long] - before.blocks.mean[long],
+                    np.asarray(directions[:, sizes > MIN_SIGNATURE_SHARE * sizes[0]]),
+                )
+            )
+    return tuple(differences)
 
 
 def _zero_sd(channels: Sequence[ChannelBlocks], channel: str, nominal: NominalModel) -> float:

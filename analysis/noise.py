@@ -7,6 +7,7 @@ holds, from which a cubic is subtracted; from slow steady motion too, where it s
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -164,8 +165,26 @@ class _BlockLayout:
     degree: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RepeatDifference:
+    """Block means of a run less those of a repeat: noise, and what either run is off by as a whole."""
+
+    start_s: FloatArray
+    end_s: FloatArray
+    samples: FloatArray
+    """`start_s`, `end_s`, `samples`: start, end and samples of the blocks, shape `(B,)`."""
+    difference: FloatArray
+    """Shape `(B,)`."""
+    signatures: FloatArray
+    """What the runs' own zeros and factors change, shape `(B, k)`."""
+
+
 def estimate_noise(
-    experiments: Iterable[Experiment], channel: str, hum: float = 0.0, hum_hz: float = 0.0
+    experiments: Iterable[Experiment],
+    channel: str,
+    hum: float = 0.0,
+    hum_hz: float = 0.0,
+    repeats: Sequence[RepeatDifference] = (),
 ) -> NoiseModel:
     """Estimate a channel's noise from all stretches in which it should be constant or merely relaxes.
 
@@ -178,6 +197,9 @@ def estimate_noise(
     ----------
     hum, hum_hz
         Amplitude and frequency of a known line, which is removed first; 0 for none.
+    repeats
+        What repeats differ by: over the length of a run they show noise that is slower than rests are long. It counts
+        as far as the rests may have the same noise.
     """
     runs = tuple(experiments)
     squares, count, largest = 0.0, 0, 0.0
@@ -203,7 +225,7 @@ def estimate_noise(
             slow, correlation_s = _fit_slow_noise(groups, white)
     # Differences of neighbours hold two independent numbers in three.
     noise = NoiseModel(white, slow, correlation_s, count * 2 // 3, hum, hum_hz if hum > 0 else 0.0)
-    return _with_flicker(noise, groups) if groups else noise
+    return _with_flicker(noise, groups, repeats) if groups else noise
 
 
 def _difference_squares(differences: FloatArray) -> tuple[float, int]:
@@ -377,43 +399,108 @@ def _fit_slow_noise(groups: dict[_BlockLayout, list[FloatArray]], white: float) 
     return white * float(ratio), float(np.clip(correlation, 0.01, MAX_CORRELATION_S))
 
 
-def _with_flicker(noise: NoiseModel, groups: dict[_BlockLayout, list[FloatArray]]) -> NoiseModel:
-    """Return the noise with 1/f noise in it where stretches are likelier with it."""
-    from scipy.optimize import minimize
+@dataclass(frozen=True, eq=False)
+class _SlowNoiseSearch:
+    """Search for the slow noise that stretches and differences of repeats show."""
 
-    stacks = [_coarser(layout, np.array(means)) for layout, means in groups.items()]
-    step_s = min(layout.width_s / layout.samples for layout, _ in stacks)
-    without_line = replace(noise, hum=0.0, step_s=step_s)
-    start = np.log([max(noise.slow / noise.white, 0.05), noise.correlation_s, 0.3])
+    noise: NoiseModel
+    """As the rests show it without 1/f noise."""
+    stacks: Sequence[tuple[_BlockLayout, FloatArray]]
+    repeats: Sequence[RepeatDifference]
 
-    def noise_at(logs: FloatArray) -> NoiseModel:
-        slow, flicker = (noise.white * float(np.exp(np.clip(value, -6.0, 3.0))) for value in (logs[0], logs[2]))
+    @cached_property
+    def step_s(self) -> float:
+        """Time between samples."""
+        return min(layout.width_s / layout.samples for layout, _ in self.stacks)
+
+    @cached_property
+    def start(self) -> FloatArray:
+        """Logarithms of slow noise over white noise, its correlation time, and 1/f noise of a usual size."""
+        noise = self.noise
+        return np.log([max(noise.slow / noise.white, 0.05), noise.correlation_s, 0.3])
+
+    def noise_at(self, logs: FloatArray) -> NoiseModel:
+        """Return the noise with these logarithms; two of them are without 1/f noise."""
+        white = self.noise.white
+        slow = white * float(np.exp(np.clip(logs[0], -6.0, 3.0)))
+        flicker = white * float(np.exp(np.clip(logs[2], -6.0, 3.0))) if logs.size > 2 else 0.0
         correlation_s = float(np.exp(np.clip(logs[1], np.log(0.01), np.log(MAX_CORRELATION_S))))
-        # What neighbouring samples differ by is white noise, and the fast part of the 1/f noise.
-        fast = flicker**2 * float(-np.sum(np.expm1(-step_s / np.array(without_line.flicker_times_s))))
-        white = np.sqrt(max(noise.white**2 - fast, (MIN_WHITE_PART * noise.white) ** 2))
-        return replace(without_line, white=float(white), slow=slow, correlation_s=correlation_s, flicker=flicker)
+        noise = replace(
+            self.noise, hum=0.0, step_s=self.step_s, slow=slow, correlation_s=correlation_s, flicker=flicker
+        )
+        # What neighbouring samples differ by is white noise, and the fast part of the others.
+        fast = flicker**2 * float(-np.sum(np.expm1(-self.step_s / np.array(noise.flicker_times_s))))
+        fast -= slow**2 * float(np.expm1(-self.step_s / correlation_s))
+        return replace(noise, white=float(np.sqrt(max(white**2 - fast, (MIN_WHITE_PART * white) ** 2))))
 
-    def misfit(logs: FloatArray) -> float:
-        prior = ((logs - start) / np.log(3.0)) ** 2
-        return _dense_likelihood(noise_at(logs), stacks) + float(prior[:2].sum() + prior[2] / 4.0)
+    def at_rest(self, noise: NoiseModel) -> float:
+        """−2 log likelihood of the stretches."""
+        return _dense_likelihood(noise, self.stacks)
 
-    without = _dense_likelihood(without_line, stacks)
-    tried = [start + np.log(factors) for factors in FIRST_FLICKER_FACTORS]
-    likelihoods = [_dense_likelihood(noise_at(logs), stacks) for logs in tried]
-    if min(likelihoods) > without + MAX_FIRST_LOSS:
+    def likelihood(self, noise: NoiseModel) -> float:
+        """−2 log likelihood of the stretches and of the differences of repeats."""
+        with_line = replace(noise, hum=self.noise.hum)
+        return self.at_rest(noise) + sum(_repeat_likelihood(with_line, repeat) for repeat in self.repeats)
+
+    def optimum(self, first: FloatArray, steps: FloatArray, evaluations: int) -> NoiseModel:
+        """Return the likeliest noise, searched from some logarithms on."""
+        from scipy.optimize import minimize
+
+        def misfit(logs: FloatArray) -> float:
+            # A weak prior, a factor of three either way, for stretches that show little; weaker for 1/f noise.
+            prior = ((logs - self.start[: logs.size]) / np.log(3.0)) ** 2
+            return self.likelihood(self.noise_at(logs)) + float(prior[:2].sum() + prior[2:].sum() / 4.0)
+
+        simplex = np.asarray(first + np.vstack((np.zeros(first.size), np.diag(steps))), dtype=np.float64)
+        found = minimize(
+            misfit,
+            first,
+            method="Nelder-Mead",
+            options={"xatol": 0.05, "fatol": 0.1, "maxfev": evaluations, "initial_simplex": simplex},
+        )
+        return self.noise_at(found.x)
+
+
+def _with_flicker(
+    noise: NoiseModel, groups: dict[_BlockLayout, list[FloatArray]], repeats: Sequence[RepeatDifference]
+) -> NoiseModel:
+    """Return the noise with 1/f noise in it where stretches, and what repeats differ by, are likelier with it."""
+    stacks = [_coarser(layout, np.array(means)) for layout, means in groups.items()]
+    search = _SlowNoiseSearch(noise, stacks, repeats)
+    known = search.noise_at(search.start[:2])
+    without = search.likelihood(known)
+    tried = [search.start + np.log(factors) for factors in FIRST_FLICKER_FACTORS]
+    likelihoods = [search.likelihood(search.noise_at(logs)) for logs in tried]
+    if min(likelihoods) > without + (0.0 if repeats else MAX_FIRST_LOSS):
         return noise
-    best = tried[int(np.argmin(likelihoods))]
-    simplex = np.asarray(best + np.vstack((np.zeros(3), np.diag([-0.4, 0.6, 0.6]))), dtype=np.float64)
-    optimum = minimize(
-        misfit,
-        best,
-        method="Nelder-Mead",
-        options={"xatol": 0.05, "fatol": 0.1, "maxfev": 160, "initial_simplex": simplex},
-    )
-    if without - _dense_likelihood(noise_at(optimum.x), stacks) < MIN_FLICKER_GAIN:
+    found = search.optimum(tried[int(np.argmin(likelihoods))], np.array([-0.4, 0.6, 0.6]), 160)
+    if repeats:
+        # Noise that merely lasts longer than the rests show is no 1/f noise.
+        slower = search.optimum(search.start[:2] + np.array([0.2, 0.7]), np.array([-0.4, 0.6]), 80)
+        without = min(without, search.likelihood(slower))
+        known = slower if search.likelihood(slower) <= without else known
+        if without - search.likelihood(found) < MIN_FLICKER_GAIN:
+            found, without = known, np.inf
+        # What repeats differ by may be what they do, as a specimen that ages; the rests know no such noise.
+        if search.at_rest(found) - search.at_rest(search.noise_at(search.start[:2])) > MAX_POOLING_LOSS:
+            return replace(_with_flicker(noise, groups, ()), hum=noise.hum)
+    if without - search.likelihood(found) < MIN_FLICKER_GAIN:
         return noise
-    return replace(noise_at(optimum.x), hum=noise.hum)
+    return replace(found, hum=noise.hum)
+
+
+def _repeat_likelihood(noise: NoiseModel, repeat: RepeatDifference) -> float:
+    """−2 log restricted likelihood of what two repeats differ by."""
+    from scipy.linalg import cholesky, solve_triangular
+
+    covariance = 2.0 * noise.covariance(repeat.start_s, repeat.end_s, repeat.samples)
+    root = cholesky(covariance, lower=True, check_finite=False)
+    columns = np.column_stack((repeat.signatures, repeat.difference))
+    whitened = solve_triangular(root, columns, lower=True, check_finite=False)
+    basis, triangle = np.linalg.qr(whitened[:, :-1])
+    residual = whitened[:, -1]
+    logs = np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(triangle)) + 1e-300).sum()
+    return float(residual @ residual - np.sum((basis.T @ residual) ** 2) + 2 * logs)
 
 
 def _coarser(layout: _BlockLayout, means: FloatArray) -> tuple[_BlockLayout, FloatArray]:

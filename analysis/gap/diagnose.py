@@ -15,6 +15,7 @@ from dragrig.analysis import (
     RunSelection,
     estimate_noise,
     no_progress,
+    repeat_differences,
     single_blas_thread,
 )
 from dragrig.analysis.gap.budget import CausesOfGap, gap_budget, restate
@@ -97,9 +98,11 @@ def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: Spe
     """
     if not mains_hum_present(lines.mains.llr, lines.non_mains.llr):
         return study
-    noise = estimate_noise(experiments, study.channel, lines.mains.amplitude, lines.mains.frequency_hz)
-    noises = tuple(noise for _ in study.problem.noises)
-    return replace(study, problem=replace(study.problem, noises=noises))
+    problem = study.problem
+    repeats = repeat_differences(problem.channels, study.channel, problem.nominal)
+    noise = estimate_noise(experiments, study.channel, lines.mains.amplitude, lines.mains.frequency_hz, repeats)
+    noises = tuple(noise for _ in problem.noises)
+    return replace(study, problem=replace(problem, noises=noises))
 
 
 MAX_FURTHER_LAWS = 3
