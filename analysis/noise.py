@@ -69,6 +69,11 @@ MIN_WHITE_PART = 0.1
 """Smallest part of the differences between samples that is white noise, in standard deviations."""
 LINE_COHERENCE_S = 1.0
 """Time over which a line stays coherent with its stated frequency."""
+MAINS_HZ, MAINS_WANDER_HZ, MAX_SLOW_ALIAS_HZ = (50.0, 60.0), 0.03, 0.2
+"""Mains frequencies, how far they are off at any time, one standard deviation, and the highest frequency as which slow
+sampling shows them that no rest is long enough for."""
+MAINS_AMPLITUDES = (0.4, 0.7, 1.0, 1.5, 2.0)
+"""Amplitudes of such a line that are tried, relative to white noise."""
 LINE_FIT_S = 0.5
 """A line is removed with amplitude and phase of its own in pieces of this length."""
 
@@ -86,7 +91,9 @@ class NoiseModel:
     """Independent numbers of the estimate; 0 where the noise was assumed."""
     hum: float = 0.0
     hum_hz: float = 0.0
-    """`hum`, `hum_hz`: amplitude and frequency of a known line, 0 for none; its phase is not known."""
+    """`hum`, `hum_hz`: amplitude and frequency of a known line, 0 for none; its phase is not known. A frequency of 0 is
+    of the mains sampled at its own rate, which wander about each other.
+    """
     flicker: float = 0.0
     step_s: float = 0.0
     """`flicker`, `step_s`: standard deviation of 1/f noise within each of `FLICKER_TIMES_S`, 0 for none, and the time
@@ -101,7 +108,8 @@ class NoiseModel:
     @property
     def slow_sd(self) -> float:
         """Standard deviation of all slow noise."""
-        return float(np.hypot(self.slow, np.sqrt(len(self.flicker_times_s)) * self.flicker))
+        of_mains = self.hum / np.sqrt(2.0) if self.hum_hz == 0.0 else 0.0
+        return float(np.linalg.norm([self.slow, np.sqrt(len(self.flicker_times_s)) * self.flicker, of_mains]))
 
     def covariance(self, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the covariance of means over successive stretches of time, shapes `(B,)` to `(B, B)`."""
@@ -120,7 +128,10 @@ class NoiseModel:
             middle = 0.5 * (start_s + end_s)
             lag = np.abs(middle[:, None] - middle[None, :])
             attenuation = np.sinc(self.hum_hz * (end_s - start_s))
-            wave = np.cos(2 * np.pi * self.hum_hz * lag) * np.exp(-lag / LINE_COHERENCE_S)
+            coherence = np.exp(-lag / LINE_COHERENCE_S)
+            if self.hum_hz == 0.0:
+                coherence = np.exp(-0.5 * (2 * np.pi * MAINS_WANDER_HZ * lag) ** 2)
+            wave = np.cos(2 * np.pi * self.hum_hz * lag) * coherence
             covariance += 0.5 * self.hum**2 * wave * attenuation[:, None] * attenuation[None, :]
         return np.asarray(covariance)
 
@@ -433,13 +444,22 @@ class _SlowNoiseSearch:
         fast -= slow**2 * float(np.expm1(-self.step_s / correlation_s))
         return replace(noise, white=float(np.sqrt(max(white**2 - fast, (MIN_WHITE_PART * white) ** 2))))
 
+    @property
+    def rivals(self) -> Iterator[NoiseModel]:
+        """Yield what 1/f noise may be instead: longer correlation, and the mains where sampling shows it as a drift."""
+        yield self.optimum(self.start[:2] + np.array([0.2, 0.7]), np.array([-0.4, 0.6]), 80)
+        turns = np.array(MAINS_HZ) * self.step_s
+        if self.noise.hum == 0 and np.any(np.abs(turns - np.round(turns)) < MAX_SLOW_ALIAS_HZ * self.step_s):
+            at_rest = self.noise_at(self.start[:2])
+            yield from (replace(at_rest, hum=share * self.noise.white, hum_hz=0.0) for share in MAINS_AMPLITUDES)
+
     def at_rest(self, noise: NoiseModel) -> float:
         """−2 log likelihood of the stretches."""
         return _dense_likelihood(noise, self.stacks)
 
     def likelihood(self, noise: NoiseModel) -> float:
         """−2 log likelihood of the stretches and of the differences of repeats."""
-        with_line = replace(noise, hum=self.noise.hum)
+        with_line = noise if noise.hum > 0 else replace(noise, hum=self.noise.hum)
         return self.at_rest(noise) + sum(_repeat_likelihood(with_line, repeat) for repeat in self.repeats)
 
     def optimum(self, first: FloatArray, steps: FloatArray, evaluations: int) -> NoiseModel:
@@ -467,26 +487,26 @@ def _with_flicker(
     """Return the noise with 1/f noise in it where stretches, and what repeats differ by, are likelier with it."""
     stacks = [_coarser(layout, np.array(means)) for layout, means in groups.items()]
     search = _SlowNoiseSearch(noise, stacks, repeats)
-    known = search.noise_at(search.start[:2])
-    without = search.likelihood(known)
+    at_rest = search.noise_at(search.start[:2])
+    without = search.likelihood(at_rest)
     tried = [search.start + np.log(factors) for factors in FIRST_FLICKER_FACTORS]
     likelihoods = [search.likelihood(search.noise_at(logs)) for logs in tried]
     if min(likelihoods) > without + (0.0 if repeats else MAX_FIRST_LOSS):
         return noise
     found = search.optimum(tried[int(np.argmin(likelihoods))], np.array([-0.4, 0.6, 0.6]), 160)
     if repeats:
-        # Noise that merely lasts longer than the rests show is no 1/f noise.
-        slower = search.optimum(search.start[:2] + np.array([0.2, 0.7]), np.array([-0.4, 0.6]), 80)
-        without = min(without, search.likelihood(slower))
-        known = slower if search.likelihood(slower) <= without else known
-        if without - search.likelihood(found) < MIN_FLICKER_GAIN:
-            found, without = known, np.inf
+        found = min((found, *search.rivals), key=lambda rival: search.likelihood(rival) - _handicap(rival))
         # What repeats differ by may be what they do, as a specimen that ages; the rests know no such noise.
-        if search.at_rest(found) - search.at_rest(search.noise_at(search.start[:2])) > MAX_POOLING_LOSS:
-            return replace(_with_flicker(noise, groups, ()), hum=noise.hum)
+        if search.at_rest(found) - search.at_rest(at_rest) > MAX_POOLING_LOSS:
+            return _with_flicker(noise, groups, ())
     if without - search.likelihood(found) < MIN_FLICKER_GAIN:
         return noise
-    return replace(found, hum=noise.hum)
+    return found if found.hum > 0 else replace(found, hum=noise.hum)
+
+
+def _handicap(noise: NoiseModel) -> float:
+    """Return what noise without 1/f noise is ahead by where both are as likely."""
+    return MIN_FLICKER_GAIN if noise.flicker == 0 else 0.0
 
 
 def _repeat_likelihood(noise: NoiseModel, repeat: RepeatDifference) -> float:

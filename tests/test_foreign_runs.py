@@ -235,7 +235,7 @@ def strip_model(folder: Path, parts: str = "") -> Path:
 def known_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the noise be known, whatever a force that relaxes throughout shows of it."""
     noise = NoiseModel(white=1.0, slow=0.3, correlation_s=0.2, degrees=500)
-    monkeypatch.setattr(linear_gaussian, "estimate_noise", lambda *_: noise)
+    monkeypatch.setattr(linear_gaussian, "estimate_noise", lambda *_, **__: noise)
 
 
 @pytest.mark.parametrize(("rest_s", "strains"), [(0.0, (4.0,)), (1.0, (4.0,)), (1.0, (2.0, 3.0, 4.0, 5.0, 6.0))])

@@ -367,7 +367,7 @@ def _split_run(
     own = run_factor_force(rest, run.whitening, zero_sd, MAX_OWN_SIGMAS)
     gap = gap - own - run_zero_offset(rest - own, run.whitening, zero_sd)
     blocks = study.runs[index].block_data.blocks
-    variance = noise.white**2 / blocks.samples + noise.slow**2 + run.motion_sd**2
+    variance = noise.white**2 / blocks.samples + noise.slow_sd**2 + run.motion_sd**2
     return _Contributions(gap, parts, variance, study.runs[index].coordinates.width_s)
 
 
