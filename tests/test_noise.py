@@ -1,15 +1,17 @@
 """Noise as rigs have it is told from what stage and specimen do: jitter, slow sampling, 1/f noise, impulses."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from relaxations import relaxation
 from sliding_runs import noise, slid
 
 from dragrig.analysis.gap.position_channel import position_errors
 from dragrig.analysis.gap.spectral_lines import SpectralLine, SpectralLines, lines_that_matter
-from dragrig.analysis.linear_gaussian import JointProblem, prepare_channels
+from dragrig.analysis.linear_gaussian import JointProblem, prepare_channels, repeat_differences
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.noise import FLICKER_TIMES_S, NoiseModel, estimate_noise
@@ -251,3 +253,112 @@ def test_noise_that_motion_adds_is_read_from_the_motion(factor: float) -> None:
     expected = added / np.sqrt(blocks.blocks.samples)
     assert blocks.uncertainty(NOMINAL)[steady] == pytest.approx(expected[steady], rel=0.1, abs=0.02)
     assert problem.noises[0].white == pytest.approx(1.5, rel=0.05)
+
+
+def with_rests(run: Run, seed: int, slow: FloatArray) -> Run:
+    """A run whose sensor has noise of 1 mN and slower noise besides."""
+    white = np.random.default_rng(seed).normal(size=slow.size)
+    return changed(run, "force", np.asarray(run.trace.force) + white + slow)
+
+
+@pytest.mark.parametrize("sd_mN", [0.0, 1.5])
+def test_what_repeats_differ_by_shows_noise_that_is_slower_than_the_rests(sd_mN: float) -> None:
+    random = np.random.default_rng(7)
+    runs = [slower(slid("drag", 1.0, repeat=repeat), 10) for repeat in range(6)]
+    size = runs[0].trace.time.size
+    noisy = [with_rests(run, seed, pink(10 * size, random, sd_mN)[::10]) for seed, run in enumerate(runs)]
+    experiments = [Experiment(run) for run in noisy]
+    repeats = repeat_differences(tuple(prepare_channels(experiments, MODEL)), "force", MODEL)
+    assert len(repeats) == 5
+    found = estimate_noise(experiments, "force", repeats=repeats)
+    expected = sd_mN * np.sqrt(np.log(4.0) / np.log(250.0 / 0.02))
+    assert found.flicker == pytest.approx(expected, rel=0.4, abs=0.05)
+    assert found.slow_sd == pytest.approx(sd_mN, rel=0.3, abs=0.4)
+
+
+def test_what_a_specimen_does_between_repeats_is_no_noise() -> None:
+    runs = [slower(slid("drag", 1.0, repeat=repeat), 10) for repeat in range(4)]
+    swinging = []
+    for seed, run in enumerate(runs):
+        moves = np.asarray(run.trace.phase) == int(Phase.STEADY)
+        swing = 6.0 * moves * np.sin(2 * np.pi * run.trace.time / 8.0 + 2.0 * seed)
+        swinging.append(Experiment(with_rests(run, seed, np.asarray(swing))))
+    repeats = repeat_differences(tuple(prepare_channels(swinging, MODEL)), "force", MODEL)
+    assert estimate_noise(swinging, "force", repeats=repeats).slow_sd < 0.6
+
+
+def test_the_mains_sampled_at_its_own_rate_is_hum_and_no_drift() -> None:
+    runs = [slower(slid("drag", 1.0, repeat=repeat), 10) for repeat in range(6)]
+    random = np.random.default_rng(9)
+    humming = []
+    for seed, run in enumerate(runs):
+        hertz, turn = 50.0 + 0.03 * random.standard_normal(), random.random()
+        hum = 1.5 * np.sin(2 * np.pi * (hertz * run.trace.time + turn))
+        humming.append(Experiment(with_rests(run, seed, np.asarray(hum))))
+    repeats = repeat_differences(tuple(prepare_channels(humming, MODEL)), "force", MODEL)
+    found = estimate_noise(humming, "force", repeats=repeats)
+    assert (found.flicker, found.hum_hz) == (0.0, 0.0)
+    assert found.hum == pytest.approx(1.5, rel=0.4)
+    assert found.slow_sd == pytest.approx(1.5 / np.sqrt(2.0), rel=0.4)
+
+
+def pulsed(pulses: Mapping[int, tuple[int, float]], seed: int = 0) -> tuple[Run, NDArray[np.bool_]]:
+    """A drag at 50 Hz with pulses of some samples and heights, by where they begin; and which samples they are."""
+    run = slower(slid("drag", 1.0, seed=seed), 10)
+    force = np.asarray(run.trace.force, dtype=np.float64).copy()
+    off = np.zeros(force.size, dtype=np.bool_)
+    for begin, (count, height_mN) in pulses.items():
+        force[begin : begin + count] += height_mN
+        off[begin : begin + count] = True
+    return changed(run, "force", force), off
+
+
+@pytest.mark.parametrize(
+    "pulses",
+    [
+        {900: (3, 9.0)},
+        {900: (1, 15.0)},
+        {900: (2, 60.0), 906: (3, -45.0)},
+        {900: (2, 60.0), 902: (3, 35.0)},
+        {46: (3, -300.0)},
+        {0: (2, 40.0)},
+        {-3: (3, 30.0)},
+    ],
+    ids=["small", "single", "two", "two in succession", "before the motion", "at the begin", "at the end"],
+)
+def test_impulses_are_found_at_low_rates_too(pulses: dict[int, tuple[int, float]]) -> None:
+    size = pulsed({})[1].size
+    run, off = pulsed({begin % size: value for begin, value in pulses.items()})
+    (experiment,) = select_loaded_runs([run]).experiments
+    assert np.flatnonzero(experiment.faulty).tolist() == np.flatnonzero(off).tolist()
+
+
+def test_a_clean_record_has_no_faults() -> None:
+    for seed in range(6):
+        for run in (slid("drag", 60.0, seed=seed), relaxation(seed=seed), sheared(seed)):
+            for step in (1, 5, 10):
+                (experiment,) = select_loaded_runs([slower(run, step)]).experiments
+                assert not experiment.faulty.any()
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["zero", "held"])
+def test_a_dropout_of_150_ms_is_found_by_its_constant_reading(held: bool) -> None:
+    run = disturbed(0)
+    force = np.round(np.asarray(run.trace.force, dtype=np.float64) / 0.3) * 0.3
+    force[800:875] = force[799] if held else 0.0
+    (experiment,) = select_loaded_runs([changed(run, "force", force)]).experiments
+    first = 799 if held else 800
+    assert np.flatnonzero(experiment.faulty).tolist() == list(range(first, 875))
+    (fault,) = experiment.faults
+    assert fault.dropout
+
+
+def test_a_short_motion_shows_a_jitter_with_the_chance_of_few_samples() -> None:
+    for seed in range(40):
+        run = slower(slid("coulomb", 20.0, travel_mm=1.5), 2)
+        velocity = np.gradient(np.asarray(run.trace.command), run.trace.time)
+        jittering = replace(
+            with_position(run, velocity * np.random.default_rng(seed).normal(0.0, 2e-4, velocity.size)),
+            shared_jitter_s=2e-4,
+        )
+        assert not any(errors.has_position_error for errors in position_errors([jittering]))
