@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from hidden import hidden
 
-from dragrig.analysis.gap.design import Candidate, Design, Study, linearise
+from dragrig.analysis.gap import forward_selection
+from dragrig.analysis.gap.design import Candidate, Design, ParameterPoint, Study, gain_of_step, linearise
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
-from dragrig.analysis.gap.forward_selection import FORM_ERROR_SD, inflate_by_form_error
+from dragrig.analysis.gap.forward_selection import FORM_ERROR_SD, MAX_NOMINAL_GAIN, inflate_by_form_error
+from dragrig.analysis.gap.hypothesis_fit import fit_hypothesis
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
@@ -80,3 +82,26 @@ def test_a_weak_effect_is_named_beside_a_strong_one(tmp_path: Path, seed: int, s
 def test_an_effect_is_named_beside_hum_that_is_louder(tmp_path: Path) -> None:
     diagnosis = diagnose(hidden(tmp_path, 43, "mains_hum", "tissue_ageing"), MODEL)
     assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, {"mains_hum", "tissue_ageing"})
+
+
+def test_the_nominal_model_converges_before_an_effect_is_tried(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    def first_step_alone(study: Study, start: ParameterPoint, steps: int, reference: Design) -> ParameterPoint:
+        del study, start, steps
+        return ParameterPoint(reference.z + 0.5)
+
+    far = linearise(study, study.initial_z + 0.5)
+    assert gain_of_step(far) > MAX_NOMINAL_GAIN
+    monkeypatch.setattr(forward_selection, "gauss_newton", first_step_alone)
+    monkeypatch.setattr(forward_selection, "MIN_EXCESS_SIGMAS", -100.0)
+    search = forward_selection.search_effects(study)
+    best = max(entry.llr for entry in search.ranked)
+    allowed = max(MAX_NOMINAL_GAIN, forward_selection.MAX_NOMINAL_GAIN_SHARE * best)
+    assert gain_of_step(linearise(study, search.nominal.z)) < 1.5 * allowed
+
+
+def test_what_the_nominal_parameters_do_is_not_the_change_by_an_effect(study: Study) -> None:
+    effect = catalogue()["breakaway"]
+    nominal = linearise(study, study.initial_z)
+    small = Candidate(effect, {**effect.defaults, effect.size.name: 1e-4 * effect.defaults[effect.size.name]})
+    fit = fit_hypothesis(study, ParameterPoint(study.initial_z + 1.0, (small,)), nominal)[0]
+    assert fit.change_mN < 0.1
