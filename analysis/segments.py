@@ -33,9 +33,9 @@ MIN_PULSE_STEPS = 60
 MAX_IMPULSE_SAMPLES = 3
 MAX_DROPOUT_S = 0.25
 """Longest time for which a reading stays exactly constant and is still taken for a dropout."""
-MIN_DROPOUT_SAMPLES, CHANCE_DROPOUTS, MAX_EQUAL_SHARE = 5, 1e-3, 0.9
-"""A constant reading is a dropout where chance makes so few of its length in a record, and the record is no cleaner
-than that this share of its samples equal their neighbours."""
+MIN_DROPOUT_SAMPLES, CHANCE_DROPOUTS, MAX_EQUAL_SHARE = 5, 1e-3, 0.3
+"""A constant reading is a dropout where chance makes so few of its length in a record, and where no more than this
+share of samples equal their neighbours: a coarse converter rests on a count as slow noise wanders."""
 CALM_SAMPLES, CALM_SHARE, CALM_SIGMAS = 4, 0.3, 3.0
 """Before and after a pulse so many steps are smaller than this share of it, or than so many usual ones."""
 SMALL_SIGMAS, SUSPECT_SIGMAS, MAX_SMALL_SAMPLES = 6.0, 3.5, 6

@@ -353,6 +353,14 @@ def test_a_dropout_of_150_ms_is_found_by_its_constant_reading(held: bool) -> Non
     assert fault.dropout
 
 
+@pytest.mark.parametrize("count_mN", [0.3, 1.2, 4.9])
+def test_a_coarse_converter_has_no_dropouts(count_mN: float) -> None:
+    for seed in range(4):
+        run = slid("drag", 1.0, seed=seed)
+        force = np.round(np.asarray(run.trace.force, dtype=np.float64) / count_mN) * count_mN
+        assert not select_loaded_runs([changed(run, "force", force)]).experiments[0].faulty.any()
+
+
 def test_a_short_motion_shows_a_jitter_with_the_chance_of_few_samples() -> None:
     for seed in range(40):
         run = slower(slid("coulomb", 20.0, travel_mm=1.5), 2)

@@ -713,11 +713,16 @@ def gauss_newton_step(design: Design) -> ParameterPoint:
     return ParameterPoint(z, tuple(candidates))
 
 
+def misfit_here(design: Design) -> float:
+    """Return −2 log posterior density at a design's nominal parameters, but for a constant."""
+    at_point = fit_columns(design, design.total_gram(), ColumnKind.MODEL_ERROR).chi2
+    return at_point + float(design.z @ design.z) + design.log_det
+
+
 def gain_of_step(design: Design) -> float:
     """Return by how much a step of the nominal parameters would lower chi-square, priors included."""
-    total = design.total_gram()
-    here = fit_columns(design, total, ColumnKind.MODEL_ERROR).chi2 + float(design.z @ design.z)
-    return here - fit_columns(design, total, ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR).chi2
+    after = fit_columns(design, design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR).chi2
+    return misfit_here(design) - design.log_det - after
 
 
 def joint_fit(design: Design, variants: Sequence[int]) -> tuple[FloatArray, FloatArray]:

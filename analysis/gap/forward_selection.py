@@ -24,6 +24,7 @@ from dragrig.analysis.gap.design import (
     gauss_newton,
     gauss_newton_step,
     linearise,
+    misfit_here,
     project_dictionary,
     rank_effects,
     schur_complement,
@@ -433,16 +434,19 @@ def _with_converged_nominal(search: ForceSearchResult) -> ForceSearchResult:
     At high rates many blocks resolve when friction sets in, and uncertainty and derivatives change on the way. A gap
     that a further step of the nominal model would close then looks like any effect whose fit makes that step.
     """
-    study, z = search.study, search.nominal.z
+    study = search.study
     best_llr = max((best.llr for best in search.ranked), default=0.0)
     allowed = max(MAX_NOMINAL_GAIN, MAX_NOMINAL_GAIN_SHARE * best_llr)
-    moved = False
+    design, moved = linearise(study, search.nominal.z), False
     for _ in range(MAX_CONVERGING_STEPS):
-        design = linearise(study, z)
         if gain_of_step(design) < allowed:
             break
-        z, moved = gauss_newton_step(design).z, True
-    return _ranked_beside_nominal(study, z, design) if moved else search
+        further = linearise(study, gauss_newton_step(design).z)
+        # Derivatives are of the model without the effects that it has already: their steps may lead away.
+        if misfit_here(further) > misfit_here(design):
+            break
+        design, moved = further, True
+    return _ranked_beside_nominal(study, design.z, design) if moved else search
 
 
 def _refit_second_alone(search: ForceSearchResult) -> list[HypothesisFit]:
