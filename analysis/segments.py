@@ -33,19 +33,21 @@ MIN_PULSE_STEPS = 60
 MAX_IMPULSE_SAMPLES = 3
 MAX_DROPOUT_S = 0.25
 """Longest time for which a reading stays exactly constant and is still taken for a dropout."""
-MIN_DROPOUT_SAMPLES, CHANCE_DROPOUTS, MAX_EQUAL_SHARE = 5, 1e-3, 0.3
+MIN_DROPOUT_SAMPLES, CHANCE_DROPOUTS, MAX_EQUAL_SHARE = 5, 1e-6, 0.3
 """A constant reading is a dropout where chance makes so few of its length in a record, and where no more than this
 share of samples equal their neighbours: a coarse converter rests on a count as slow noise wanders."""
+SHARE_BY_SLOW_NOISE = 0.1
 CALM_SAMPLES, CALM_SHARE, CALM_SIGMAS = 4, 0.3, 3.0
 """Before and after a pulse so many steps are smaller than this share of it, or than so many usual ones."""
-SMALL_SIGMAS, SUSPECT_SIGMAS, MAX_SMALL_SAMPLES = 6.0, 3.5, 6
+SMALL_SIGMAS, SUSPECT_SIGMAS, MAX_SMALL_SAMPLES = 6.5, 3.5, 6
 """A small pulse, or two in succession, is off a parabola through the force around it by so many standard deviations.
 What is off the running median by more than the second does not belong to the force around it."""
 SIDE_SAMPLES, MIN_SIDE_SAMPLES = 6, 4
 """Samples on each side that the parabola explains; at rest a constant does, near the record's end a straight line."""
 SMOOTH_SIGMAS, SMOOTH_SHARE = 1.8, 0.1
-"""It explains them where it leaves no more than so many standard deviations, or this share of the pulse: of a kink of
-the force it leaves half as much as the kink's tip is off."""
+"""It explains them where it leaves no more than so many standard deviations, or this share of the pulse."""
+MIN_ONE_SIDED_SHARE = 0.5
+"""A pulse is off straight lines through either side by this share of its height: the tip of a kink is on both."""
 NEAR_EVENT_S = 0.01
 """So near to a begin or end of a phase, a pulse may be of the motion: of a mass that is accelerated, say."""
 
@@ -198,17 +200,19 @@ def force_pulses(trace: Trace) -> tuple[ForcePulse, ...]:
     if jumps.size > max(MAX_PULSE_SHARE * steps.size, MIN_PULSE_STEPS):
         return ()
     found = {
-        (begin, end): (_height_off_median(force, begin, end), True)
-        for begin, end in _constant_spans(force, trace.sample_rate_hz)
+        span: (height, True)
+        for span, is_long in _constant_spans(force, trace.sample_rate_hz)
+        if (height := _height_off_median(force, *span)) > FAULT_SIGMAS * usual or is_long
     }
     found |= dict(_large_pulses(force, steps, jumps, usual, trace.sample_rate_hz))
     usable = known.copy()
     for begin, end in found:
         usable[begin:end] = False
-    sd = usual / float(np.sqrt(2.0))
     filled = np.interp(np.arange(force.size), np.flatnonzero(usable), force[usable])
     resting = in_phase(trace, Phase.REST)
-    found |= {span: (height, False) for span, height in _small_pulses(filled, usable, resting, sd)}
+    found |= {
+        span: (height, False) for span, height in _small_pulses(filled, usable, resting, usual / float(np.sqrt(2.0)))
+    }
     phase = np.asarray(trace.phase, dtype=np.int16)
     changes = np.flatnonzero(np.diff(phase))
 
@@ -248,25 +252,27 @@ def _is_constant(values: FloatArray, rate_hz: float) -> bool:
     return values.size <= MAX_DROPOUT_S * rate_hz and float(np.ptp(values)) == 0.0
 
 
-def _constant_spans(force: FloatArray, rate_hz: float) -> list[tuple[int, int]]:
-    """Return where a reading stays exactly constant for longer than noise and converter allow."""
+def _constant_spans(force: FloatArray, rate_hz: float) -> Iterator[tuple[tuple[int, int], bool]]:
+    """Yield where a reading stays exactly constant, and whether for longer than noise and converter allow."""
     equal = np.diff(force) == 0.0
     # How often a sample that changed equals the next one: a dropout counts once, however long it is.
     changed = ~equal[:-1]
     share = float(np.mean(equal[1:][changed])) if changed.any() else 1.0
     if share > MAX_EQUAL_SHARE:
-        return []
-    by_chance = 1.0 + np.log(CHANCE_DROPOUTS / force.size) / np.log(max(share, 1.0 / force.size))
-    shortest = max(MIN_DROPOUT_SAMPLES, by_chance)
-    spans = [(begin, stop + 1) for begin, stop in mask_spans(equal)]
-    return [(begin, end) for begin, end in spans if shortest <= end - begin <= MAX_DROPOUT_S * rate_hz]
+        return
+    # Slow noise makes the next equal one likelier than the first.
+    by_chance = 1.0 + np.log(CHANCE_DROPOUTS / force.size) / np.log(share + SHARE_BY_SLOW_NOISE)
+    for begin, stop in mask_spans(equal):
+        samples = stop + 1 - begin
+        if MIN_DROPOUT_SAMPLES <= samples <= MAX_DROPOUT_S * rate_hz:
+            yield (begin, stop + 1), samples >= by_chance
 
 
 def _height_off_median(force: FloatArray, begin: int, end: int) -> float:
-    """Return how far a reading is off those before and after it, in the median."""
-    around = np.concatenate((force[max(begin - SIDE_SAMPLES, 0) : begin], force[end : end + SIDE_SAMPLES]))
-    around = around[np.isfinite(around)]
-    return abs(float(force[begin]) - float(np.median(around))) if around.size else 0.0
+    """Return how far a reading is off those before it and those after it, in the median; 0 where it is between them."""
+    sides = force[max(begin - SIDE_SAMPLES, 0) : begin], force[end : end + SIDE_SAMPLES]
+    offs = [float(force[begin]) - float(np.nanmedian(side)) for side in sides if np.isfinite(side).any()]
+    return min(map(abs, offs)) if offs and min(offs) * max(offs) > 0 else 0.0
 
 
 def _small_pulses(force: FloatArray, usable: Mask, resting: Mask, sd: float) -> Iterator[tuple[tuple[int, int], float]]:
@@ -274,6 +280,9 @@ def _small_pulses(force: FloatArray, usable: Mask, resting: Mask, sd: float) -> 
     from scipy.ndimage import binary_closing, median_filter
 
     off = np.where(usable, force - median_filter(force, 2 * MAX_SMALL_SAMPLES + 1, mode="reflect"), 0.0)
+    # Hum and the counts of a converter are off the running median by more than steps tell.
+    count = float(np.min(np.abs(off[off != 0]), initial=np.inf))
+    sd = max(sd, 1.4826 * (float(np.median(np.abs(off[usable]))) + 0.5 * (count if np.isfinite(count) else 0.0)))
     suspect = np.abs(off) > SUSPECT_SIGMAS * sd
     around = usable & ~suspect
     # One sample that noise brings back does not end a pulse; the begin of the motion does.
@@ -309,7 +318,13 @@ def _height_off_smooth(force: FloatArray, usable: Mask, resting: Mask, span: tup
     misfit = float(np.sqrt(np.sum(left**2) / (near.size - degree - 1)))
     smooth = misfit < max(SMOOTH_SIGMAS * sd, SMOOTH_SHARE * abs(height))
     clear = abs(height) > SMALL_SIGMAS * height_sd and bool(np.all(offs * height > 0))
-    return abs(height) if smooth and clear else 0.0
+    if not (smooth and clear):
+        return 0.0
+    for side in () if one_sided else (near[near < begin], near[near >= end]):
+        level = float(np.polyfit(side - middle, force[side], 1)[1])
+        if (float(force[begin:end].mean()) - level) / height < MIN_ONE_SIDED_SHARE:
+            return 0.0
+    return abs(height)
 
 
 def _usual_step(steps: FloatArray) -> float:
