@@ -25,7 +25,6 @@ from dragrig.analysis.gap.diagnosis import (
     RunContributions,
     Verdict,
 )
-from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.gap_reduction import (
     BOOTSTRAP_SAMPLES,
@@ -81,19 +80,15 @@ class CausesOfGap:
     """Probability that each effect on the force is there."""
 
     @classmethod
-    def of(
-        cls, search: ForceSearchResult, classification: Classification, inputs: DecisionInputs, *, combined: bool
-    ) -> "CausesOfGap":
+    def of(cls, search: ForceSearchResult, classification: Classification, *, combined: bool) -> "CausesOfGap":
         """Judge all causes beside each other; where both estimates are not combined, the classifier's alone decides.
 
-        An effect that fits but that the runs do not establish is as likely as any other cause that looks like it.
+        What the runs do not establish has little probability from the classifier, and so from both together.
         """
         competition = prepare_competition(search)
         presence = judge_presence(competition)
         if combined:
-            effects = combined_presence(classification, presence)
-            established = {name: value / (1 + inputs.lookalikes(name)) for name, value in effects.items()}
-            return cls(competition, presence, established)
+            return cls(competition, presence, combined_presence(classification, presence))
         names = presence.of_kind(CauseKind.EFFECT)
         return cls(competition, presence, {name: classification.marginal(name) for name in names})
 

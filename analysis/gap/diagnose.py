@@ -362,7 +362,7 @@ def diagnose(
     inputs = decision_inputs(search, position, lines, settings.excluded)
     classification = classify(inputs, settings.tolerance_mN, _calibration_for(study, settings))
     by_presence = _judged_by_presence(study, position)
-    causes = CausesOfGap.of(search, classification, inputs, combined=by_presence)
+    causes = CausesOfGap.of(search, classification, combined=by_presence)
     if by_presence:
         classification = restate(classification, causes.effects)
     classified = perf_counter()

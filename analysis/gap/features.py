@@ -125,10 +125,6 @@ class DecisionInputs:
         """Chi-square above its expectation that the nominal model leaves."""
         return self.chi2 - self.block_count
 
-    def lookalikes(self, effect: str) -> int:
-        """Return the number of other causes that look like an effect in these runs; 0 where it was not fitted."""
-        return min((entry.lookalikes for entry in self.hypotheses if effect in entry.effects), default=0)
-
     def document(self) -> dict[str, object]:
         """Return it as a gap report and an exam's answers store it, under the keys of their format."""
         document: dict[str, object] = TypeAdapter(DecisionInputs).dump_python(self, by_alias=True)
