@@ -524,10 +524,13 @@ class _LeastSquaresPass:
         step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], gradient[free])
         return step, np.asarray(np.linalg.inv(curvature), dtype=np.float64)
 
-    def line_search(self, z: FloatArray, step: FloatArray) -> FloatArray | None:
-        """Longest fraction of a step that lowers χ²."""
+    def line_search(self, z: FloatArray, step: FloatArray, *, lowest: bool = False) -> FloatArray | None:
+        """Longest fraction of a step that lowers χ², or the one that lowers it most."""
         chi2 = self.chi2(z)
-        places = (np.clip(z + share * step, -PARAMETER_BOUND, PARAMETER_BOUND) for share in LINE_SEARCH_FRACTIONS)
+        places = [np.clip(z + share * step, -PARAMETER_BOUND, PARAMETER_BOUND) for share in LINE_SEARCH_FRACTIONS]
+        if lowest:
+            values = [self.chi2(place) for place in places]
+            return places[int(np.argmin(values))] if min(values) < chi2 else None
         return next((place for place in places if self.chi2(place) < chi2), None)
 
     def _weighted(self, by_channel: Sequence[FloatArray]) -> FloatArray:
@@ -540,6 +543,7 @@ def solve_joint(problem: JointProblem) -> JointSolution:
 
     cache = _ModelCache(problem)
     z, misfit, why = np.zeros(len(problem.scales.nominal)), np.inf, ""
+    last_move = np.zeros_like(z)
     for number in range(MAX_PASSES):
         before = misfit
         if number < COVARIANCE_UPDATES:
@@ -552,12 +556,17 @@ def solve_joint(problem: JointProblem) -> JointSolution:
             cache.derivatives(z, 0.0)
         present = _LeastSquaresPass(cache, whitenings, misfit)
         step, covariance = present.newton_step(z)
-        move = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
+        moves = step / np.sqrt(np.diag(covariance))
+        largest = int(np.abs(moves).argmax())
+        move = float(np.abs(moves[largest]))
         if move < CONVERGED_MOVE and abs(misfit / before - 1) < CONVERGED_MOVE:
             z, why = z + step, ""
             break
         if number >= COVARIANCE_UPDATES and move < NEWTON_RANGE:
-            lower = present.line_search(z, step)
+            # Steps to and fro across a minimum are too long, as in the logarithm of a mass beside a large misfit.
+            to_and_fro = bool(moves[largest] * last_move[largest] < 0)
+            last_move = moves
+            lower = present.line_search(z, step, lowest=to_and_fro)
             if lower is None:
                 why = ""
                 break

@@ -405,14 +405,18 @@ def test_any_recording_gets_a_diagnosis_or_one_sentence(name: str, tmp_path: Pat
         assert "\n" not in told
 
 
-@pytest.mark.parametrize("unit", [0.02, 1.0, 50.0])
-def test_presliding_is_found_whatever_unit_the_travel_is_counted_in(unit: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("unit", "length_mm"), [(0.02, 0.25), (1.0, 0.25), (50.0, 0.25), (0.3, 1.0), (50.0, 1.0), (1.0, 4.0)]
+)
+def test_presliding_is_found_whatever_unit_the_travel_is_counted_in(
+    unit: float, length_mm: float, tmp_path: Path
+) -> None:
     runs = tmp_path / "runs"
     runs.mkdir()
     for number, (speed, travel) in enumerate([(5, 20), (10, 20), (20, 20), (40, 20), (5, 10), (20, 10)]):
         time = np.arange(0.0, travel / speed + 1.5, 1 / RATE_HZ)
         position = stroke_mm(time, speed, travel, rest_s=0.5)
-        bristle = 1.0 - np.exp(-position / 0.25)
+        bristle = 1.0 - np.exp(-position / length_mm)
         velocity = np.gradient(position, time)
         force = 500.0 * bristle + 3.0 * velocity + np.random.default_rng(number).normal(0.0, 2.0, time.size)
         columns = {"time_s": time, "motor_force_mN": force, "position_mm": unit * position}
@@ -421,4 +425,4 @@ def test_presliding_is_found_whatever_unit_the_travel_is_counted_in(unit: float,
     assert "presliding" in result.effects, [(found.hypothesis, found.probability) for found in result.ranking[:4]]
     values = {parameter.name.split(".")[-1]: parameter.value for parameter in result.ranking[0].parameters}
     # The shortest is five counts of the encoder long.
-    assert values["deflection_mm"] == pytest.approx(0.25 * unit, rel=0.3 if unit >= 1.0 else 0.5)
+    assert values["deflection_mm"] == pytest.approx(length_mm * unit, rel=0.1 if unit >= 0.3 else 0.5)

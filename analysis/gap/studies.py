@@ -275,8 +275,11 @@ def predicted_scene(run: RunData, predicted: FloatArray, parts: Mapping[ForcePar
     )
 
 
-USUAL_TRAVEL_MM, USUAL_SPEED_MM_S = (5.0, 80.0), (5.0, 200.0)
-"""Longest travels and highest speeds for which the catalogue's lengths and speeds are meant."""
+SHARES_OF_REACH = (0.003, 0.01, 0.03, 0.1, 0.3)
+"""Lengths and speeds, relative to the longest travel and the highest speed, from which a search starts, too. A fit
+moves by a factor of two and a half, so that none between two of them is out of reach."""
+SHORTEST_SHARE = 1e-4
+"""Shortest length, and lowest speed, relative to the longest travel and the highest speed, that a search may find."""
 
 
 def scaled_to_runs(effects: Sequence[Effect], runs: Sequence[RunData]) -> list[Effect]:
@@ -287,28 +290,20 @@ def scaled_to_runs(effects: Sequence[Effect], runs: Sequence[RunData]) -> list[E
     """
     travel = max(float(np.ptp(run.coordinates.position_mm)) for run in runs)
     speed = max(float(run.coordinates.top_speed_mm_s[0]) for run in runs)
-    factors = {"mm": _factor_beyond(travel, USUAL_TRAVEL_MM), "mm/s": _factor_beyond(speed, USUAL_SPEED_MM_S)}
-    return [_with_scaled_shapes(effect, factors) for effect in effects]
+    return [_with_scaled_shapes(effect, {"mm": travel, "mm/s": speed}) for effect in effects]
 
 
-def _factor_beyond(value: float, usual: tuple[float, float]) -> float:
-    """Return by how much a value is beyond the middle of a usual range; 1 within the range, and for 0."""
-    low, high = usual
-    return 1.0 if value <= 0 or low <= value <= high else value / float(np.sqrt(low * high))
-
-
-def _with_scaled_shapes(effect: Effect, factors: Mapping[str, float]) -> Effect:
+def _with_scaled_shapes(effect: Effect, reach: Mapping[str, float]) -> Effect:
     parameters = []
     for parameter in effect.parameters:
-        factor = factors.get(parameter.unit, 1.0)
-        if parameter.role is Role.SHAPE and factor != 1.0:
-            values = parameter.start_values
+        longest = reach.get(parameter.unit, 0.0)
+        if parameter.role is Role.SHAPE and parameter.grid and longest > 0 and parameter != effect.period:
             parameters.append(
                 replace(
                     parameter,
-                    low=parameter.low * min(factor, 1.0),
-                    high=parameter.high * max(factor, 1.0),
-                    grid=tuple(sorted({*values, *(factor * value for value in values)})),
+                    low=min(parameter.low, SHORTEST_SHARE * longest),
+                    high=max(parameter.high, longest),
+                    grid=tuple(sorted({*parameter.grid, *(share * longest for share in SHARES_OF_REACH)})),
                 )
             )
         else:

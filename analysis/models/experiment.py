@@ -795,6 +795,8 @@ RAMP_LENGTH_WANDERS = 4 / 3
 """Error of a ramp's length in units of the wander: a count at either end."""
 GENTLE_WANDERS, TURNING_WANDERS, MAX_GENTLE_START_S = 8.0, 2.0, 0.1
 """Wanders over speed by which a smooth motion may begin before it shows, and turn, and the longest such time."""
+TURNED_MM_S = 0.15
+"""Speed at which a stage has turned: friction has its sign and size."""
 MAX_JOINT_TIMING_S = 0.01
 """Uncertainty of a joint's time in the slowest motion."""
 
@@ -861,8 +863,9 @@ class Kinematics:
             joints, speed = self.joints_s, np.abs(self.velocity_mm_s)
             fastest = np.maximum(speed, np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1])))
             timing = self.step_s + np.minimum(self.wander_mm / np.maximum(fastest, 1e-9), MAX_JOINT_TIMING_S)
+            through = np.zeros(joints.size, dtype=np.bool_)
         else:
-            joints, timing = self._turns()
+            joints, timing, through = self._turns()
         nearest = np.searchsorted(0.5 * (joints[1:] + joints[:-1]), time_s)
         shift = timing[nearest]
         change = np.zeros(len(time_s))
@@ -872,10 +875,28 @@ class Kinematics:
             shifted_s = np.maximum.accumulate(time_s + share * shift)
             shifted = quantity(np.clip(shifted_s, self.joints_s[0], self.joints_s[-1]))
             change = np.maximum(change, np.abs(shifted - unshifted))
+        if through.any():
+            change = np.where(through[nearest], self._jumps(quantity, joints, timing)[nearest], change)
         return np.where(np.abs(time_s - joints[nearest]) <= shift, change, 0.0)
 
-    def _turns(self) -> tuple[FloatArray, FloatArray]:
-        """Return when a smooth motion starts, stops or turns, and how well that is known [s], shapes `(T,)`.
+    def _jumps(
+        self, quantity: Callable[[FloatArray], FloatArray], turns_s: FloatArray, timing_s: FloatArray
+    ) -> FloatArray:
+        """Return by how much a quantity jumps where a motion passes through zero, shape `(T,)`.
+
+        All else of it changes with the time alone, as where a force ripples many times a second.
+        """
+        aside = np.clip(turns_s[:, None] + timing_s[:, None] * (-1.0, 1.0), self.joints_s[0], self.joints_s[-1])
+        faster = np.maximum(np.abs(self.velocity(aside)).max(axis=1), TURNED_MM_S)
+        beside_s = timing_s * TURNED_MM_S / faster
+        times = np.clip(turns_s[:, None] + beside_s[:, None] * (-1.0, 1.0), self.joints_s[0], self.joints_s[-1]).ravel()
+        order = np.argsort(times, kind="stable")
+        values = np.empty_like(times)
+        values[order] = quantity(times[order])
+        return np.asarray(np.abs(np.diff(values.reshape(-1, 2), axis=1))[:, 0])
+
+    def _turns(self) -> tuple[FloatArray, FloatArray, Mask]:
+        """Return when a smooth motion starts, stops or turns, how well that is known [s], and which are turns, `(T,)`.
 
         Such a motion sets in so gently that it shows only after it has left the encoder's wander: where it grows with
         a power n of the time, it began n + 1 wanders over its speed before. A motion that turns without a rest passes
@@ -887,9 +908,10 @@ class Kinematics:
         turns = np.union1d(turns, [0, len(still) - 1])
         speed = np.abs(self.velocity_mm_s)
         beside = np.maximum(np.append(speed[1:], 0.0), np.append(0.0, speed[:-1]))[turns]
-        wanders = np.where((before | after)[turns], GENTLE_WANDERS, TURNING_WANDERS)
+        through = still[turns] & ~(before | after)[turns]
+        wanders = np.where(through, TURNING_WANDERS, GENTLE_WANDERS)
         gentle_s = np.minimum(wanders * self.wander_mm / np.maximum(beside, 1e-9), MAX_GENTLE_START_S)
-        return self.joints_s[turns], self.step_s + np.where(beside > 0, gentle_s, 0.0)
+        return self.joints_s[turns], self.step_s + np.where(beside > 0, gentle_s, 0.0), through
 
     def _piece(self, time_s: FloatArray) -> IndexArray:
         piece = np.searchsorted(self.joints_s, time_s, side="right") - 1
