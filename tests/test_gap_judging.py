@@ -230,3 +230,16 @@ def test_an_excess_that_nothing_predicts_is_told_from_one_that_a_law_does() -> N
     noise = as_misjudged_noise(unknown)
     assert noise.verdict is Verdict.NO_GAP
     assert noise.probabilities[NO_GAP] == unknown.probabilities[UNKNOWN]
+
+
+@pytest.mark.parametrize(("excess_left", "verdict"), [(0.03, Verdict.EFFECT), (0.4, Verdict.UNKNOWN)])
+def test_what_is_not_established_gives_way_to_an_effect_that_explains_as_much(
+    excess_left: float, verdict: Verdict
+) -> None:
+    best = replace(hypothesis_of("stribeck", NOISE), not_established="these runs do not tell it from another force")
+    rival = hypothesis_of("force_hysteresis", NOISE + excess_left * (LOUD - NOISE))
+    classification = classify(case(LOUD, best, rival), DEFAULT_TOLERANCE_MN)
+    assert classification.verdict is verdict
+    assert "stribeck" not in classification.effects
+    assert classification.probabilities["stribeck"] < 0.1
+    assert sum(classification.probabilities.values()) == pytest.approx(1.0)

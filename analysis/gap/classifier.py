@@ -117,14 +117,45 @@ def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Calib
         gap *= 1.0 - negligible
     gap = min(max(gap, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
     shares = _softmax([weights.utility(hypothesis.features) for hypothesis in hypotheses])
-    lookalike_factors = {summary.effects: 1.0 / (1 + summary.lookalikes) for summary in inputs.hypotheses}
+    lookalikes = {summary.effects: summary.lookalikes for summary in inputs.hypotheses}
+    posteriors = _among_lookalikes(hypotheses, shares, [lookalikes[hypothesis.effects] for hypothesis in hypotheses])
     probabilities = {
-        hypothesis.effects: gap * posterior * lookalike_factors[hypothesis.effects]
-        for hypothesis, posterior in zip(hypotheses, shares[:-1], strict=True)
+        hypothesis.effects: gap * posterior for hypothesis, posterior in zip(hypotheses, posteriors, strict=True)
     }
     return _ForcePosterior(
         gap - sum(probabilities.values()), probabilities, frozenset(_leaving_residual(inputs, hypotheses))
     )
+
+
+EQUAL_SHARE = 0.05
+"""Difference of the explained shares of the excess within which one hypothesis explains as much as another."""
+
+
+def _among_lookalikes(
+    hypotheses: Sequence[HypothesisFeatures], shares: Sequence[float], lookalikes: Sequence[int]
+) -> list[float]:
+    """Return probabilities of the hypotheses, each no likelier than the other causes that look like it.
+
+    What it loses goes to hypotheses without lookalikes that explain as much, and to `unknown`, as these are likely.
+
+    Parameters
+    ----------
+    shares
+        Probabilities of the hypotheses, and last of `unknown`.
+    lookalikes
+        Number of other causes that look like each hypothesis.
+    """
+    result = [share / (1 + number) for share, number in zip(shares[:-1], lookalikes, strict=True)]
+    for hypothesis, share, number in zip(hypotheses, shares[:-1], lookalikes, strict=True):
+        rivals = [
+            index
+            for index, rival in enumerate(hypotheses)
+            if not lookalikes[index] and rival.share > hypothesis.share - EQUAL_SHARE
+        ]
+        total = sum(shares[index] for index in rivals) + shares[-1]
+        for index in rivals if number else ():
+            result[index] += (share - share / (1 + number)) * shares[index] / total
+    return result
 
 
 def _leaving_residual(inputs: DecisionInputs, features: Sequence[HypothesisFeatures]) -> list[tuple[str, ...]]:

@@ -356,7 +356,10 @@ def with_periods_of_runs(bare: Study, effects: Sequence[Effect]) -> list[Effect]
         waves = np.linspace(from_per_mm, to_per_mm, count)
         centred = [place - middle for place in places]
         best = _strongest_waves(bare, design, centred, waves)
-        starts = {period.name: tuple(sorted(float(1.0 / wave) for wave in best))}
+        # Overtones of the strongest are other variants of the same effect, and so its error of form.
+        overtones = best[:1] * np.arange(2, PLACE_HARMONICS + 1)
+        tried = np.union1d(best, overtones[overtones <= to_per_mm])
+        starts = {period.name: tuple(sorted((1.0 / tried).tolist()))}
         parameters = tuple(
             replace(parameter, grid=starts[parameter.name])
             if parameter.name in starts
@@ -479,6 +482,9 @@ CONSISTENT_SIZES = 0.5, 2.0
 """Size of an effect beside free functions of the motion over its size in the fit, where the runs tell both apart."""
 
 
+PLACE_HARMONICS = 3
+
+
 @dataclass(frozen=True, slots=True)
 class SizeBesideMotion:
     """Size of an effect beside any force that depends on speed, or on time or travel in motion, relative to the fit."""
@@ -499,7 +505,9 @@ class SizeBesideMotion:
         return self.size < CONSISTENT_SIZES[0] and MIN_SIZE_SIGMAS * self.standard_error < 1.0
 
 
-def size_beside_motion(design: Design, runs: Sequence[RunData], number: int) -> SizeBesideMotion | None:
+def size_beside_motion(
+    design: Design, runs: Sequence[RunData], number: int, periods_mm: Sequence[float] = ()
+) -> SizeBesideMotion | None:
     """Return what is left of a candidate beside free functions of the motion; None where nothing can be left.
 
     A relaxation or a friction law that the nominal model misses depends on the motion alone. Such a force is added as
@@ -509,6 +517,8 @@ def size_beside_motion(design: Design, runs: Sequence[RunData], number: int) -> 
     ----------
     number
         Number of the candidate.
+    periods_mm
+        Periods on the machine, of which the force may be any function, too.
     """
     longest = max(float(np.ptp(data.coordinates.position_mm)) for data in runs)
     columns_of_runs, pairs = [], []
@@ -516,7 +526,8 @@ def size_beside_motion(design: Design, runs: Sequence[RunData], number: int) -> 
     for run_data, run in zip(runs, design.runs, strict=True):
         force = run.effect_force if len(design.candidates) == 1 else run.columns[:, own] * _size_of(design, number)
         nominal = run.columns[:, np.concatenate((design.columns_of(ColumnKind.NOMINAL), others))]
-        columns = np.hstack((nominal, _friction_columns(run_data, longest), _history_columns(run_data)))
+        free_functions = _friction_columns(run_data, longest), _history_columns(run_data)
+        columns = np.hstack((nominal, *free_functions, _periodic_columns(run_data, periods_mm)))
         columns_of_runs.append(run.whitening.whiten(columns))
         pairs.append(run.whitening.whiten(np.column_stack((run.residual + force, force))))
     columns = np.concatenate(columns_of_runs)
@@ -531,6 +542,14 @@ def size_beside_motion(design: Design, runs: Sequence[RunData], number: int) -> 
     # What neither explains makes the size less certain.
     scatter = max(float(np.sum((residual - size * effect) ** 2)) / free, 1.0)
     return SizeBesideMotion(size, float(np.sqrt(scatter / power)))
+
+
+def _periodic_columns(run: RunData, periods_mm: Sequence[float]) -> FloatArray:
+    """Return the first harmonics of periods on the machine, shape `(B, K)`."""
+    place = run.experiment.origin_mm + run.coordinates.position_mm
+    waves = np.outer(1.0 / np.array(periods_mm, dtype=np.float64), np.arange(1, PLACE_HARMONICS + 1)).ravel()
+    angle = 2 * np.pi * place[:, None] * waves
+    return np.hstack((np.cos(angle), np.sin(angle)))
 
 
 def _columns_of_candidate(design: Design, number: int) -> tuple[int, IndexArray]:
@@ -564,10 +583,15 @@ def _history_columns(run: RunData) -> FloatArray:
 SENSOR_PLACES = (Location.FORCE_SENSOR, Location.ACQUISITION)
 
 
-def naming_obstacle(design: Design, runs: Sequence[RunData]) -> str:
+def naming_obstacle(design: Design, runs: Sequence[RunData], periods_mm: Sequence[float] = ()) -> str:
     """Say why runs do not establish the candidates of a design, though they fit; empty where nothing stands against it.
 
     Half a sentence that follows "not established:".
+
+    Parameters
+    ----------
+    periods_mm
+        Periods on the machine that the runs show.
     """
     of_sensor = any(candidate.effect.location in SENSOR_PLACES for candidate in design.candidates)
     too_few = len(runs) < MIN_RUNS_TO_HOLD_OUT or len({run.condition for run in runs}) == 1
@@ -581,13 +605,17 @@ def naming_obstacle(design: Design, runs: Sequence[RunData]) -> str:
         return f"it would add {added:.3g} mN, and no measured force varies by more than {range_mN:.3g} mN"
     if not _sizes_determined(design):
         return "its size is not determined"
-    return sensor_obstacle(design, runs)
+    return sensor_obstacle(design, runs, periods_mm)
 
 
-NOT_SEPARABLE = "these runs do not tell it from a force that changes with speed, or with time or travel in motion"
+NOT_SEPARABLE = (
+    "these runs do not tell it from a force that changes with speed or place, or with time or travel in motion"
+)
 
 
-def sensor_obstacle(design: Design, runs: Sequence[RunData], *, knows_specimen: bool = False) -> str:
+def sensor_obstacle(
+    design: Design, runs: Sequence[RunData], periods_mm: Sequence[float] = (), *, knows_specimen: bool = False
+) -> str:
     """Say why runs do not establish the effects of the sensor in a design; empty where nothing stands against them.
 
     Parameters
@@ -600,7 +628,7 @@ def sensor_obstacle(design: Design, runs: Sequence[RunData], *, knows_specimen: 
         effect = candidate.effect
         if effect.location not in SENSOR_PLACES:
             continue
-        left = size_beside_motion(design, runs, number)
+        left = size_beside_motion(design, runs, number, periods_mm)
         if knows_specimen and effect.coordinate is Coordinate.TIME:
             if left is not None and left.is_contradicted:
                 return f"beside a force that changes in motion these runs show no {effect.name}"
@@ -803,7 +831,9 @@ class PredictedStudy(Study):
         """Return why these runs do not establish a design's candidates."""
         if self.why_not_converged:
             return "the fit of the nominal model did not converge"
-        return naming_obstacle(design, self.runs)
+        on_machine = (effect.period for effect in self.effects if effect.origin_parameter)
+        periods = [value for period in on_machine if period is not None for value in period.start_values]
+        return naming_obstacle(design, self.runs, periods)
 
     def limitations(self) -> Iterator[str]:
         """Yield what these runs cannot answer, a sentence each."""

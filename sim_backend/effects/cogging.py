@@ -20,7 +20,7 @@ class Cogging(ForceEffect):
     origin_parameter = "from_mm"
     parameters = (
         size("amplitude_mN", "mN", 50.0, 0.0, 1e5, "amplitude of the force"),
-        shape("pitch_mm", "mm", 10.0, 0.5, 100.0, "length of a period", grid=(2.5, 5.0, 10.0, 20.0, 40.0)),
+        shape("pitch_mm", "mm", 10.0, 0.05, 100.0, "length of a period", grid=(2.5, 5.0, 10.0, 20.0, 40.0)),
         phase("phase_rad", "rad", 0.0, -np.pi, np.pi, "of the sine at `from_mm`"),
         shape("from_mm", "mm", 0.0, -1e6, 1e6, "place on the machine that the phase refers to"),
     )
