@@ -319,8 +319,8 @@ def _with_parameters(effect: Effect, parameters: tuple[EffectParameter, ...]) ->
 
 STARTS_OF_PERIOD, WAVES_AT_ONCE, MAX_WAVES = 6, 200, 4000
 """Best periods on the machine from which a search starts, and how many are tried."""
-BLOCKS_PER_PERIOD = 4.0
-"""Shorter periods do not show in means over blocks."""
+BLOCKS_PER_PERIOD, LONG_STEPS = 3.0, 0.9
+"""Shorter periods, in steps from block to block that nearly all others do not exceed, pass for longer ones."""
 
 
 def with_periods_of_runs(bare: Study, effects: Sequence[Effect]) -> list[Effect]:
@@ -349,8 +349,8 @@ def with_periods_of_runs(bare: Study, effects: Sequence[Effect]) -> list[Effect]
         if period is None:
             result.append(effect)
             continue
-        steps = [float(np.median(np.abs(np.diff(place[::2])))) for place in places]
-        shortest = max(period.low, BLOCKS_PER_PERIOD * min(steps))
+        longest_step = max(float(np.quantile(np.abs(np.diff(place[::2])), LONG_STEPS)) for place in places)
+        shortest = max(period.low, BLOCKS_PER_PERIOD * longest_step)
         from_per_mm, to_per_mm = 1.0 / min(period.high, highest - lowest), 1.0 / shortest
         count = int(np.clip(2.0 * (highest - lowest) * (to_per_mm - from_per_mm), 2, MAX_WAVES))
         waves = np.linspace(from_per_mm, to_per_mm, count)
