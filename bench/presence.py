@@ -2,9 +2,9 @@
 
 `python bench/presence.py [--campaigns 60] [--seed 52000] [--plant written|drawn] [--workers N]`: campaigns with one
 effect of full, a third or a tenth of its size, with two, with none, and with effects that no catalogue has, half of
-them with nominal models that are off by 5 % to 20 %. Weights are fitted by logistic regression to every effect on the
-force (`--plant written` alone: the plant `drawn` is to judge by); then the counts of right verdicts, the reliability of
-presence, and what the fit costs without either estimate.
+them with nominal models that are off by 5 % to 20 % or with a second specimen that nobody recorded. Weights are
+fitted by logistic regression to every effect on the force (`--plant written` alone: the plant `drawn` is to judge
+by); then the counts of right verdicts, the reliability of presence, and what the fit costs without either estimate.
 """
 
 import argparse
@@ -25,7 +25,10 @@ from dragrig.parallel import map_tasks
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw_campaign, effect_group, write_campaign
 
-OFF = tuple(f"{what} {share} % off" for what in ("parameters", "laws", "both") for share in (5, 10, 20))
+OFF = (
+    *(f"{what} {share} % off" for what in ("parameters", "laws", "both") for share in (5, 10, 20)),
+    *("exchanged, not recorded",) * 3,
+)
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
 
 

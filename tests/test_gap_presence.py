@@ -15,7 +15,8 @@ from dragrig.analysis.gap.diagnosis import UNEXPLAINED, Diagnosis, GapBudget, Ve
 from dragrig.analysis.gap.evaluation import PromiseVerdict, evaluate
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.analysis.gap.forward_selection import search_effects
-from dragrig.analysis.gap.presence import CauseKind, Presence, prepare_competition
+from dragrig.analysis.gap.position_channel import analyse_position
+from dragrig.analysis.gap.presence import EXCHANGE, CauseKind, Presence, prepare_competition
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
@@ -90,6 +91,47 @@ def test_what_no_catalogue_has_is_an_unnamed_law(tmp_path: Path) -> None:
     assert max(laws.values()) > 0.5
     assert diagnosis.effects == ()
     assert shares(budget)[UNEXPLAINED] > 0.5
+
+
+def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_named(tmp_path: Path) -> None:
+    secret = draw_campaign(61010, effects=[], conditions=["exchanged, not recorded"])
+    write_campaign(secret, tmp_path)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL)
+    budget = budget_of(diagnosis)
+    assert diagnosis.effects == ()
+    assert budget.competition[EXCHANGE] > 0.999
+    before = sum(run.specimen == 0 for run in secret.runs)
+    assert EXCHANGE + f" after run {before}" in {word for entry in budget.entries for word in entry.what.split(", ")}
+
+
+def test_both_errors_of_a_position_are_named(tmp_path: Path) -> None:
+    effects = ["encoder_scale", "velocity_ripple"]
+    write_campaign(draw_campaign(71012, effects=effects, size=[1.0, 1.0], plant="drawn"), tmp_path)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL)
+    assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, set(effects))
+    budget = budget_of(diagnosis)
+    assert min(budget.presence[name] for name in effects) > 0.9
+    assert max(value for name, value in budget.presence.items() if name not in effects) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("seed", "effect", "size"),
+    [
+        (71000, "velocity_ripple", 1.0),
+        (71001, "velocity_ripple", 1 / 3),
+        (71064, "velocity_ripple", 1.0),
+        (71004, "servo_lag", 1 / 3),
+        (71007, "encoder_scale", 1 / 3),
+    ],
+)
+def test_a_ripple_is_found_whatever_its_amplitude_does_with_speed(
+    tmp_path: Path, seed: int, effect: str, size: float
+) -> None:
+    """In the first three campaigns it acts in motion alone, or above a speed; in the others there is none."""
+    write_campaign(draw_campaign(seed, effects=[effect], size=size, plant="drawn"), tmp_path)
+    best = analyse_position(choose_runs(tmp_path).experiments, tuple(catalogue().values())).model_classes[0]
+    assert best.effect == effect
+    assert best.held_out_share > 0.8
 
 
 def classified(**probabilities: float) -> Classification:

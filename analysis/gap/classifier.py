@@ -270,13 +270,14 @@ def _classify_with_position(inputs: DecisionInputs, force: _ForcePosterior) -> C
     weights = {name: exp(-POSITION_RIVAL_SLOPE * max(share - value, 0.0)) for name, value in inputs.position}
     total = sum(weights.values())
     combinations = {
-        (name, *hum): position_alone * known_probability * weight / total
+        (*name.split("+"), *hum): position_alone * known_probability * weight / total
         for name, weight in weights.items()
         if position_alone > 0.0
     }
     for effects, value in alternatives.items():
         combinations |= {
-            (name, *effects, *hum): value * known_probability * weight / total for name, weight in weights.items()
+            (*name.split("+"), *effects, *hum): value * known_probability * weight / total
+            for name, weight in weights.items()
         }
     return _classification(combinations, 1.0 - known_probability if combinations else 1.0, 0.0, force)
 

@@ -129,9 +129,7 @@ def decision_inputs(
         hypotheses=tuple(hypotheses),
         mains_llr=lines.mains.llr,
         line_llr=lines.non_mains.llr,
-        position=tuple((model_class.effect, model_class.held_out_share) for model_class in position.model_classes)
-        if position.has_position_error
-        else (),
+        position=position.shares if position.has_position_error else (),
         has_position_error=position.has_position_error,
         excluded=excluded,
         laws=fit_nonparametric_laws(search.nominal, search.study.runs, _swing_period_s(search.singles)),
@@ -361,10 +359,16 @@ def diagnose(
     lines = lines_that_matter(lines, settings.tolerance_mN)
     inputs = decision_inputs(search, position, lines, settings.excluded)
     classification = classify(inputs, settings.tolerance_mN, _calibration_for(study, settings))
-    by_presence = _judged_by_presence(study, position)
-    causes = CausesOfGap.of(search, classification, combined=by_presence)
-    if by_presence:
-        classification = restate(classification, causes.effects)
+    on_force = classification
+    if position.has_position_error:
+        on_force = classify(inputs.without_position, settings.tolerance_mN, _calibration_for(study, settings))
+    strays = position.has_position_error and not position.is_recording_error
+    causes = CausesOfGap.of(search, on_force, combined=_judged_by_presence(study), stage_strays=strays)
+    if _judged_by_presence(study):
+        in_position = {name for name, _ in inputs.position}
+        classification = restate(
+            classification, {name: value for name, value in causes.effects.items() if name not in in_position}
+        )
     classified = perf_counter()
     diagnosis = _assembled_diagnosis(
         selection, nominal, settings, study, search, position, lines, classification, inputs, causes
@@ -429,14 +433,13 @@ def _assembled_diagnosis(
         where = localise(blocks, present=False)
     where = attribute_to_effects(where, blocks, _named_force(study, fit, hum))
     files = tuple(run.file for run in study.runs)
-    force_classification = classify(
-        replace(inputs, position=(), has_position_error=False), options.tolerance_mN, _calibration_for(study, options)
-    )
     budget = _budget(study, causes, classification, position, reduction, lines)
-    if classification.effects and _judged_by_presence(study, position):
-        left_over = budget.leaves_more_than(RESIDUAL_SHARE, options.tolerance_mN)
+    if classification.effects and _judged_by_presence(study):
+        in_position = {model_class.effect for model_class in position.model_classes}
+        unexplained_position = position.has_position_error and not in_position & set(classification.effects)
+        left_over = unexplained_position or budget.leaves_more_than(RESIDUAL_SHARE, options.tolerance_mN)
         classification = replace(classification, residual_unknown=left_over)
-    next_run = recommend_next_run(study, search, position, classification, force_classification, options.next_runs)
+    next_run = recommend_next_run(study, search, position, classification, causes.on_force, options.next_runs)
     return Diagnosis(
         specimen=selection.specimen,
         nominal=nominal.name,
@@ -471,9 +474,9 @@ def _is_within_noise(where: GapLocation, reduction: GapReduction | None) -> bool
     return small and where.p >= ALPHA
 
 
-def _judged_by_presence(study: Study, position: PositionAnalysis) -> bool:
-    """Whether the presence of each effect decides: it was fitted to the gut, and motion errors mimic effects."""
-    return isinstance(study, CapsuleStudy) and not position.has_position_error
+def _judged_by_presence(study: Study) -> bool:
+    """Whether the presence of each effect on the force decides: it was fitted to campaigns of the gut."""
+    return isinstance(study, CapsuleStudy)
 
 
 def _budget(
@@ -488,7 +491,8 @@ def _budget(
     probabilities = {name: classification.marginal(name) for name in in_position}
     closed = None if reduction is None else position_gap_reduction(position, reduction)
     hum_mN = float(np.sqrt(0.5)) * lines.mains.amplitude
-    budget = gap_budget(study, causes, classification, probabilities, closed, {hum_effect().id: hum_mN})
+    fitted = "" if position.candidate is None else position.candidate.effect.id
+    budget = gap_budget(study, causes, classification, probabilities, fitted, closed, {hum_effect().id: hum_mN})
     if any(entry.channel == "position" for entry in budget.entries):
         return replace(budget, runs=(*budget.runs, *_contributions_in_position(study, position)))
     return budget

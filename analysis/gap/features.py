@@ -1,7 +1,7 @@
 """Inputs of a verdict, the features computed from them, and the calibrated weights and thresholds."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from math import log, sqrt
 from pathlib import Path
@@ -119,6 +119,11 @@ class DecisionInputs:
     has_position_error: Annotated[bool, Field(alias="strays")] = False
     excluded: Annotated[tuple[str, ...], Field(alias="without")] = ()
     laws: Annotated[tuple[NonparametricLaw, ...], Field(alias="nameless")] = ()
+
+    @property
+    def without_position(self) -> "DecisionInputs":
+        """What the force shows alone."""
+        return replace(self, position=(), has_position_error=False)
 
     @property
     def excess(self) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from dragrig.analysis import MIN_COUNT_MM, Experiment, session_starts, wander_noise_sd_mm
 from dragrig.analysis.gap.design import Candidate
 from dragrig.analysis.gap.diagnosis import GapReduction
-from dragrig.rig import FloatArray
+from dragrig.rig import BoolArray, FloatArray
 from dragrig.sim_backend.effects import (
     Channel,
     Effect,
@@ -201,6 +201,14 @@ PLAYS_MM, SHARES_TAKEN_UP = np.geomspace(0.003, 5.0, 30), (0.0, 0.25, 0.5, 0.75,
 MIN_SPEED_SHARE = 0.01
 """Slower commands than this share of the highest are rounding."""
 RIPPLE_HARMONICS = 3
+STEADY_SPEED_RATIO, MIN_STEADY_BLOCKS, STEADY_TREND_DEGREE = 0.95, 20, 2
+"""Steady motion is above this fraction of the run's highest speed; there each run may have a trend of its own."""
+MIN_STEADY_RIPPLE_SHARE = 0.2
+"""Share of the squares about the trends of steady motion that a single wave of all runs explains where the stage
+ripples: at least 0.25 in simulated ripples of any form, alone or beside a lag, at most 0.1 elsewhere."""
+MIN_SHARE_BESIDE_RIPPLE, MIN_HELD_OUT_BESIDE_RIPPLE = 0.02, 0.7
+"""A ripple explains and leaves at least this share of the squares where another error acts beside it, which explains at
+least that share of what is left."""
 POSITION_FOLDS = 4
 POSITION_RIDGE = 1e-6
 
@@ -252,8 +260,39 @@ def score_model_classes(
     }
     if _goes_both_ways(runs):
         scores |= {PositionForm.PLAY: lambda: _play_class(names[PositionForm.PLAY], runs)}
+    if effects is None or names[PositionForm.RIPPLE] in effects:
+        steady = SteadyRipple.of(runs)
+        if steady is not None and steady.is_there:
+            scores |= {PositionForm.RIPPLE: lambda: _in_steady_motion(ripple(), steady, runs)}
     classes = [score() for form, score in scores.items() if effects is None or names[form] in effects]
     return tuple(sorted(classes, key=lambda model_class: -model_class.held_out_share))
+
+
+def _in_steady_motion(
+    model_class: PositionModelClass, steady: "SteadyRipple", runs: Sequence[PositionErrors]
+) -> PositionModelClass:
+    """Return the score of a ripple with an amplitude and an offset in motion of each run's own, if that is higher."""
+    left = _weighted_squares([_without_offset(run) for run in steady.runs], runs) / _weighted_squares(runs, runs)
+    if 1.0 - left <= model_class.held_out_share:
+        return model_class
+    return replace(model_class, held_out_share=1.0 - left, shape_value=steady.wave_per_mm)
+
+
+def error_beside_ripple(
+    runs: Sequence[PositionErrors], classes: Sequence[PositionModelClass]
+) -> tuple[PositionModelClass, PositionModelClass, float] | None:
+    """Return a ripple in steady motion, another error beside it, and the share that both explain; None for fewer."""
+    ripple = next((entry for entry in classes if find_effect(entry.effect).position_form is PositionForm.RIPPLE), None)
+    steady = SteadyRipple.of(runs)
+    others = {entry.effect for entry in classes if entry is not ripple}
+    if ripple is None or steady is None or not steady.is_there or not others:
+        return None
+    beside = score_model_classes(steady.runs, others)[0]
+    left = _weighted_squares(steady.runs, runs) / _weighted_squares(runs, runs)
+    both_matter = MIN_SHARE_BESIDE_RIPPLE <= left <= 1.0 - MIN_SHARE_BESIDE_RIPPLE
+    if beside.held_out_share < MIN_HELD_OUT_BESIDE_RIPPLE or not both_matter:
+        return None
+    return ripple, beside, 1.0 - left * (1.0 - beside.held_out_share)
 
 
 def _lag_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModelClass:
@@ -369,6 +408,126 @@ def _sine_columns(run: PositionErrors, waves_per_mm: FloatArray) -> FloatArray:
     return np.hstack((np.cos(phase) - np.cos(initial_phase), np.sin(phase) - np.sin(initial_phase)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SteadyRipple:
+    """A wave along the stroke that all runs share in steady motion, whatever its amplitude in each."""
+
+    wave_per_mm: float
+    share: float
+    """Share of the squares about the trends of steady motion that it explains."""
+    rms_mm: float
+    """Root mean square of it in steady motion, where it is largest."""
+    runs: tuple[PositionErrors, ...]
+    """The runs without it."""
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the stage ripples, with a wave that is no end of the range, where trends end up, and above counts."""
+        visible = self.rms_mm >= max(run.detectable_mm for run in self.runs)
+        return visible and self.share >= MIN_STEADY_RIPPLE_SHARE and self.wave_per_mm > LONG_WAVE_PER_MM
+
+    @classmethod
+    def of(cls, runs: Sequence[PositionErrors]) -> "SteadyRipple | None":
+        """Find the wave that explains most of steady motion; None where no run has any."""
+        steady = [_SteadyMotion.of(run) for run in runs]
+        found = [motion for motion in steady if motion is not None]
+        if not found:
+            return None
+        step = WAVE_SPACING_PERIODS / RIPPLE_STROKE_MM
+        waves_per_mm = np.arange(LONG_WAVE_PER_MM, MAX_WAVENUMBER_PER_MM, step)
+        coarse = float(waves_per_mm[int(_steady_powers(found, waves_per_mm).argmax())])
+        refined = np.linspace(max(coarse - step, LONG_WAVE_PER_MM), coarse + step, 9)
+        powers = _steady_powers(found, refined)
+        wave = float(refined[int(powers.argmax())])
+        squares = [float(motion.error_mm @ motion.error_mm) for motion in found]
+        share = float(powers.max()) / max(sum(squares), 1e-300)
+        return cls(wave, share, float(np.sqrt(share * max(squares))), _without_wave(runs, steady, wave))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _SteadyMotion:
+    """Steady motion of a run, every quantity about its trend and divided by the root of the number of blocks."""
+
+    place_mm: FloatArray
+    trend: FloatArray
+    error_mm: FloatArray
+
+    @classmethod
+    def of(cls, run: PositionErrors) -> "_SteadyMotion | None":
+        steady = np.abs(run.velocity_mm_s) > STEADY_SPEED_RATIO * run.top_speed_mm_s
+        if np.count_nonzero(steady) < MIN_STEADY_BLOCKS:
+            return None
+        place = (run.origin_mm + run.command_mm)[steady]
+        trend = np.linalg.qr(np.vander(place - place.mean(), STEADY_TREND_DEGREE + 1))[0]
+        motion = cls(place, trend, run.error_mm[steady])
+        return replace(motion, error_mm=motion.about_trend(run.error_mm[steady]))
+
+    def about_trend(self, values: FloatArray) -> FloatArray:
+        """Return values `(B,)` or `(B, C)` about their trends, divided by the root of B."""
+        return np.asarray((values - self.trend @ (self.trend.T @ values)) / np.sqrt(len(self.place_mm)))
+
+    def waves(self, waves_per_mm: FloatArray) -> FloatArray:
+        """Return cosines and sines about their trends, shape `(B, 2 W)`."""
+        phase = 2 * np.pi * self.place_mm[:, None] * waves_per_mm
+        return self.about_trend(np.hstack((np.cos(phase), np.sin(phase))))
+
+
+def _steady_powers(steady: Sequence[_SteadyMotion], waves_per_mm: FloatArray) -> FloatArray:
+    """Return the squares that each wave explains alone, with one amplitude and phase in all runs, shape `(W,)`."""
+    gram, moments = np.zeros((waves_per_mm.size, 2, 2)), np.zeros((waves_per_mm.size, 2))
+    for motion in steady:
+        waves = motion.waves(waves_per_mm).reshape(-1, 2, waves_per_mm.size)
+        gram += np.einsum("biw,bjw->wij", waves, waves)
+        moments += np.einsum("b,biw->wi", motion.error_mm, waves)
+    ridge = POSITION_RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 1e-150
+    return np.asarray(np.einsum("wi,wi->w", np.linalg.solve(gram + ridge, moments[:, :, None])[:, :, 0], moments))
+
+
+def _without_wave(
+    runs: Sequence[PositionErrors], steady: Sequence[_SteadyMotion | None], wave_per_mm: float
+) -> tuple[PositionErrors, ...]:
+    """Subtract a wave with harmonics from all runs, its amplitude each run's own.
+
+    It may begin at its value at rest, or at zero where the stage ripples in motion alone; what leaves less is taken.
+    """
+    waves = np.asarray(wave_per_mm * np.arange(1, RIPPLE_HARMONICS + 1), dtype=np.float64)
+    columns = [None if motion is None else motion.waves(waves) for motion in steady]
+    pairs = [(values, motion) for values, motion in zip(columns, steady, strict=True) if motion and values is not None]
+    gram = np.sum([values.T @ values for values, _ in pairs], axis=0)
+    moment = np.sum([values.T @ motion.error_mm for values, motion in pairs], axis=0)
+    form = _ridge_solution(gram, moment)[0]
+    from_rest, in_motion = list[PositionErrors](), list[PositionErrors]()
+    for run, values, motion in zip(runs, columns, steady, strict=True):
+        amplitude = 1.0
+        if values is not None and motion is not None:
+            wave = values @ form
+            amplitude = float(wave @ motion.error_mm) / max(float(wave @ wave), 1e-300)
+        phase = 2 * np.pi * (run.origin_mm + run.command_mm)[:, None] * waves
+        ripple = amplitude * (np.hstack((np.cos(phase), np.sin(phase))) @ form)
+        moves = _moves(run)
+        from_rest.append(replace(run, error_mm=run.error_mm - run.zeroed(ripple - ripple[0])))
+        in_motion.append(replace(run, error_mm=run.error_mm - run.zeroed(ripple * moves)))
+    if _weighted_squares(from_rest, runs) < _weighted_squares(in_motion, runs):
+        return tuple(from_rest)
+    return tuple(in_motion)
+
+
+def _moves(run: PositionErrors) -> BoolArray:
+    return np.asarray(np.abs(run.velocity_mm_s) > (1 - STEADY_SPEED_RATIO) * run.top_speed_mm_s)
+
+
+def _without_offset(run: PositionErrors) -> PositionErrors:
+    """Subtract the mean error of the motion from it."""
+    moves = _moves(run)
+    return replace(run, error_mm=run.error_mm - moves * (run.error_mm[moves].mean() if moves.any() else 0.0))
+
+
+def _weighted_squares(runs: Sequence[PositionErrors], weighted_as: Sequence[PositionErrors]) -> float:
+    """Return the sum of squares with the weights of other errors of these runs, at least the smallest number."""
+    pairs = zip(runs, weighted_as, strict=True)
+    return max(sum(float(np.sum((run.error_mm * _block_weights(original)) ** 2)) for run, original in pairs), 1e-300)
+
+
 def _block_weights(run: PositionErrors) -> FloatArray:
     """Weight runs equally whatever their speed, and runs without errors little."""
     rms = float(np.sqrt(np.mean(run.error_mm**2)))
@@ -431,11 +590,24 @@ class PositionAnalysis:
     """Best effect of the catalogue with fitted parameters; None for none."""
     standard_errors: tuple[float, ...] = ()
     """Standard errors of its fitted parameters."""
+    together: tuple[str, ...] = ()
+    """Two effects that act together, the ripple last; empty for fewer."""
+    share_together: float = 0.0
+    """Share of the weighted squares that they explain."""
 
     @property
     def is_recording_error(self) -> bool:
         """Whether the stage followed its command and only the record is wrong."""
-        return bool(self.model_classes) and not find_effect(self.model_classes[0].effect).moves_stage
+        likely = self.together or tuple(model_class.effect for model_class in self.model_classes[:1])
+        return bool(likely) and not any(find_effect(effect).moves_stage for effect in likely)
+
+    @property
+    def shares(self) -> tuple[tuple[str, float], ...]:
+        """Share that each effect explains, and two together, their names joined with `+`; the highest first."""
+        entries = [(model_class.effect, model_class.held_out_share) for model_class in self.model_classes]
+        if self.together:
+            entries.append(("+".join(self.together), self.share_together))
+        return tuple(sorted(entries, key=lambda entry: -entry[1]))
 
 
 def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect]) -> PositionAnalysis:
@@ -448,12 +620,15 @@ def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect
     if not model_classes:
         return PositionAnalysis(runs, has_position_error=True)
     effect = known[model_classes[0].effect]
+    analysis = PositionAnalysis(runs, has_position_error=True, model_classes=model_classes)
+    pair = error_beside_ripple(runs, model_classes)
+    if pair is not None:
+        ripple, beside, share = pair
+        analysis = replace(analysis, together=(beside.effect, ripple.effect), share_together=share)
     if effect.channel is not Channel.POSITION:
-        return PositionAnalysis(runs, has_position_error=True, model_classes=model_classes)
+        return analysis
     candidate, errors = fit_position_effect(runs, effect, model_classes[0])
-    return PositionAnalysis(
-        runs, has_position_error=True, model_classes=model_classes, candidate=candidate, standard_errors=errors
-    )
+    return replace(analysis, candidate=candidate, standard_errors=errors)
 
 
 def predicted_position_error(candidate: Candidate, run: PositionErrors) -> FloatArray:

@@ -46,6 +46,13 @@ MODEL_SCALES = (3.0, 10.0, 30.0)
 """Factors on the priors of the nominal model: with priors of 2 % to 15 %, a model off by up to half."""
 RUN_GAIN_SCALES = (0.03, 0.1, 0.3)
 """Relative scatter of a gain that each run has of its own, beyond that of the nominal model."""
+EXCHANGE = "exchange of the specimen"
+EXCHANGE_SCALES = (1.0, 3.0, 10.0)
+"""Factors on the priors of a specimen, within which the runs after an exchange differ from those before."""
+EXCHANGES_TRIED = 3
+"""Most likely runs before which the specimen was exchanged."""
+MIN_RUNS_WITH_EXCHANGE = 6
+"""Fewer runs cannot tell a step between two of them from what the runs differ in anyhow."""
 MODULATION_SD = 0.3
 """Smooth relative deviation of a real effect from the catalogue's law: real ones leave 10 to 40 % of its form."""
 FREE_LAW_SD = 0.3
@@ -61,8 +68,9 @@ FORM_LAWS: Mapping[Coordinate, tuple[str, ...]] = {
 """Free laws of each coordinate, the one in the closed gut last."""
 FORM_ERROR = 0.25
 """Error of each block relative to the gap there: what no smooth function of any coordinate covers."""
-PRIOR_PROBABILITIES = {"effect": 0.08, "law": 0.03, "run": 0.03, "model": 0.15}
-"""Prior probability of each cause by kind: of 25 effects about two, a wrong model in every second campaign."""
+PRIOR_PROBABILITIES = {"effect": 0.08, "law": 0.03, "run": 0.03, "exchange": 0.003, "model": 0.15}
+"""Prior probability of each cause by kind: of 25 effects about two, a wrong model in every second campaign. Files say
+which specimen a run was made on, so that an exchange which they do not tell of is rare."""
 KEPT_VARIANCE, MAX_CORE_COLUMNS = 0.999, 8
 """The variants of an effect span a space, of which this share of the whitened variance is kept."""
 PERIODS_TRIED = 4
@@ -91,6 +99,7 @@ class CauseKind(StrEnum):
     EFFECT = "effect"
     LAW = "law"
     RUN = "run"
+    EXCHANGE = "exchange"
     MODEL = "model"
 
 
@@ -111,6 +120,20 @@ class Cause:
     """Direction of the coefficients in which it must be positive, shape `(k,)`; None for causes of either sign."""
     alternatives: int = 1
     """Number of causes of this name, among which its prior probability is shared."""
+    detail: str = ""
+    """Where or when it acts, to be said after its name."""
+    group: str = ""
+    """Causes of a group exclude each other; default: those of its name."""
+
+    @property
+    def exclusive(self) -> str:
+        """Group of causes of which only one can be there."""
+        return self.group or self.name
+
+    @property
+    def words(self) -> str:
+        """Name with where or when it acts."""
+        return f"{self.name} {self.detail}".rstrip()
 
     @property
     def log_prior_odds(self) -> float:
@@ -125,17 +148,11 @@ CauseSet = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Competition:
-    """All causes that may be there, with the data that decide between them."""
+    """All causes that may be there, with what decides between them."""
 
     causes: tuple[Cause, ...]
     products: FloatArray
     """Products of residual (first) and columns, whitened, nuisances projected out, shape `(1 + C, 1 + C)`."""
-    columns: FloatArray
-    """Columns at all blocks of all runs, shape `(N, C)` [mN per unit]."""
-    whitenings: tuple[Whitening, ...]
-    """Whitening of each run, the form error included."""
-    design: Design
-    """Campaign around the parameters of the best hypothesis, with its nuisances."""
 
     def scaled_columns(self, causes: CauseSet) -> tuple[IndexArray, FloatArray]:
         """Return the rows of a set's columns in `products`, and the prior sds of their coefficients."""
@@ -144,7 +161,19 @@ class Competition:
         return np.concatenate((*rows, np.zeros(0, dtype=np.intp))), np.concatenate((*sds, np.zeros(0)))
 
 
-class _ColumnStore:
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceCompetition(Competition):
+    """Causes of the gap in the force."""
+
+    columns: FloatArray
+    """Columns at all blocks of all runs, shape `(N, C)` [mN per unit]."""
+    whitenings: tuple[Whitening, ...]
+    """Whitening of each run, the form error included."""
+    design: Design
+    """Campaign around the parameters of the best hypothesis, with its nuisances."""
+
+
+class ColumnStore:
     """Collects columns and the causes that they belong to."""
 
     def __init__(self) -> None:
@@ -153,6 +182,7 @@ class _ColumnStore:
         self._count = 0
 
     def add(self, columns: FloatArray) -> IndexArray:
+        """Add columns of a cause that follows; return their indices."""
         self.columns.append(columns)
         self._count += columns.shape[1]
         return np.arange(self._count - columns.shape[1], self._count)
@@ -164,8 +194,15 @@ class _ColumnStore:
             self.causes.append(Cause(name, kind, added, np.ones(added.size), scales))
         return added
 
+    def shared_priors(self) -> tuple[Cause, ...]:
+        """Return all causes; those of a name share its prior probability."""
+        names = [cause.name for cause in self.causes]
+        return tuple(
+            replace(cause, alternatives=max(cause.alternatives, names.count(cause.name))) for cause in self.causes
+        )
 
-def prepare_competition(search: ForceSearchResult) -> Competition:
+
+def prepare_competition(search: ForceSearchResult) -> ForceCompetition:
     """Return all causes that may act on the force of a campaign, beside its nominal model."""
     study = search.study
     fits = sorted(search.fits, key=lambda fit: fit.chi2)
@@ -177,14 +214,18 @@ def prepare_competition(search: ForceSearchResult) -> Competition:
         run.whitening.with_form_error(FORM_ERROR * _smoothed_size(residual))
         for run, residual in zip(design.runs, nominal_residuals(search.nominal), strict=True)
     )
-    store = _ColumnStore()
+    store = ColumnStore()
     free_laws = dict(_add_unnamed_causes(store, study, design))
     effects = _EffectCauses(store, study, design, whitenings, free_laws)
     for variants, alternatives in _variant_groups(search, design):
         effects.add_variants(variants, alternatives)
-    fitted = [(candidate, fit.parameters.z) for fit in search.fits for candidate in fit.parameters.candidates]
+    fitted = [(candidate, fit.parameters.z) for fit in fits for candidate in fit.parameters.candidates]
+    first_fitted = len(store.causes)
     for candidate, z in fitted:
         effects.add_fitted(candidate, z)
+    best = store.causes[first_fitted : first_fitted + (len(fits[0].parameters.candidates) if fits else 0)]
+    of_best = np.concatenate((np.zeros(0, dtype=np.intp), *(cause.columns for cause in best)))
+    _add_exchanges(store, study, design, whitenings, np.unique(of_best))
     return _compete(design, whitenings, store)
 
 
@@ -195,7 +236,7 @@ def _smoothed_size(residual: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(mean_square, 0.0)))
 
 
-def _compete(design: Design, whitenings: tuple[Whitening, ...], store: _ColumnStore) -> Competition:
+def _compete(design: Design, whitenings: tuple[Whitening, ...], store: ColumnStore) -> ForceCompetition:
     columns = np.concatenate(store.columns, axis=1)
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
     total, first = np.zeros((1 + nuisances.size + columns.shape[1],) * 2), 0
@@ -207,14 +248,10 @@ def _compete(design: Design, whitenings: tuple[Whitening, ...], store: _ColumnSt
     products = schur_complement(
         design, total, nuisances, np.arange(1 + nuisances.size, len(total)), 1 + np.arange(nuisances.size)
     )
-    names = [cause.name for cause in store.causes]
-    causes = tuple(
-        replace(cause, alternatives=max(cause.alternatives, names.count(cause.name))) for cause in store.causes
-    )
-    return Competition(causes, products, columns, whitenings, design)
+    return ForceCompetition(store.shared_priors(), products, columns, whitenings, design)
 
 
-def _add_unnamed_causes(store: _ColumnStore, study: Study, design: Design) -> Iterator[tuple[str, IndexArray]]:
+def _add_unnamed_causes(store: ColumnStore, study: Study, design: Design) -> Iterator[tuple[str, IndexArray]]:
     """Add free laws, gains of the runs, and errors of the model; yield the columns of each free law by its name."""
     predicted = [run.predicted for run in design.runs]
     for name, by_run in nonparametric_columns(study.runs, predicted, 0.0).items():
@@ -244,6 +281,80 @@ def _model_columns(study: Study, design: Design) -> Iterator[tuple[str, FloatArr
     for name, columns in directions.items():
         yield f"{name} of the model", columns
         yield f"{name} of the model in relaxations", columns * sheared[:, None]
+
+
+def _add_exchanges(
+    store: ColumnStore, study: Study, design: Design, whitenings: Sequence[Whitening], fitted: IndexArray
+) -> None:
+    """Add the most likely exchanges that nobody recorded: all later runs are of a specimen with own parameters.
+
+    Parameters
+    ----------
+    fitted
+        Columns of the best explanation, beside which exchanges are looked for as well as without.
+    """
+    if len(study.runs) < MIN_RUNS_WITH_EXCHANGE or not all(run.has_clock for run in study.runs):
+        return
+    nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
+    by_time = sorted(range(len(study.runs)), key=lambda index: study.runs[index].session_start_s)
+    of_run = np.repeat(np.arange(len(design.runs)), [run.residual.size for run in design.runs])
+    beside = np.concatenate(store.columns, axis=1)[:, fitted]
+    grams = []
+    for index in by_time:
+        run = design.runs[index]
+        values = np.column_stack((run.residual, run.columns[:, nuisances], beside[of_run == index]))
+        white = whitenings[index].whiten(values)
+        grams.append(white.T @ white)
+    later = np.cumsum(grams[::-1], axis=0)[::-1]
+    chosen: dict[int, None] = {}
+    for count in {0, fitted.size}:
+        rows = np.arange(1 + nuisances.size + count)
+        total = later[0][np.ix_(rows, rows)]
+        evidence = [_exchange_evidence(design, nuisances, total, tail[np.ix_(rows, rows)]) for tail in later[1:]]
+        chosen |= dict.fromkeys(np.argsort(evidence)[::-1][:EXCHANGES_TRIED].tolist())
+    columns = np.concatenate([run.columns[:, nuisances] for run in design.runs])
+    for boundary in chosen:
+        added = store.add(columns * np.isin(of_run, by_time[boundary + 1 :])[:, None])
+        sds, when = np.ones(added.size), f"after run {boundary + 1}"
+        store.causes.append(
+            Cause(
+                EXCHANGE,
+                CauseKind.EXCHANGE,
+                added,
+                sds,
+                EXCHANGE_SCALES,
+                alternatives=len(by_time) - 1,
+                detail=when,
+            )
+        )
+
+
+def _exchange_evidence(design: Design, nuisances: IndexArray, total: FloatArray, later: FloatArray) -> float:
+    """Return the largest log evidence for other parameters in some runs.
+
+    Parameters
+    ----------
+    total, later
+        Gram matrices of residual, nuisances, and `f` columns that are there as well, of all runs and of those.
+    """
+    size, first = nuisances.size, len(total)
+    steps = np.block([[total, later[:, 1 : 1 + size]], [later[1 : 1 + size], later[1 : 1 + size, 1 : 1 + size]]])
+    products = schur_complement(design, steps, nuisances, np.arange(1 + size, len(steps)), np.arange(1, 1 + size))
+    beside = np.arange(1, first - size)
+    if beside.size:
+        root = np.linalg.cholesky(products[np.ix_(beside, beside)] + np.eye(beside.size) / SCALES_MN[-1] ** 2)
+        explained = np.linalg.solve(root, products[beside])
+        products = products - explained.T @ explained
+    rows = np.arange(first - size, len(products))
+    count = len(EXCHANGE_SCALES)
+    return float(
+        _log_evidence(
+            np.repeat(products[np.ix_(rows, rows)][None], count, axis=0),
+            np.repeat(products[None, rows, 0], count, axis=0),
+            np.zeros((count, size)),
+            np.array(EXCHANGE_SCALES),
+        ).max()
+    )
 
 
 def _variant_groups(search: ForceSearchResult, design: Design) -> Iterator[tuple[tuple[int, ...], int]]:
@@ -281,7 +392,7 @@ class _EffectCauses:
 
     def __init__(
         self,
-        store: _ColumnStore,
+        store: ColumnStore,
         study: Study,
         design: Design,
         whitenings: tuple[Whitening, ...],
@@ -464,7 +575,7 @@ class _SetEvidence:
         """Yield the set with every further cause at every scale, with its log posterior odds."""
         competition = self.competition
         explained, before = self._reduced(causes)
-        present = {competition.causes[index].name for index, _ in causes}
+        present = {competition.causes[index].exclusive for index, _ in causes}
         rows, sds, used, directions = self._padded
         grams = competition.products[rows[:, :, None], rows[:, None, :]]
         moments = competition.products[rows, 0]
@@ -474,7 +585,7 @@ class _SetEvidence:
             moments = moments - np.einsum("ska,s->ka", by_cause, explained[:, 0])
         grams = grams * (sds[:, :, None] * sds[:, None, :])
         moments = moments * sds
-        numbers = [number for number, cause in enumerate(competition.causes) if cause.name not in present]
+        numbers = [number for number, cause in enumerate(competition.causes) if cause.exclusive not in present]
         for scale in range(max(len(cause.scales) for cause in competition.causes)):
             chosen = [number for number in numbers if scale < len(competition.causes[number].scales)]
             sizes = np.array([competition.causes[number].scales[scale] for number in chosen])
