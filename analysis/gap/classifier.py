@@ -13,6 +13,7 @@ import numpy as np
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.features import (
     EFFECT_FEATURE,
+    EQUAL_SHARE,
     Calibration,
     DecisionInputs,
     GapGate,
@@ -125,10 +126,6 @@ def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Calib
     return _ForcePosterior(
         gap - sum(probabilities.values()), probabilities, frozenset(_leaving_residual(inputs, hypotheses))
     )
-
-
-EQUAL_SHARE = 0.05
-"""Difference of the explained shares of the excess within which one hypothesis explains as much as another."""
 
 
 def _among_lookalikes(

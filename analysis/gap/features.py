@@ -32,6 +32,8 @@ class NonparametricLaw:
     change_mN: Annotated[float, Field(alias="changed_mN")]
 
 
+EQUAL_SHARE = 0.05
+"""Difference of the explained shares of the excess within which one hypothesis explains as much as another."""
 MANY_LOOKALIKES = 20
 """Causes of which any may look like an effect that runs do not establish: as many as a catalogue has."""
 
@@ -253,8 +255,24 @@ def hypothesis_features(inputs: DecisionInputs, tolerance_mN: float) -> tuple[Hy
         for hypothesis in inputs.hypotheses
         if hypothesis.change_mN >= tolerance_mN and _is_admissible(hypothesis, inputs)
     ]
-    best = max((hypothesis.llr for hypothesis in admissible if len(hypothesis.effects) == 1), default=0.0)
-    return tuple(_features_of(hypothesis, inputs, best) for hypothesis in admissible)
+    singles = [(single, _share_of(single, inputs)) for single in admissible if len(single.effects) == 1]
+
+    def best_llr(hypothesis: HypothesisSummary) -> float:
+        # What is not established puts nothing behind it that explains as much.
+        enough = _share_of(hypothesis, inputs) + EQUAL_SHARE
+        rivals = (rival.llr for rival, share in singles if not rival.lookalikes or share > enough)
+        return max((hypothesis.llr, *rivals))
+
+    return tuple(_features_of(hypothesis, inputs, best_llr(hypothesis)) for hypothesis in admissible)
+
+
+def _exact_share(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> float:
+    return explained_share(hypothesis.chi2_with_form_error if hypothesis.periodic else hypothesis.chi2, inputs)
+
+
+def _share_of(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> float:
+    """Return the share of the excess that a hypothesis explains, averaged over the forms without and with error."""
+    return 0.5 * (_exact_share(hypothesis, inputs) + explained_share(hypothesis.chi2_with_form_error, inputs))
 
 
 def _is_admissible(hypothesis: HypothesisSummary, inputs: DecisionInputs) -> bool:
@@ -282,7 +300,7 @@ def _remaining_chi2(chi2: float, inputs: DecisionInputs) -> float:
 
 def _features_of(hypothesis: HypothesisSummary, inputs: DecisionInputs, best_llr: float) -> HypothesisFeatures:
     form_error_share = explained_share(hypothesis.chi2_with_form_error, inputs)
-    exact_share = form_error_share if hypothesis.periodic else explained_share(hypothesis.chi2, inputs)
+    exact_share = _exact_share(hypothesis, inputs)
     form_error_odds, clear = (
         _softened_log_odds(form_error_share),
         _clipped_log(inputs.excess / chance_chi2(inputs), *CLEAR_EXCESS_RANGE),
@@ -312,7 +330,7 @@ def _features_of(hypothesis: HypothesisSummary, inputs: DecisionInputs, best_llr
         features["behind"] = (best_llr - hypothesis.llr) / (1.0 + FORM_LOSS * best_llr)
     else:
         features |= _further_effect_features(hypothesis, inputs)
-    return HypothesisFeatures(hypothesis.effects, features, 0.5 * (exact_share + form_error_share))
+    return HypothesisFeatures(hypothesis.effects, features, _share_of(hypothesis, inputs))
 
 
 def gap_weight(effect: str) -> float:

@@ -317,8 +317,8 @@ def _with_parameters(effect: Effect, parameters: tuple[EffectParameter, ...]) ->
     return changed
 
 
-STARTS_OF_PERIOD, WAVES_AT_ONCE, MAX_WAVES = 6, 200, 4000
-"""Best periods on the machine from which a search starts, and how many are tried."""
+STARTS_OF_PERIOD, WAVES_AT_ONCE, MAX_WAVES, FINER_WAVES = 6, 200, 4000, 17
+"""Best periods on the machine from which a search starts, how many are tried, and how many near each of the best."""
 BLOCKS_PER_PERIOD, LONG_STEPS = 3.0, 0.9
 """Shorter periods, in steps from block to block that nearly all others do not exceed, pass for longer ones."""
 
@@ -355,7 +355,7 @@ def with_periods_of_runs(bare: Study, effects: Sequence[Effect]) -> list[Effect]
         count = int(np.clip(2.0 * (highest - lowest) * (to_per_mm - from_per_mm), 2, MAX_WAVES))
         waves = np.linspace(from_per_mm, to_per_mm, count)
         centred = [place - middle for place in places]
-        best = _strongest_waves(bare, design, centred, waves)
+        best = _WaveSearch(bare, design, centred).strongest(waves)
         # Overtones of the strongest are other variants of the same effect, and so its error of form.
         overtones = best[:1] * np.arange(2, PLACE_HARMONICS + 1)
         tried = np.union1d(best, overtones[overtones <= to_per_mm])
@@ -372,32 +372,52 @@ def with_periods_of_runs(bare: Study, effects: Sequence[Effect]) -> list[Effect]
     return result
 
 
-def _strongest_waves(bare: Study, design: Design, places: Sequence[FloatArray], waves: FloatArray) -> FloatArray:
-    """Return the wave numbers that explain most of the residuals beside the nominal model, none next to another."""
-    rows = [
-        run.whitening.whiten(np.column_stack((run.residual, run.columns[:, design.columns_of(ColumnKind.NOMINAL)])))
-        for run in design.runs
-    ]
-    residual, nominal = np.split(np.concatenate(rows), [1], axis=1)
-    basis = np.linalg.svd(nominal, full_matrices=False)[0]
-    residual = residual[:, 0] - basis @ (basis.T @ residual[:, 0])
-    powers = []
-    for few in np.array_split(waves, max(1, waves.size // WAVES_AT_ONCE)):
-        columns = []
-        for run_data, run, place in zip(bare.runs, design.runs, places, strict=True):
-            angle = 2 * np.pi * few[:, None] * place
-            both = np.concatenate((np.cos(angle), np.sin(angle)))
-            columns.append(run.whitening.whiten(run_data.block_means(both).T))
-        white = np.concatenate(columns)
-        white -= basis @ (basis.T @ white)
-        pairs = white.reshape(len(white), 2, few.size)
-        grams = np.einsum("nap,nbp->pab", pairs, pairs, optimize=True) + 1e-9 * np.eye(2)
-        moments = np.einsum("nap,n->pa", pairs, residual)
-        powers.append(np.einsum("pa,pa->p", moments, np.linalg.solve(grams, moments[:, :, None])[:, :, 0]))
-    power = np.concatenate(powers)
-    neighbours = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
-    peaks = np.flatnonzero(power >= neighbours)
-    return np.asarray(waves[peaks[np.argsort(-power[peaks])[:STARTS_OF_PERIOD]]])
+@dataclass(frozen=True, eq=False)
+class _WaveSearch:
+    """What waves on the machine explain of a campaign's residuals beside the nominal model."""
+
+    bare: Study
+    design: Design
+    places: Sequence[FloatArray]
+    """Places at the nodes of each run's blocks."""
+
+    @cached_property
+    def _basis_and_residual(self) -> tuple[FloatArray, FloatArray]:
+        nominal = self.design.columns_of(ColumnKind.NOMINAL)
+        rows = [
+            run.whitening.whiten(np.column_stack((run.residual, run.columns[:, nominal]))) for run in self.design.runs
+        ]
+        residual, columns = np.split(np.concatenate(rows), [1], axis=1)
+        basis = np.asarray(np.linalg.svd(columns, full_matrices=False)[0], dtype=np.float64)
+        return basis, residual[:, 0] - basis @ (basis.T @ residual[:, 0])
+
+    def powers(self, waves: FloatArray) -> FloatArray:
+        """Return the chi-square that each wave number explains, shape `(W,)`."""
+        basis, residual = self._basis_and_residual
+        powers = []
+        for few in np.array_split(waves, max(1, waves.size // WAVES_AT_ONCE)):
+            columns = []
+            for run_data, run, place in zip(self.bare.runs, self.design.runs, self.places, strict=True):
+                angle = 2 * np.pi * few[:, None] * place
+                both = np.concatenate((np.cos(angle), np.sin(angle)))
+                columns.append(run.whitening.whiten(run_data.block_means(both).T))
+            white = np.concatenate(columns)
+            white -= basis @ (basis.T @ white)
+            pairs = white.reshape(len(white), 2, few.size)
+            grams = np.einsum("nap,nbp->pab", pairs, pairs, optimize=True) + 1e-9 * np.eye(2)
+            moments = np.einsum("nap,n->pa", pairs, residual)
+            powers.append(np.einsum("pa,pa->p", moments, np.linalg.solve(grams, moments[:, :, None])[:, :, 0]))
+        return np.concatenate(powers)
+
+    def strongest(self, waves: FloatArray) -> FloatArray:
+        """Return the evenly spaced wave numbers that explain most, none next to another, each made more exact."""
+        power = self.powers(waves)
+        neighbours = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
+        peaks = np.flatnonzero(power >= neighbours)
+        best = waves[peaks[np.argsort(-power[peaks])[:STARTS_OF_PERIOD]]]
+        nearby = best[:, None] + (waves[1] - waves[0]) * np.linspace(-1.0, 1.0, FINER_WAVES)
+        finer = self.powers(nearby.ravel()).reshape(nearby.shape)
+        return np.asarray(nearby[np.arange(best.size), finer.argmax(axis=1)])
 
 
 def effects_that_act(study: Study, effects: Sequence[Effect]) -> tuple[Effect, ...]:
