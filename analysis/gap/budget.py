@@ -36,6 +36,7 @@ from dragrig.analysis.gap.gap_reduction import (
 )
 from dragrig.analysis.gap.presence import (
     EXCHANGE,
+    MODULATION_SD,
     CauseKind,
     CauseSet,
     Competition,
@@ -50,6 +51,8 @@ from dragrig.rig import FloatArray, IndexArray
 
 MIN_GAP_OVER_NOISE = 0.1
 """Mean square of a gap above noise, relative to noise, below which shares of it mean nothing."""
+FORM_SHARE = MODULATION_SD**2
+"""Share of an effect's squares that its form differs by from the catalogue's, which runs alike in form do not show."""
 EQUAL_LOG_ODDS = 3.0
 """Causes whose exchange changes the log odds by less cannot be separated: 20 to 1, as for a 95 % interval."""
 
@@ -139,7 +142,8 @@ def gap_budget(
     entries = () if classification.verdict is Verdict.NO_GAP else _without_unlikely_rivals(entries, causes.effects)
     presence = dict.fromkeys(effect_ids(), MIN_PRESENCE) | presence | dict(position)
     if position and position_reduction is not None and position_reduction.closed is not None:
-        closed, interval = position_reduction.closed, position_reduction.closed_95ci
+        closed = position_reduction.closed
+        interval = _with_form_error(closed, position_reduction.closed_95ci)
         rest = None if interval is None else (1.0 - interval[1], 1.0 - interval[0])
         if fitted_position in classification.effects:
             entries = (
@@ -218,7 +222,11 @@ def force_budget(
     duration, noise, square, rest = rows.sum(axis=0)[:4].tolist()
     if square - noise < MIN_GAP_OVER_NOISE * noise:
         return ForceBudget((), float(np.sqrt(max(square - noise, 0.0) / duration)), held_out, ())
-    shares, intervals = _shares(rows[None])[0].tolist(), _share_intervals(rows)
+    shares = _shares(rows[None])[0].tolist()
+    intervals = [
+        _with_form_error(share, interval)
+        for share, interval in zip((*shares, 1.0 - sum(shares)), _share_intervals(rows), strict=True)
+    ]
     sizes = np.sqrt(rows.sum(axis=0)[4 + len(parts) :] / duration).tolist()
     entries = [
         BudgetEntry(
@@ -402,6 +410,14 @@ def _shares(rows: FloatArray) -> FloatArray:
     parts = (rows.shape[2] - 4) // 2
     gap = np.maximum(total[:, 2] - total[:, 1], 1e-12)
     return np.asarray(total[:, 4 : 4 + parts] / gap[:, None])
+
+
+def _with_form_error(share: float, interval: tuple[float, float] | None) -> tuple[float, float] | None:
+    """Widen an interval by what the form of an effect leaves to others, or takes from them."""
+    if interval is None:
+        return None
+    low, high = interval
+    return share - float(np.hypot(share - low, FORM_SHARE)), share + float(np.hypot(high - share, FORM_SHARE))
 
 
 def _share_intervals(rows: FloatArray, seed: int = 0) -> list[tuple[float, float] | None]:
