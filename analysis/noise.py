@@ -48,8 +48,8 @@ DEFAULT_SLOW_SHARE = 1.0 / 3.0
 """Slow noise over white noise where no stretch is long enough to show it."""
 DEFAULT_WHITE = 2.0
 """White noise [mN] where no run shows any, at the upper end for such sensors."""
-FLICKER_TIMES_S = tuple(40.0 * 0.25**number for number in range(8))
-"""Correlation times whose noises, of equal variance, add up to 1/f noise from 0.004 to 70 Hz within 5 %."""
+FLICKER_TIMES_S = tuple(40.0 * 0.25**number for number in range(10))
+"""Correlation times whose noises, of equal variance, add up to 1/f noise from 0.004 Hz to 1 kHz within 5 %."""
 MIN_FLICKER_GAIN = 1.5
 """Twice the log likelihood ratio above which there is 1/f noise; 11 campaigns without it reached 0.1 at most."""
 FIRST_FLICKER_FACTORS = (
@@ -63,6 +63,9 @@ FIRST_FLICKER_FACTORS = (
 MAX_FIRST_LOSS = 20.0
 """`FIRST_FLICKER_FACTORS`: factors on slow noise as it was, on its time, and on 1/f noise of a usual size, one of which
 must be likelier than no 1/f noise less `MAX_FIRST_LOSS`, or it is not fitted."""
+PRIOR_SDS = np.array([np.log(3.0), np.log(3.0), 2.0 * np.log(3.0), 0.15])
+"""Prior standard deviations of the logarithms of slow noise, its time and 1/f noise, and of the power of the latter."""
+MAX_POWER_OFF = 0.4
 MAX_FLICKER_BLOCKS = 240
 """Longer stretches have wider blocks in the search for 1/f noise."""
 MIN_WHITE_PART = 0.1
@@ -99,6 +102,8 @@ class NoiseModel:
     """`flicker`, `step_s`: standard deviation of 1/f noise within each of `FLICKER_TIMES_S`, 0 for none, and the time
     between samples; what is faster than that counts as white.
     """
+    flicker_power: float = 1.0
+    """Power of the frequency with which 1/f noise falls: `flicker` is then its part with a correlation time of 1 s."""
 
     @property
     def flicker_times_s(self) -> tuple[float, ...]:
@@ -106,10 +111,15 @@ class NoiseModel:
         return tuple(time_s for time_s in FLICKER_TIMES_S if time_s >= self.step_s)
 
     @property
+    def flicker_variances(self) -> FloatArray:
+        """Variance of the 1/f noise within each of its correlation times."""
+        return np.asarray(self.flicker**2 * np.array(self.flicker_times_s) ** (self.flicker_power - 1.0))
+
+    @property
     def slow_sd(self) -> float:
         """Standard deviation of all slow noise."""
         of_mains = self.hum / np.sqrt(2.0) if self.hum_hz == 0.0 else 0.0
-        return float(np.linalg.norm([self.slow, np.sqrt(len(self.flicker_times_s)) * self.flicker, of_mains]))
+        return float(np.sqrt(self.slow**2 + self.flicker_variances.sum() + of_mains**2))
 
     def covariance(self, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the covariance of means over successive stretches of time, shapes `(B,)` to `(B, B)`."""
@@ -119,10 +129,11 @@ class NoiseModel:
         covariance = self.slow**2 * _means_correlation(np.exp(-apart / self.correlation_s), width, self.correlation_s)
         if self.flicker > 0:
             decay = np.exp(-apart / FLICKER_TIMES_S[0])
-            for number, time_s in enumerate(self.flicker_times_s):
+            variances = self.flicker_variances.tolist()
+            for number, (time_s, variance) in enumerate(zip(self.flicker_times_s, variances, strict=True)):
                 # Each time is a quarter of the one before.
                 decay = (decay**2) ** 2 if number else decay
-                covariance += self.flicker**2 * _means_correlation(decay, width, time_s)
+                covariance += variance * _means_correlation(decay, width, time_s)
         covariance[np.diag_indices_from(covariance)] += self.white**2 / samples
         if self.hum > 0:
             middle = 0.5 * (start_s + end_s)
@@ -426,21 +437,21 @@ class _SlowNoiseSearch:
 
     @cached_property
     def start(self) -> FloatArray:
-        """Logarithms of slow noise over white noise, its correlation time, and 1/f noise of a usual size."""
+        """Logarithms of slow noise over white noise, its correlation time, and 1/f noise of a usual size; its power."""
         noise = self.noise
-        return np.log([max(noise.slow / noise.white, 0.05), noise.correlation_s, 0.3])
+        return np.append(np.log([max(noise.slow / noise.white, 0.05), noise.correlation_s, 0.3]), 0.0)
 
     def noise_at(self, logs: FloatArray) -> NoiseModel:
-        """Return the noise with these logarithms; two of them are without 1/f noise."""
+        """Return the noise with these logarithms, and with the power of 1/f noise beyond 1; two are without it."""
         white = self.noise.white
         slow = white * float(np.exp(np.clip(logs[0], -6.0, 3.0)))
         flicker = white * float(np.exp(np.clip(logs[2], -6.0, 3.0))) if logs.size > 2 else 0.0
+        power = 1.0 + float(np.clip(logs[3], -MAX_POWER_OFF, MAX_POWER_OFF)) if logs.size > 2 else 1.0
         correlation_s = float(np.exp(np.clip(logs[1], np.log(0.01), np.log(MAX_CORRELATION_S))))
-        noise = replace(
-            self.noise, hum=0.0, step_s=self.step_s, slow=slow, correlation_s=correlation_s, flicker=flicker
-        )
+        noise = replace(self.noise, hum=0.0, step_s=self.step_s, slow=slow, correlation_s=correlation_s)
+        noise = replace(noise, flicker=flicker, flicker_power=power)
         # What neighbouring samples differ by is white noise, and the fast part of the others.
-        fast = flicker**2 * float(-np.sum(np.expm1(-self.step_s / np.array(noise.flicker_times_s))))
+        fast = -float(noise.flicker_variances @ np.expm1(-self.step_s / np.array(noise.flicker_times_s)))
         fast -= slow**2 * float(np.expm1(-self.step_s / correlation_s))
         return replace(noise, white=float(np.sqrt(max(white**2 - fast, (MIN_WHITE_PART * white) ** 2))))
 
@@ -467,9 +478,9 @@ class _SlowNoiseSearch:
         from scipy.optimize import minimize
 
         def misfit(logs: FloatArray) -> float:
-            # A weak prior, a factor of three either way, for stretches that show little; weaker for 1/f noise.
-            prior = ((logs - self.start[: logs.size]) / np.log(3.0)) ** 2
-            return self.likelihood(self.noise_at(logs)) + float(prior[:2].sum() + prior[2:].sum() / 4.0)
+            # A weak prior for stretches that show little.
+            prior = ((logs - self.start[: logs.size]) / PRIOR_SDS[: logs.size]) ** 2
+            return self.likelihood(self.noise_at(logs)) + float(prior.sum())
 
         simplex = np.asarray(first + np.vstack((np.zeros(first.size), np.diag(steps))), dtype=np.float64)
         found = minimize(
@@ -489,11 +500,11 @@ def _with_flicker(
     search = _SlowNoiseSearch(noise, stacks, repeats)
     at_rest = search.noise_at(search.start[:2])
     without = search.likelihood(at_rest)
-    tried = [search.start + np.log(factors) for factors in FIRST_FLICKER_FACTORS]
+    tried = [search.start + np.log((*factors, 1.0)) for factors in FIRST_FLICKER_FACTORS]
     likelihoods = [search.likelihood(search.noise_at(logs)) for logs in tried]
     if min(likelihoods) > without + (0.0 if repeats else MAX_FIRST_LOSS):
         return noise
-    found = search.optimum(tried[int(np.argmin(likelihoods))], np.array([-0.4, 0.6, 0.6]), 160)
+    found = search.optimum(tried[int(np.argmin(likelihoods))], np.array([-0.4, 0.6, 0.6, 0.15]), 200)
     if repeats:
         found = min((found, *search.rivals), key=lambda rival: search.likelihood(rival) - _handicap(rival))
         # What repeats differ by may be what they do, as a specimen that ages; the rests know no such noise.

@@ -111,9 +111,9 @@ def test_a_slowly_sampled_ramp_is_predicted_as_well_as_is_said(step: int) -> Non
     assert np.any(np.abs(blocks.nodes_s - fine.experiment.time_s[peak]) < 1e-9)
 
 
-def pink(samples: int, random: np.random.Generator, sd: float) -> FloatArray:
+def pink(samples: int, random: np.random.Generator, sd: float, power: float = 1.0) -> FloatArray:
     frequency = np.fft.rfftfreq(2 * samples, 1 / 500.0)
-    gain = 1 / np.sqrt(np.maximum(frequency, 0.02))
+    gain = np.maximum(frequency, 0.02) ** (-0.5 * power)
     values = np.fft.irfft(np.fft.rfft(random.standard_normal(2 * samples)) * gain)[:samples]
     return np.asarray(sd * values / values.std())
 
@@ -133,15 +133,30 @@ def test_1_over_f_noise_is_found_where_it_is_and_not_elsewhere() -> None:
     assert found.white == pytest.approx(1.5, rel=0.1)
 
 
-def test_1_over_f_noise_falls_with_frequency_as_it_should() -> None:
-    noise = NoiseModel(0.0, 0.0, 1.0, 0, flicker=1.0)
+@pytest.mark.parametrize("power", [0.75, 1.25])
+def test_the_power_of_the_frequency_is_found(power: float) -> None:
+    random = np.random.default_rng(4)
+    runs = [relaxation(seed=seed, hold_s=60.0) for seed in range(8)]
+    noisy = [
+        changed(run, "force", np.asarray(run.trace.force) + pink(run.trace.time.size, random, 4.0, power))
+        for run in runs
+    ]
+    found = estimate_noise([Experiment(run) for run in noisy], "force")
+    assert found.flicker_power == pytest.approx(power, abs=0.15)
+    # Noise slower than a hold is left to the hold's own cubic.
+    assert found.slow_sd == pytest.approx(4.0, rel=0.3)
+
+
+@pytest.mark.parametrize("power", [0.8, 1.0, 1.2])
+def test_1_over_f_noise_falls_with_frequency_as_it_should(power: float) -> None:
+    noise = NoiseModel(0.0, 0.0, 1.0, 0, flicker=1.0, flicker_power=power)
     width = 0.001
     lag = noise.covariance(width * np.arange(1500.0), width * np.arange(1.0, 1501.0), np.ones(1500))[0]
-    power = np.abs(np.fft.rfft(np.concatenate((lag, lag[-2:0:-1]))))
+    spectrum = np.abs(np.fft.rfft(np.concatenate((lag, lag[-2:0:-1]))))
     frequency = np.fft.rfftfreq(2 * lag.size - 2, width)
     at = [int(np.argmin(np.abs(frequency - hertz))) for hertz in (4.0, 40.0)]
-    assert power[at[0]] / power[at[1]] == pytest.approx(10.0, rel=0.25)
-    assert len(FLICKER_TIMES_S) == 8
+    assert spectrum[at[0]] / spectrum[at[1]] == pytest.approx(10.0**power, rel=0.25)
+    assert len(FLICKER_TIMES_S) == 10
 
 
 def test_slow_motion_shows_slow_noise_as_rests_do() -> None:
