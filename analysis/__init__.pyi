@@ -66,6 +66,7 @@ from .linear_gaussian import PARAMETER_BOUND as PARAMETER_BOUND
 from .linear_gaussian import ChannelBlocks as ChannelBlocks
 from .linear_gaussian import JointProblem as JointProblem
 from .linear_gaussian import JointSolution as JointSolution
+from .linear_gaussian import MovingLine as MovingLine
 from .linear_gaussian import PriorScales as PriorScales
 from .linear_gaussian import Whitening as Whitening
 from .linear_gaussian import is_at_bound as is_at_bound

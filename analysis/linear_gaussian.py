@@ -79,6 +79,40 @@ class PriorScales:
         return np.asarray(np.where(self.positive, values * self.sd, self.sd))
 
 
+RIPPLE_OUT_OF_STEP = 0.3
+"""Part of a line along the way that is not in step with it: its form and wavelength are not known exactly."""
+
+
+@dataclass(frozen=True, slots=True)
+class MovingLine:
+    """A line in the spectrum of a channel while the stage moves, as of a drive's controller."""
+
+    amplitude: float
+    """Its amplitude, in the channel's unit."""
+    frequency_hz: float = 0.0
+    wavelength_mm: float = 0.0
+    """`frequency_hz`, `wavelength_mm`: its frequency, or 0 and the travel from one wave to the next."""
+
+    def sds(self, width_s: FloatArray, speed_mm_s: FloatArray) -> FloatArray:
+        """Return what it adds to means over some time at some speed, one standard deviation; its phase is not known.
+
+        A line along the way is in step with it, but for `RIPPLE_OUT_OF_STEP` of it.
+        """
+        hertz = self.frequency_hz if self.wavelength_mm == 0.0 else speed_mm_s / self.wavelength_mm
+        # The envelope of |sinc|: whether a mean holds a whole number of waves is chance.
+        share = 1.0 / np.maximum(np.pi * hertz * width_s, 1.0)
+        random = 1.0 if self.wavelength_mm == 0.0 else RIPPLE_OUT_OF_STEP
+        return np.asarray(np.sqrt(0.5) * random * self.amplitude * share * (speed_mm_s > 0))
+
+    def waves(self, place_mm: FloatArray, extent_mm: FloatArray, moves: BoolArray) -> FloatArray:
+        """Return the means of a line along the way over stretches of it, in both phases, shape `(B, 2)` or `(B, 0)`."""
+        if self.wavelength_mm == 0.0:
+            return np.zeros((place_mm.size, 0))
+        angle = 2 * np.pi * place_mm / self.wavelength_mm
+        size = self.amplitude * np.sinc(extent_mm / self.wavelength_mm) * moves
+        return np.stack((size * np.cos(angle), size * np.sin(angle)), axis=1)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelBlocks:
     """One channel of one run: its `B` block means, and the model prepared for it."""
@@ -89,6 +123,8 @@ class ChannelBlocks:
     blocks: BlockMeans
     moving_white: float = 0.0
     """White noise that motion adds, standard deviation of one sample in the channel's unit."""
+    moving_line: MovingLine | None = None
+    """Line that motion adds."""
 
     @property
     def equivalence_key(self) -> Hashable:
@@ -98,6 +134,7 @@ class ChannelBlocks:
         return (
             self.channel,
             self.moving_white,
+            self.moving_line,
             self.predictor.equivalence_key,
             tuple(array.tobytes() for array in layout),
         )
@@ -111,10 +148,22 @@ class ChannelBlocks:
         """Return how well they can be predicted, one standard deviation."""
         at_nodes = self.predictor.uncertainty(values, self.blocks.nodes_s)
         of_motion = np.hypot(np.sqrt(self.blocks.of(at_nodes**2)), self._jitter_uncertainty(values))
-        if self.moving_white == 0.0:
+        if self.moving_white == 0.0 and self.moving_line is None:
             return of_motion
+        speed = np.abs(self.experiment.velocity(self.blocks.middle_s))
+        if self.moving_line is not None:
+            of_motion = np.hypot(of_motion, self.moving_line.sds(self.blocks.end_s - self.blocks.start_s, speed))
+        return np.hypot(of_motion, self.moving_white * (speed > 0) / np.sqrt(self.blocks.samples))
+
+    @property
+    def line_signatures(self) -> FloatArray:
+        """What a line along the way may add to the blocks, in units of its prior, shape `(B, k)`."""
+        if self.moving_line is None:
+            return np.zeros((self.blocks.mean.size, 0))
+        start_s, end_s = self.blocks.start_s, self.blocks.end_s
+        extent_mm = np.abs(self.experiment.position(end_s) - self.experiment.position(start_s))
         moves = np.abs(self.experiment.velocity(self.blocks.middle_s)) > 0
-        return np.hypot(of_motion, self.moving_white * moves / np.sqrt(self.blocks.samples))
+        return self.moving_line.waves(self.experiment.position(self.blocks.middle_s), extent_mm, moves)
 
     def _jitter_uncertainty(self, values: FloatArray) -> FloatArray:
         """Return the standard deviation from a clock whose times scatter, where the prediction changes fast."""
@@ -339,7 +388,7 @@ class JointProblem:
             else:
                 root = near[number].noise_root
             varying = predictions[number].varying
-            return Whitening.of(root, _effect_signatures(varying, self.variation_sds, self.zero_sds[number]))
+            return Whitening.of(root, self._run_signatures(number, varying))
 
         return tuple(self._once(whitening))
 
@@ -355,7 +404,12 @@ class JointProblem:
         """
         is_stiffness = np.array([variation.name == STIFFNESS_VARIATION for variation in self.nominal.variations])
         varying = predicted.varying + np.outer(is_stiffness, stiff)
-        return Whitening.of(near.noise_root, _effect_signatures(varying, self.variation_sds, self.zero_sds[number]))
+        return Whitening.of(near.noise_root, self._run_signatures(number, varying))
+
+    def _run_signatures(self, number: int, varying: FloatArray) -> FloatArray:
+        """Signatures of what is a run's own, times prior standard deviations: zero, factors, and a line in motion."""
+        own = _effect_signatures(varying, self.variation_sds, self.zero_sds[number])
+        return np.column_stack((own, self.channels[number].line_signatures))
 
     def _require_finite(self, arrays: Sequence[tuple[FloatArray, ...]]) -> None:
         for blocks, channel_arrays in zip(self.channels, arrays, strict=True):

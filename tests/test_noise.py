@@ -1,6 +1,6 @@
 """Noise as rigs have it is told from what stage and specimen do: jitter, slow sampling, 1/f noise, impulses."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +10,15 @@ from relaxations import relaxation
 from sliding_runs import noise, slid
 
 from dragrig.analysis.gap.position_channel import position_errors
-from dragrig.analysis.gap.spectral_lines import SpectralLine, SpectralLines, lines_that_matter
-from dragrig.analysis.linear_gaussian import JointProblem, prepare_channels, repeat_differences
+from dragrig.analysis.gap.spectral_lines import (
+    SpectralLine,
+    SpectralLines,
+    find_moving_line,
+    find_spectral_lines,
+    lines_that_matter,
+    moving_line_remark,
+)
+from dragrig.analysis.linear_gaussian import JointProblem, MovingLine, prepare_channels, repeat_differences
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.noise import FLICKER_TIMES_S, NoiseModel, estimate_noise
@@ -385,3 +392,56 @@ def test_a_short_motion_shows_a_jitter_with_the_chance_of_few_samples() -> None:
             shared_jitter_s=2e-4,
         )
         assert not any(errors.has_position_error for errors in position_errors([jittering]))
+
+
+def rippling(wave: Callable[[Run], FloatArray], *, at_rest: bool = False) -> list[Experiment]:
+    """Coulomb runs at several speeds whose force has a wave of 2 mN while the stage moves, or all the time."""
+    runs = []
+    for seed, speed_mm_s in enumerate((5.0, 10.0, 20.0, 30.0, 45.0, 60.0)):
+        run = slid("coulomb", speed_mm_s, seed=seed)
+        moves = np.asarray(run.trace.phase) == int(Phase.STEADY)
+        force = np.asarray(run.trace.force) + 2.0 * np.sin(2 * np.pi * wave(run) + seed) * (moves | at_rest)
+        runs.append(Experiment(changed(run, "force", force)))
+    return runs
+
+
+@pytest.mark.parametrize("at_rest", [False, True])
+def test_a_line_of_the_drive_is_found_at_its_frequency(at_rest: bool) -> None:
+    line = find_moving_line(rippling(lambda run: 33.0 * run.trace.time, at_rest=at_rest), "force")
+    assert line is not None
+    assert (line.frequency_hz, line.wavelength_mm) == (pytest.approx(33.0, abs=0.5), 0.0)
+    assert line.amplitude == pytest.approx(2.0, rel=0.1)
+    assert "at 33 Hz of 2" in moving_line_remark(line)
+
+
+def test_a_line_of_the_drive_is_found_along_the_way() -> None:
+    line = find_moving_line(rippling(lambda run: np.asarray(run.trace.command) / 0.25), "force")
+    assert line is not None
+    assert (line.frequency_hz, line.wavelength_mm) == (0.0, pytest.approx(0.25, rel=0.01))
+    assert line.amplitude == pytest.approx(2.0, rel=0.1)
+    assert "every 0.25 mm of travel" in moving_line_remark(line)
+
+
+def test_noise_folds_and_hum_are_no_lines_of_the_drive() -> None:
+    quiet = [Experiment(slid("coulomb", speed, seed=1)) for speed in (5.0, 10.0, 20.0, 40.0)]
+    assert find_moving_line(quiet, "force") is None
+    assert find_moving_line(rippling(lambda run: np.asarray(run.trace.command) / 6.0), "force") is None
+    humming = rippling(lambda run: 50.0 * run.trace.time, at_rest=True)
+    assert find_moving_line(humming, "force") is None
+    assert find_spectral_lines(humming, "force").mains.amplitude == pytest.approx(2.0, rel=0.1)
+
+
+@pytest.mark.parametrize("line", [MovingLine(2.0, frequency_hz=33.0), MovingLine(2.0, wavelength_mm=0.25)])
+def test_blocks_know_of_a_line_in_motion_as_far_as_they_do_not_average_it_out(line: MovingLine) -> None:
+    (blocks,) = prepare_channels([Experiment(slid("coulomb", 2.0, seed=0))], MODEL)
+    known = replace(blocks, moving_line=line)
+    layout, variance = blocks.blocks, known.uncertainty(NOMINAL) ** 2 - blocks.uncertainty(NOMINAL) ** 2
+    variance += np.sum(known.line_signatures**2, axis=1)
+    width_s, moves = layout.end_s - layout.start_s, blocks.experiment.velocity(layout.middle_s) > 0
+    hertz = line.frequency_hz or 2.0 / line.wavelength_mm
+    short, long = moves & (width_s < 0.1 / hertz), moves & (width_s > 3.0 / hertz)
+    assert short.any()
+    assert np.all(variance[short] > 0.8 * 2.0)
+    assert np.all(variance[long] < 0.05 * 2.0)
+    assert np.all(variance[~moves] == 0.0)
+    assert known.equivalence_key != blocks.equivalence_key

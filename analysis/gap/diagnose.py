@@ -10,6 +10,7 @@ from dragrig.analysis import (
     NORMAL_95,
     EstimatedQuantity,
     Experiment,
+    MovingLine,
     NominalModel,
     Progress,
     RunSelection,
@@ -78,11 +79,13 @@ from dragrig.analysis.gap.spectral_lines import (
     SpectralLine,
     SpectralLines,
     correct_known_motion,
+    find_moving_line,
     find_spectral_lines,
     hum_effect,
     known_effects,
     lines_beyond_known,
     lines_that_matter,
+    moving_line_remark,
 )
 from dragrig.analysis.gap.studies import CapsuleStudy, prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
@@ -103,6 +106,14 @@ def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: Spe
     noise = estimate_noise(experiments, study.channel, lines.mains.amplitude, lines.mains.frequency_hz, repeats)
     noises = tuple(noise for _ in problem.noises)
     return replace(study, problem=replace(problem, noises=noises))
+
+
+def add_moving_line_to_noise(study: Study, line: MovingLine | None) -> Study:
+    """Return a study whose blocks know of a line that motion adds."""
+    if line is None:
+        return study
+    channels = tuple(replace(blocks, moving_line=line) for blocks in study.problem.channels)
+    return replace(study, problem=replace(study.problem, channels=channels))
 
 
 MAX_FURTHER_LAWS = 3
@@ -348,6 +359,10 @@ def diagnose(
         _with_trusted_motion(selection, position), nominal, [effect for effect in effects if effect.has_force_signature]
     )
     lines = lines_beyond_known(_without_slow_lines(find_spectral_lines(selection.experiments, study.channel)), known)
+    moving_line = find_moving_line(selection.experiments, study.channel)
+    study = add_moving_line_to_noise(study, moving_line)
+    if moving_line is not None and moving_line.amplitude >= np.sqrt(2.0) * settings.tolerance_mN:
+        selection = replace(selection, remarks=(*selection.remarks, moving_line_remark(moving_line)))
     studied = perf_counter()
     with_hum = add_hum_to_noise(study, selection.experiments, lines)
     search = (

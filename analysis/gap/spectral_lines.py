@@ -13,6 +13,7 @@ from dragrig.analysis import (
     CapsuleModel,
     Experiment,
     JointProblem,
+    MovingLine,
     NominalModel,
     RunSelection,
     at_rest,
@@ -28,6 +29,8 @@ MAX_SEGMENT_S = 4.0
 HOLD_TREND_DEGREE = 3
 """Degree of the polynomial in time that is subtracted from a hold."""
 MIN_SAMPLES = 100
+HANN_BANDWIDTH = 1.5
+"""Equivalent noise bandwidth of a Hann window, in bins: by so much less than white noise it raises a line."""
 BACKGROUND_FACTOR = 1.6
 """Noise at a frequency is estimated from frequencies up to this factor away."""
 MAINS_HZ = (50.0, 60.0)
@@ -100,17 +103,21 @@ def find_spectral_lines(experiments: Sequence[Experiment], channel: str) -> Spec
     spectrum = _spectrum(experiments, channel)
     if spectrum is None:
         return SpectralLines(NO_LINE, NO_LINE)
-    frequency, mean, background = spectrum.frequency_hz, spectrum.power, spectrum.background
-    ratio = mean / background
-    llr = np.where(ratio > 1, spectrum.segments * (ratio - 1 - np.log(np.maximum(ratio, 1e-12))), 0.0)
-    amplitude = 2 * np.sqrt(np.maximum(mean - background, 0.0) / spectrum.segment_samples)
-    lines = [
-        SpectralLine(float(hertz), float(size), float(ratio), spectrum.rate_hz)
-        for hertz, size, ratio in zip(frequency, amplitude, llr, strict=True)
-    ]
+    lines = _lines_of(spectrum)
     mains = max((line for line in lines if line.is_mains), key=lambda line: line.llr, default=NO_LINE)
     non_mains = max((line for line in lines if not line.is_mains), key=lambda line: line.llr, default=NO_LINE)
     return SpectralLines(mains, non_mains)
+
+
+def _lines_of(spectrum: "_Spectrum") -> list[SpectralLine]:
+    frequency, mean, background = spectrum.frequency_hz, spectrum.power, spectrum.background
+    ratio = mean / background
+    llr = np.where(ratio > 1, spectrum.segments * (ratio - 1 - np.log(np.maximum(ratio, 1e-12))), 0.0)
+    amplitude = 2 * np.sqrt(HANN_BANDWIDTH * np.maximum(mean - background, 0.0) / spectrum.segment_samples)
+    return [
+        SpectralLine(float(hertz), float(size), float(ratio), spectrum.rate_hz)
+        for hertz, size, ratio in zip(frequency, amplitude, llr, strict=True)
+    ]
 
 
 def detectable_line_amplitude(experiments: Sequence[Experiment], channel: str, llr: float) -> float | None:
@@ -124,7 +131,7 @@ def detectable_line_amplitude(experiments: Sequence[Experiment], channel: str, l
         range(spectrum.frequency_hz.size), key=lambda index: abs(float(spectrum.frequency_hz[index]) - MAINS_HZ[0])
     )
     excess = float(brentq(lambda ratio: spectrum.segments * (ratio - np.log1p(ratio)) - llr, 1e-9, 1e9))
-    return float(2 * np.sqrt(excess * spectrum.background[at] / spectrum.segment_samples))
+    return float(2 * np.sqrt(HANN_BANDWIDTH * excess * spectrum.background[at] / spectrum.segment_samples))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,12 +148,15 @@ class _Spectrum:
 
 def _spectrum(experiments: Sequence[Experiment], channel: str) -> _Spectrum | None:
     segments = [segment for experiment in experiments for segment in _still_segments(experiment, channel)]
-    if len(segments) < 2:
+    rate = min((segment.rate_hz for segment in segments), default=0.0)
+    return _spectrum_at(segments, np.arange(MIN_FREQUENCY_HZ, 0.48 * rate, FREQUENCY_STEP_HZ))
+
+
+def _spectrum_at(segments: "Sequence[_Segment]", frequency: FloatArray) -> _Spectrum | None:
+    """Return the mean spectrum at evenly spaced frequencies; None for fewer than two segments or ten frequencies."""
+    if len(segments) < 2 or frequency.size < 10:
         return None
     rate = min(segment.rate_hz for segment in segments)
-    frequency = np.arange(MIN_FREQUENCY_HZ, 0.48 * rate, FREQUENCY_STEP_HZ)
-    if frequency.size < 10:
-        return None
     power = np.array([_periodogram(segment, frequency) for segment in segments])
     weights = np.array([len(segment.values) for segment in segments], dtype=np.float64)
     mean = np.average(power, axis=0, weights=weights)
@@ -156,12 +166,12 @@ def _spectrum(experiments: Sequence[Experiment], channel: str) -> _Spectrum | No
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _StillSegment:
+class _Segment:
     values: FloatArray
     rate_hz: float
 
 
-def _still_segments(experiment: Experiment, channel: str) -> Iterator[_StillSegment]:
+def _still_segments(experiment: Experiment, channel: str) -> Iterator[_Segment]:
     trace = experiment.run.trace
     if channel not in trace.channels:
         return
@@ -177,10 +187,88 @@ def _still_segments(experiment: Experiment, channel: str) -> Iterator[_StillSegm
         if index.size >= MIN_SAMPLES and np.ptp(index) == index.size - 1:
             powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, index.size), degree)
             segment = values[index]
-            yield _StillSegment(segment - powers @ np.linalg.lstsq(powers, segment, rcond=None)[0], rate)
+            yield _Segment(segment - powers @ np.linalg.lstsq(powers, segment, rcond=None)[0], rate)
 
 
-def _periodogram(segment: _StillSegment, frequency_hz: FloatArray) -> FloatArray:
+MIN_MOVING_LINE_HZ, MAX_RIPPLE_MM = 8.0, 0.6
+"""What is slower, or longer along the way, is a force that people use: folds, a ripple of the stage."""
+RIPPLE_STEP_PER_MM, MAX_WAVES_PER_MM = 0.01, 10.0
+MIN_MOVING_LINE_LLR, MIN_LINE_SPEEDS = 60.0, 4
+"""Log likelihood ratio, and number of speeds, that show a line of the drive."""
+MOVING_SEGMENT_S, DETREND_S = 2.0, 0.25
+"""Steady motion is taken in pieces of the first, against its mean over the second."""
+
+
+def find_moving_line(experiments: Sequence[Experiment], channel: str) -> MovingLine | None:
+    """Search the steady motion of all runs for a line other than hum, at a frequency or along the way.
+
+    A drive's controller makes such lines. They average out of the force, but not out of short blocks.
+    """
+    moving = [pair for experiment in experiments for pair in _moving_segments(experiment, channel)]
+    if len({speed_mm_s for speed_mm_s, _ in moving}) < MIN_LINE_SPEEDS:
+        return None
+    rate = min(segment.rate_hz for _, segment in moving)
+    frequency = np.arange(MIN_MOVING_LINE_HZ, 0.48 * rate, FREQUENCY_STEP_HZ)
+    in_time = _strongest_line([segment for _, segment in moving], frequency)
+    # At constant speed a wave along the way is a line, at as many waves per millimetre in all runs.
+    along = [
+        (speed_mm_s, replace(segment, rate_hz=segment.rate_hz / speed_mm_s))
+        for speed_mm_s, segment in moving
+        if speed_mm_s >= MIN_MOVING_LINE_HZ * MAX_RIPPLE_MM
+    ]
+    in_space = NO_LINE
+    if len({speed_mm_s for speed_mm_s, _ in along}) >= MIN_LINE_SPEEDS:
+        shortest = min(0.48 * min(segment.rate_hz for _, segment in along), MAX_WAVES_PER_MM)
+        waves_per_mm = np.arange(1.0 / MAX_RIPPLE_MM, shortest, RIPPLE_STEP_PER_MM)
+        in_space = _strongest_line([segment for _, segment in along], waves_per_mm)
+    best = max((in_time, in_space), key=lambda line: line.llr)
+    if best.llr < MIN_MOVING_LINE_LLR:
+        return None
+    if best is in_time:
+        mains = find_spectral_lines(experiments, channel).mains
+        # Hum is everywhere, and known already.
+        is_hum = abs(mains.frequency_hz - best.frequency_hz) <= MAINS_TOLERANCE_HZ
+        if is_hum and best.amplitude < NEW_HUM_FACTOR * mains.amplitude:
+            return None
+        return MovingLine(best.amplitude, frequency_hz=best.frequency_hz)
+    return MovingLine(best.amplitude, wavelength_mm=1.0 / best.frequency_hz)
+
+
+def _strongest_line(segments: "Sequence[_Segment]", frequency: FloatArray) -> SpectralLine:
+    spectrum = _spectrum_at(segments, frequency)
+    return NO_LINE if spectrum is None else max(_lines_of(spectrum), key=lambda line: line.llr)
+
+
+def _moving_segments(experiment: Experiment, channel: str) -> Iterator[tuple[float, _Segment]]:
+    """Yield pieces of steady motion with their speed [mm/s], without what changes slowly."""
+    from scipy.ndimage import uniform_filter1d
+
+    trace = experiment.run.trace
+    if channel not in trace.channels:
+        return
+    values, rate = np.asarray(trace.channels[channel], dtype=np.float64), trace.sample_rate_hz
+    usable = np.flatnonzero(in_phase(trace, Phase.STEADY) & experiment.valid & np.isfinite(values))
+    half = round(0.5 * DETREND_S * rate)
+    for piece in np.array_split(usable, max(round(usable.size / (MOVING_SEGMENT_S * rate)), 1)):
+        if piece.size < max(MIN_SAMPLES, 4 * half) or half == 0 or np.ptp(piece) != piece.size - 1:
+            continue
+        fast = (values[piece] - uniform_filter1d(values[piece], 2 * half + 1))[half:-half]
+        time_s = experiment.time_s[piece]
+        travel_mm = float(np.abs(np.diff(experiment.position(time_s[[0, -1]])))[0])
+        if travel_mm > 0:
+            yield round(travel_mm / float(time_s[-1] - time_s[0]), 2), _Segment(fast, rate)
+
+
+def moving_line_remark(line: MovingLine) -> str:
+    """Return what is said of a line in motion."""
+    where = f"at {line.frequency_hz:.3g} Hz" if line.frequency_hz else f"every {line.wavelength_mm:.3g} mm of travel"
+    return (
+        f"while the stage moves, the force has a line {where} of {line.amplitude:.2g} mN: it was taken as noise, "
+        "since it averages out; look at the drive's controller and its motor"
+    )
+
+
+def _periodogram(segment: _Segment, frequency_hz: FloatArray) -> FloatArray:
     """Return |Σ w x exp(−2πi f t)|² over the sum of squared weights, shape `(F,)`, with a Hann window."""
     n = segment.values.size
     window = np.hanning(n + 2)[1:-1]
