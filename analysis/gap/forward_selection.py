@@ -380,6 +380,9 @@ MIN_EXCESS_SIGMAS = 4.0
 MAX_NOMINAL_GAIN, MAX_NOMINAL_GAIN_SHARE, MAX_CONVERGING_STEPS = 4.0, 0.1, 5
 """The nominal model has converged where a step gains less chi-square than this, or than this share of the log
 likelihood ratio of the best effect; or after so many steps."""
+MAX_STALE_MISFIT = 60.0
+"""Where derivatives and uncertainties of a point nearby make the nominal model more unlikely than this, −2 log, they are
+computed anew; at 10 kHz it was 230."""
 SHORTLIST = 3
 MIN_SHARE_OF_BEST = 0.2
 """A candidate is fitted if it reaches this share of the best one's log likelihood ratio."""
@@ -437,7 +440,7 @@ def _with_converged_nominal(search: ForceSearchResult) -> ForceSearchResult:
     study = search.study
     best_llr = max((best.llr for best in search.ranked), default=0.0)
     allowed = max(MAX_NOMINAL_GAIN, MAX_NOMINAL_GAIN_SHARE * best_llr)
-    design, moved = linearise(study, search.nominal.z), False
+    design = linearise(study, search.nominal.z)
     for _ in range(MAX_CONVERGING_STEPS):
         if gain_of_step(design) < allowed:
             break
@@ -445,8 +448,10 @@ def _with_converged_nominal(search: ForceSearchResult) -> ForceSearchResult:
         # Derivatives are of the model without the effects that it has already: their steps may lead away.
         if misfit_here(further) > misfit_here(design):
             break
-        design, moved = further, True
-    return _ranked_beside_nominal(study, design.z, design) if moved else search
+        design = further
+    if design.z is search.nominal.z and misfit_here(search.nominal) - misfit_here(design) < MAX_STALE_MISFIT:
+        return search
+    return _ranked_beside_nominal(study, design.z, design)
 
 
 def _refit_second_alone(search: ForceSearchResult) -> list[HypothesisFit]:
