@@ -381,8 +381,8 @@ MAX_NOMINAL_GAIN, MAX_NOMINAL_GAIN_SHARE, MAX_CONVERGING_STEPS = 4.0, 0.1, 5
 """The nominal model has converged where a step gains less chi-square than this, or than this share of the log
 likelihood ratio of the best effect; or after so many steps."""
 MAX_STALE_MISFIT = 60.0
-"""Where derivatives and uncertainties of a point nearby make the nominal model more unlikely than this, −2 log, they are
-computed anew; at 10 kHz it was 230."""
+"""Where derivatives and uncertainties of a nearby point make the nominal model more unlikely than this, −2 log, they
+are computed anew; at 10 kHz it was 230."""
 SHORTLIST = 3
 MIN_SHARE_OF_BEST = 0.2
 """A candidate is fitted if it reaches this share of the best one's log likelihood ratio."""
