@@ -396,10 +396,9 @@ def _position_trial(candidate: Candidate, runs: Sequence[PositionErrors]) -> _Po
         float(np.sqrt(np.mean(error**2))) / run.detectable_mm for run, error in zip(runs, errors, strict=True)
     )
     shifted = [replace(run, error_mm=run.error_mm + error) for run, error in zip(runs, errors, strict=True)]
-    return _PositionTrial(
-        error_ratio,
-        {model_class.effect: 1.0 - model_class.held_out_share for model_class in score_model_classes(shifted)},
-    )
+    shares = {model_class.effect: 1.0 - model_class.held_out_share for model_class in score_model_classes(shifted)}
+    # What these runs cannot tell from other errors, as play in one direction alone, is not looked for in them.
+    return _PositionTrial(error_ratio if candidate.effect.id in shares else 0.0, shares)
 
 
 def _position_visibility(effect: Effect, trials: Sequence[_PositionTrial]) -> Visibility:
