@@ -88,7 +88,8 @@ def test_a_person_touches_off(bench: Bench) -> None:
     touch_off = bench.manual.touch_off(25.0, 2.0, 10.0, back_mm=1.0)
     assert 0.0 <= touch_off.position_mm < 5.0
     assert abs(touch_off.force_mN) >= 25.0
-    assert bench.manual.position_mm == pytest.approx(max(touch_off.position_mm - 1.0, 0.0), abs=0.02)
+    # The stage of the doubles moves in real time, and is late on a busy machine.
+    until(lambda: bench.manual.position_mm == pytest.approx(max(touch_off.position_mm - 1.0, 0.0), abs=0.02))
 
 
 def test_known_weights_give_back_what_the_sensor_is_wired_for(bench: Bench) -> None:
