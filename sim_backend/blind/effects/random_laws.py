@@ -150,9 +150,12 @@ def steps(random: np.random.Generator) -> RandomLaw:
     """Draw a few levels without mean, of unit size, each held for a random stretch of the axis."""
     levels = random.normal(0.0, 1.0, POINTS)
     changes = np.cumsum(random.random(POINTS) < random.uniform(0.03, 0.12))
-    values = levels[changes] - levels[changes].mean()
-    if not values.any():
+    if changes[0] == changes[-1]:
+        # No change was drawn; a single level less its mean is rounding, not a law.
         values = np.where(np.arange(POINTS) < POINTS // 2, -1.0, 1.0)
+        values = values - values.mean()
+    else:
+        values = levels[changes] - levels[changes].mean()
     return RandomLaw(tuple((values / values.std()).tolist()), "steps")
 
 
