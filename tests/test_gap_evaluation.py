@@ -4,8 +4,11 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from dragrig.analysis.gap import GapReduction, ModelEvaluation, PromiseVerdict, R2BeforeAfter, RelativeEffectSize
+from dragrig.analysis.gap.evaluation import _run_weights
 from dragrig.cli import main
 from dragrig.sim_backend.blind.blind_campaign import draw_campaign
 from dragrig.sim_backend.blind.plant import write_campaign
@@ -36,6 +39,7 @@ def test_a_promise_is_kept_where_the_effect_is_there(tmp_path: Path, capsys: pyt
     assert size["size_95ci"][0] <= size["size"] <= size["size_95ci"][1]
     assert size["size"] == pytest.approx(1.0, abs=0.2)
     assert document["achieved"]["closed"] > 0.9  # type: ignore[index]
+    assert document["achieved"]["explained"] > 0.9  # type: ignore[index]
     assert main(["gap", "evaluate", str(MODEL), str(fresh)]) == 0
     assert "The promise is KEPT" in capsys.readouterr().out
 
@@ -99,3 +103,42 @@ def test_an_effect_of_size_zero_promises_nothing_that_runs_could_show(
     campaign = Path(__file__).parent / "data" / "campaign"
     assert main(["gap", "evaluate", str(model), str(campaign), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "NO_POWER"
+
+
+def evaluation_with(explained: float | None, achieved: float) -> ModelEvaluation:
+    """Return an evaluation of an effect of the promised size."""
+    reduction = GapReduction(
+        gap_before_mN=5.0,
+        gap_after_mN=5.0,
+        noise_floor_mN=1.0,
+        closed=None,
+        closed_95ci=None,
+        boundary_mm_s=None,
+        r2_eq15=R2BeforeAfter(None, None, None, None),
+        r2_corr=R2BeforeAfter(None, None, None, None),
+        runs=(),
+    )
+    size = RelativeEffectSize("folds", 1.0, 0.9, 1.1, 50.0)
+    return ModelEvaluation(reduction, None, None, achieved, None, explained, (size,), (1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("explained", "achieved", "verdict"),
+    [
+        (0.1, 0.9, PromiseVerdict.NOT_KEPT),
+        (0.6, -3.0, PromiseVerdict.KEPT),
+        (None, 0.0, PromiseVerdict.KEPT),
+    ],
+    ids=["explains little of the runs", "two relaxations outweigh the squares", "no gap that matters"],
+)
+def test_an_effect_of_the_right_size_explains_what_is_wrong(
+    explained: float | None, achieved: float, verdict: PromiseVerdict
+) -> None:
+    assert evaluation_with(explained, achieved).verdict is verdict
+
+
+def test_no_bootstrap_sample_leaves_out_the_one_run_that_shows_an_effect() -> None:
+    weights = _run_weights(18, np.random.default_rng(0))
+    assert weights.min() > 0
+    assert np.allclose(weights.mean(axis=1), 1.0)
+    assert np.var(weights) == pytest.approx(1.0, abs=0.15)

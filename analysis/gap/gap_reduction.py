@@ -76,10 +76,11 @@ def gap_of_run(
     after: tuple[FloatArray, Whitening],
     zero_sd: float,
     informative: BoolArray | None = None,
+    max_own_sigmas: float = MAX_OWN_SIGMAS,
 ) -> RunGap:
     """Compare residuals of a run before and after, each with its whitening, shapes `(B,)`.
 
-    What a run may be off by is removed from both residuals, for each by itself: run factors within `MAX_OWN_SIGMAS` of
+    What a run may be off by is removed from both residuals, for each by itself: run factors within `max_own_sigmas` of
     the scatter of repeats, and the zero offset. Factors of the model with the effect taken from both residuals would
     give the effect itself back as a gap that it then closes. Blocks count if `informative`, by default all.
     """
@@ -90,7 +91,7 @@ def gap_of_run(
     floor = noise.white**2 + noise.slow_sd**2 + float(share @ motion_sd**2)
     residuals = []
     for residual, whitening in (before, after):
-        without_factors = residual - run_factor_force(residual, whitening, zero_sd, MAX_OWN_SIGMAS)
+        without_factors = residual - run_factor_force(residual, whitening, zero_sd, max_own_sigmas)
         residuals.append(without_factors - run_zero_offset(without_factors, whitening, zero_sd))
     within_block_sd = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / run.block_data.blocks.samples)), 0.0)))
     return RunGap(

@@ -316,7 +316,7 @@ def _latency_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModel
 
     squares, moments = np.zeros(LATENCIES_S.size), np.zeros(LATENCIES_S.size)
     for run in runs:
-        weight = _block_weights(run)
+        weight = position_weights(run)
         column = run.zeroed(delayed(LATENCIES_S)(run)) * weight[:, None]
         squares += np.einsum("bl,bl->l", column, column)
         moments += (run.error_mm * weight) @ column
@@ -354,7 +354,7 @@ def _ripple_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModelC
 
 def _best_ripple_wavenumber(runs: Sequence[PositionErrors], known_wavenumbers: tuple[float, ...]) -> float:
     """Return the wave number per mm that explains most of the residual beside known ones."""
-    weights = [_block_weights(run) for run in runs]
+    weights = [position_weights(run) for run in runs]
     errors = [run.error_mm * weight for run, weight in zip(runs, weights, strict=True)]
     if known_wavenumbers:
         bases = [
@@ -525,10 +525,10 @@ def _without_offset(run: PositionErrors) -> PositionErrors:
 def _weighted_squares(runs: Sequence[PositionErrors], weighted_as: Sequence[PositionErrors]) -> float:
     """Return the sum of squares with the weights of other errors of these runs, at least the smallest number."""
     pairs = zip(runs, weighted_as, strict=True)
-    return max(sum(float(np.sum((run.error_mm * _block_weights(original)) ** 2)) for run, original in pairs), 1e-300)
+    return max(sum(float(np.sum((run.error_mm * position_weights(original)) ** 2)) for run, original in pairs), 1e-300)
 
 
-def _block_weights(run: PositionErrors) -> FloatArray:
+def position_weights(run: PositionErrors) -> FloatArray:
     """Weight runs equally whatever their speed, and runs without errors little."""
     rms = float(np.sqrt(np.mean(run.error_mm**2)))
     return np.full_like(run.error_mm, 1.0 / ((rms + run.encoder_count_mm) * np.sqrt(run.error_mm.size)))
@@ -538,7 +538,7 @@ def _weighted_products(
     runs: Sequence[PositionErrors], columns: ColumnFunction
 ) -> Iterator[tuple[FloatArray, FloatArray, float]]:
     for run in runs:
-        weight = _block_weights(run)
+        weight = position_weights(run)
         basis, error = run.zeroed(columns(run)) * weight[:, None], run.error_mm * weight
         yield basis.T @ basis, basis.T @ error, float(error @ error)
 

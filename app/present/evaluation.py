@@ -41,7 +41,11 @@ def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:
             "version": VERSION,
             "verdict": evaluation.verdict.value,
             "promise": {"closed": evaluation.promised, "closed_95ci": evaluation.promised_95ci},
-            "achieved": {"closed": evaluation.achieved, "closed_95ci": evaluation.achieved_95ci},
+            "achieved": {
+                "closed": evaluation.achieved,
+                "closed_95ci": evaluation.achieved_95ci,
+                "explained": evaluation.explained,
+            },
             "sizes": [
                 {
                     "effect": size.effect,
