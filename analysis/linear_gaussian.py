@@ -219,7 +219,7 @@ class Whitening:
         """Whiten with a noise factor and the signatures of the run's effects, shape `(B, k)`."""
         from scipy.linalg import solve_triangular
 
-        run_effects = np.asarray(solve_triangular(noise_root, signatures, lower=True))
+        run_effects = np.asarray(solve_triangular(noise_root, signatures, lower=True, check_finite=False))
         directions, sizes, _ = np.linalg.svd(run_effects, full_matrices=False)
         return cls(noise_root, run_effects, np.asarray(directions), 1 - 1 / np.sqrt(1 + sizes**2))
 
@@ -227,7 +227,7 @@ class Whitening:
         """Whiten against noise alone, `(B,)` or `(B, m)`."""
         from scipy.linalg import solve_triangular
 
-        return np.asarray(solve_triangular(self.noise_root, values, lower=True))
+        return np.asarray(solve_triangular(self.noise_root, values, lower=True, check_finite=False))
 
     def whiten(self, values: FloatArray) -> FloatArray:
         """Whiten against the whole covariance, `(B,)` or `(B, m)`."""
@@ -339,6 +339,16 @@ class JointProblem:
         computed = {number: compute(number) for number in sorted(set(self.representatives))}
         return [computed[number] for number in self.representatives]
 
+    @cached_property
+    def _noise_covariances(self) -> list[FloatArray]:
+        """Covariance of the noise of each channel's block means, shape `(B, B)`."""
+
+        def covariance(number: int) -> FloatArray:
+            blocks = self.channels[number].blocks
+            return self.noises[number].covariance(blocks.start_s, blocks.end_s, blocks.samples)
+
+        return self._once(covariance)
+
     def predictions(self, z: FloatArray) -> list[Prediction]:
         """Predict the block means of each channel.
 
@@ -382,9 +392,7 @@ class JointProblem:
 
         def whitening(number: int) -> Whitening:
             if near is None:
-                blocks = self.channels[number].blocks
-                covariance = self.noises[number].covariance(blocks.start_s, blocks.end_s, blocks.samples)
-                root = _noise_root(covariance, uncertainties[number])
+                root = _noise_root(self._noise_covariances[number].copy(), uncertainties[number])
             else:
                 root = near[number].noise_root
             varying = predictions[number].varying

@@ -13,7 +13,7 @@ import numpy as np
 
 from dragrig.analysis.models import Experiment
 from dragrig.analysis.segments import at_rest, in_phase, mask_spans
-from dragrig.rig import Contact, FloatArray, Phase
+from dragrig.rig import Contact, FloatArray, IndexArray, Phase
 
 NOISE_BLOCK_S = 0.05
 """Stretches are averaged in blocks of this length; differences of samples show faster noise."""
@@ -123,46 +123,91 @@ class NoiseModel:
 
     def covariance(self, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the covariance of means over successive stretches of time, shapes `(B,)` to `(B, B)`."""
-        width = np.maximum(end_s - start_s, 1e-9)
-        apart = np.maximum(start_s[None, :] - end_s[:, None], 0.0)
-        apart += apart.T
-        covariance = self.slow**2 * _means_correlation(np.exp(-apart / self.correlation_s), width, self.correlation_s)
+        pairs = BlockPairs.all_of(start_s, end_s, samples)
+        covariance, values = np.empty((samples.size, samples.size)), self.covariances(pairs)
+        covariance[pairs.late, pairs.early] = values
+        covariance[pairs.early, pairs.late] = values
+        return covariance
+
+    def covariances(self, pairs: "BlockPairs") -> FloatArray:
+        """Return the covariance of the means of each pair of blocks, shape `(N,)`."""
+        covariances = self.slow**2 * pairs.correlation(self.correlation_s)
         if self.flicker > 0:
-            decay = np.exp(-apart / FLICKER_TIMES_S[0])
-            variances = self.flicker_variances.tolist()
-            for number, (time_s, variance) in enumerate(zip(self.flicker_times_s, variances, strict=True)):
-                # Each time is a quarter of the one before.
-                decay = (decay**2) ** 2 if number else decay
-                covariance += variance * _means_correlation(decay, width, time_s)
-        covariance[np.diag_indices_from(covariance)] += self.white**2 / samples
+            for variance, correlation in zip(self.flicker_variances, pairs.flicker_correlations, strict=False):
+                covariances += variance * correlation
+        covariances[pairs.same] += self.white**2 / pairs.samples[pairs.late[pairs.same]]
         if self.hum > 0:
-            middle = 0.5 * (start_s + end_s)
-            lag = np.abs(middle[:, None] - middle[None, :])
-            attenuation = np.sinc(self.hum_hz * (end_s - start_s))
+            lag = pairs.lag_s
+            attenuation = np.sinc(self.hum_hz * (pairs.end_s - pairs.start_s))
             coherence = np.exp(-lag / LINE_COHERENCE_S)
             if self.hum_hz == 0.0:
                 coherence = np.exp(-0.5 * (2 * np.pi * MAINS_WANDER_HZ * lag) ** 2)
             wave = np.cos(2 * np.pi * self.hum_hz * lag) * coherence
-            covariance += 0.5 * self.hum**2 * wave * attenuation[:, None] * attenuation[None, :]
-        return np.asarray(covariance)
+            covariances += 0.5 * self.hum**2 * wave * attenuation[pairs.late] * attenuation[pairs.early]
+        return np.asarray(covariances)
 
 
-def _means_correlation(decay: FloatArray, width_s: FloatArray, time_s: float) -> FloatArray:
-    """Return the covariance of means of noise with exponential correlation and unit variance, shape `(B, B)`.
+@dataclass(frozen=True, eq=False)
+class BlockPairs:
+    """Pairs of successive blocks of time, and what covariances of their means have in common under any noise."""
 
-    Parameters
-    ----------
-    decay
-        Its correlation over the time between the end of one stretch and the start of another, shape `(B, B)`.
-    width_s
-        Duration of the stretches, shape `(B,)`.
-    time_s
-        Its correlation time.
-    """
-    share = -np.expm1(-width_s / time_s) * time_s / width_s
-    correlation = decay * share[:, None] * share[None, :]
-    np.fill_diagonal(correlation, 2 * (time_s / width_s) * (1 - share))
-    return np.asarray(correlation)
+    start_s: FloatArray
+    end_s: FloatArray
+    samples: FloatArray
+    """`start_s`, `end_s`, `samples`: of the blocks, shape `(B,)`."""
+    late: IndexArray
+    early: IndexArray
+    """`late`, `early`: numbers of the later and the earlier block of each pair, shape `(N,)`."""
+    same: IndexArray
+    """Numbers of the pairs of a block with itself."""
+
+    @classmethod
+    def all_of(cls, start_s: FloatArray, end_s: FloatArray, samples: FloatArray) -> "BlockPairs":
+        """Pair each block with itself and all before it, by rows of a lower triangle."""
+        late, early = np.tril_indices(samples.size)
+        return cls(start_s, end_s, samples, late, early, np.flatnonzero(late == early))
+
+    @classmethod
+    def even(cls, blocks: int, width_s: float, samples: int) -> "BlockPairs":
+        """Pair the first of `blocks` of one width with each: the first column of a Toeplitz matrix."""
+        start_s, first = width_s * np.arange(blocks, dtype=np.float64), np.zeros(blocks, dtype=np.intp)
+        return cls(start_s, start_s + width_s, np.full(blocks, float(samples)), np.arange(blocks), first, first[:1])
+
+    @cached_property
+    def lag_s(self) -> FloatArray:
+        """Time between the middles of the blocks, shape `(N,)`."""
+        middle_s = 0.5 * (self.start_s + self.end_s)
+        return np.asarray(np.abs(middle_s[self.late] - middle_s[self.early]))
+
+    @cached_property
+    def flicker_correlations(self) -> FloatArray:
+        """Correlation of means of noise with each of `FLICKER_TIMES_S`, shape `(T, N)`."""
+        correlations, decay = np.empty((len(FLICKER_TIMES_S), self.late.size)), self._decay(FLICKER_TIMES_S[0])
+        for number, time_s in enumerate(FLICKER_TIMES_S):
+            # Each time is a quarter of the one before.
+            decay = (decay**2) ** 2 if number else decay
+            correlations[number] = self._of_means(decay, time_s)
+        return correlations
+
+    def correlation(self, time_s: float) -> FloatArray:
+        """Return the covariance of means of noise with exponential correlation and unit variance, shape `(N,)`.
+
+        `time_s` is its correlation time.
+        """
+        return self._of_means(self._decay(time_s), time_s)
+
+    def _decay(self, time_s: float) -> FloatArray:
+        """Return the correlation of such noise over the time from the end of one block to the start of the other."""
+        apart_s = np.maximum(self.start_s[self.late] - self.end_s[self.early], 0.0)
+        return np.asarray(np.exp(-apart_s / time_s))
+
+    def _of_means(self, decay: FloatArray, time_s: float) -> FloatArray:
+        width_s = np.maximum(self.end_s - self.start_s, 1e-9)
+        share = -np.expm1(-width_s / time_s) * time_s / width_s
+        correlation = decay * share[self.late] * share[self.early]
+        itself = self.late[self.same]
+        correlation[self.same] = 2 * (time_s / width_s[itself]) * (1 - share[itself])
+        return np.asarray(correlation)
 
 
 DEFAULT_NOISE = NoiseModel(DEFAULT_WHITE, DEFAULT_SLOW_SHARE * DEFAULT_WHITE, DEFAULT_CORRELATION_S, 0)
@@ -177,7 +222,7 @@ class _QuietStretch:
     degree: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class _BlockLayout:
     """Shape of a stretch of block means: number, width and samples of the blocks, and the degree of its polynomial."""
 
@@ -185,6 +230,16 @@ class _BlockLayout:
     width_s: float
     samples: int
     degree: int
+
+    @cached_property
+    def pairs(self) -> BlockPairs:
+        """The first block with each."""
+        return BlockPairs.even(self.blocks, self.width_s, self.samples)
+
+    @cached_property
+    def polynomials(self) -> FloatArray:
+        """Shape `(blocks, degree + 1)`."""
+        return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, self.blocks), self.degree))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -422,13 +477,52 @@ def _fit_slow_noise(groups: dict[_BlockLayout, list[FloatArray]], white: float) 
 
 
 @dataclass(frozen=True, eq=False)
+class _AlikeRepeats:
+    """Differences of repeats over the same blocks, whose noise has the same covariance."""
+
+    repeats: Sequence[RepeatDifference]
+
+    @classmethod
+    def groups_of(cls, repeats: Iterable[RepeatDifference]) -> "tuple[_AlikeRepeats, ...]":
+        """Put those of the same blocks together."""
+        groups: dict[tuple[bytes, ...], list[RepeatDifference]] = {}
+        for repeat in repeats:
+            blocks = repeat.start_s, repeat.end_s, repeat.samples
+            groups.setdefault(tuple(array.tobytes() for array in blocks), []).append(repeat)
+        return tuple(cls(group) for group in groups.values())
+
+    @cached_property
+    def pairs(self) -> BlockPairs:
+        """All pairs of the blocks."""
+        return BlockPairs.all_of(self.repeats[0].start_s, self.repeats[0].end_s, self.repeats[0].samples)
+
+    def likelihood(self, noise: NoiseModel) -> float:
+        """−2 log restricted likelihood of what the repeats differ by."""
+        from scipy.linalg import cholesky, solve_triangular
+
+        covariance = np.zeros((self.pairs.samples.size,) * 2)
+        covariance[self.pairs.late, self.pairs.early] = 2.0 * noise.covariances(self.pairs)
+        root = cholesky(covariance, lower=True, check_finite=False)
+        columns = np.hstack([np.column_stack((repeat.signatures, repeat.difference)) for repeat in self.repeats])
+        whitened = solve_triangular(root, columns, lower=True, check_finite=False)
+        total, end = 2 * len(self.repeats) * float(np.log(np.diag(root)).sum()), 0
+        for repeat in self.repeats:
+            begin, end = end, end + repeat.signatures.shape[1] + 1
+            basis, triangle = np.linalg.qr(whitened[:, begin : end - 1])
+            residual = whitened[:, end - 1]
+            total += float(residual @ residual - np.sum((basis.T @ residual) ** 2))
+            total += 2 * float(np.log(np.abs(np.diag(triangle)) + 1e-300).sum())
+        return total
+
+
+@dataclass(frozen=True, eq=False)
 class _SlowNoiseSearch:
     """Search for the slow noise that stretches and differences of repeats show."""
 
     noise: NoiseModel
     """As the rests show it without 1/f noise."""
     stacks: Sequence[tuple[_BlockLayout, FloatArray]]
-    repeats: Sequence[RepeatDifference]
+    repeats: Sequence[_AlikeRepeats]
 
     @cached_property
     def step_s(self) -> float:
@@ -471,7 +565,7 @@ class _SlowNoiseSearch:
     def likelihood(self, noise: NoiseModel) -> float:
         """−2 log likelihood of the stretches and of the differences of repeats."""
         with_line = noise if noise.hum > 0 else replace(noise, hum=self.noise.hum)
-        return self.at_rest(noise) + sum(_repeat_likelihood(with_line, repeat) for repeat in self.repeats)
+        return self.at_rest(noise) + sum(alike.likelihood(with_line) for alike in self.repeats)
 
     def optimum(self, first: FloatArray, steps: FloatArray, evaluations: int) -> NoiseModel:
         """Return the likeliest noise, searched from some logarithms on."""
@@ -497,7 +591,7 @@ def _with_flicker(
 ) -> NoiseModel:
     """Return the noise with 1/f noise in it where stretches, and what repeats differ by, are likelier with it."""
     stacks = [_coarser(layout, np.array(means)) for layout, means in groups.items()]
-    search = _SlowNoiseSearch(noise, stacks, repeats)
+    search = _SlowNoiseSearch(noise, stacks, _AlikeRepeats.groups_of(repeats))
     at_rest = search.noise_at(search.start[:2])
     without = search.likelihood(at_rest)
     tried = [search.start + np.log((*factors, 1.0)) for factors in FIRST_FLICKER_FACTORS]
@@ -520,20 +614,6 @@ def _handicap(noise: NoiseModel) -> float:
     return MIN_FLICKER_GAIN if noise.flicker == 0 else 0.0
 
 
-def _repeat_likelihood(noise: NoiseModel, repeat: RepeatDifference) -> float:
-    """−2 log restricted likelihood of what two repeats differ by."""
-    from scipy.linalg import cholesky, solve_triangular
-
-    covariance = 2.0 * noise.covariance(repeat.start_s, repeat.end_s, repeat.samples)
-    root = cholesky(covariance, lower=True, check_finite=False)
-    columns = np.column_stack((repeat.signatures, repeat.difference))
-    whitened = solve_triangular(root, columns, lower=True, check_finite=False)
-    basis, triangle = np.linalg.qr(whitened[:, :-1])
-    residual = whitened[:, -1]
-    logs = np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(triangle)) + 1e-300).sum()
-    return float(residual @ residual - np.sum((basis.T @ residual) ** 2) + 2 * logs)
-
-
 def _coarser(layout: _BlockLayout, means: FloatArray) -> tuple[_BlockLayout, FloatArray]:
     """Join neighbouring blocks of stretches, shape `(R, blocks)`, so that there are not too many."""
     joined = -(-layout.blocks // MAX_FLICKER_BLOCKS)
@@ -544,15 +624,13 @@ def _coarser(layout: _BlockLayout, means: FloatArray) -> tuple[_BlockLayout, Flo
 
 def _dense_likelihood(noise: NoiseModel, stacks: Sequence[tuple[_BlockLayout, FloatArray]]) -> float:
     """−2 log restricted likelihood of stretches of block means under any covariance."""
-    from scipy.linalg import cholesky, solve_triangular
+    from scipy.linalg import cholesky, solve_triangular, toeplitz
 
     total = 0.0
     for layout, means in stacks:
-        start = layout.width_s * np.arange(layout.blocks, dtype=np.float64)
-        covariance = noise.covariance(start, start + layout.width_s, np.full(layout.blocks, float(layout.samples)))
-        root = cholesky(covariance, lower=True, check_finite=False)
-        powers = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, layout.blocks), layout.degree)
-        whitened = solve_triangular(root, np.hstack((powers, means.T)), lower=True, check_finite=False)
+        root = cholesky(toeplitz(noise.covariances(layout.pairs)), lower=True, check_finite=False)
+        columns = np.hstack((layout.polynomials, means.T))
+        whitened = solve_triangular(root, columns, lower=True, check_finite=False)
         basis, triangle = np.linalg.qr(whitened[:, : layout.degree + 1])
         residual = whitened[:, layout.degree + 1 :]
         logs = np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(triangle))).sum()
@@ -568,16 +646,14 @@ def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: Float
     """
     from scipy.linalg import cholesky_banded, solve_banded
 
-    start = np.array([0.0, layout.width_s])
-    two = noise.covariance(start, start + layout.width_s, np.full(2, float(layout.samples)))
+    variance, next_covariance = noise.covariances(layout.pairs)[:2].tolist()
     memory = float(np.exp(-layout.width_s / noise.correlation_s))
     band = np.empty((2, layout.blocks))
-    band[0] = two[0, 0] * (1 + memory**2) - 2 * memory * two[0, 1]
-    band[0, 0] = two[0, 0]
-    band[1] = two[0, 1] - memory * two[0, 0]
+    band[0] = variance * (1 + memory**2) - 2 * memory * next_covariance
+    band[0, 0] = variance
+    band[1] = next_covariance - memory * variance
     root = cholesky_banded(band, lower=True, check_finite=False)
-    powers = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, layout.blocks), layout.degree)
-    signals = np.hstack((powers, means.T))
+    signals = np.hstack((layout.polynomials, means.T))
     signals[1:] -= memory * signals[:-1].copy()
     whitened = solve_banded((1, 0), root, signals, check_finite=False)
     basis, triangle = np.linalg.qr(whitened[:, : layout.degree + 1])
