@@ -1,11 +1,51 @@
-"""Made-up exams, for what scores and presents them."""
+"""Made-up exams, for what scores and presents them, and exams of few runs, which are soon held."""
+
+from collections import Counter
+from hashlib import sha256
+from pathlib import Path
 
 import numpy as np
+import pytest
 
+from dragrig.exam.blind_exam import gap_blind
 from dragrig.scoring import ExamScore, score_exam
 from dragrig.sim_backend.effects.base import catalogue
 
 Document = dict[str, object]
+
+RUNS_LEFT = {"relaxation": 1, "blank": 1, "coulomb": 2, "drag": 4}
+"""Runs of each kind that suffice for a diagnosis."""
+
+
+class StoppedError(Exception):
+    pass
+
+
+def make_campaigns(
+    cases: int, seed: int, out: Path, workers: int | None = None, scheduler: str | None = None
+) -> dict[str, str]:
+    """Begin an exam, stop it once its campaigns are made, and remove most of their runs.
+
+    Returns
+    -------
+    The SHA-256 of each run that was made, by its path in the exam's folder.
+    """
+
+    def stop_when_made(done: int, of: int) -> None:
+        if all(len(list(out.glob(f"{part}/*"))) == cases for part in ("campaigns", "fresh")):
+            raise StoppedError
+
+    with pytest.raises(StoppedError):
+        gap_blind(cases, seed, out, workers=workers, scheduler=scheduler, sizes=False, progress=stop_when_made)
+    paths = sorted(out.glob("*/*/*.h5"))
+    digests = {path.relative_to(out).as_posix(): sha256(path.read_bytes()).hexdigest() for path in paths}
+    seen = Counter[tuple[Path, str]]()
+    for path in paths:
+        kind = path.stem.partition("-")[2]
+        seen[path.parent, kind] += 1
+        if seen[path.parent, kind] > RUNS_LEFT[kind]:
+            path.unlink()
+    return digests
 
 
 def truth(*effects: str, size: float = 1.0, outside: bool = False, rough: bool = False) -> Document:

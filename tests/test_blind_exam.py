@@ -10,6 +10,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from exams import StoppedError, make_campaigns
 
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
@@ -106,10 +107,6 @@ def test_what_cannot_be_asked_for_is_told(
     assert answer in capsys.readouterr().err
 
 
-class StoppedError(Exception):
-    pass
-
-
 def report_text(exam: BlindExam) -> str:
     document = dict(exam.document())
     document.pop("timings_s")
@@ -117,6 +114,9 @@ def report_text(exam: BlindExam) -> str:
 
 
 def test_two_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(tmp_path: Path) -> None:
+    made = make_campaigns(2, 5, tmp_path / "whole", workers=2)
+    assert len(made) > 80
+    assert make_campaigns(2, 5, tmp_path / "stopped", workers=1) == made
     whole = gap_blind(2, 5, tmp_path / "whole", workers=2, sizes=False)
     calls: list[tuple[int, int]] = []
 
