@@ -1,5 +1,6 @@
 """Disks and folders that refuse, for root too."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -34,6 +35,12 @@ settings.load_profile("any machine")
 
 # Where Qt cannot be loaded its plugin would end every test, so it is loaded here and not by itself.
 pytest_plugins = () if lacking() else ("pytestqt.plugin",)
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector what stays till the end: all modules and all tests that were collected."""
+    gc.collect()
+    gc.freeze()
 
 
 def is_root() -> bool:

@@ -22,6 +22,15 @@ from dragrig.analysis.gap.diagnosis import (
     Verdict,
 )
 from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.present.document import Document
+
+BLANK = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1" width="1" height="1"/>'
+
+
+def without_pictures(document: Document) -> Document:
+    """Return the document with blank figures, for tests of its words: to draw takes most of the time of a page."""
+    return document.with_drawings({figure.name: BLANK for figure in document.figures()})
+
 
 KINDS = ("drag", "coulomb", "relaxation", "blank")
 PHASES = ("rest", "accelerate", "steady", "decelerate", "hold")

@@ -16,6 +16,7 @@ from diagnoses import (
     UNKNOWN,
     budget,
     entry,
+    without_pictures,
 )
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -79,6 +80,11 @@ def page(diagnosis: Diagnosis) -> str:
     return render_page(diagnosis_document(diagnosis)).replace("\u00a0", " ")
 
 
+def plain_page(diagnosis: Diagnosis) -> str:
+    """The page without its pictures."""
+    return render_page(without_pictures(diagnosis_document(diagnosis))).replace("\u00a0", " ")
+
+
 def test_the_first_sentence_says_what_the_gap_is_made_of() -> None:
     assert {name: budget_sentences(given_budget) for name, given_budget in BUDGETS.items()} == {
         "two": (
@@ -113,7 +119,7 @@ def test_the_budget_stands_before_the_verdict() -> None:
     diagnosis = diagnosed(RIPPLE_AND_AGEING)
     sentences = [*budget_sentences(RIPPLE_AND_AGEING), *verdict_sentences(diagnosis)]
     assert text(diagnosis).splitlines()[: len(sentences)] == sentences
-    assert f"<h1>{sentences[0]}</h1>" in page(diagnosis)
+    assert f"<h1>{sentences[0]}</h1>" in plain_page(diagnosis)
     assert diagnosis_json(diagnosis)["in_words"] == sentences
 
 
@@ -219,13 +225,13 @@ def test_an_interval_has_the_digits_that_it_takes() -> None:
 
 
 def test_shares_of_runs_that_were_fitted_are_called_so() -> None:
-    assert "in the position are of the runs that were fitted" in page(diagnosed(CHANNELS))
-    assert "in the position are of the runs" not in page(diagnosed(RIPPLE_AND_AGEING))
+    assert "in the position are of the runs that were fitted" in plain_page(diagnosed(CHANNELS))
+    assert "in the position are of the runs" not in plain_page(diagnosed(RIPPLE_AND_AGEING))
     few, held_out = diagnosed(replace(RIPPLE_AND_AGEING, held_out=False)), diagnosed(RIPPLE_AND_AGEING)
     assert "too few runs to hold any out" in text(few)
     assert "too few runs to hold any out" not in text(held_out)
-    assert "took no part in the fit" in page(held_out)
-    assert "took no part in the fit" not in page(few)
+    assert "took no part in the fit" in plain_page(held_out)
+    assert "took no part in the fit" not in plain_page(few)
 
 
 @EACH
@@ -294,7 +300,7 @@ def test_a_gap_of_the_models_own_is_not_called_unknown() -> None:
         "No effect of the catalogue is established (probability 0.88 for none).",
         "The gap lives in the steady force of drag runs, from 0.5 to 5 mm/s.",
     )
-    assert "A gap that no effect" not in text(diagnosis) + page(diagnosis)
+    assert "A gap that no effect" not in text(diagnosis) + plain_page(diagnosis)
     assert diagnosis_json(diagnosis)["verdict"] == "unknown"
     rows = document_text(campaigns_document([("a", diagnosis, ""), ("b", UNKNOWN, "")]))
     assert re.search(r"a +the nominal model's own +0\.88", rows)
@@ -368,8 +374,8 @@ def test_what_of_the_model_is_off_is_said_in_plain_words(what: str, words: str) 
 
 
 def test_two_sizes_of_a_gap_are_told_apart() -> None:
-    assert "The residual is not the budget’s gap of 50 mN." in page(replace(STRIBECK, budget=OWN))
-    assert "is not the budget’s gap" not in page(replace(STRIBECK, budget=replace(OWN, gap_mN=9.5)))
+    assert "The residual is not the budget’s gap of 50 mN." in plain_page(replace(STRIBECK, budget=OWN))
+    assert "is not the budget’s gap" not in plain_page(replace(STRIBECK, budget=replace(OWN, gap_mN=9.5)))
 
 
 @EACH

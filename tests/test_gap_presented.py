@@ -8,7 +8,17 @@ from html.parser import HTMLParser
 from math import inf, nan
 
 import pytest
-from diagnoses import ALL, NO_GAP, RIPPLE_AND_AGEING, STRIBECK, STRIBECK_ALONE, TOGETHER, UNKNOWN, shrink
+from diagnoses import (
+    ALL,
+    NO_GAP,
+    RIPPLE_AND_AGEING,
+    STRIBECK,
+    STRIBECK_ALONE,
+    TOGETHER,
+    UNKNOWN,
+    shrink,
+    without_pictures,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
@@ -43,8 +53,13 @@ def diagnosis_page(diagnosis: Diagnosis, source: str = "", model: str | None = N
 
 
 @cache
-def page(verdict: str) -> str:
-    return diagnosis_page(ALL[verdict])
+def plain_page(diagnosis: Diagnosis, source: str = "", model: str | None = None) -> str:
+    """The page without its pictures."""
+    return render_page(without_pictures(diagnosis_document(diagnosis, source=source, model=model)))
+
+
+def page_words(diagnosis: Diagnosis) -> str:
+    return words(plain_page(diagnosis))
 
 
 def words(html: str) -> str:
@@ -84,14 +99,14 @@ FIRST = {
 @pytest.mark.parametrize("verdict", ALL)
 def test_the_verdict_comes_first_in_plain_words(verdict: str) -> None:
     assert text(ALL[verdict]).splitlines()[0] == FIRST[verdict]
-    html = page(verdict)
+    html = plain_page(ALL[verdict])
     heading = re.search(r"<h1>(.*?)</h1>", html)
     assert heading is not None
     assert heading[1].replace("\u00a0", " ") == FIRST[verdict]
 
 
 def test_what_cannot_be_told_apart_or_answered_is_said() -> None:
-    for sentence in (text(STRIBECK), words(page("effect"))):
+    for sentence in (text(STRIBECK), page_words(ALL["effect"])):
         assert "Adhesion and film depletion cannot be distinguished from it with these runs." in sentence
         assert "No relaxation is held long enough" in sentence
         assert "018-drag.h5" in sentence
@@ -101,12 +116,12 @@ def test_what_cannot_be_told_apart_or_answered_is_said() -> None:
     assert "cannot be distinguished" not in text(NO_GAP)
     assert "Part of the gap remains that no effect" in text(TOGETHER)
     assert "4.1 mN · x / 40 mm" in text(UNKNOWN)
-    assert "4.1 mN · x / 40 mm" in words(page("unknown"))
+    assert "4.1 mN · x / 40 mm" in page_words(ALL["unknown"])
 
 
 def test_probabilities_that_nothing_calibrated_are_not_passed_off_as_chances() -> None:
     bare = replace(STRIBECK, calibration="")
-    for sentence in (text(bare), words(diagnosis_page(bare))):
+    for sentence in (text(bare), page_words(bare)):
         assert "not calibrated" in sentence
         assert "nine were right" not in sentence
 
@@ -125,7 +140,7 @@ def test_how_much_stands_beside_what_the_paper_prints() -> None:
     assert re.search(r"Eq\. 15 +with it +0\.9800 +0\.9700", sentence)
     assert re.search(r"correlation² +without the effect +0\.8000 +–", sentence)
     assert re.search(r"the paper's +0\.8769 +0\.1666", sentence)
-    html = words(page("effect"))
+    html = page_words(ALL["effect"])
     assert "0.8769 0.1666" in html
     assert "as printed" in html
 
@@ -134,8 +149,8 @@ def test_no_share_closes_where_there_is_no_gap() -> None:
     assert "too close to noise and repeatability" in text(NO_GAP)
     assert "% of the gap closes" not in text(NO_GAP)
     assert " after " not in text(NO_GAP)
-    assert not re.search(r"\bwith it\b", words(page("no_gap")))
-    assert re.search(r"\bwith it\b", words(page("effect")))
+    assert not re.search(r"\bwith it\b", page_words(ALL["no_gap"]))
+    assert re.search(r"\bwith it\b", page_words(ALL["effect"]))
     worse = replace(shrink(), closed=-0.2, closed_95ci=(-0.4, 0.1))
     assert "−20 % of the gap closes (95 % interval: −40 % to 10 %): it grows." in text(replace(STRIBECK, shrink=worse))
 
@@ -203,7 +218,7 @@ def test_growth_is_told_with_as_many_digits_as_it_takes() -> None:
 
 
 def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:
-    for sentence in (text(STRIBECK), words(page("effect"))):
+    for sentence in (text(STRIBECK), page_words(ALL["effect"])):
         assert re.search(r"protocol +drag 90 %, coulomb 10 % ", sentence)
         assert re.search(r"speed +0\.5 to 2 mm/s: 79 % ", sentence)
         assert re.search(r"session +not significant ", sentence)
@@ -241,7 +256,7 @@ def test_a_page_without_views_or_model_says_so_by_silence() -> None:
     html = diagnosis_page(replace(STRIBECK, traces=(), model=None))
     assert html.count('role="img"') == 2
     assert "dragrig gap evaluate" not in html
-    assert "dragrig gap evaluate mine.toml" in diagnosis_page(STRIBECK, model="mine.toml")
+    assert "dragrig gap evaluate mine.toml" in plain_page(STRIBECK, model="mine.toml")
 
 
 class Strict(BaseModel):
