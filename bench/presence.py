@@ -4,7 +4,8 @@
 effect of full, a third or a tenth of its size, with two, with none, and with effects that no catalogue has, half of
 them with nominal models that are off by 5 % to 20 % or with a second specimen that nobody recorded. Weights are
 fitted by logistic regression to every effect on the force (`--plant written` alone: the plant `drawn` is to judge
-by); then the counts of right verdicts, the reliability of presence, and what the fit costs without either estimate.
+by); then the counts of right verdicts, the reliability of presence, what the fit costs without either estimate, and how
+far the budget's shares of named effects are from the plant's own.
 """
 
 import argparse
@@ -19,11 +20,20 @@ from pathlib import Path
 import numpy as np
 
 from dragrig.analysis import no_progress
+from dragrig.analysis.gap import GapBudget
 from dragrig.analysis.gap.budget import MIN_COMPETITION, MIN_PRESENCE
 from dragrig.analysis.gap.classifier import classify
 from dragrig.parallel import map_tasks
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw_campaign, effect_group, write_campaign
+from dragrig.sim_backend.blind import (
+    CATALOGUE,
+    OUTSIDE,
+    BlindCampaign,
+    draw_campaign,
+    effect_group,
+    write_campaign,
+)
+from dragrig.sim_backend.blind.effect_sizes import hidden_shares
 
 OFF = (
     *(f"{what} {share} % off" for what in ("parameters", "laws", "both") for share in (5, 10, 20)),
@@ -53,6 +63,36 @@ class Answer:
     classifier: dict[str, float]
     competition: dict[str, float]
     presence: dict[str, float]
+    shares: tuple["Share", ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """A share that the budget states of an effect, and the plant's own."""
+
+    cause: str
+    channel: str
+    stated: float
+    interval: tuple[float, float] | None
+    hidden: float
+    """0 for an effect that is not there."""
+
+    @property
+    def held(self) -> bool:
+        """Whether the interval holds."""
+        return self.interval is not None and self.interval[0] <= self.hidden <= self.interval[1]
+
+
+def shares_of(budget: GapBudget, secret: BlindCampaign) -> tuple[Share, ...]:
+    """Return the shares of the effects that a budget names."""
+    if not budget.entries:
+        return ()
+    hidden = {(one.cause, one.channel): one.share for one in hidden_shares(secret)}
+    return tuple(
+        Share(entry.cause, entry.channel, entry.share, entry.share_95ci, hidden.get((entry.cause, entry.channel), 0.0))
+        for entry in budget.entries
+        if entry.cause in CATALOGUE
+    )
 
 
 def draw_cases(campaigns: int, seed: int, plant: str) -> list[Case]:
@@ -100,6 +140,7 @@ def answer(case: Case) -> Answer:
         marginal,
         {name: diagnosis.budget.competition[name] for name in on_force},
         {name: diagnosis.budget.presence[name] for name in on_force},
+        shares_of(diagnosis.budget, secret),
     )
 
 
@@ -177,11 +218,31 @@ def report(cases: Sequence[Case], said: Sequence[Answer]) -> None:
         print(f"{label}: weights {np.round(weights, 2)}, log loss {log_loss(columns[:, chosen], weights, present):.1f}")
     stated = np.array([one.presence[name] for _, one, name in pairs])
     print(f"as stated: log loss {-np.sum(np.log(np.where(present > 0, stated, 1 - stated))):.1f}")
+    report_shares([share for one in said for share in one.shares])
     for low, high in pairwise(BINS):
         inside = (stated >= low) & (stated < high + (high == 1.0))
         if inside.any():
             mean, there = stated[inside].mean(), present[inside].mean()
             print(f"stated {low:.1f} to {high:.1f}: {inside.sum()} effects, mean {mean:.3f}, there {there:.3f}")
+
+
+def report_shares(shares: Sequence[Share]) -> None:
+    """Print errors of the shares and how often their intervals hold."""
+    if not shares:
+        return
+    errors = np.abs([share.stated - share.hidden for share in shares])
+    known = [share for share in shares if share.interval is not None]
+    half = [(share.interval[1] - share.interval[0]) / 2 for share in known if share.interval is not None]
+    print(
+        f"shares of {len(shares)} effects: {np.median(errors):.3f} off in the median, "
+        f"{np.mean(errors <= 0.1):.0%} within 0.1; the interval holds in {sum(share.held for share in known)} of "
+        f"{len(known)}, half as wide as {np.median(half):.3f} in the median"
+    )
+    for share in shares:
+        if not share.held:
+            print(
+                "  missed", share.cause, share.channel, round(share.stated, 2), share.interval, round(share.hidden, 2)
+            )
 
 
 if __name__ == "__main__":

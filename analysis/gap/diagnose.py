@@ -72,8 +72,9 @@ from dragrig.analysis.gap.next_run import reasons_for_no_run, recommend_next_run
 from dragrig.analysis.gap.position_channel import (
     PositionAnalysis,
     analyse_position,
+    contribution_to_position,
     position_gap_reduction,
-    predicted_position_error,
+    share_of_position,
 )
 from dragrig.analysis.gap.spectral_lines import (
     SpectralLine,
@@ -504,10 +505,10 @@ def _budget(
 ) -> GapBudget:
     in_position = {model_class.effect for model_class in position.model_classes if position.has_position_error}
     probabilities = {name: classification.marginal(name) for name in in_position}
-    closed = None if reduction is None else position_gap_reduction(position, reduction)
     hum_mN = float(np.sqrt(0.5)) * lines.mains.amplitude
     fitted = "" if position.candidate is None else position.candidate.effect.id
-    budget = gap_budget(study, causes, classification, probabilities, fitted, closed, {hum_effect().id: hum_mN})
+    share = None if reduction is None else share_of_position(position)
+    budget = gap_budget(study, causes, classification, probabilities, fitted, share, {hum_effect().id: hum_mN})
     if any(entry.channel == "position" for entry in budget.entries):
         return replace(budget, runs=(*budget.runs, *_contributions_in_position(study, position)))
     return budget
@@ -530,7 +531,7 @@ def _contributions_in_position(study: Study, position: PositionAnalysis) -> Iter
             width_s=np.ones_like(run.time_s),
             position_mm=run.command_mm,
             gap=1e3 * run.error_mm,
-            parts={candidate.effect.id: 1e3 * predicted_position_error(candidate, run)},
+            parts={candidate.effect.id: 1e3 * contribution_to_position(candidate, run)},
         )
 
 

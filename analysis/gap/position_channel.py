@@ -735,3 +735,37 @@ def closed_share_in_position(
     low, high = np.quantile([share(sample) for sample in samples], (0.025, 0.975)).tolist()
     sizes = (1e3 * float(np.sqrt(np.mean(rows + floor))) for rows in (before, after))
     return replace(force, closed=share(all_runs), closed_95ci=(low, high), position_um=(next(sizes), next(sizes)))
+
+
+def contribution_to_position(candidate: Candidate, run: PositionErrors) -> FloatArray:
+    """Return what an effect adds to the position of a run, with an amplitude of the run's own, shape `(B,)` [mm].
+
+    Real effects grow otherwise with the speed than the catalogue's; none acts against its own sign.
+    """
+    predicted = predicted_position_error(candidate, run)
+    along = float(predicted @ run.error_mm)
+    return np.asarray(predicted * (max(along, 0.0) / max(float(predicted @ predicted), 1e-300)))
+
+
+def share_of_position(position: PositionAnalysis, seed: int = 0) -> tuple[float, tuple[float, float]] | None:
+    """Return the share of the position errors that the fitted effect has, with its 95 % interval over runs.
+
+    None without such an effect.
+    """
+    candidate = position.candidate
+    if candidate is None:
+        return None
+    squares = np.array(
+        [
+            (
+                float(np.mean(run.error_mm**2)) - run.noise_variance,
+                float(np.mean((run.error_mm - contribution_to_position(candidate, run)) ** 2)) - run.noise_variance,
+            )
+            for run in position.runs
+        ]
+    )
+    weights = np.random.default_rng(seed).dirichlet(np.ones(len(squares)), POSITION_BOOTSTRAP_SAMPLES)
+    before, after = (np.vstack((np.full(len(squares), 1.0 / len(squares)), weights)) @ squares).T
+    shares = 1.0 - after / np.maximum(before, 1e-12)
+    low, high = np.quantile(shares[1:], (0.025, 0.975)).tolist()
+    return float(shares[0]), (low, high)
