@@ -191,10 +191,10 @@ class Strip(ChannelModel):
         time = at.experiment.time_s
         moved = at.experiment.position(time)
         decay = np.exp(-np.diff(time) / values["time_s"])
-        branch = np.zeros_like(time)
-        for index, factor in enumerate(decay):
-            branch[index + 1] = factor * branch[index] + np.diff(moved[index : index + 2])[0]
-        elastic = values["spring_mN_mm"] * moved + values["mode_mN_mm"] * branch
+        branch = [0.0]
+        for factor, step in zip(decay.tolist(), np.diff(moved).tolist()):
+            branch.append(factor * branch[-1] + step)
+        elastic = values["spring_mN_mm"] * moved + values["mode_mN_mm"] * np.array(branch)
         return np.interp(at.time_s, time, elastic)
 {parts}
 
