@@ -12,7 +12,7 @@ better, the spline is taken.
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from math import comb, isfinite, log
 
@@ -935,6 +935,9 @@ SMOOTH_EVENTS = 24
 """Moments of a smooth motion between which a force is taken as nearly straight."""
 ERROR_TIMES = 200
 """Times at which a spline's error is computed."""
+FITS_REMEMBERED = 64
+"""Runs whose fit is remembered, for a diagnosis and what follows it prepare the same runs several times; of records up
+to `MAX_SMOOTHED_SAMPLES`, so that 20 MB are kept at most."""
 
 
 def fit_kinematics(experiment: Experiment) -> Kinematics:
@@ -943,14 +946,29 @@ def fit_kinematics(experiment: Experiment) -> Kinematics:
     finite = np.isfinite(position)
     time_s, position = experiment.time_s[finite], position[finite]
     wander_mm, step_s = experiment.wander_mm, 1.0 / experiment.run.trace.sample_rate_hz
+    if len(time_s) > MAX_SMOOTHED_SAMPLES:
+        return _fit_record(experiment.motion, time_s, position, wander_mm, step_s)
+    return _fit_short_record(experiment.motion, time_s.tobytes(), position.tobytes(), wander_mm, step_s)
+
+
+@lru_cache(maxsize=FITS_REMEMBERED)
+def _fit_short_record(
+    motion: RecordedMotion, time_s: bytes, position_mm: bytes, wander_mm: float, step_s: float
+) -> Kinematics:
+    return _fit_record(motion, np.frombuffer(time_s), np.frombuffer(position_mm), wander_mm, step_s)
+
+
+def _fit_record(
+    motion: RecordedMotion, time_s: FloatArray, position: FloatArray, wander_mm: float, step_s: float
+) -> Kinematics:
     thinned = slice(None, None, 1 + len(time_s) // MAX_SMOOTHED_SAMPLES)
     smooth = _fit_smooth(time_s[thinned], position[thinned])
     rival = 0.0 if smooth is None else float(np.mean(smooth.held_out_mm**2))
-    chain = fit_velocity(experiment.motion, time_s, position, wander_mm, rival)
+    chain = fit_velocity(motion, time_s, position, wander_mm, rival)
     by_chain = _chain_held_out(chain, time_s[thinned], position[thinned])
     if smooth is None or not _predicts_better(smooth.held_out_mm, by_chain):
         return Kinematics(*insert_reversals(*chain), step_s, wander_mm)
-    return _smooth_kinematics(smooth, experiment.motion, time_s, step_s, wander_mm)
+    return _smooth_kinematics(smooth, motion, time_s, step_s, wander_mm)
 
 
 def _smooth_kinematics(

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from xml.etree import ElementTree as ET
 from zlib import crc32
 
@@ -198,6 +199,7 @@ def _point_text(x: int, y: int) -> str:
     return _tenths_text(x) + (second if second.startswith("-") else f" {second}")
 
 
+@lru_cache(maxsize=4096)
 def _tenths_text(value: int) -> str:
     return re.sub(r"^(-?)0\.", r"\1.", f"{value / 10:g}")
 
