@@ -39,8 +39,12 @@ def test_the_model_that_was_identified_runs_the_simulator(campaign: Path, capsys
 
 
 def test_a_second_call_replaces_nothing(campaign: Path) -> None:
-    for _ in range(2):
-        assert main(["identify", str(campaign), "--quiet"]) == 0
+    first = campaign / "identified" / "model.toml"
+    first.parent.mkdir()
+    first.write_text("of the first call", "utf-8")
+    assert main(["identify", str(campaign), "--quiet"]) == 0
+    assert [path.name for path in first.parent.iterdir()] == [first.name]
+    assert first.read_text("utf-8") == "of the first call"
     assert (campaign / "identified-2" / "model.toml").is_file()
 
 
