@@ -31,6 +31,8 @@ from dragrig.rig.arrays import FloatArray
 from dragrig.rig.profile import trapezoid
 from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.card.pci6229 import CardError
+from dragrig.sim_backend.doubles.card.tasks import InputBuffer
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
 
 CONTINUOUS = AcquisitionType.CONTINUOUS
@@ -373,15 +375,22 @@ def test_a_waiting_read_hears_at_once_that_the_card_is_gone(trouble: str, code: 
 
 
 def test_a_stop_ends_a_read_that_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    with card_on() as (bench, _), inputs(samples=100_000) as ai:
-        asking: set[int | None] = set()
-        available = bench.available
-        monkeypatch.setattr(bench, "available", lambda: asking.add(threading.get_ident()) or available())
+    reading, read = threading.Event(), InputBuffer.read
+
+    def announced_read(
+        buffer: InputBuffer, first: int, samples: int, timeout_s: float, short_reads: int
+    ) -> tuple[int, CardError | None]:
+        # The card's lock is held from here until the read waits, so that a stop comes later.
+        reading.set()
+        return read(buffer, first, samples, timeout_s, short_reads)
+
+    monkeypatch.setattr(InputBuffer, "read", announced_read)
+    with card_on() as (_, _), inputs(samples=100_000) as ai:
         ai.start()
         codes: list[int] = []
         reader = threading.Thread(target=lambda: codes.append(code_of(lambda: volts(ai, 90_000, timeout=3600.0))))
         reader.start()
-        wait_until(lambda: reader.ident in asking)
+        assert reading.wait(600)
         ai.stop()
         reader.join(600)
         assert codes == [-88710]
