@@ -1,11 +1,12 @@
 """Fit the weights of the presence of effects, and print how well presence and verdict hold.
 
-`python bench/presence.py [--campaigns 60] [--seed 52000] [--plant written|drawn] [--workers N]`: campaigns with one
-effect of full, a third or a tenth of its size, with two, with none, and with effects that no catalogue has, half of
-them with nominal models that are off by 5 % to 20 % or with a second specimen that nobody recorded. Weights are
-fitted by logistic regression to every effect on the force (`--plant written` alone: the plant `drawn` is to judge
-by); then the counts of right verdicts, the reliability of presence, what the fit costs without either estimate, and how
-far the budget's shares of named effects are from the plant's own.
+`python bench/presence.py [--campaigns 60] [--seed 52000] [--plant written|drawn] [--exam] [--workers N]`: campaigns
+with one effect of full, a third or a tenth of its size, with two, with none, and with effects that no catalogue has,
+half of them with nominal models that are off by 5 % to 20 % or with a second specimen that nobody recorded; or, with
+`--exam`, the mix of the exam. Weights are fitted by logistic regression to every effect on the force
+(`--plant written` alone: the plant `drawn` is to judge by); then the counts of right verdicts, the reliability of
+presence, what the fit costs without either estimate, and how far the budget's shares of named effects are from the
+plant's own.
 """
 
 import argparse
@@ -23,6 +24,7 @@ from dragrig.analysis import no_progress
 from dragrig.analysis.gap import GapBudget
 from dragrig.analysis.gap.budget import MIN_COMPETITION, MIN_PRESENCE
 from dragrig.analysis.gap.classifier import classify
+from dragrig.exam import hidden_cases
 from dragrig.parallel import map_tasks
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.blind import (
@@ -51,6 +53,7 @@ class Case:
     effects: tuple[str, ...]
     sizes: tuple[float, ...]
     conditions: tuple[str, ...]
+    rough: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +127,12 @@ def answer(case: Case) -> Answer:
 
     with tempfile.TemporaryDirectory() as folder:
         secret = draw_campaign(
-            case.seed, effects=case.effects, size=case.sizes, plant=case.plant, conditions=case.conditions
+            case.seed,
+            effects=case.effects,
+            size=case.sizes,
+            rough=case.rough,
+            plant=case.plant,
+            conditions=case.conditions,
         )
         write_campaign(secret, Path(folder))
         diagnosis = diagnose(folder)
@@ -180,10 +188,19 @@ def main() -> None:
     parser.add_argument("--campaigns", type=int, default=60)
     parser.add_argument("--seed", type=int, default=52000)
     parser.add_argument("--plant", default="written")
+    parser.add_argument(
+        "--exam", action="store_true", help="the mix of `dragrig gap blind`, instead of one to learn from"
+    )
     parser.add_argument("--workers", type=int)
     parser.add_argument("--save", type=Path)
     options = parser.parse_args()
-    cases = draw_cases(options.campaigns, options.seed, options.plant)
+    if options.exam:
+        cases = [
+            Case(case.seed, case.plant, case.effects, case.sizes, case.conditions, case.rough)
+            for case in hidden_cases.draw_cases(options.campaigns, options.seed, plant=options.plant)
+        ]
+    else:
+        cases = draw_cases(options.campaigns, options.seed, options.plant)
     said = map_tasks(answer, cases, options.workers, None, no_progress)
     if options.save:
         rows = [{"case": asdict(case), "said": asdict(one)} for case, one in zip(cases, said, strict=True)]

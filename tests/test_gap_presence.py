@@ -8,22 +8,28 @@ import numpy as np
 import pytest
 from hidden import hidden, without_clock
 
-from dragrig.analysis.gap.budget import combined_presence, restate
+from dragrig.analysis.gap.budget import CausesOfGap, _likely_explanations, combined_presence, restate
 from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN, Classification
+from dragrig.analysis.gap.design import Candidate
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import UNEXPLAINED, Diagnosis, GapBudget, Verdict
 from dragrig.analysis.gap.evaluation import PromiseVerdict, evaluate
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.analysis.gap.forward_selection import search_effects
-from dragrig.analysis.gap.position_channel import analyse_position
-from dragrig.analysis.gap.presence import EXCHANGE, CauseKind, Presence, prepare_competition
+from dragrig.analysis.gap.position_channel import (
+    analyse_position,
+    contribution_to_position,
+    position_errors,
+    predicted_position_error,
+)
+from dragrig.analysis.gap.presence import EXCHANGE, Cause, CauseKind, Competition, Presence, prepare_competition
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.sim_backend.blind import draw_campaign, write_campaign
-from dragrig.sim_backend.effects import Coordinate, catalogue
+from dragrig.sim_backend.effects import Coordinate, catalogue, find_effect
 
 
 def diagnosed(folder: Path, *effects: str, seed: int = 20, size: Sequence[float] | float = 1.0) -> Diagnosis:
@@ -213,3 +219,49 @@ def test_presence_grows_with_either_estimate() -> None:
     assert np.all(np.diff(grid, axis=1) > 0)
     assert present(1.0, 0.0) < 0.9
     assert present(0.0, 1.0) < 0.5
+
+
+def causes_that_may_be(presence_of_effects: Mapping[str, float]) -> CausesOfGap:
+    """Return a competition that is sure of both effects and of a wrong nominal model, and says what all say of them."""
+    names = [*presence_of_effects, "laws of the model"]
+    kinds = [*(CauseKind.EFFECT for _ in presence_of_effects), CauseKind.MODEL]
+    columns = [np.array([number]) for number in range(len(names))]
+    causes = tuple(
+        Cause(name, kind, own, np.ones(1), (1.0,)) for name, kind, own in zip(names, kinds, columns, strict=True)
+    )
+    together = tuple((number, 0) for number in range(len(names)))
+    presence = Presence(
+        dict.fromkeys(names, 1.0), dict(zip(names, kinds, strict=True)), {(): 0.0, together: 50.0, together[:1]: 10.0}
+    )
+    competition = Competition(causes, np.zeros((1, 1)))
+    return CausesOfGap(
+        competition, presence, Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False), presence_of_effects
+    )  # type: ignore[arg-type]
+
+
+def test_intervals_know_of_explanations_without_what_may_not_be_there() -> None:
+    established = {"folds": 0.97, "adhesion": 0.6}
+    causes = causes_that_may_be(established)
+    chosen = ((0, 0), (1, 0), (2, 0))
+    weights = _likely_explanations(causes, chosen, established)
+
+    def probability(number: int) -> float:
+        return sum(weight for key, weight in weights.items() if number in {index for index, _ in key})
+
+    assert sum(weights.values()) == pytest.approx(1.0)
+    assert probability(0) == pytest.approx(1.0)
+    assert probability(1) == pytest.approx(0.6)
+    assert probability(2) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(2.5, 2.5), (-1.0, 0.0)], ids=["other amplitude", "other sign"])
+def test_what_an_effect_adds_to_the_position_has_an_amplitude_in_each_run(share: float, expected: float) -> None:
+    campaign = Path(__file__).parent / "data" / "campaign"
+    runs = position_errors(choose_runs(campaign, None).experiments)
+    moving = next(run for run in runs if run.top_speed_mm_s > 1)
+    lag = find_effect("servo_lag")
+    candidate = Candidate(lag, lag.defaults)
+    alone = predicted_position_error(candidate, moving)
+    assert np.abs(alone).max() > 0
+    added = contribution_to_position(candidate, replace(moving, error_mm=share * alone))
+    assert np.allclose(added, expected * alone)
