@@ -11,9 +11,6 @@ from .comparison.comparison import MeasureDifference as MeasureDifference
 from .comparison.comparison import RunPair as RunPair
 from .comparison.comparison import comparison_frame as comparison_frame
 from .comparison.comparison import comparison_rows as comparison_rows
-from .computation import Progress as Progress
-from .computation import no_progress as no_progress
-from .computation import single_blas_thread as single_blas_thread
 from .estimates import MIN_SAMPLES_FOR_MEAN as MIN_SAMPLES_FOR_MEAN
 from .estimates import NORMAL_95 as NORMAL_95
 from .estimates import Estimate as Estimate
@@ -72,6 +69,7 @@ from .linear_gaussian import Whitening as Whitening
 from .linear_gaussian import is_at_bound as is_at_bound
 from .linear_gaussian import prepare_channels as prepare_channels
 from .linear_gaussian import repeat_differences as repeat_differences
+from .linear_gaussian import single_blas_thread as single_blas_thread
 from .linear_gaussian import solve_joint as solve_joint
 from .linear_gaussian import zero_remarks as zero_remarks
 from .measures import UNREADABLE as UNREADABLE
@@ -138,8 +136,10 @@ from .segments import mask_spans as mask_spans
 from .segments import steady_stretch as steady_stretch
 from .selection import RETURN_KIND as RETURN_KIND
 from .selection import RETURN_REASON as RETURN_REASON
+from .selection import Progress as Progress
 from .selection import RunSelection as RunSelection
 from .selection import incomplete_reason as incomplete_reason
+from .selection import no_progress as no_progress
 from .selection import select_loaded_runs as select_loaded_runs
 from .selection import select_runs as select_runs
 from .selection import unusable_files as unusable_files

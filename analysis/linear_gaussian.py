@@ -6,6 +6,7 @@ fitted, then linearised again, until nothing moves; so a weaker model cannot buy
 """
 
 from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
@@ -27,6 +28,23 @@ from dragrig.config import AnalysisError
 from dragrig.rig import BoolArray, Contact, FloatArray
 
 ItemT = TypeVar("ItemT")
+
+
+@contextmanager
+def single_blas_thread() -> Iterator[None]:
+    """Let BLAS work in the caller's thread alone.
+
+    Fits are made of many small matrices. Two threads that take turns at them are no faster on an idle machine, and
+    four times slower where anything else runs.
+    """
+    # SciPy brings a BLAS of its own, which can only be limited once it is loaded.
+    import scipy.linalg
+    from threadpoolctl import threadpool_limits
+
+    del scipy
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
+
 
 STIFFNESS_VARIATION = "stiffness"
 """Name of the run-to-run variation that multiplies the stiff part of the force."""

@@ -17,12 +17,11 @@ import psutil
 
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, Contact, WallClock
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.sync import MotionSamplingSync
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
+from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece
 from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector, SimulatedBench

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from dragrig.analysis.computation import no_progress
 from dragrig.analysis.export import CsvStyle, ExportColumn, ExportContent, write_csv
 from dragrig.analysis.importing.readers import read_text
 from dragrig.analysis.savgol import SavgolSettings, SavgolStream, smooth
-from dragrig.rig.arrays import AnyFloatArray
+from dragrig.analysis.selection import no_progress
+from dragrig.rig.profile import AnyFloatArray
 
 
 def best(action: Callable[[], object], repeats: int = 3) -> float:

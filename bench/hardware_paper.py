@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import dragrig
-from dragrig.rig.arrays import BoolArray
 from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.profile import BoolArray
 from dragrig.rig.runfile.model import Run, RunStatus
 
 AWAY_FROM_STEPS_S = 0.1

@@ -31,8 +31,8 @@ from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.selection import select_runs
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
+from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.devices.variability import draw_specimen_model
 from dragrig.sim_backend.friction import prepare
 

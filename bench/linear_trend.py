@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from dragrig.analysis.models import ChannelModel, MotionState, Parameter
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import FloatArray
 
 
 class LinearTrend(ChannelModel):

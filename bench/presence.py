@@ -1,12 +1,10 @@
-"""Fit the weights of the presence of effects, and print how well presence and verdict hold.
+"""Print how well presence, verdict and shares of the budget hold.
 
 `python bench/presence.py [--campaigns 60] [--seed 52000] [--plant written|drawn] [--exam] [--workers N]`: campaigns
 with one effect of full, a third or a tenth of its size, with two, with none, and with effects that no catalogue has,
 half of them with nominal models that are off by 5 % to 20 % or with a second specimen that nobody recorded; or, with
-`--exam`, the mix of the exam. Weights are fitted by logistic regression to every effect on the force
-(`--plant written` alone: the plant `drawn` is to judge by); then the counts of right verdicts, the reliability of
-presence, what the fit costs without either estimate, and how far the budget's shares of named effects are from the
-plant's own.
+`--exam`, the mix of the exam: the counts of right verdicts, the reliability of presence, and how far the budget's shares
+of named effects are from the plant's own.
 """
 
 import argparse
@@ -22,11 +20,8 @@ import numpy as np
 
 from dragrig.analysis import no_progress
 from dragrig.analysis.gap import GapBudget
-from dragrig.analysis.gap.budget import MIN_COMPETITION, MIN_PRESENCE
-from dragrig.analysis.gap.classifier import classify
 from dragrig.exam import hidden_cases
 from dragrig.parallel import map_tasks
-from dragrig.rig import FloatArray
 from dragrig.sim_backend.blind import (
     CATALOGUE,
     OUTSIDE,
@@ -58,13 +53,11 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a diagnosis says of it: the verdict, and of each effect on the force three probabilities."""
+    """What a diagnosis says of it: the verdict, the presence of each effect on the force, and shares."""
 
     verdict: str
     effects: tuple[str, ...]
     probability: float
-    classifier: dict[str, float]
-    competition: dict[str, float]
     presence: dict[str, float]
     shares: tuple["Share", ...] = ()
 
@@ -138,40 +131,14 @@ def answer(case: Case) -> Answer:
         diagnosis = diagnose(folder)
     assert diagnosis.budget is not None
     assert diagnosis.decision_inputs is not None
-    before = classify(diagnosis.decision_inputs, diagnosis.tolerance_mN)
-    on_force = [name for name in diagnosis.budget.presence if name in diagnosis.budget.competition]
-    marginal = {name: before.marginal(name) for name in on_force}
+    on_force = [name for name in diagnosis.budget.presence if name in diagnosis.decision_inputs.competition]
     return Answer(
         diagnosis.verdict.value,
         diagnosis.effects,
         diagnosis.ranking[0].probability,
-        marginal,
-        {name: diagnosis.budget.competition[name] for name in on_force},
         {name: diagnosis.budget.presence[name] for name in on_force},
         shares_of(diagnosis.budget, secret),
     )
-
-
-def log_odds(values: Sequence[float], least: float) -> FloatArray:
-    """Return limited log odds."""
-    limited = np.clip(np.asarray(values, dtype=np.float64), least, 1.0 - least)
-    return np.asarray(np.log(limited / (1.0 - limited)))
-
-
-def fit(columns: FloatArray, present: FloatArray, ridge: float = 0.1) -> FloatArray:
-    """Fit a logistic regression by Newton's method."""
-    weights = np.zeros(columns.shape[1])
-    for _ in range(60):
-        probability = 1.0 / (1.0 + np.exp(-columns @ weights))
-        curvature = (columns.T * (probability * (1 - probability))) @ columns + ridge * np.eye(len(weights))
-        weights += np.linalg.solve(curvature, columns.T @ (present - probability) - ridge * weights)
-    return weights
-
-
-def log_loss(columns: FloatArray, weights: FloatArray, present: FloatArray) -> float:
-    """Return the sum of the log losses."""
-    signed = (columns @ weights) * (2 * present - 1)
-    return float(np.sum(np.log1p(np.exp(-signed))))
 
 
 def is_right(case: Case, said: Answer) -> bool:
@@ -183,7 +150,7 @@ def is_right(case: Case, said: Answer) -> bool:
 
 
 def main() -> None:
-    """Print weights, right verdicts and reliability."""
+    """Print right verdicts, reliability and shares."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--campaigns", type=int, default=60)
     parser.add_argument("--seed", type=int, default=52000)
@@ -223,16 +190,6 @@ def report(cases: Sequence[Case], said: Sequence[Answer]) -> None:
         print(f"{kind}: right {counts[kind, True]} of {counts[kind, True] + counts[kind, False]}")
     pairs = [(case, one, name) for case, one in zip(cases, said, strict=True) for name in one.presence]
     present = np.array([name in case.effects for case, _, name in pairs], dtype=np.float64)
-    columns = np.column_stack(
-        (
-            np.ones(len(pairs)),
-            log_odds([one.classifier[name] for _, one, name in pairs], MIN_PRESENCE),
-            log_odds([one.competition[name] for _, one, name in pairs], MIN_COMPETITION),
-        )
-    )
-    for label, chosen in (("both", [0, 1, 2]), ("classifier alone", [0, 1]), ("competition alone", [0, 2])):
-        weights = fit(columns[:, chosen], present)
-        print(f"{label}: weights {np.round(weights, 2)}, log loss {log_loss(columns[:, chosen], weights, present):.1f}")
     stated = np.array([one.presence[name] for _, one, name in pairs])
     print(f"as stated: log loss {-np.sum(np.log(np.where(present > 0, stated, 1 - stated))):.1f}")
     report_shares([share for one in said for share in one.shares])

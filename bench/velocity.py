@@ -11,9 +11,8 @@ import numpy as np
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, BackendRequest, Contact
-from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
+from dragrig.rig.profile import FloatArray, MotionProfile, Phase, Piece, stationary_piece, trapezoid
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import VELOCITY_LAG_S
 

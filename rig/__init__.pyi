@@ -1,9 +1,3 @@
-from .arrays import AnyFloatArray as AnyFloatArray
-from .arrays import BoolArray as BoolArray
-from .arrays import FloatArray as FloatArray
-from .arrays import IndexArray as IndexArray
-from .arrays import PhaseArray as PhaseArray
-from .arrays import read_only as read_only
 from .calibration import CalibrationLine as CalibrationLine
 from .calibration import append_calibration as append_calibration
 from .calibration import fit_encoder as fit_encoder
@@ -56,9 +50,15 @@ from .operator import Prompt as Prompt
 from .operator import SessionObserver as SessionObserver
 from .operator import park as park
 from .profile import TIME_TOLERANCE_S as TIME_TOLERANCE_S
+from .profile import AnyFloatArray as AnyFloatArray
+from .profile import BoolArray as BoolArray
+from .profile import FloatArray as FloatArray
+from .profile import IndexArray as IndexArray
 from .profile import MotionProfile as MotionProfile
 from .profile import Phase as Phase
+from .profile import PhaseArray as PhaseArray
 from .profile import Piece as Piece
+from .profile import read_only as read_only
 from .profile import stationary_piece as stationary_piece
 from .profile import trapezoid as trapezoid
 from .programme import PlannedRun as PlannedRun

@@ -25,8 +25,7 @@ from dragrig.config import (
     Specimen,
     StageSettings,
 )
-from dragrig.rig.arrays import AnyFloatArray
-from dragrig.rig.profile import MotionExtremes, MotionProfile
+from dragrig.rig.profile import AnyFloatArray, MotionExtremes, MotionProfile
 from dragrig.rig.runfile import RecordedChannel
 
 MAX_BLOCK_S = 0.05

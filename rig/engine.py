@@ -32,10 +32,9 @@ from dragrig.config import (
     TrippedError,
     reason_of,
 )
-from dragrig.rig.arrays import AnyFloatArray, PhaseArray
 from dragrig.rig.devices import Acquisition, Backend, Block, Contact, Trip, TripCause
 from dragrig.rig.guard import Guard
-from dragrig.rig.profile import Phase
+from dragrig.rig.profile import AnyFloatArray, Phase, PhaseArray
 from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
 from dragrig.rig.runfile import Attribute, RunEvent, RunHeader, RunStatus
 

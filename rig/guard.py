@@ -11,9 +11,8 @@ from math import inf, isfinite, isnan, nan
 import numpy as np
 
 from dragrig.config import GuardSettings, TrippedError
-from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.devices import Block, StageState, TravelEnd, Trip, TripCause
-from dragrig.rig.profile import MotionExtremes
+from dragrig.rig.profile import AnyFloatArray, MotionExtremes
 from dragrig.rig.reading import BlockExtremes
 
 _SPEED_WINDOW_S = 0.01

@@ -21,7 +21,6 @@ from dragrig.config import (
     TrippedError,
     find_settings,
 )
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import (
     Acquisition,
     Backend,
@@ -44,7 +43,7 @@ from dragrig.rig.operator import (
     positioning_profile,
     reset_guard,
 )
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.reading import Reading
 
 STANDARD_GRAVITY = 9.80665

@@ -1,4 +1,4 @@
-"""Motion profiles: pieces of constant acceleration, evaluated exactly at any time.
+"""Motion profiles: pieces of constant acceleration, evaluated exactly at any time; and the arrays they are made of.
 
 Units: mm and s. Time 0 is the first sample; position 0 is where the run starts.
 """
@@ -6,11 +6,22 @@ Units: mm and s. Time 0 is the first sample; position 0 is where the run starts.
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.arrays import FloatArray, PhaseArray, read_only
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+AnyFloatArray: TypeAlias = npt.NDArray[np.float32] | npt.NDArray[np.float64]
+PhaseArray: TypeAlias = npt.NDArray[np.uint8]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+IndexArray: TypeAlias = npt.NDArray[np.intp]
+
+
+def read_only(array: npt.NDArray[np.generic]) -> None:
+    """Forbid writing to `array` from here on."""
+    array.flags.writeable = False
+
 
 TIME_TOLERANCE_S = 1e-9
 """A phase includes its first instant and excludes its last, to within this tolerance."""

@@ -10,9 +10,8 @@ from statistics import median
 
 import numpy as np
 
-from dragrig.rig.arrays import AnyFloatArray, FloatArray, PhaseArray, read_only
 from dragrig.rig.devices import Block
-from dragrig.rig.profile import MotionProfile, Phase
+from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, Phase, PhaseArray, read_only
 from dragrig.rig.runfile import Attribute
 
 _CHUNK_SAMPLES = 16_384

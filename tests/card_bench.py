@@ -11,12 +11,11 @@ from simulated import NEVER, acquire
 
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import Calibration, RigSettings
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import Block
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.sync import MotionSamplingSync
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile
 from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench

@@ -22,7 +22,7 @@ from session_pb2 import SESSION_INITIALIZATION_BEHAVIOR_ATTACH_TO_EXISTING as AT
 from session_pb2 import SESSION_INITIALIZATION_BEHAVIOR_INITIALIZE_NEW as NEW
 from session_pb2 import Session
 
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.card.pci6229 import Attribute, AttributeValue, CardError
 

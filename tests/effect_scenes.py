@@ -7,9 +7,8 @@ import numpy as np
 
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, Contact
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.effects.base import Channel, Effect
 from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion

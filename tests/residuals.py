@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from dragrig.analysis.gap.excess import ResidualBlocks
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
-from dragrig.rig.profile import Phase
+from dragrig.rig.profile import FloatArray, Phase
 
 Planted = Callable[[ResidualBlocks], FloatArray]
 SPEEDS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 45.0, 60.0)

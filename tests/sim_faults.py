@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition, StageLimits, TravelEnd
-from dragrig.rig.profile import TIME_TOLERANCE_S, MotionProfile, Phase, Piece
+from dragrig.rig.profile import TIME_TOLERANCE_S, FloatArray, MotionProfile, Phase, Piece
 from dragrig.sim_backend.devices.simulated_stage import Disturbances, Track
 
 END_STOP_MM = 5.0

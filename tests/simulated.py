@@ -10,9 +10,8 @@ from sim_faults import Faults
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
-from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.devices import Acquisition, Backend, BackendRequest, Block, Contact
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.profile import AnyFloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.devices import SimulatedBackend, open_backend
 
 CAPSULE = Capsule(name="smooth", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.1)

@@ -13,8 +13,7 @@ from scipy.signal import lfilter
 from dragrig.analysis.selection import RunSelection, select_loaded_runs
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Capsule, Fixture
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
 from dragrig.sim_backend.friction import prepare
 

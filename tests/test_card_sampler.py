@@ -16,14 +16,13 @@ from simulated import NEVER, PATIENT, acquire, rest, settings, stroke
 
 from dragrig.config.errors import DeviceError, SettingsError, StaleDataError
 from dragrig.config.rig import Calibration, CardSettings, RigSettings
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import MAX_BLOCK_S, TripCause
 from dragrig.rig.hardware.backend import check_card
 from dragrig.rig.hardware.card.connection import Connection, device_error
 from dragrig.rig.hardware.card.scaling import Scaling
 from dragrig.rig.hardware.card.tasks import SampledTasks
 from dragrig.rig.hardware.lines import CardLines, SwitchStates
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 

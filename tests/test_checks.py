@@ -6,9 +6,8 @@ import pytest
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
-from dragrig.rig.arrays import AnyFloatArray
 from dragrig.rig.devices import Block
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import AnyFloatArray, MotionProfile
 from dragrig.rig.protocols.drag import DragProtocol
 from dragrig.rig.protocols.relaxation import RelaxationProtocol
 from dragrig.rig.reading import BlockExtremes, CheckReport, RunChecks, SetpointSampler

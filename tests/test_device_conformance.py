@@ -14,9 +14,8 @@ from voltage_bench import LEAD_S, open_voltage_rig, velocity_rig
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.arrays import AnyFloatArray, FloatArray
 from dragrig.rig.devices import MAX_BLOCK_S, Backend, BackendRequest
-from dragrig.rig.profile import MotionProfile, Phase, Piece
+from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, Phase, Piece
 from dragrig.sim_backend.devices import open_backend
 from dragrig.sim_backend.doubles.backend import open_backend as open_double
 

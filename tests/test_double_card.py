@@ -27,8 +27,7 @@ from nidaqmx.stream_writers import AnalogSingleChannelWriter
 from simulated import NEVER, settings
 
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import trapezoid
+from dragrig.rig.profile import FloatArray, trapezoid
 from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.card.pci6229 import CardError

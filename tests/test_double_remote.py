@@ -28,13 +28,12 @@ from simulated import NEVER, acquire, rest, settings, stroke
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import CardSettings, RigSettings
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Reply, Request, find_dialect
 from dragrig.rig.hardware.sync import MotionSamplingSync
-from dragrig.rig.profile import trapezoid
+from dragrig.rig.profile import FloatArray, trapezoid
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, FaultInjector, SimulatedBench
 
@@ -354,7 +353,6 @@ def card_port(doubles: RemoteDoubles) -> int:
 
 PARENT = """
 import os, sys, signal
-from dragrig.config.rig import RigSettings
 from remote_doubles import RemoteDoubles
 doubles = RemoteDoubles(RigSettings())
 doubles.start()

@@ -7,8 +7,7 @@ import pytest
 from simulated import NEVER, acquire, record, session, settings, stroke
 
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import Piece
+from dragrig.rig.profile import FloatArray, Piece
 from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM, DoubleClock, SimulatedBench
 
 RATE = 1000.0

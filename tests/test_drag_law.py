@@ -27,7 +27,7 @@ from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
 from dragrig.present.identification_figures import drag_figure
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.devices.variability import draw_specimen_model
 from dragrig.sim_backend.friction import steady_forces

@@ -17,8 +17,7 @@ from dragrig.analysis.gap.localise import localise
 from dragrig.present.diagnosis_figures import location_figure
 from dragrig.present.document import PALE, VERMILLION
 from dragrig.present.files import save_figure
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import Phase
+from dragrig.rig.profile import FloatArray, Phase
 
 
 def fast(first: ResidualBlocks) -> FloatArray:

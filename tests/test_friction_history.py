@@ -11,9 +11,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import FloatArray, MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
 
 MODEL = FrictionModelSettings()

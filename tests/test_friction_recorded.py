@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import FloatArray, MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
 from dragrig.sim_backend.friction.contact import COUNTED_RULE, FINE_RULE
 from dragrig.sim_backend.friction.friction_force import SlidingForce

@@ -9,12 +9,19 @@ import pytest
 from click.testing import CliRunner
 
 import dragrig
-from dragrig.analysis.gap.classifier import TrainingCase, classify, cross_validate, fit_gate, fit_weights
-from dragrig.analysis.gap.diagnosis import Verdict
-from dragrig.analysis.gap.features import Calibration, DecisionInputs, HypothesisSummary, shipped_calibration
+from dragrig.analysis.gap.classifier import classify
+from dragrig.analysis.gap.diagnosis import UNKNOWN, Classification, Verdict
+from dragrig.analysis.gap.features import (
+    Calibration,
+    DecisionInputs,
+    HypothesisSummary,
+    shipped_calibration,
+)
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, DETECTABLE_D_PRIME
+from dragrig.analysis.gap.training import TrainingCase, calibrate, cross_validate, fit_presence, fit_weights
 from dragrig.cli.commands import gap_group
 from dragrig.config.errors import AnalysisError, SettingsError
+from dragrig.sim_backend.effects import catalogue
 
 BLOCKS, NOISE, LOUD = 8000, 8010.0, 40_000.0
 NAMES = ("stribeck", "folds", "force_drift", "arm_compliance")
@@ -43,8 +50,7 @@ def lessons(seed: int, count: int = 60) -> list[TrainingCase]:
 
 
 def learnt(made: list[TrainingCase]) -> Calibration:
-    gate, weights = fit_gate(made, DEFAULT_TOLERANCE_MN), fit_weights(made, DEFAULT_TOLERANCE_MN)
-    return Calibration(version=1, command="", seeds=(1,), cases=len(made), gate=gate, weights=weights)
+    return calibrate(made, DEFAULT_TOLERANCE_MN, seeds=(1,))
 
 
 def test_what_was_learnt_holds_on_other_campaigns() -> None:
@@ -78,6 +84,25 @@ def test_explaining_less_never_makes_an_effect_the_likelier_one() -> None:
     weights = fit_weights(astray, DEFAULT_TOLERANCE_MN)
     assert all(weight >= 0 for name, weight in weights.items() if name.startswith(("plain", "flexible")))
     assert all(weight <= 0 for name, weight in weights.items() if name.startswith(("behind", "left", "nameless")))
+
+
+def test_what_is_learnt_beside_a_competition_that_knows_is_to_follow_it() -> None:
+    made = lessons(7)
+    doubtful = [Classification(Verdict.UNKNOWN, (), {UNKNOWN: 1.0}, (), residual_unknown=False)] * len(made)
+
+    def weight(present: float, absent: float) -> float:
+        judged = []
+        for case in made:
+            competition = {name: present if name in case.effects else absent for name in NAMES}
+            judged.append(replace(case, inputs=replace(case.inputs, competition=competition)))
+        return fit_presence(judged, doubtful).competition
+
+    assert weight(0.9, 0.1) > 1.0
+    assert weight(0.1, 0.9) < 0.0
+
+
+def test_no_learnt_number_is_of_a_single_effect() -> None:
+    assert not [name for name in shipped_calibration().weights if any(effect in name for effect in catalogue())]
 
 
 def test_nothing_is_learnt_from_nothing() -> None:

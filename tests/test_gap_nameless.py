@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hidden import hidden
 
-from dragrig.analysis.gap.classifier import Classification, classify
+from dragrig.analysis.gap.classifier import classify
 from dragrig.analysis.gap.design import Design, RunDesign, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.diagnosis import Classification, Verdict
 from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
 from dragrig.analysis.gap.forward_selection import fit_nonparametric_laws
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
@@ -19,8 +19,8 @@ from dragrig.analysis.gap.run_data import RunData, choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.gap.unknown_gap import NOT_LOCALISABLE, describe_unexplained_gap, nonparametric_law_text
 from dragrig.analysis.models.capsule_model import MODEL
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Contact
+from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.effects.base import Effect, catalogue
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"

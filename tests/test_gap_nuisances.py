@@ -12,7 +12,7 @@ from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import INTEGRATION_STEP_S, PANELS, ramp_integration_sd
 from dragrig.analysis.models.capsule_model import MODEL
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.blind import draw_campaign, write_campaign
 
 SUMS_THE_CONTACT_COARSELY, STEPS_A_RAMP_COARSELY = 1839364650, 269666675

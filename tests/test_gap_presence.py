@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 from hidden import hidden, without_clock
 
-from dragrig.analysis.gap.budget import CausesOfGap, _likely_explanations, combined_presence, restate
-from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN, Classification
+from dragrig.analysis.gap.budget import CausesOfGap, _likely_explanations
+from dragrig.analysis.gap.classifier import combined_presence, restate
 from dragrig.analysis.gap.design import Candidate
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.diagnosis import UNEXPLAINED, Diagnosis, GapBudget, Verdict
+from dragrig.analysis.gap.diagnosis import (
+    NO_GAP,
+    UNEXPLAINED,
+    UNKNOWN,
+    BudgetEntry,
+    Classification,
+    Diagnosis,
+    GapBudget,
+    Verdict,
+)
 from dragrig.analysis.gap.evaluation import PromiseVerdict, evaluate
-from dragrig.analysis.gap.features import DecisionInputs
+from dragrig.analysis.gap.features import EXCHANGE, DecisionInputs, shipped_calibration
 from dragrig.analysis.gap.forward_selection import search_effects
 from dragrig.analysis.gap.position_channel import (
     analyse_position,
@@ -22,7 +31,7 @@ from dragrig.analysis.gap.position_channel import (
     position_errors,
     predicted_position_error,
 )
-from dragrig.analysis.gap.presence import EXCHANGE, Cause, CauseKind, Competition, Presence, prepare_competition
+from dragrig.analysis.gap.presence import Cause, CauseKind, Competition, Presence, prepare_competition
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
@@ -93,7 +102,7 @@ def assert_runs_add_up(budget: GapBudget) -> None:
 def test_what_no_catalogue_has_is_an_unnamed_law(tmp_path: Path) -> None:
     diagnosis = diagnosed(tmp_path, "wall_seam", seed=12)
     budget = budget_of(diagnosis)
-    laws = {name: value for name, value in budget.competition.items() if name.startswith("place")}
+    laws = {name: value for name, value in inputs_of(diagnosis).competition.items() if name.startswith("place")}
     assert max(laws.values()) > 0.5
     assert diagnosis.effects == ()
     assert shares(budget)[UNEXPLAINED] > 0.5
@@ -105,7 +114,7 @@ def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_na
     diagnosis = diagnose(choose_runs(tmp_path), MODEL)
     budget = budget_of(diagnosis)
     assert diagnosis.effects == ()
-    assert budget.competition[EXCHANGE] > 0.999
+    assert inputs_of(diagnosis).competition[EXCHANGE] > 0.999
     before = sum(run.specimen == 0 for run in secret.runs)
     assert EXCHANGE + f" after run {before}" in {word for entry in budget.entries for word in entry.what.split(", ")}
 
@@ -138,6 +147,23 @@ def test_a_ripple_is_found_whatever_its_amplitude_does_with_speed(
     best = analyse_position(choose_runs(tmp_path).experiments, tuple(catalogue().values())).model_classes[0]
     assert best.effect == effect
     assert best.held_out_share > 0.8
+
+
+@pytest.mark.parametrize(
+    ("share", "rms_mN", "interval", "left"),
+    [
+        (0.4, 5.0, (0.2, 0.6), True),
+        (0.1, 5.0, (0.05, 0.2), False),
+        (0.4, 0.3, (0.2, 0.6), False),
+        (0.4, 5.0, (-0.1, 0.8), False),
+    ],
+)
+def test_something_is_left_where_the_rest_is_surely_there_large_and_matters(
+    share: float, rms_mN: float, interval: tuple[float, float], left: bool
+) -> None:
+    rest = BudgetEntry(UNEXPLAINED, "force", share, interval, rms_mN)
+    budget = GapBudget({}, (BudgetEntry("folds", "force", 1.0 - share, None, 8.0), rest), 10.0, held_out=True)
+    assert budget.leaves_more_than(0.15, 0.5) is left
 
 
 def classified(**probabilities: float) -> Classification:
@@ -208,16 +234,16 @@ def inputs_of(diagnosis: Diagnosis) -> DecisionInputs:
 
 
 def test_presence_grows_with_either_estimate() -> None:
-    kinds = {"stribeck": CauseKind.EFFECT}
+    weights = shipped_calibration().presence
 
     def present(classifier: float, competition: float) -> float:
-        presence = Presence({"stribeck": competition}, kinds, {})
-        return combined_presence(classified(stribeck=classifier, no_gap=1 - classifier), presence)["stribeck"]
+        on_force = classified(stribeck=classifier, no_gap=1 - classifier)
+        return combined_presence(on_force, {"stribeck": competition, "place": 0.9}, weights)["stribeck"]
 
     grid = np.array([[present(old, new) for new in (0.1, 0.5, 0.9)] for old in (0.05, 0.5, 0.95)])
     assert np.all(np.diff(grid, axis=0) > 0)
     assert np.all(np.diff(grid, axis=1) > 0)
-    assert present(1.0, 0.0) < 0.9
+    assert present(1.0, 0.0) / (1.0 - present(1.0, 0.0)) < 0.1 * present(1.0, 1.0) / (1.0 - present(1.0, 1.0))
     assert present(0.0, 1.0) < 0.5
 
 
@@ -234,9 +260,7 @@ def causes_that_may_be(presence_of_effects: Mapping[str, float]) -> CausesOfGap:
         dict.fromkeys(names, 1.0), dict(zip(names, kinds, strict=True)), {(): 0.0, together: 50.0, together[:1]: 10.0}
     )
     competition = Competition(causes, np.zeros((1, 1)))
-    return CausesOfGap(
-        competition, presence, Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False), presence_of_effects
-    )  # type: ignore[arg-type]
+    return CausesOfGap(competition, presence, presence_of_effects)  # type: ignore[arg-type]
 
 
 def test_intervals_know_of_explanations_without_what_may_not_be_there() -> None:

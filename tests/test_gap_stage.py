@@ -16,7 +16,7 @@ from dragrig.analysis.models.experiment import Experiment
 from dragrig.api.gap import gap_evaluate, save_amended_model
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import SIGNALS
 

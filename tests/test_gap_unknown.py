@@ -22,8 +22,7 @@ from dragrig.analysis.gap.unknown_law import (
     held_out_chi2,
     time_since_start,
 )
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import Phase
+from dragrig.rig.profile import FloatArray, Phase
 
 
 def moving(blocks: ResidualBlocks, *kinds: str) -> FloatArray:

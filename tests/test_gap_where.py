@@ -10,8 +10,7 @@ from residuals import SD, Planted, blocks, campaign
 from dragrig.analysis.gap.diagnosis import GapLocation
 from dragrig.analysis.gap.excess import BANDS_HZ, BandPowers, ResidualBlocks, band_powers
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import Phase
+from dragrig.rig.profile import FloatArray, Phase
 
 
 def moving(run: ResidualBlocks, *kinds: str) -> FloatArray:

@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dragrig.config.rig import GuardSettings
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Block, StageState, TravelEnd, Trip, TripCause
 from dragrig.rig.guard import Guard
-from dragrig.rig.profile import MotionExtremes, MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.profile import FloatArray, MotionExtremes, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.reading import BlockExtremes
 
 RATE = 1000.0

@@ -11,9 +11,8 @@ from friction_cases import blank, moves, sliding, sticking
 
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import Acquisition
-from dragrig.rig.profile import MotionProfile
+from dragrig.rig.profile import FloatArray, MotionProfile
 from dragrig.sim_backend.effects.base import ForceEffect, Location, catalogue, find_effect
 from dragrig.sim_backend.effects.run_state import RunState, gut_run_state
 from dragrig.sim_backend.friction.motion import ProfileMotion

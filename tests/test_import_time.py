@@ -16,8 +16,7 @@ from dragrig.analysis.importing.conversion import (
 )
 from dragrig.analysis.importing.readers import read_text
 from dragrig.config.errors import ImportDataError
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 
 HERE = Path("clock.csv")
 FOREIGN = Path(__file__).parent / "data" / "foreign"

@@ -16,7 +16,7 @@ from dragrig.analysis.selection import select_loaded_runs
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import NoiseSettings, VariationSettings
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.devices.variability import RandomStream, draw_run_model, draw_specimen_model, random_generator
 
 SEEDS = (11, 12, 13)

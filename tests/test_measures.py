@@ -10,8 +10,7 @@ from scipy.signal import lfilter
 
 from dragrig.analysis.estimates import correlated_mean
 from dragrig.analysis.measures import measure
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import Attribute, RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
 
 RATE = 500.0

@@ -24,8 +24,7 @@ from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.noise import FLICKER_TIMES_S, NoiseModel, estimate_noise
 from dragrig.analysis.selection import select_loaded_runs
 from dragrig.config.specimen import Fixture
-from dragrig.rig.arrays import FloatArray
-from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import Run
 
 COUNT_MM = 0.001

@@ -12,7 +12,7 @@ from scipy.signal import savgol_filter
 from dragrig.analysis.savgol import SavgolSettings, SavgolStream, smooth
 from dragrig.analysis.segments import gap_starts, unbroken_slices
 from dragrig.config.errors import AnalysisError
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import FloatArray
 
 RATE = 500.0
 

@@ -26,7 +26,7 @@ from dragrig.analysis.models.experiment import (
     position_wander_mm,
 )
 from dragrig.analysis.selection import RunSelection
-from dragrig.rig.arrays import FloatArray
+from dragrig.rig.profile import FloatArray
 
 RATE_HZ = 500.0
 STROKE = moves((20.0, 5.0), (-20.0, 40.0), between=2.0)

@@ -13,10 +13,10 @@ from simulated import settings
 
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.arrays import FloatArray
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import find_dialect
+from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.drive_double import DriveDouble, make_drive_double

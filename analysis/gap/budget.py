@@ -8,23 +8,24 @@ contribution with the gap, over the gap's mean square above noise: shares of all
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import exp, log, prod
+from math import exp
 
 import numpy as np
 
-from dragrig.analysis.gap.classifier import NO_GAP, UNKNOWN, Classification
 from dragrig.analysis.gap.design import ColumnKind, Study
 from dragrig.analysis.gap.diagnosis import (
     ESTABLISHED,
+    MIN_PROBABILITY,
     MODEL,
     SPECIMEN,
+    SURE_EXCHANGE,
     UNEXPLAINED,
     BudgetEntry,
+    Classification,
     GapBudget,
     RunContributions,
     Verdict,
 )
-from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.gap_reduction import (
     BOOTSTRAP_SAMPLES,
     MIN_RUNS,
@@ -33,7 +34,6 @@ from dragrig.analysis.gap.gap_reduction import (
     run_zero_offset,
 )
 from dragrig.analysis.gap.presence import (
-    EXCHANGE,
     MODULATION_SD,
     CauseKind,
     CauseSet,
@@ -42,8 +42,6 @@ from dragrig.analysis.gap.presence import (
     Presence,
     effect_ids,
     form_laws,
-    judge_presence,
-    prepare_competition,
 )
 from dragrig.rig import FloatArray, IndexArray
 
@@ -61,7 +59,7 @@ OTHERS_TRUST = 0.5
 competition is. Of 15 shares that these two had in 100 campaigns of the plant `drawn` (seed 77001), four were
 theirs; 0.3 and 0.5 give the same intervals."""
 TEMPERED = 0.5
-"""Weight of the competition's log odds, as `PRESENCE_WEIGHTS.competition`: it is surer than its forms allow."""
+"""Weight of the competition's log odds, as `PresenceWeights.competition`: it is surer than its forms allow."""
 MAX_EXPLANATIONS = 12
 """Most likely explanations that the intervals of the shares comprise."""
 EQUAL_LOG_ODDS = 3.0
@@ -91,35 +89,9 @@ class CausesOfGap:
 
     competition: ForceCompetition
     presence: Presence
-    on_force: Classification
-    """What the classifier makes of the force alone."""
+    """Which causes are there by their competition alone."""
     effects: Mapping[str, float]
-    """Probability that each effect on the force is there."""
-
-    @classmethod
-    def of(
-        cls, search: ForceSearchResult, on_force: Classification, *, combined: bool, stage_strays: bool
-    ) -> "CausesOfGap":
-        """Judge all causes beside each other.
-
-        What the runs do not establish has little probability from the classifier, and so from both together.
-
-        Parameters
-        ----------
-        on_force
-            What the classifier makes of the force alone.
-        combined
-            Whether both estimates decide; else the classifier's alone.
-        stage_strays
-            Whether the stage strays from its command, so that motion errors mimic effects on the force.
-        """
-        competition = prepare_competition(search)
-        presence = judge_presence(competition)
-        if combined:
-            effects = combined_presence(on_force, presence, stage_strays=stage_strays)
-            return cls(competition, presence, on_force, effects)
-        names = presence.of_kind(CauseKind.EFFECT)
-        return cls(competition, presence, on_force, {name: on_force.marginal(name) for name in names})
+    """Probability that each effect on the force is there, by classifier and competition."""
 
 
 def gap_budget(
@@ -151,7 +123,7 @@ def gap_budget(
         if line in classification.effects:
             entries, gap_mN = _with_line(entries, gap_mN, line, rms_mN, presence[line]), float(np.hypot(gap_mN, rms_mN))
     entries = () if classification.verdict is Verdict.NO_GAP else _without_unlikely_rivals(entries, causes.effects)
-    presence = dict.fromkeys(effect_ids(), MIN_PRESENCE) | presence | dict(position)
+    presence = dict.fromkeys(effect_ids(), MIN_PROBABILITY) | presence | dict(position)
     if position and position_share is not None:
         share = position_share[0]
         interval = _with_form_error(*position_share)
@@ -162,9 +134,9 @@ def gap_budget(
                 BudgetEntry(fitted_position, "position", share, interval, None, presence=position[fitted_position]),
                 BudgetEntry(UNEXPLAINED, "position", 1.0 - share, rest, None),
             )
-    limited = {name: min(max(value, MIN_PRESENCE), 1.0 - MIN_PRESENCE) for name, value in presence.items()}
+    limited = {name: min(max(value, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY) for name, value in presence.items()}
     runs = force.runs if entries else ()
-    return GapBudget(limited, entries, gap_mN, force.held_out, dict(causes.presence.probabilities), runs)
+    return GapBudget(limited, entries, gap_mN, force.held_out, runs)
 
 
 def _without_unlikely_rivals(entries: Sequence[BudgetEntry], presence: Mapping[str, float]) -> tuple[BudgetEntry, ...]:
@@ -380,8 +352,9 @@ def _likely_explanations(
     def trust(name: str) -> float:
         if presence.kinds[name] is CauseKind.EFFECT:
             sure = established.get(name, 0.0) >= SURE_PRESENCE
-            return 1.0 if sure else min(max(causes.effects[name], MIN_PRESENCE), 1.0 - MIN_PRESENCE)
-        return 1.0 if name == EXCHANGE and presence.probabilities[name] > SURE_EXCHANGE else OTHERS_TRUST
+            return 1.0 if sure else min(max(causes.effects[name], MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
+        exchange = presence.kinds[name] is CauseKind.EXCHANGE
+        return 1.0 if exchange and presence.probabilities[name] > SURE_EXCHANGE else OTHERS_TRUST
 
     names = {key: {competition.causes[index].name for index, _ in key} for key in (*presence.log_odds, chosen)}
     compared = {key: value for key, value in presence.log_odds.items() if names[key] >= set(established)}
@@ -568,102 +541,3 @@ def _share_intervals(
     with_rest = np.column_stack((shares, 1.0 - shares.sum(axis=1)))
     low, high = np.quantile(with_rest, (0.025, 0.975), axis=0).tolist()
     return list(zip(low, high, strict=True))
-
-
-@dataclass(frozen=True, slots=True)
-class PresenceWeights:
-    """Log odds that an effect is there: a constant, and weights of two log odds.
-
-    Neither estimate is enough: the classifier takes one effect for another where the nominal model is wrong, the
-    competition of causes adds effects where one large effect has another form.
-    """
-
-    constant: float
-    classifier: float
-    competition: float
-
-
-PRESENCE_WEIGHTS = PresenceWeights(-0.85, 0.66, 0.50)
-"""Fitted by logistic regression to all effects on the force in 93 campaigns, 72 of them of the plant `written`;
-`python bench/presence.py` fits them to others."""
-MIN_COMPETITION = 0.05
-"""The competition is surer than its forms allow: log odds beyond these carry no weight."""
-SURE_EXCHANGE = 0.999
-"""A specimen exchanged unrecorded is surer than 0.999999 in 14 of 14 simulated campaigns; one that ages gradually is
-taken for an exchange with up to 0.97."""
-MOTION_ERROR_LOG_ODDS = 1.1
-"""Log odds by which effects on the force are less likely where the stage strays from its command: of those found in 25
-such campaigns a third was none, so that these count three times less."""
-MIN_PRESENCE = 0.003
-"""Simulated campaigns cannot confirm more extreme probabilities, as `classifier.MIN_PROBABILITY`."""
-
-
-def combined_presence(
-    classification: Classification, presence: Presence, *, stage_strays: bool = False
-) -> dict[str, float]:
-    """Return the probability that each effect on the force is there, from classifier and competition together.
-
-    The classifier knows no exchange of the specimen and takes one for a function of the session. Where there surely is
-    one, no such function is there that the competition does not find beside it.
-    """
-    weights = PRESENCE_WEIGHTS
-    exchanged = presence.probabilities.get(EXCHANGE, 0.0) > SURE_EXCHANGE
-    combined = {}
-    for name, value in presence.of_kind(CauseKind.EFFECT).items():
-        log_odds = (
-            weights.constant
-            + weights.classifier * _log_odds(classification.marginal(name))
-            + weights.competition * _log_odds(value, MIN_COMPETITION)
-            - stage_strays * MOTION_ERROR_LOG_ODDS
-        )
-        combined[name] = 1.0 / (1.0 + exp(-log_odds))
-        if exchanged and "session" in form_laws(name):
-            combined[name] = min(combined[name], value)
-    return combined
-
-
-def _log_odds(probability: float, least: float = MIN_PRESENCE) -> float:
-    limited = min(max(probability, least), 1.0 - least)
-    return log(limited / (1.0 - limited))
-
-
-def restate(classification: Classification, probabilities: Mapping[str, float]) -> Classification:
-    """Return the verdict that follows from the presence of each effect on the force.
-
-    Effects present with more than `ESTABLISHED` are named. Sets of effects are as likely as their members are present
-    and all others absent, beside each alternative that the classifier has for spectral lines and the position.
-    """
-    named = tuple(name for name, value in probabilities.items() if value > ESTABLISHED)
-    elsewhere: dict[tuple[str, ...], float] = {}
-    sets: set[frozenset[str]] = {frozenset(named), frozenset(), *(frozenset({name}) for name in probabilities)}
-    for names, value in classification.probabilities.items():
-        if names != NO_GAP:
-            parts = () if names == UNKNOWN else tuple(names.split("+"))
-            others = tuple(name for name in parts if name not in probabilities)
-            elsewhere[others] = elsewhere.get(others, 0.0) + value
-            sets.add(frozenset(parts) - set(others))
-    weights = {
-        names: prod(value if name in names else 1.0 - value for name, value in probabilities.items())
-        for names in sorted(sets, key=sorted)
-    }
-    total = sum(weights.values())
-    restated = {NO_GAP: classification.probabilities.get(NO_GAP, 0.0), UNKNOWN: 0.0}
-    for others, share in elsewhere.items():
-        for members, weight in weights.items():
-            ordered = sorted(members, key=lambda name: (-probabilities[name], name))
-            hypothesis = "+".join((*ordered, *others)) or UNKNOWN
-            restated[hypothesis] = restated.get(hypothesis, 0.0) + share * weight / total
-    likely = max(elsewhere, key=lambda others: elsewhere[others], default=())
-    effects = (*sorted(named, key=lambda name: (-probabilities[name], name)), *likely)
-    if not effects:
-        verdict = Verdict.NO_GAP if restated[NO_GAP] >= restated[UNKNOWN] else Verdict.UNKNOWN
-    else:
-        verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
-    return replace(
-        classification,
-        verdict=verdict,
-        effects=effects,
-        probabilities=restated,
-        confusable_with=tuple(name for name in classification.confusable_with if effects and name not in effects),
-        residual_unknown=False,
-    )

@@ -1,70 +1,47 @@
-"""The verdict: hypotheses weighed by their features, and the training of weights and thresholds.
+"""The verdict: hypotheses weighed by their features, and what is there by that and the competition of causes.
 
 Which explanation of the force is right, and whether any is, is decided by weights learnt on simulated campaigns with
-hidden effects (`calibration.json`, evaluated on other seeds); the probabilities are calibrated on these.
+hidden effects (`calibration.json`, evaluated on other seeds; `training`); the probabilities are calibrated on these.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import exp
+from math import exp, log, prod
 
-import numpy as np
-
-from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.diagnosis import (
+    ESTABLISHED,
+    MAX_PROBABILITY,
+    MIN_PROBABILITY,
+    NO_GAP,
+    SURE_EXCHANGE,
+    UNKNOWN,
+    Classification,
+    Verdict,
+)
 from dragrig.analysis.gap.features import (
-    EFFECT_FEATURE,
     EQUAL_SHARE,
+    EXCHANGE,
     Calibration,
     DecisionInputs,
-    GapGate,
     HypothesisFeatures,
+    PresenceWeights,
     hypothesis_features,
     largest_llr,
     shipped_calibration,
 )
-from dragrig.analysis.gap.spectral_lines import hum_effect
-from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import catalogue, confusable_effects
+from dragrig.analysis.gap.position_channel import MIN_POSITION_SHARE, POSITION_RIVAL_SLOPE, POSITION_SHARE_WIDTH
+from dragrig.analysis.gap.spectral_lines import MIN_MAINS_LLR, hum_effect
+from dragrig.sim_backend.effects import Coordinate, catalogue, confusable_effects
 
-NO_GAP, UNKNOWN = "no_gap", "unknown"
-
-MIN_MAINS_LLR, MIN_OTHER_LINE_LLR = 14.0, 60.0
+MIN_OTHER_LINE_LLR = 60.0
 MAINS_LLR_WIDTH, OTHER_LINE_LLR_WIDTH = 1.5, 8.0
-MIN_POSITION_SHARE, POSITION_SHARE_WIDTH = 0.7, 0.04
-"""Held-out share of the position error that an effect explains: midpoint and width of the logistic."""
-POSITION_RIVAL_SLOPE = 400.0
-"""Weight of a rival: exp(-slope · difference of the held-out shares)."""
 MIN_POSTERIOR_BESIDE_POSITION, MIN_LLR_BESIDE_POSITION = 0.6, 60.0
 """Where the stage has position errors, motion errors mimic small force effects: posterior > 0.6 and Δχ²/2 > 60 are
 required for an effect on the force."""
-MIN_LEFT_OVER_EXCESS, MAX_EXPLAINED_SHARE = 0.15, 0.9
-"""A residual remains beside named effects with a smaller explained share, above this excess chi-square per block."""
 PARSIMONY_RATIO = 1.2
 """A subset of the most likely hypothesis is preferred unless the latter is more likely by this factor."""
 CONFUSABLE_RATIO = 0.1
 """Hypotheses with at least this fraction of the highest probability count as confusable with it."""
-MIN_PROBABILITY, MAX_PROBABILITY = 0.003, 0.985
-"""Limits of all probabilities: simulated campaigns cannot confirm more extreme ones."""
-
-
-@dataclass(frozen=True, slots=True)
-class Classification:
-    """A verdict with the probabilities of all relevant hypotheses, and what is confusable with it."""
-
-    verdict: Verdict
-    effects: tuple[str, ...]
-    probabilities: Mapping[str, float]
-    confusable_with: tuple[str, ...]
-    residual_unknown: bool
-
-    def marginal(self, effect: str) -> float:
-        """Return the probability of all hypotheses with an effect."""
-        return marginal_probability(effect, self.probabilities)
-
-
-def marginal_probability(effect: str, probabilities: Mapping[str, float]) -> float:
-    """Return the probability of all hypotheses, several effects joined with `+`, that contain an effect."""
-    return sum(value for names, value in probabilities.items() if effect in names.split("+"))
 
 
 def classify(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibration | None = None) -> Classification:
@@ -87,7 +64,6 @@ class _ForcePosterior:
 
     unknown: float
     probabilities: Mapping[tuple[str, ...], float]
-    left_over: frozenset[tuple[str, ...]]
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -123,9 +99,7 @@ def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Calib
     probabilities = {
         hypothesis.effects: gap * posterior for hypothesis, posterior in zip(hypotheses, posteriors, strict=True)
     }
-    return _ForcePosterior(
-        gap - sum(probabilities.values()), probabilities, frozenset(_leaving_residual(inputs, hypotheses))
-    )
+    return _ForcePosterior(gap - sum(probabilities.values()), probabilities)
 
 
 def _among_lookalikes(
@@ -153,19 +127,6 @@ def _among_lookalikes(
         for index in rivals if number else ():
             result[index] += (share - share / (1 + number)) * shares[index] / total
     return result
-
-
-def _leaving_residual(inputs: DecisionInputs, features: Sequence[HypothesisFeatures]) -> list[tuple[str, ...]]:
-    """Return the hypotheses that leave an excess which no other hypothesis explains."""
-    excess_per_block = {
-        hypothesis.effects: (hypothesis.chi2_with_form_error - inputs.block_count) / max(inputs.block_count, 1)
-        for hypothesis in inputs.hypotheses
-    }
-    return [
-        candidate.effects
-        for candidate in features
-        if excess_per_block[candidate.effects] > MIN_LEFT_OVER_EXCESS and candidate.share < MAX_EXPLAINED_SHARE
-    ]
 
 
 def _softmax(utilities: Sequence[float]) -> list[float]:
@@ -199,12 +160,10 @@ def _classify_with_lines(inputs: DecisionInputs, force: _ForcePosterior) -> Clas
         with_force = force.total > 0.5
         combinations = {(*names, hum_id): value for names, value in force.probabilities.items()} if with_force else {}
         hum_alone = min(hum_probability, MAX_PROBABILITY) * (1.0 - force.total if with_force else 1.0)
-        return _classification(
-            {**combinations, (hum_id,): hum_alone}, 1.0 - min(hum_probability, MAX_PROBABILITY), 0.0, force
-        )
+        return _classification({**combinations, (hum_id,): hum_alone}, 1.0 - min(hum_probability, MAX_PROBABILITY), 0.0)
     if other_line > 0.5 and other_line > force.total:
-        return _classification({}, other_line, 1.0 - other_line, force)
-    return _classification(force.probabilities, force.unknown, 1.0 - force.unknown - force.total, force)
+        return _classification({}, other_line, 1.0 - other_line)
+    return _classification(force.probabilities, force.unknown, 1.0 - force.unknown - force.total)
 
 
 def _has_clear_llr(name: str, inputs: DecisionInputs) -> bool:
@@ -276,7 +235,7 @@ def _classify_with_position(inputs: DecisionInputs, force: _ForcePosterior) -> C
             (*name.split("+"), *effects, *hum): value * known_probability * weight / total
             for name, weight in weights.items()
         }
-    return _classification(combinations, 1.0 - known_probability if combinations else 1.0, 0.0, force)
+    return _classification(combinations, 1.0 - known_probability if combinations else 1.0, 0.0)
 
 
 def _confusable_group(inputs: DecisionInputs, force: _ForcePosterior) -> dict[tuple[str, ...], float]:
@@ -291,9 +250,7 @@ def _confusable_group(inputs: DecisionInputs, force: _ForcePosterior) -> dict[tu
     return {}
 
 
-def _classification(
-    named: Mapping[tuple[str, ...], float], unknown: float, no_gap: float, force: _ForcePosterior
-) -> Classification:
+def _classification(named: Mapping[tuple[str, ...], float], unknown: float, no_gap: float) -> Classification:
     """Return the most likely hypothesis as verdict if it is more likely than `unknown` and `no_gap`."""
     named = _prefer_subset(named)
     total = sum(named.values()) + unknown + no_gap
@@ -307,7 +264,7 @@ def _classification(
     rivals = [names for names, value in named.items() if value > threshold and not set(effects) <= set(names)]
     confusable = tuple(dict.fromkeys(name for names in rivals for name in names if name not in effects))
     verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
-    return Classification(verdict, effects, probabilities, confusable, effects in force.left_over)
+    return Classification(verdict, effects, probabilities, confusable, residual_unknown=False)
 
 
 def _prefer_subset(named: Mapping[tuple[str, ...], float]) -> Mapping[tuple[str, ...], float]:
@@ -320,188 +277,131 @@ def _prefer_subset(named: Mapping[tuple[str, ...], float]) -> Mapping[tuple[str,
     return {**named, best: named[best] - transferred, subset: named[subset] + transferred}
 
 
-def _logistic(value: float) -> float:
-    return 1.0 / (1.0 + exp(-min(max(value, -40.0), 40.0)))
-
-
-FEATURE_RIDGE, EFFECT_RIDGE = 0.02, 0.5
-"""Prior precisions of a feature's weight, and of a single effect's, for which there are few campaigns."""
-PRIOR_GATE = GapGate(least_gain=18.0, gain_width=3.0, least_left=0.075, left_width=0.012)
-"""Prior of the thresholds: the best variant reaches Δχ²/2 of 8 in noise alone, and rarely more than 15 where the
-nominal model is slightly wrong."""
-GATE_PRIOR_SD = 0.03
-"""Relative prior standard deviation of the thresholds."""
-MIN_TRAINING_LLR = 11.0
-"""A campaign trains the choice of effects only if a hypothesis reaches this log likelihood ratio."""
-
-POSITIVE_FEATURES = ("plain", "flexible", "further: share", "further: over", "further: gain", "further: worse")
-NEGATIVE_FEATURES = ("known, in", "behind", "left", "nameless", "further: alike", "third")
-"""Prefixes of features with known sign: a better explanation never makes a hypothesis less likely."""
+MIN_COMPETITION = 0.05
+"""The competition is surer than its forms allow: log odds beyond these carry no weight."""
+MOTION_ERROR_LOG_ODDS = 1.1
+"""Log odds by which effects on the force are less likely where the stage strays from its command: of those found in 25
+such campaigns a third was none, so that these count three times less."""
 
 
 @dataclass(frozen=True, slots=True)
-class TrainingCase:
-    """Decision inputs of a campaign, with the effects hidden in it."""
+class Judgement:
+    """The verdict on a campaign, what the classifier makes of the force alone, and which effects are in the force."""
 
-    inputs: DecisionInputs
-    effects: frozenset[str]
-    """Hidden effects of the catalogue."""
-    outside: bool = False
-    """Whether an effect outside the catalogue was hidden."""
-    size: float = 1.0
-    """Smallest size of the hidden effects; small ones do not train the gate."""
+    verdict: Classification
+    on_force: Classification
+    presence: Mapping[str, float]
+    """Probability that each effect on the force is there."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LabelledChoice:
-    """Features of one campaign's hypotheses, shape `(H, F)`, and the index of the correct one (H for none)."""
+def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibration | None = None) -> Judgement:
+    """Return the verdict on a campaign, from classifier and competition of causes.
 
-    features: FloatArray
-    correct: int
-
-
-def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float) -> dict[str, float]:
-    """Return the weights that maximise the penalised likelihood of the correct choices.
-
-    Raises `ValueError` when no case is informative.
+    Without a competition, as in inputs of a synthetic campaign, the classifier alone decides.
     """
-    from scipy.optimize import minimize
-
-    informative = [
-        (case, hypothesis_features(case.inputs, tolerance_mN)) for case in cases if _is_informative(case, tolerance_mN)
-    ]
-    labelled = [(case, hypotheses) for case, hypotheses in informative if hypotheses]
-    if not labelled:
-        raise ValueError("No campaign among these has a force from which effects can be learnt")
-    names = sorted({name for _, hypotheses in labelled for hypothesis in hypotheses for name in hypothesis.features})
-    choices = []
-    for labelled_case, hypotheses in labelled:
-        rows = [[hypothesis.features.get(name, 0.0) for name in names] for hypothesis in hypotheses]
-        choices.append(
-            _LabelledChoice(
-                np.array(rows), _correct_choice(labelled_case, [hypothesis.effects for hypothesis in hypotheses])
-            )
-        )
-    ridge = np.array([EFFECT_RIDGE if name.startswith(EFFECT_FEATURE) else FEATURE_RIDGE for name in names])
-
-    def loss(weights: FloatArray) -> tuple[float, FloatArray]:
-        total, slope = 0.5 * float(np.sum(ridge * weights**2)), ridge * weights
-        for choice in choices:
-            utilities = np.append(choice.features @ weights, 0.0)
-            shares = np.exp(utilities - utilities.max())
-            shares /= shares.sum()
-            total -= float(np.log(shares[choice.correct] + 1e-300))
-            residuals = shares[:-1].copy()
-            if choice.correct < len(residuals):
-                residuals[choice.correct] -= 1.0
-            slope = slope + choice.features.T @ residuals
-        return total, slope
-
-    bounds = [
-        (0.0 if name.startswith(POSITIVE_FEATURES) else None, 0.0 if name.startswith(NEGATIVE_FEATURES) else None)
-        for name in names
-    ]
-    best = minimize(loss, np.zeros(len(names)), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 2000})
-    return {name: round(float(weight), 4) for name, weight in zip(names, best.x, strict=True)}
+    learnt = calibration or shipped_calibration()
+    verdict = on_force = classify(inputs, tolerance_mN, learnt)
+    if inputs.has_position_error:
+        on_force = classify(inputs.without_position, tolerance_mN, learnt)
+    if not inputs.competition:
+        return Judgement(verdict, on_force, {})
+    presence = combined_presence(on_force, inputs.competition, learnt.presence, stage_strays=inputs.moves_astray)
+    in_position = {name for name, _ in inputs.position}
+    verdict = restate(verdict, {name: value for name, value in presence.items() if name not in in_position})
+    return Judgement(verdict, on_force, presence)
 
 
-def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float = 0.2) -> GapGate:
-    """Return the gate that maximises the penalised likelihood of gap or no gap."""
-    from scipy.optimize import minimize
+def combined_presence(
+    on_force: Classification,
+    competition: Mapping[str, float],
+    weights: PresenceWeights,
+    *,
+    stage_strays: bool = False,
+) -> dict[str, float]:
+    """Return the probability that each effect on the force is there, from classifier and competition together.
 
-    rows = [
-        (
-            largest_llr(case.inputs, tolerance_mN),
-            case.inputs.excess / max(case.inputs.block_count, 1),
-            bool(case.effects or case.outside),
-        )
-        for case in cases
-        if not case.inputs.has_position_error
-        and _force_effects(case) == case.effects
-        and (not case.effects or case.size >= min_size)
-    ]
-    llr, excess, has_gap = (np.array(column) for column in zip(*rows, strict=True))
-
-    def loss(steps: FloatArray) -> float:
-        gate = _gate_at(steps)
-        probability = np.maximum(
-            _logistic_array((llr - gate.least_gain) / gate.gain_width),
-            _logistic_array((excess - gate.least_left) / gate.left_width),
-        )
-        limited = np.clip(probability, 1e-3, 1.0 - 1e-3)
-        return -float(np.sum(np.log(np.where(has_gap, limited, 1.0 - limited)))) + 0.5 * float(np.sum(steps**2))
-
-    solution = minimize(loss, np.zeros(4), method="Nelder-Mead", options={"maxiter": 2000})
-    return _gate_at(np.asarray(solution.x, dtype=np.float64))
-
-
-def _gate_at(steps: FloatArray) -> GapGate:
-    factors = np.exp(GATE_PRIOR_SD * steps).tolist()
-    prior: dict[str, float] = PRIOR_GATE.model_dump()
-    return GapGate(
-        **{name: round(value * factor, 4) for (name, value), factor in zip(prior.items(), factors, strict=True)}
-    )
-
-
-def _logistic_array(values: FloatArray) -> FloatArray:
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(values, -40.0, 40.0))))
-
-
-def _force_effects(case: TrainingCase) -> frozenset[str]:
-    """Return the hidden effects that the weights concern: not those found in the position or as a line."""
-    known = catalogue()
-    return frozenset(name for name in case.effects if name not in known or known[name].has_force_signature)
-
-
-def _is_informative(case: TrainingCase, tolerance_mN: float) -> bool:
-    """Whether a campaign has a gap in the force, and some hypothesis explains part of it."""
-    force_effects = _force_effects(case)
-    llrs = [hypothesis.llr for hypothesis in case.inputs.hypotheses if hypothesis.change_mN >= tolerance_mN]
-    return (bool(force_effects) or (case.outside and not case.inputs.has_position_error)) and max(
-        llrs, default=0.0
-    ) > MIN_TRAINING_LLR
-
-
-def _correct_choice(case: TrainingCase, hypotheses: Sequence[tuple[str, ...]]) -> int:
-    """Return the index of the hypothesis with most of the hidden effects and no others; their number for none."""
-    hidden = _force_effects(case)
-    if case.outside:
-        return len(hypotheses)
-    subsets = [number for number, names in enumerate(hypotheses) if set(names) <= hidden]
-    return max(subsets, key=lambda number: len(hypotheses[number]), default=len(hypotheses))
-
-
-CROSS_VALIDATION_FOLDS = 10
-
-
-def cross_validate(
-    cases: Sequence[TrainingCase], tolerance_mN: float, folds: int = CROSS_VALIDATION_FOLDS
-) -> tuple[Classification, ...]:
-    """Classify each campaign with gate and weights fitted to the other folds.
+    The classifier knows no exchange of the specimen and takes one for a function of the session. Where there surely is
+    one, no such function is there that the competition does not find beside it.
 
     Parameters
     ----------
-    cases
-        Campaigns whose hidden effects are known.
-    tolerance_mN
-        Smallest rms change of the force that matters.
-    folds
-        Number of folds; with 10, campaigns 1, 11, … are one fold.
-
-    Raises
-    ------
-    ValueError
-        When there are fewer campaigns than folds, fewer than two folds, or no informative campaign in the others.
+    on_force
+        What the classifier makes of the force alone.
+    competition
+        Probability that each cause is there by the competition of causes.
+    stage_strays
+        Whether the stage strays from its command, so that motion errors mimic effects on the force.
     """
-    if not 2 <= folds <= len(cases):
-        raise ValueError(f"{len(cases)} campaigns cannot be divided into {folds} folds")
-    calibrations = [
-        _trained([case for index, case in enumerate(cases) if index % folds != fold], tolerance_mN)
-        for fold in range(folds)
-    ]
-    return tuple(classify(case.inputs, tolerance_mN, calibrations[index % folds]) for index, case in enumerate(cases))
+    known = catalogue()
+    exchanged = competition.get(EXCHANGE, 0.0) > SURE_EXCHANGE
+    combined = {}
+    for name, value in competition.items():
+        if name not in known:
+            continue
+        constant, of_classifier, of_competition = presence_inputs(name, on_force, value)
+        log_odds = (
+            weights.constant * constant
+            + weights.classifier * of_classifier
+            + weights.competition * of_competition
+            - stage_strays * MOTION_ERROR_LOG_ODDS
+        )
+        combined[name] = _logistic(log_odds)
+        if exchanged and known[name].coordinate is Coordinate.SESSION:
+            combined[name] = min(combined[name], value)
+    return combined
 
 
-def _trained(cases: Sequence[TrainingCase], tolerance_mN: float) -> Calibration:
-    gate, weights = fit_gate(cases, tolerance_mN), fit_weights(cases, tolerance_mN)
-    return Calibration(version=0, command="", seeds=(), cases=len(cases), gate=gate, weights=weights)
+def presence_inputs(effect: str, on_force: Classification, competition: float) -> tuple[float, float, float]:
+    """Return what `PresenceWeights` weigh: 1, and the log odds of an effect by classifier and by competition."""
+    return 1.0, _log_odds(on_force.marginal(effect)), _log_odds(competition, MIN_COMPETITION)
+
+
+def _log_odds(probability: float, least: float = MIN_PROBABILITY) -> float:
+    limited = min(max(probability, least), 1.0 - least)
+    return log(limited / (1.0 - limited))
+
+
+def restate(classification: Classification, probabilities: Mapping[str, float]) -> Classification:
+    """Return the verdict that follows from the presence of each effect on the force.
+
+    Effects present with more than `ESTABLISHED` are named. Sets of effects are as likely as their members are present
+    and all others absent, beside each alternative that the classifier has for spectral lines and the position.
+    """
+    named = tuple(name for name, value in probabilities.items() if value > ESTABLISHED)
+    elsewhere: dict[tuple[str, ...], float] = {}
+    sets: set[frozenset[str]] = {frozenset(named), frozenset(), *(frozenset({name}) for name in probabilities)}
+    for names, value in classification.probabilities.items():
+        if names != NO_GAP:
+            parts = () if names == UNKNOWN else tuple(names.split("+"))
+            others = tuple(name for name in parts if name not in probabilities)
+            elsewhere[others] = elsewhere.get(others, 0.0) + value
+            sets.add(frozenset(parts) - set(others))
+    weights = {
+        names: prod(value if name in names else 1.0 - value for name, value in probabilities.items())
+        for names in sorted(sets, key=sorted)
+    }
+    total = sum(weights.values())
+    restated = {NO_GAP: classification.probabilities.get(NO_GAP, 0.0), UNKNOWN: 0.0}
+    for others, share in elsewhere.items():
+        for members, weight in weights.items():
+            ordered = sorted(members, key=lambda name: (-probabilities[name], name))
+            hypothesis = "+".join((*ordered, *others)) or UNKNOWN
+            restated[hypothesis] = restated.get(hypothesis, 0.0) + share * weight / total
+    likely = max(elsewhere, key=lambda others: elsewhere[others], default=())
+    effects = (*sorted(named, key=lambda name: (-probabilities[name], name)), *likely)
+    if not effects:
+        verdict = Verdict.NO_GAP if restated[NO_GAP] >= restated[UNKNOWN] else Verdict.UNKNOWN
+    else:
+        verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
+    return replace(
+        classification,
+        verdict=verdict,
+        effects=effects,
+        probabilities=restated,
+        confusable_with=tuple(name for name in classification.confusable_with if effects and name not in effects),
+        residual_unknown=False,
+    )
+
+
+def _logistic(value: float) -> float:
+    return 1.0 / (1.0 + exp(-min(max(value, -40.0), 40.0)))

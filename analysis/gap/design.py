@@ -480,8 +480,11 @@ def linearise(
             rows += [study.modulations[number] * run_data.block_means(values - nominal_effects) for values in separate]
         if dictionary:
             first_run = problem.representatives[number]
-            variant_signatures = signatures(study.variants, scene, gain, signatures_by_run.get(first_run))
-            signatures_by_run.setdefault(first_run, variant_signatures)
+            of_first = signatures_by_run.pop(first_run, None)
+            variant_signatures = signatures(study.variants, scene, gain, of_first)
+            # At the nodes of all blocks they are large: kept only for runs that follow.
+            if first_run in problem.representatives[number + 1 :]:
+                signatures_by_run[first_run] = variant_signatures if of_first is None else of_first
             rows.append(run_data.block_means(variant_signatures))
         whitening = whitenings[number]
         if wall.effects and run_data.experiment.contact is Contact.STICKING:

@@ -19,21 +19,22 @@ from dragrig.analysis import (
     repeat_differences,
     single_blas_thread,
 )
-from dragrig.analysis.gap.budget import CausesOfGap, gap_budget, restate
+from dragrig.analysis.gap.budget import CausesOfGap, gap_budget
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget
 from dragrig.analysis.gap.classifier import (
     MIN_LLR_BESIDE_POSITION,
-    NO_GAP,
-    UNKNOWN,
-    Classification,
+    Judgement,
     as_misjudged_noise,
-    classify,
+    judge,
     mains_hum_present,
     unknown_because_of_line,
     unknown_by_excess_alone,
 )
 from dragrig.analysis.gap.design import Candidate, ColumnKind, Study, fit_columns
 from dragrig.analysis.gap.diagnosis import (
+    NO_GAP,
+    UNKNOWN,
+    Classification,
     Diagnosis,
     GapBudget,
     GapLocation,
@@ -76,6 +77,7 @@ from dragrig.analysis.gap.position_channel import (
     position_gap_reduction,
     share_of_position,
 )
+from dragrig.analysis.gap.presence import judge_presence, prepare_competition
 from dragrig.analysis.gap.spectral_lines import (
     SpectralLine,
     SpectralLines,
@@ -88,7 +90,7 @@ from dragrig.analysis.gap.spectral_lines import (
     lines_that_matter,
     moving_line_remark,
 )
-from dragrig.analysis.gap.studies import CapsuleStudy, prepare_study
+from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
 from dragrig.config import DiagnosisSummary, EffectSettings, ModelSettings
 from dragrig.rig import FloatArray
@@ -133,7 +135,7 @@ def decision_inputs(
     for step in search.steps:
         if step.fit is not None:
             laws = step.laws[:MAX_FURTHER_LAWS]
-            numbers = step.llr, step.chi2_without, step.rival_llr, laws
+            numbers = step.llr, step.chi2_without, laws
             hypotheses.append(_summary(step.fit, study, *numbers))
     return DecisionInputs(
         block_count=search.block_count,
@@ -143,6 +145,7 @@ def decision_inputs(
         line_llr=lines.non_mains.llr,
         position=position.shares if position.has_position_error else (),
         has_position_error=position.has_position_error,
+        moves_astray=position.has_position_error and not position.is_recording_error,
         excluded=excluded,
         laws=fit_nonparametric_laws(search.nominal, search.study.runs, _swing_period_s(search.singles)),
     )
@@ -164,7 +167,6 @@ def _summary(
     study: Study,
     llr: float,
     chi2_without: float,
-    rival_llr: float = 0.0,
     laws: tuple[NonparametricLaw, ...] = (),
 ) -> HypothesisSummary:
     return HypothesisSummary(
@@ -175,7 +177,6 @@ def _summary(
         periodic=fit.periodic,
         llr=llr,
         chi2_without=chi2_without,
-        rival_llr=rival_llr,
         laws=laws,
         excess_elsewhere=fit.excess_elsewhere,
         at_limit=any(candidate.at_limit for candidate in fit.parameters.candidates),
@@ -374,20 +375,15 @@ def diagnose(
     progress(4, DIAGNOSIS_STEPS)
     lines = lines_that_matter(lines, settings.tolerance_mN)
     inputs = decision_inputs(search, position, lines, settings.excluded)
-    classification = classify(inputs, settings.tolerance_mN, _calibration_for(study, settings))
-    on_force = classification
-    if position.has_position_error:
-        on_force = classify(inputs.without_position, settings.tolerance_mN, _calibration_for(study, settings))
-    strays = position.has_position_error and not position.is_recording_error
-    causes = CausesOfGap.of(search, on_force, combined=_judged_by_presence(study), stage_strays=strays)
-    if _judged_by_presence(study):
-        in_position = {name for name, _ in inputs.position}
-        classification = restate(
-            classification, {name: value for name, value in causes.effects.items() if name not in in_position}
-        )
+    competition = prepare_competition(search)
+    present = judge_presence(competition)
+    inputs = replace(inputs, competition=present.probabilities)
+    calibration = settings.calibration or shipped_calibration()
+    judgement = judge(inputs, settings.tolerance_mN, calibration)
+    causes = CausesOfGap(competition, present, judgement.presence)
     classified = perf_counter()
     diagnosis = _assembled_diagnosis(
-        selection, nominal, settings, study, search, position, lines, classification, inputs, causes
+        selection, nominal, settings, study, search, position, lines, judgement, inputs, causes
     )
     progress(DIAGNOSIS_STEPS, DIAGNOSIS_STEPS)
     timings = {
@@ -413,11 +409,6 @@ def _with_trusted_motion(selection: RunSelection, position: PositionAnalysis) ->
     )
 
 
-def _calibration_for(study: Study, options: DiagnosisOptions) -> Calibration:
-    calibration = options.calibration or shipped_calibration()
-    return calibration if isinstance(study, CapsuleStudy) else calibration.with_hand_set_weights
-
-
 def _named_fit(search: ForceSearchResult, classification: Classification) -> HypothesisFit | None:
     """Return the fit with the named effects on the force."""
     on_force = {effect.id for effect in search.study.effects}
@@ -432,10 +423,11 @@ def _assembled_diagnosis(
     search: ForceSearchResult,
     position: PositionAnalysis,
     lines: SpectralLines,
-    classification: Classification,
+    judgement: Judgement,
     inputs: DecisionInputs,
     causes: CausesOfGap,
 ) -> Diagnosis:
+    classification = judgement.verdict
     fit = _named_fit(search, classification)
     hum = lines.mains if hum_effect().id in classification.effects else replace(lines.mains, amplitude=0.0)
     line = lines.non_mains if unknown_because_of_line(inputs, classification) else None
@@ -443,19 +435,19 @@ def _assembled_diagnosis(
     blocks += position_residual_blocks(position.runs)
     where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP)
     reduction, traces = _held_out_reduction(study, search, fit, position, classification)
-    by_excess = unknown_by_excess_alone(inputs, classification, options.tolerance_mN, _calibration_for(study, options))
+    by_excess = unknown_by_excess_alone(inputs, classification, options.tolerance_mN, options.calibration)
     if by_excess and _is_within_noise(where, reduction):
         classification = as_misjudged_noise(classification)
         where = localise(blocks, present=False)
     where = attribute_to_effects(where, blocks, _named_force(study, fit, hum))
     files = tuple(run.file for run in study.runs)
     budget = _budget(study, causes, classification, position, reduction, lines)
-    if classification.effects and _judged_by_presence(study):
+    if classification.effects:
         in_position = {model_class.effect for model_class in position.model_classes}
         unexplained_position = position.has_position_error and not in_position & set(classification.effects)
         left_over = unexplained_position or budget.leaves_more_than(RESIDUAL_SHARE, options.tolerance_mN)
         classification = replace(classification, residual_unknown=left_over)
-    next_run = recommend_next_run(study, search, position, classification, causes.on_force, options.next_runs)
+    next_run = recommend_next_run(study, search, position, classification, judgement.on_force, options.next_runs)
     return Diagnosis(
         specimen=selection.specimen,
         nominal=nominal.name,
@@ -488,11 +480,6 @@ def _is_within_noise(where: GapLocation, reduction: GapReduction | None) -> bool
     """Whether a gap is no larger than its own floor, and concentrated nowhere: noise that is a little misjudged."""
     small = reduction is not None and reduction.gap_before_mN <= MAX_GAP_OVER_FLOOR * reduction.noise_floor_mN
     return small and where.p >= ALPHA
-
-
-def _judged_by_presence(study: Study) -> bool:
-    """Whether the presence of each effect on the force decides: it was fitted to campaigns of the gut."""
-    return isinstance(study, CapsuleStudy)
 
 
 def _budget(

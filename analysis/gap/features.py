@@ -1,11 +1,10 @@
-"""Inputs of a verdict, the features computed from them, and the calibrated weights and thresholds."""
+"""Inputs of a verdict, the features computed from them, and what is learnt: weights and thresholds."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from math import log, sqrt
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
@@ -32,6 +31,8 @@ class NonparametricLaw:
     change_mN: Annotated[float, Field(alias="changed_mN")]
 
 
+EXCHANGE = "exchange of the specimen"
+"""Name of a cause: runs after it are of another specimen, and nobody recorded that."""
 EQUAL_SHARE = 0.05
 """Difference of the explained shares of the excess within which one hypothesis explains as much as another."""
 MANY_LOOKALIKES = 20
@@ -56,8 +57,6 @@ class HypothesisSummary:
         Log likelihood ratio of the last effect; beside others with their form error (`inflate_by_form_error`).
     chi2_without
         Chi-square without the last effect, with the same form error.
-    rival_llr
-        Log likelihood ratio of the best other effect in its place; 0 for none.
     laws
         Best nonparametric laws in place of the last of several effects.
     excess_elsewhere
@@ -77,7 +76,6 @@ class HypothesisSummary:
     periodic: bool = False
     llr: Annotated[float, Field(alias="gain")] = 0.0
     chi2_without: Annotated[float, Field(alias="left")] = 0.0
-    rival_llr: Annotated[float, Field(alias="rival_gain")] = 0.0
     laws: tuple[NonparametricLaw, ...] = ()
     excess_elsewhere: Annotated[float, Field(alias="elsewhere")] = 0.0
     at_limit: bool = False
@@ -110,6 +108,11 @@ class DecisionInputs:
         Effects left out of the search.
     laws
         Nonparametric laws beside the nominal model, the best first.
+    moves_astray
+        Whether the stage itself deviates, not only its record.
+    competition
+        Probability that each cause is there by the competition of causes, unnamed ones included; empty where it was not
+        judged.
     """
 
     block_count: Annotated[int, Field(alias="blocks")]
@@ -121,6 +124,8 @@ class DecisionInputs:
     has_position_error: Annotated[bool, Field(alias="strays")] = False
     excluded: Annotated[tuple[str, ...], Field(alias="without")] = ()
     laws: Annotated[tuple[NonparametricLaw, ...], Field(alias="nameless")] = ()
+    moves_astray: bool = False
+    competition: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def without_position(self) -> "DecisionInputs":
@@ -138,21 +143,6 @@ class DecisionInputs:
         return document
 
 
-HAND_SET_WEIGHTS = MappingProxyType(
-    {
-        "known": -0.3,
-        "plain": 0.7,
-        "flexible": 0.4,
-        "behind": -0.7,
-        "further": -2.0,
-        "further: alike": -2.0,
-        "third": -3.0,
-    }
-)
-"""The exact form counts more where the size of form errors is not known from training."""
-EFFECT_FEATURE = "is "
-FURTHER_EFFECT_FEATURE = f"{EFFECT_FEATURE}further: "
-"""Prefixes of indicator features: which effect is the first, and which are further ones."""
 CALIBRATION_FILE = Path(__file__).with_name("calibration.json")
 
 
@@ -172,8 +162,22 @@ class GapGate(BaseModel):
     """
 
 
+class PresenceWeights(BaseModel):
+    """Log odds that an effect on the force is there: a constant, and weights of two log odds.
+
+    Neither estimate is enough: the classifier takes one effect for another where the nominal model is wrong, the
+    competition of causes adds effects where one large effect has another form.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    constant: float
+    classifier: float
+    competition: float
+
+
 class Calibration(BaseModel):
-    """Weights of the features, with their origin.
+    """What is learnt from campaigns whose hidden effects are known, with its origin. No number is of a single effect.
 
     Attributes
     ----------
@@ -187,6 +191,8 @@ class Calibration(BaseModel):
         Probability that a gap exists.
     weights
         Weight of each feature; features not named have weight 0.
+    presence
+        How classifier and competition decide together whether an effect is there.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -197,11 +203,7 @@ class Calibration(BaseModel):
     cases: int
     gate: GapGate
     weights: Mapping[str, float]
-
-    @property
-    def with_hand_set_weights(self) -> "Calibration":
-        """The same gate with hand-set weights: campaigns of a gut teach little about a stage alone."""
-        return self.model_copy(update={"weights": HAND_SET_WEIGHTS})
+    presence: PresenceWeights
 
     def utility(self, features: Mapping[str, float]) -> float:
         """Return the log odds of a hypothesis against `unknown`."""
@@ -299,19 +301,11 @@ def _remaining_chi2(chi2: float, inputs: DecisionInputs) -> float:
 
 
 def _features_of(hypothesis: HypothesisSummary, inputs: DecisionInputs, best_llr: float) -> HypothesisFeatures:
-    form_error_share = explained_share(hypothesis.chi2_with_form_error, inputs)
-    exact_share = _exact_share(hypothesis, inputs)
-    form_error_odds, clear = (
-        _softened_log_odds(form_error_share),
-        _clipped_log(inputs.excess / chance_chi2(inputs), *CLEAR_EXCESS_RANGE),
-    )
+    form_error_odds = _softened_log_odds(explained_share(hypothesis.chi2_with_form_error, inputs))
+    clear = _clipped_log(inputs.excess / chance_chi2(inputs), *CLEAR_EXCESS_RANGE)
     features = {
         "known": 1.0,
-        "known, in a clear gap": clear,
-        "plain": _softened_log_odds(exact_share),
-        "plain, below half": min(_softened_log_odds(exact_share), 0.0),
-        "plain, in a clear gap": clear * _softened_log_odds(exact_share),
-        "flexible": form_error_odds,
+        "plain": _softened_log_odds(_exact_share(hypothesis, inputs)),
         "flexible, below half": min(form_error_odds, 0.0),
         "flexible, in a clear gap": clear * form_error_odds,
         "left elsewhere": log(1.0 + max(hypothesis.excess_elsewhere, 0.0)),
@@ -320,11 +314,7 @@ def _features_of(hypothesis: HypothesisSummary, inputs: DecisionInputs, best_llr
         else _clipped_log(
             _remaining_chi2(hypothesis.chi2_with_form_error, inputs) / inputs.block_count, *REMAINING_CHI2_RANGE
         ),
-    }
-    features |= _nonparametric_features(hypothesis, inputs)
-    features |= {
-        f"{EFFECT_FEATURE}{hypothesis.effects[0]}": 1.0,
-        **{f"{FURTHER_EFFECT_FEATURE}{name}": 1.0 for name in hypothesis.effects[1:]},
+        **_nonparametric_features(hypothesis, inputs),
     }
     if len(hypothesis.effects) == 1:
         features["behind"] = (best_llr - hypothesis.llr) / (1.0 + FORM_LOSS * best_llr)
@@ -358,7 +348,6 @@ def _nonparametric_features(hypothesis: HypothesisSummary, inputs: DecisionInput
         _remaining_chi2(min(law_chi2, inputs.chi2), inputs) + chance_chi2(inputs)
     )
     return {
-        "nameless": log_ratio,
         "nameless, better": max(log_ratio, 0.0),
         "nameless, leaves less": _clipped_log(remaining_ratio, 1.0, 100.0),
     }
@@ -389,7 +378,6 @@ def _further_effect_features(hypothesis: HypothesisSummary, inputs: DecisionInpu
         "further": 1.0,
         "third": float(len(hypothesis.effects) > 2),
         "further: share of excess": _clipped_log(2 * hypothesis.llr / max(inputs.excess, 1.0), 1e-3, 1.0),
-        "further: over its rival": _clipped_log(hypothesis.llr / max(hypothesis.rival_llr, 1.0), 0.3, 5.0),
         "further: worse than a law": log_ratio,
         "further: gain": _clipped_log(hypothesis.llr, *FURTHER_LLR_RANGE),
         "further: alike": float(similar),

@@ -264,8 +264,6 @@ class SelectionStep:
     """Id of the effect."""
     llr: float
     """Its log likelihood ratio beside the effects before it."""
-    rival_llr: float
-    """Log likelihood ratio of the best other effect."""
     chi2_without: float
     """Chi-square without it."""
     laws: tuple[NonparametricLaw, ...]
@@ -329,9 +327,8 @@ def _selection_steps(search: ForceSearchResult, current: HypothesisFit) -> list[
     ranked = [best for best in all_ranked if best.effect not in present]
     steps = []
     for best in (*ranked[:1], *_best_of_other_domain(ranked, inflated, point)):
-        rival_llr = max((entry.llr for entry in ranked if entry is not best), default=0.0)
         fit = refit_with_effect(search.study, design, best, search.nominal) if best.llr > MIN_FURTHER_LLR else None
-        steps.append(SelectionStep(best.effect, best.llr, rival_llr, projected.chi2, (), fit))
+        steps.append(SelectionStep(best.effect, best.llr, projected.chi2, (), fit))
     if all(step.fit is None for step in steps):
         return steps
     nuisance_columns = np.sort(

@@ -25,7 +25,6 @@ from dragrig.analysis import (
     no_progress,
     single_blas_thread,
 )
-from dragrig.analysis.gap.classifier import MIN_MAINS_LLR, MIN_POSITION_SHARE
 from dragrig.analysis.gap.design import (
     NUISANCES,
     RELATIVE_RIDGE,
@@ -43,13 +42,14 @@ from dragrig.analysis.gap.diagnosis import display_name
 from dragrig.analysis.gap.features import gap_weight
 from dragrig.analysis.gap.hypothesis_fit import is_periodic_in_session
 from dragrig.analysis.gap.position_channel import (
+    MIN_POSITION_SHARE,
     PositionErrors,
     position_errors,
     predicted_position_error,
     score_model_classes,
 )
 from dragrig.analysis.gap.run_data import rms_where_active
-from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude
+from dragrig.analysis.gap.spectral_lines import MIN_MAINS_LLR, detectable_line_amplitude
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import Channel, Effect, catalogue

@@ -16,10 +16,7 @@ import numpy as np
 from dragrig.analysis import (
     CapsuleModel,
     RunSelection,
-    capitalise,
     join_names,
-    percent_text,
-    significant_text,
     single_blas_thread,
 )
 from dragrig.analysis.gap.candidate_runs import (
@@ -35,16 +32,10 @@ from dragrig.analysis.gap.candidate_runs import (
     full_grid,
     greedy_search,
     motion_grid,
+    recommendation_reason,
+    run_subject,
     short_grid,
     study_of_candidates,
-)
-from dragrig.analysis.gap.classifier import (
-    MIN_POSITION_SHARE,
-    NO_GAP,
-    POSITION_RIVAL_SLOPE,
-    UNKNOWN,
-    Classification,
-    marginal_probability,
 )
 from dragrig.analysis.gap.design import (
     NUISANCES,
@@ -58,11 +49,23 @@ from dragrig.analysis.gap.design import (
     gauss_newton_step,
     linearise,
 )
-from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun, Verdict, display_name
+from dragrig.analysis.gap.diagnosis import (
+    NO_GAP,
+    UNKNOWN,
+    Classification,
+    ModelPair,
+    NextExperiment,
+    NextRun,
+    Verdict,
+    display_name,
+    marginal_probability,
+)
 from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
 from dragrig.analysis.gap.position_channel import (
+    MIN_POSITION_SHARE,
+    POSITION_RIVAL_SLOPE,
     PositionAnalysis,
     PositionErrors,
     PositionModelClass,
@@ -73,7 +76,7 @@ from dragrig.analysis.gap.position_channel import (
 )
 from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.analysis.gap.studies import CapsuleStudy
-from dragrig.config import AnalysisError, PlanStep
+from dragrig.config import AnalysisError
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import Channel, catalogue
 
@@ -416,69 +419,6 @@ def _questions_of_pairs(
             amplitude[0] = 1.0
             questions.append(PairQuestion(AssumedEffect(assumed, columns, amplitude), rival, 1.0))
     return tuple(questions)
-
-
-MAX_QUOTED_SHARE = 0.9
-"""Shares above this are not quoted: the rival hardly resembles the assumed effect."""
-
-
-def run_text(step: PlanStep) -> str:
-    """Describe a run: a drag at 1 mm/s over 20 mm."""
-    settings = step.parameters
-    match step.kind:
-        case "relaxation":
-            strain, hold = settings["shear_strain"], settings["hold_s"]
-            assert isinstance(strain, float)  # noqa: S101  # the grid's own
-            text = f"a relaxation at {100 * strain:g} % strain with a hold of {hold:g} s"
-        case "motion":
-            strokes = settings["strokes"]
-            assert isinstance(strokes, list | tuple)  # noqa: S101
-            first = strokes[0]
-            text = f"a drag of {first['travel_mm']:g} mm and back at {first['speed_mm_s']:g} mm/s in one record"
-        case kind:
-            noun = {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
-            text = f"{noun} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
-            if settings.get("accel_mm_s2", 400.0) != 400.0:
-                text += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
-    if step.kind == "drag" and step.wait_s != 60.0:
-        text += f" after {step.wait_s:g} s of rest"
-    if step.repeats == 1:
-        return text
-    return f"{text}, twice" if step.repeats == 2 else f"{text}, {step.repeats} times"
-
-
-def recommendation_reason(run: NextRun, tried: int) -> str:
-    """Say why a run is recommended, with numbers, and whether it is optional."""
-    text = f"{run_subject(run.step)} {separation_text(run.before, run.after)}"
-    return (
-        f"{'The leading hypotheses are already separated well enough. ' if run.optional else ''}{text} "
-        f"in {run.minutes:.1f} min of rig time, the largest gain per minute of {tried} candidate runs."
-    )
-
-
-def run_subject(step: PlanStep) -> str:
-    """Return a run as the begin of a sentence."""
-    return capitalise(run_text(step)) + ("," if step.repeats > 1 else "")
-
-
-def separation_text(before: ModelPair, after: ModelPair) -> str:
-    """Say what a run separates, as the rest of a sentence."""
-    change = f"d′ grows {_growth_text(before.d_prime, after.d_prime)}"
-    if not after.rival:
-        return f"lowers the detection limit of {display_name(after.truth)}: {change}"
-    truth, rival = display_name(after.truth), display_name(after.rival)
-    text = f"separates {truth} from {rival}: {change}"
-    if before.remaining_share > MAX_QUOTED_SHARE:
-        return text
-    shares = f"from {percent_text(before.remaining_share)} to {percent_text(after.remaining_share)}"
-    return f"{text}, and the share of {truth} that {rival} cannot explain {shares}"
-
-
-def _growth_text(before: float, after: float) -> str:
-    """Write both with two digits, or with as many as it takes to tell them apart: `from 0.19 to 0.23`."""
-    texts = [(significant_text(before, digits), significant_text(after, digits)) for digits in (2, 3, 4)]
-    low, high = next((ends for ends in texts if ends[0] != ends[1]), texts[0])
-    return f"from {low} to {high}"
 
 
 MIN_LOG_DISTANCE = log(1.5)

@@ -573,6 +573,10 @@ def _held_out_share(runs: Sequence[PositionErrors], columns: ColumnFunction) -> 
     return 1.0 - remaining / max(total, 1e-300)
 
 
+MIN_POSITION_SHARE, POSITION_SHARE_WIDTH = 0.7, 0.04
+"""Held-out share of the position error that an effect explains: midpoint and width of the logistic."""
+POSITION_RIVAL_SLOPE = 400.0
+"""Weight of a rival: exp(-slope · difference of the held-out shares)."""
 MAX_EVALUATIONS = 60
 
 

@@ -35,6 +35,7 @@ from dragrig.analysis.gap.design import (
     schur_complement,
     score_variants,
 )
+from dragrig.analysis.gap.features import EXCHANGE
 from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearchResult, nonparametric_columns
 from dragrig.analysis.gap.run_data import rms_where_active
 from dragrig.rig import BoolArray, FloatArray, IndexArray
@@ -46,7 +47,6 @@ MODEL_SCALES = (3.0, 10.0, 30.0)
 """Factors on the priors of the nominal model: with priors of 2 % to 15 %, a model off by up to half."""
 RUN_GAIN_SCALES = (0.03, 0.1, 0.3)
 """Relative scatter of a gain that each run has of its own, beyond that of the nominal model."""
-EXCHANGE = "exchange of the specimen"
 EXCHANGE_SCALES = (1.0, 3.0, 10.0)
 """Factors on the priors of a specimen, within which the runs after an exchange differ from those before."""
 EXCHANGES_TRIED = 3
@@ -194,6 +194,23 @@ class ColumnStore:
             self.causes.append(Cause(name, kind, added, np.ones(added.size), scales))
         return added
 
+    def columns_at(self, indices: IndexArray) -> FloatArray:
+        """Return some columns, shape `(N, k)`."""
+        starts = np.cumsum([0, *(block.shape[1] for block in self.columns)])
+        owners = np.searchsorted(starts, indices, side="right") - 1
+        pairs = zip(owners.tolist(), (indices - starts[owners]).tolist(), strict=True)
+        return np.column_stack([self.columns[owner][:, column] for owner, column in pairs])
+
+    def release(self) -> FloatArray:
+        """Return all columns, shape `(N, C)`, and keep none: together with the pieces they would need twice as much."""
+        result = np.empty((len(self.columns[0]), self._count))
+        last = self._count
+        while self.columns:
+            block = self.columns.pop()
+            result[:, last - block.shape[1] : last] = block
+            last -= block.shape[1]
+        return result
+
     def shared_priors(self) -> tuple[Cause, ...]:
         """Return all causes; those of a name share its prior probability."""
         names = [cause.name for cause in self.causes]
@@ -204,8 +221,7 @@ class ColumnStore:
 
 def prepare_competition(search: ForceSearchResult) -> ForceCompetition:
     """Return all causes that may act on the force of a campaign, beside its nominal model."""
-    study = search.study
-    fits = sorted(search.fits, key=lambda fit: fit.chi2)
+    study, fits = search.study, sorted(search.fits, key=lambda fit: fit.chi2)
     design = search.nominal
     if fits:
         # Far from the truth the signatures would be those of another specimen.
@@ -215,6 +231,19 @@ def prepare_competition(search: ForceSearchResult) -> ForceCompetition:
         for run, residual in zip(design.runs, nominal_residuals(search.nominal), strict=True)
     )
     store = ColumnStore()
+    _add_causes(store, search, design, whitenings)
+    # The dictionary has become causes; beside them it would need as much memory again.
+    return _compete(design.with_columns(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR), whitenings, store)
+
+
+def _add_causes(
+    store: ColumnStore,
+    search: ForceSearchResult,
+    design: Design,
+    whitenings: tuple[Whitening, ...],
+) -> None:
+    """Add unnamed causes, effects as the dictionary has them and as they were fitted, and exchanges."""
+    study, fits = search.study, sorted(search.fits, key=lambda fit: fit.chi2)
     free_laws = dict(_add_unnamed_causes(store, study, design))
     effects = _EffectCauses(store, study, design, whitenings, free_laws)
     for variants, alternatives in _variant_groups(search, design):
@@ -226,7 +255,6 @@ def prepare_competition(search: ForceSearchResult) -> ForceCompetition:
     best = store.causes[first_fitted : first_fitted + (len(fits[0].parameters.candidates) if fits else 0)]
     of_best = np.concatenate((np.zeros(0, dtype=np.intp), *(cause.columns for cause in best)))
     _add_exchanges(store, study, design, whitenings, np.unique(of_best))
-    return _compete(design, whitenings, store)
 
 
 def _smoothed_size(residual: FloatArray) -> FloatArray:
@@ -237,7 +265,7 @@ def _smoothed_size(residual: FloatArray) -> FloatArray:
 
 
 def _compete(design: Design, whitenings: tuple[Whitening, ...], store: ColumnStore) -> ForceCompetition:
-    columns = np.concatenate(store.columns, axis=1)
+    columns = store.release()
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
     total, first = np.zeros((1 + nuisances.size + columns.shape[1],) * 2), 0
     for run, whitening in zip(design.runs, whitenings, strict=True):
@@ -298,7 +326,7 @@ def _add_exchanges(
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
     by_time = sorted(range(len(study.runs)), key=lambda index: study.runs[index].session_start_s)
     of_run = np.repeat(np.arange(len(design.runs)), [run.residual.size for run in design.runs])
-    beside = np.concatenate(store.columns, axis=1)[:, fitted]
+    beside = store.columns_at(fitted) if fitted.size else np.zeros((of_run.size, 0))
     grams = []
     for index in by_time:
         run = design.runs[index]

@@ -34,6 +34,8 @@ HANN_BANDWIDTH = 1.5
 BACKGROUND_FACTOR = 1.6
 """Noise at a frequency is estimated from frequencies up to this factor away."""
 MAINS_HZ = (50.0, 60.0)
+MIN_MAINS_LLR = 14.0
+"""Log likelihood ratio from which on a line at a frequency of the mains is there."""
 MAINS_TOLERANCE_HZ = 1.1
 """Largest distance of a mains line from a multiple of the mains frequency."""
 ALIASED_MULTIPLES = 3

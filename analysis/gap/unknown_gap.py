@@ -7,8 +7,14 @@ from types import MappingProxyType
 import numpy as np
 
 from dragrig.analysis import capitalise, percent_text
-from dragrig.analysis.gap.classifier import Classification
-from dragrig.analysis.gap.diagnosis import AxisLocation, GapLocation, UnexplainedGap, Verdict, display_name
+from dragrig.analysis.gap.diagnosis import (
+    AxisLocation,
+    Classification,
+    GapLocation,
+    UnexplainedGap,
+    Verdict,
+    display_name,
+)
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.analysis.gap.localise import ALPHA, FAST_HZ, FREQUENCIES_HZ, best_wavenumber, periodic_shares

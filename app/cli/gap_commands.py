@@ -256,10 +256,11 @@ def effects_command(as_json: bool) -> None:
 @click.option(
     "--mix",
     "kind",
-    type=click.Choice(["exam", "learning"]),
+    type=click.Choice(["exam", "learning", "conditions"]),
     default="exam",
     show_default=True,
-    help="Mix of campaigns: realistic (exam), or with more hard cases for training (learning).",
+    help="Mix of campaigns: realistic (exam), with more hard cases for training (learning), or a third of them "
+    "incomplete, of another programme, noise or specimen, or with a nominal model that is off (conditions).",
 )
 @click.option(
     "--plant",

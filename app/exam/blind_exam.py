@@ -21,7 +21,15 @@ from typing import TypeVar
 from dragrig.analysis import Progress, no_progress
 from dragrig.config import AnalysisError, OutputError, SettingsError
 from dragrig.exam.examinee import BlindDiagnosis, BlindTask, diagnose_blind, evaluate_blind
-from dragrig.exam.hidden_cases import EXAM_MIX, MIXES, WRITTEN_PLANT, HiddenCase, draw_cases, hidden_amounts
+from dragrig.exam.hidden_cases import (
+    EXAM_MIX,
+    LEARNING_MIX,
+    MIXES,
+    WRITTEN_PLANT,
+    HiddenCase,
+    draw_cases,
+    hidden_amounts,
+)
 from dragrig.parallel import open_executor, parallel_map, worker_count
 from dragrig.present import score_json
 from dragrig.scoring import ExamScore, score_exam
@@ -301,10 +309,11 @@ def gap_blind(
     scheduler
         Address of a Dask cluster to use in their place; its workers must see `out`, which is then needed.
     kind
-        Mix of campaigns: `exam`, or `learning`, which has more hard cases.
+        Mix of campaigns: `exam`; `learning`, which has more hard cases; or `conditions`, of which a third is
+        incomplete, of another programme, noise or specimen, or has a nominal model that is off.
     plant
         `written`, whose effects have forms that are written down, or `drawn`, whose laws are drawn at random; its
-        campaigns have a mix of their own, under many conditions.
+        mix is always `conditions`.
     without_true
         Whether campaigns with one effect are diagnosed again without it.
     sizes
@@ -333,10 +342,10 @@ def gap_blind(
     if seed < 0:
         raise SettingsError(f"--seed {seed}: is a whole number from 0 on.")
     if kind not in MIXES:
-        raise SettingsError(f"--mix {kind}: there is {' and '.join(MIXES)}.")
+        raise SettingsError(f"--mix {kind}: there is {', '.join(MIXES)}.")
     if plant not in PLANTS:
         raise SettingsError(f"--plant {plant}: there is {' and '.join(PLANTS)}.")
-    if plant != WRITTEN_PLANT and kind != EXAM_MIX:
+    if plant != WRITTEN_PLANT and kind == LEARNING_MIX:
         raise SettingsError(f"--mix {kind}: the plant {plant} judges, and nothing is learnt from it; leave one out.")
     worker_count(workers, scheduler)
     if scheduler is not None and out is None:

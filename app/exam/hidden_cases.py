@@ -22,7 +22,7 @@ from dragrig.sim_backend.blind import (
     effect_group,
 )
 
-EXAM_MIX, LEARNING_MIX = "exam", "learning"
+EXAM_MIX, LEARNING_MIX, CONDITIONS_MIX = "exam", "learning", "conditions"
 WRITTEN_PLANT, DRAWN_PLANT = PLANTS
 _Shares = Mapping[str, float]
 EXAM_SHARES: _Shares = MappingProxyType(
@@ -38,22 +38,6 @@ EXAM_SHARES: _Shares = MappingProxyType(
     }
 )
 """Share of each kind of case; single effects cycle through the whole catalogue of the plant."""
-MIXES: Mapping[str, _Shares] = MappingProxyType(
-    {
-        EXAM_MIX: EXAM_SHARES,
-        LEARNING_MIX: {
-            "full": 0.35,
-            "third": 0.13,
-            "tenth": 0.06,
-            "none": 0.06,
-            "outside": 0.14,
-            "pair": 0.16,
-            "rough": 0.07,
-            "rough none": 0.03,
-        },
-    }
-)
-"""An exam has campaigns as rigs may have them; to learn from, there are more hard cases."""
 CONDITION_SHARES: _Shares = MappingProxyType(
     {
         "full": 0.22,
@@ -76,7 +60,25 @@ CONDITION_SHARES: _Shares = MappingProxyType(
         "noise none": 0.07,
     }
 )
-"""The same of exams by the drawn plant; a kind with `none` has nothing hidden, under the same condition."""
+"""The same with circumstances; a kind with `none` has nothing hidden, under the same condition."""
+MIXES: Mapping[str, _Shares] = MappingProxyType(
+    {
+        EXAM_MIX: EXAM_SHARES,
+        LEARNING_MIX: {
+            "full": 0.35,
+            "third": 0.13,
+            "tenth": 0.06,
+            "none": 0.06,
+            "outside": 0.14,
+            "pair": 0.16,
+            "rough": 0.07,
+            "rough none": 0.03,
+        },
+        CONDITIONS_MIX: CONDITION_SHARES,
+    }
+)
+"""An exam has campaigns as rigs may have them; to learn from, there are more hard cases, and under conditions a third
+is incomplete, of another programme, noise or specimen, or has a nominal model that is off."""
 CONDITIONS_OF: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "incomplete": ("drags only", "three speeds", "no relaxations", "one run", "no blanks"),
@@ -135,10 +137,10 @@ class HiddenCase:
 def draw_cases(cases: int, seed: int, which: str = EXAM_MIX, plant: str = WRITTEN_PLANT) -> list[HiddenCase]:
     """Return a balanced mix in random order; counts follow the shares as nearly as whole numbers allow.
 
-    The drawn plant has a mix of its own, `CONDITION_SHARES`.
+    The drawn plant always has conditions.
     """
     random = np.random.default_rng(seed)
-    shares = CONDITION_SHARES if plant == DRAWN_PLANT else MIXES[which]
+    shares = MIXES[CONDITIONS_MIX if plant == DRAWN_PLANT else which]
     exact = np.array([share * cases for share in shares.values()])
     counts = np.floor(exact).astype(int)
     counts[np.argsort(counts - exact)[: cases - int(counts.sum())]] += 1
@@ -154,7 +156,7 @@ def draw_cases(cases: int, seed: int, which: str = EXAM_MIX, plant: str = WRITTE
             zip(seeds, (hidden[place] for place in order), strict=True), 1
         )
     ]
-    return _with_conditions(found, random) if plant == DRAWN_PLANT else found
+    return _with_conditions(found, random) if shares is CONDITION_SHARES else found
 
 
 def _shuffled_cycle(names: Sequence[str], random: np.random.Generator) -> Iterator[str]:

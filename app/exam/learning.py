@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from dragrig.analysis.gap import Classification
     from dragrig.scoring import AnswerKey, Rate, ScoredCase
 
-CALIBRATION_VERSION = 1
-
 
 @dataclass(frozen=True, slots=True)
 class _ReadExam:
@@ -41,23 +39,16 @@ def gap_calibrate(exams: Sequence[str | Path], tolerance_mN: float = 0.5) -> Cal
     AnalysisError
         When a folder holds no finished exam, or its campaigns are too few to learn from.
     """
-    from dragrig.analysis.gap import fit_gate, fit_weights
+    from dragrig.analysis.gap import calibrate
 
     read = [_read_exam(Path(exam)) for exam in exams]
     training = [case for exam in read for case in exam.training]
     names = " ".join(Path(exam).name for exam in exams)
+    command = "; ".join([*(exam.command for exam in read), f"dragrig gap calibrate {names}"])
     try:
-        gate, weights = fit_gate(training, tolerance_mN), fit_weights(training, tolerance_mN)
+        return calibrate(training, tolerance_mN, [exam.seed for exam in read], command)
     except ValueError as error:
         raise AnalysisError(f"{names}: {error}; hold a larger exam with dragrig gap blind.") from error
-    return Calibration(
-        version=CALIBRATION_VERSION,
-        command="; ".join([*(exam.command for exam in read), f"dragrig gap calibrate {names}"]),
-        seeds=tuple(exam.seed for exam in read),
-        cases=len(training),
-        gate=gate,
-        weights=weights,
-    )
 
 
 def gap_cross_validate(exams: Sequence[str | Path], folds: int = 10, tolerance_mN: float = 0.5) -> "tuple[Rate, ...]":
