@@ -1,11 +1,10 @@
 """What runs do not let anyone name: effects that look like a force in motion, and questions that they cannot answer."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from dragrig.analysis import ForcePart
 from dragrig.analysis.gap.design import ColumnKind, Design, fit_columns
 from dragrig.analysis.gap.run_data import RunData
 from dragrig.rig import Contact, FloatArray, IndexArray, Phase
@@ -309,15 +308,12 @@ def stage_limitations(runs: Sequence[RunData]) -> Iterator[str]:
         yield "No blank runs: the stage is known no better than the load that it moves."
 
 
-PLACES_OF_PART = {
-    "friction": ((ForcePart.DRY_FRICTION, ForcePart.VISCOUS_FRICTION), (Location.INTERFACE, Location.MOTOR)),
-    "relaxation": ((ForcePart.RELAXATION,), (Location.WALL, Location.SPECIMEN)),
-}
-"""Parts of a force that a model may declare, and the places whose effects act on them."""
-
-
 def own_model_limitations(
-    runs: Sequence[RunData], undeclared: Sequence[str], other_channels: Sequence[str]
+    runs: Sequence[RunData],
+    undeclared: Mapping[str, Sequence[Location]],
+    other_channels: Sequence[str],
+    *,
+    declares_any: bool,
 ) -> Iterator[str]:
     """Yield limitations of a user's model, of which one channel is explained and `other_channels` are not."""
     speeds = {round(float(run.coordinates.top_speed_mm_s[0]), 1) for run in runs}
@@ -326,14 +322,13 @@ def own_model_limitations(
             "All runs go one way at one speed without a rest: sensor effects in time cannot be separated from "
             "friction that changes along the stroke."
         )
-    if len(undeclared) == len(PLACES_OF_PART):
+    if not declares_any:
         yield (
             "The model does not declare the parts of its force: only effects of sensor and acquisition were tried, "
             "none of wall, interface, specimen or drive."
         )
     else:
-        for part in undeclared:
-            places = " and ".join(PLACES_OF_PART[part][1])
-            yield f"The model declares no {part}: effects of {places} were not tried."
+        for part, places in undeclared.items():
+            yield f"The model declares no {part}: effects of {' and '.join(places)} were not tried."
     for name in other_channels:
         yield f"The model also predicts {name}, which was not diagnosed."

@@ -39,7 +39,6 @@ from dragrig.analysis.gap.design import (
 )
 from dragrig.analysis.gap.naming_limits import (
     PLACE_HARMONICS,
-    PLACES_OF_PART,
     capsule_limitations,
     confounded_with_friction,
     general_limitations,
@@ -59,6 +58,7 @@ from dragrig.sim_backend.effects import (
     Effect,
     EffectChain,
     EffectParameter,
+    Location,
     Role,
     RunState,
     ShearedWall,
@@ -564,6 +564,11 @@ class StageStudy(PredictedStudy):
         yield from super().limitations()
 
 
+PLACES_OF_PART = {
+    "friction": ((ForcePart.DRY_FRICTION, ForcePart.VISCOUS_FRICTION), (Location.INTERFACE, Location.MOTOR)),
+    "relaxation": ((ForcePart.RELAXATION,), (Location.WALL, Location.SPECIMEN)),
+}
+"""Parts of a force that a model may declare, and the places whose effects act on them."""
 FORCE_UNIT = "mN"
 
 
@@ -629,7 +634,9 @@ class OwnModelStudy(PredictedStudy):
 
     def limitations(self) -> Iterator[str]:
         """Yield what these runs and this model cannot answer, a sentence each."""
-        yield from own_model_limitations(self.runs, self.undeclared, self.other_channels)
+        undeclared = {part: PLACES_OF_PART[part][1] for part in self.undeclared}
+        declares_any = len(undeclared) < len(PLACES_OF_PART)
+        yield from own_model_limitations(self.runs, undeclared, self.other_channels, declares_any=declares_any)
         yield from super().limitations()
 
 
