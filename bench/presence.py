@@ -3,7 +3,7 @@
 `python bench/presence.py [--campaigns 60] [--seed 52000] [--plant written|drawn] [--exam] [--workers N]`: campaigns
 with one effect of full, a third or a tenth of its size, with two, with none, and with effects that no catalogue has,
 half of them with nominal models that are off by 5 % to 20 % or with a second specimen that nobody recorded; or, with
-`--exam`, the mix of the exam: the counts of right verdicts, the reliability of presence, and how far the budget's shares
+`--exam`, the mix of the exam: counts of right verdicts, the reliability of presence, and how far the budget's shares
 of named effects are from the plant's own.
 """
 
