@@ -16,7 +16,9 @@ from .estimates import NORMAL_95 as NORMAL_95
 from .estimates import Estimate as Estimate
 from .estimates import EstimatedQuantity as EstimatedQuantity
 from .estimates import Exclusion as Exclusion
+from .estimates import Progress as Progress
 from .estimates import missing as missing
+from .estimates import no_progress as no_progress
 from .estimates import summarise_exclusions as summarise_exclusions
 from .export import EXPORT_FORMAT_KEY as EXPORT_FORMAT_KEY
 from .export import CsvStyle as CsvStyle
@@ -136,10 +138,8 @@ from .segments import mask_spans as mask_spans
 from .segments import steady_stretch as steady_stretch
 from .selection import RETURN_KIND as RETURN_KIND
 from .selection import RETURN_REASON as RETURN_REASON
-from .selection import Progress as Progress
 from .selection import RunSelection as RunSelection
 from .selection import incomplete_reason as incomplete_reason
-from .selection import no_progress as no_progress
 from .selection import select_loaded_runs as select_loaded_runs
 from .selection import select_runs as select_runs
 from .selection import unusable_files as unusable_files

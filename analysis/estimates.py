@@ -13,9 +13,10 @@ of 40 s. A record of fewer than five correlation times is too short: at 0.5 s th
 Without any slow noise the interval is about 1.7 times too wide: slow noise cannot be ruled out.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from math import exp
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,13 @@ from dragrig.rig import FloatArray
 
 NORMAL_95 = 1.959964
 """Standard errors on either side that hold 95 % of a normal distribution."""
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with the numbers of pieces of work that are done, and in all."""
+
+
+def no_progress(_done: int, _of: int) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis.selection import Progress, no_progress
+from dragrig.analysis.estimates import Progress, no_progress
 from dragrig.config import AnalysisError, OutputError, RunFileError
 from dragrig.rig import PHASE_NAMES, Attribute, Run
 

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, correlated_mean, missing
+from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Progress, correlated_mean, missing, no_progress
 from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
-from dragrig.analysis.selection import Progress, no_progress
 from dragrig.config import AnalysisError, RunFileError
 from dragrig.rig import Phase, Run, RunInfo, RunStatus
 

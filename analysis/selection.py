@@ -4,11 +4,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
-from dragrig.analysis.estimates import Exclusion, summarise_exclusions
+from dragrig.analysis.estimates import Exclusion, Progress, no_progress, summarise_exclusions
 from dragrig.analysis.models import Experiment
 from dragrig.analysis.segments import at_rest
 from dragrig.analysis.wording import count_text
@@ -34,12 +33,6 @@ BLANK_KIND, RETURN_KIND, FORCE_CHANNEL = "blank", "return", "force"
 
 RETURN_REASON = "it is a return stroke, through wall that the stroke before has just slid over"
 RunFilter = Callable[[Sequence[RunInfo]], Sequence[RunInfo]]
-Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the numbers of pieces of work that are done, and in all."""
-
-
-def no_progress(_done: int, _of: int) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from dragrig.analysis.estimates import no_progress
 from dragrig.analysis.export import CsvStyle, ExportColumn, ExportContent, write_csv
 from dragrig.analysis.importing.readers import read_text
 from dragrig.analysis.savgol import SavgolSettings, SavgolStream, smooth
-from dragrig.analysis.selection import no_progress
 from dragrig.rig.profile import AnyFloatArray
 
 

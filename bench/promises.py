@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dragrig.analysis.estimates import no_progress
 from dragrig.analysis.gap.evaluation import PromiseVerdict
-from dragrig.analysis.selection import no_progress
 from dragrig.parallel import map_tasks
 from dragrig.scoring import wilson_rate
 from dragrig.sim_backend.blind.blind_campaign import draw_campaign

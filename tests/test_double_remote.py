@@ -353,6 +353,7 @@ def card_port(doubles: RemoteDoubles) -> int:
 
 PARENT = """
 import os, sys, signal
+from dragrig.config.rig import RigSettings
 from remote_doubles import RemoteDoubles
 doubles = RemoteDoubles(RigSettings())
 doubles.start()

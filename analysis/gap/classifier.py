@@ -306,6 +306,9 @@ def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibration 
     if not inputs.competition:
         return Judgement(verdict, on_force, {})
     presence = combined_presence(on_force, inputs.competition, learnt.presence, stage_strays=inputs.moves_astray)
+    # The competition does not know why runs do not establish an effect, and so cannot make it likelier.
+    for name in {name for tried in inputs.hypotheses if tried.lookalikes for name in tried.effects} & presence.keys():
+        presence[name] = min(presence[name], on_force.marginal(name))
     in_position = {name for name, _ in inputs.position}
     verdict = restate(verdict, {name: value for name, value in presence.items() if name not in in_position})
     return Judgement(verdict, on_force, presence)

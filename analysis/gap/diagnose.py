@@ -90,7 +90,7 @@ from dragrig.analysis.gap.spectral_lines import (
     lines_that_matter,
     moving_line_remark,
 )
-from dragrig.analysis.gap.studies import prepare_study
+from dragrig.analysis.gap.studies import CapsuleStudy, prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
 from dragrig.config import DiagnosisSummary, EffectSettings, ModelSettings
 from dragrig.rig import FloatArray
@@ -378,7 +378,7 @@ def diagnose(
     competition = prepare_competition(search)
     present = judge_presence(competition)
     inputs = replace(inputs, competition=present.probabilities)
-    calibration = settings.calibration or shipped_calibration()
+    calibration = _calibration_for(study, settings)
     judgement = judge(inputs, settings.tolerance_mN, calibration)
     causes = CausesOfGap(competition, present, judgement.presence)
     classified = perf_counter()
@@ -409,6 +409,11 @@ def _with_trusted_motion(selection: RunSelection, position: PositionAnalysis) ->
     )
 
 
+def _calibration_for(study: Study, options: DiagnosisOptions) -> Calibration:
+    calibration = options.calibration or shipped_calibration()
+    return calibration if isinstance(study, CapsuleStudy) else calibration.with_hand_set_weights
+
+
 def _named_fit(search: ForceSearchResult, classification: Classification) -> HypothesisFit | None:
     """Return the fit with the named effects on the force."""
     on_force = {effect.id for effect in search.study.effects}
@@ -435,7 +440,7 @@ def _assembled_diagnosis(
     blocks += position_residual_blocks(position.runs)
     where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP)
     reduction, traces = _held_out_reduction(study, search, fit, position, classification)
-    by_excess = unknown_by_excess_alone(inputs, classification, options.tolerance_mN, options.calibration)
+    by_excess = unknown_by_excess_alone(inputs, classification, options.tolerance_mN, _calibration_for(study, options))
     if by_excess and _is_within_noise(where, reduction):
         classification = as_misjudged_noise(classification)
         where = localise(blocks, present=False)

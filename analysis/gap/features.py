@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from math import log, sqrt
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
@@ -143,6 +144,20 @@ class DecisionInputs:
         return document
 
 
+HAND_SET_WEIGHTS = MappingProxyType(
+    {
+        "known": -0.3,
+        "plain": 0.7,
+        "flexible": 0.4,
+        "behind": -0.7,
+        "further": -2.0,
+        "further: alike": -2.0,
+        "third": -3.0,
+    }
+)
+"""For a stage alone and models of one's own, about which campaigns of a gut teach little: with weights learnt there,
+measured motors and dampers get a latency, a payload and a drift that nobody has published. The exact form counts
+more where the size of form errors is not known from training."""
 CALIBRATION_FILE = Path(__file__).with_name("calibration.json")
 
 
@@ -204,6 +219,11 @@ class Calibration(BaseModel):
     gate: GapGate
     weights: Mapping[str, float]
     presence: PresenceWeights
+
+    @property
+    def with_hand_set_weights(self) -> "Calibration":
+        """The same gate and presence with hand-set weights."""
+        return self.model_copy(update={"weights": HAND_SET_WEIGHTS})
 
     def utility(self, features: Mapping[str, float]) -> float:
         """Return the log odds of a hypothesis against `unknown`."""
@@ -306,6 +326,7 @@ def _features_of(hypothesis: HypothesisSummary, inputs: DecisionInputs, best_llr
     features = {
         "known": 1.0,
         "plain": _softened_log_odds(_exact_share(hypothesis, inputs)),
+        "flexible": form_error_odds,
         "flexible, below half": min(form_error_odds, 0.0),
         "flexible, in a clear gap": clear * form_error_odds,
         "left elsewhere": log(1.0 + max(hypothesis.excess_elsewhere, 0.0)),
