@@ -70,6 +70,14 @@ class PlannedRun:
         """Recorded duration."""
         return self.profile.duration_s
 
+    @property
+    def mounting(self) -> str:
+        """Capsule and fixture that must be mounted, in words."""
+        if self.fixture is Fixture.NONE:
+            return f"capsule {self.capsule.name}, clear of the gut"
+        holder = "on foam" if self.fixture is Fixture.FOAM else "in the vacuum fixture"
+        return f"capsule {self.capsule.name}, gut {holder}"
+
 
 @dataclass(frozen=True, slots=True)
 class Programme:
@@ -97,6 +105,8 @@ def build_programme(
 ) -> Programme:
     """Return the programme of a plan.
 
+    Where capsule or fixture change from one run to the next and the plan asks nothing there, the run gets a prompt.
+
     Parameters
     ----------
     start_mm
@@ -122,6 +132,8 @@ def build_programme(
             position_mm = zero_mm + (step.start_mm if step.start_mm is not None else start_mm)
         for template in _step_runs(step, number, specimen, place, beside, rng.random):
             run = replace(template, index=len(runs), start_mm=position_mm)
+            if runs and not run.prompt and run.mounting != runs[-1].mounting:
+                run = replace(run, prompt=f"Change from {runs[-1].mounting} to {run.mounting}")
             runs.append(run)
             position_mm = run.end_mm
             if step.way_back is ReturnMode.DRIVEN and position_mm != run.start_mm:

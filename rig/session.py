@@ -149,7 +149,8 @@ class Session:
         self._results: list[RunResult] = []
         self._contact_since_s = 0.0
         self._inserted_at: datetime | None = None
-        self._prompted = False
+        self._mounting = ""
+        """Capsule and fixture of the run before; empty at the start, when nobody has said what is mounted."""
 
     def abort(self, reason: str) -> None:
         """Request an end, from any thread or signal handler."""
@@ -232,15 +233,17 @@ class Session:
             if answer is not Answer.DONE:
                 return answer
             self._note_contact(run)
-        self._prompted = True
+        self._mounting = run.mounting
         return Answer.DONE
 
     def _prompt_text(self, run: PlannedRun) -> str:
-        if run.prompt or self._prompted:
+        if run.prompt or run.mounting == self._mounting:
             return run.prompt
         # A session that resumes in the middle of a step needs what that step's prompt prepares.
         earlier = [planned.prompt for planned in self._programme.runs[: run.index] if planned.step == run.step]
-        return next((prompt for prompt in reversed(earlier) if prompt), "")
+        asked = next((prompt for prompt in reversed(earlier) if prompt), "")
+        is_known = bool(self._mounting) or self._backend.needs_hands
+        return asked or (f"Mount {run.mounting}" if is_known else "")
 
     def _confirm(self, text: str, run: PlannedRun) -> None:
         confirm(self._operator, Prompt(text, run, hands=self._backend.needs_hands))

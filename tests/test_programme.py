@@ -85,6 +85,23 @@ def test_by_hand_asks_before_every_run_but_the_first() -> None:
     assert [run.start_mm for run in programme.runs] == [40.0, 40.0]
 
 
+def test_a_change_of_capsule_or_fixture_asks_where_the_plan_does_not() -> None:
+    programme = made(
+        {"kind": "relaxation", "shear_strain": 1.0},
+        {"kind": "drag", "speed_mm_s": [1, 2], "travel_mm": 20},
+        {"kind": "drag", "speed_mm_s": 5, "fixture": "vacuum"},
+        {"kind": "blank", "speed_mm_s": 20, "prompt": "off"},
+    )
+    prompts = [run.prompt for run in programme.runs if run.follows < 0]
+    assert prompts == [
+        "",
+        "Change from capsule rough, gut in the vacuum fixture to capsule drag, gut on foam",
+        "",
+        "Change from capsule drag, gut on foam to capsule drag, gut in the vacuum fixture",
+        "off",
+    ]
+
+
 def test_lists_make_every_combination() -> None:
     programme = made({"kind": "drag", "speed_mm_s": [1, 2], "travel_mm": [20, 30], "way_back": "by_hand"})
     assert [(run.protocol.attributes()["speed_mm_s"], run.end_mm - 40) for run in programme.runs] == [

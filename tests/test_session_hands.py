@@ -89,6 +89,19 @@ def test_yes_answers_only_what_needs_no_hands(
     assert "hands" in capsys.readouterr().err
 
 
+def test_a_plan_without_prompts_asks_for_hands_before_each_capsule_and_fixture() -> None:
+    person = Present()
+    relaxation: dict[str, object] = {"kind": "relaxation", "shear_strain": 1.0, "hold_s": 1.0}
+    session, store, _ = at_the_rig(person, relaxation, {**DRAG, "prompt": ""})
+    assert session.run().status is RunStatus.COMPLETE
+    assert [prompt.text for prompt in person.prompts[2:]] == [
+        "Mount capsule rough, gut in the vacuum fixture",
+        "Change from capsule rough, gut in the vacuum fixture to capsule drag, gut on foam",
+    ]
+    assert all(prompt.hands for prompt in person.prompts)
+    assert [run.info.kind for run in store.runs] == ["relaxation", "return", "drag", "return"]
+
+
 def test_files_tell_when_the_capsule_went_in() -> None:
     class Slow(Present):
         def ask(self, prompt: Prompt) -> Answer:

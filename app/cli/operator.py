@@ -44,6 +44,8 @@ class TerminalOperator:
         choices = [answer for answer in Answer if allowed.get(answer, True)]
         names = ", ".join(f"[{answer.value[0]}]{answer.value[1:]}" for answer in choices)
         click.echo(f"\n{prompt.text}.", err=True)
+        if prompt.run is not None and prompt.run.mounting not in prompt.text:
+            click.echo(f"  Next run: {prompt.run.mounting}.", err=True)
         if prompt.hands:
             _discard_typed_input()
         while True:
