@@ -82,6 +82,7 @@ from .measures import as_frame as as_frame
 from .measures import empty_stretch_reason as empty_stretch_reason
 from .measures import mean_per_speed as mean_per_speed
 from .measures import measure as measure
+from .measures import minutes_since_excision as minutes_since_excision
 from .measures import stretch_mean as stretch_mean
 from .measures import table_row as table_row
 from .measures import table_rows as table_rows

@@ -148,6 +148,7 @@ class TableRow:
     order: int | None = None
     kind: str = ""
     start_time: datetime | None = None
+    minutes_since_excision: float | None = None
     speed_mm_s: float | None = None
     shear_strain: float | None = None
     travel_mm: float | None = None
@@ -223,6 +224,7 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
         order=header.order,
         kind=header.kind,
         start_time=header.start_time,
+        minutes_since_excision=minutes_since_excision(info),
         speed_mm_s=attribute_number(protocol, "speed_mm_s", "ramp_speed_mm_s"),
         shear_strain=attribute_number(protocol, "shear_strain"),
         travel_mm=attribute_number(protocol, "travel_mm"),
@@ -240,6 +242,15 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
         mark=bad or "",
         remark="; ".join(f"no {name}: {estimate.reason}" for name, estimate in named.items() if estimate.reason),
     )
+
+
+def minutes_since_excision(info: RunInfo) -> float | None:
+    """Return how long before a run its specimen was excised [min]; None where that is not known."""
+    try:
+        excised_at = datetime.fromisoformat(str(info.header.specimen.get("excised_at")))
+        return (info.header.start_time - excised_at).total_seconds() / 60
+    except (TypeError, ValueError):  # nobody stated it, or without its offset from UTC
+        return None
 
 
 def _capsule_label(info: RunInfo) -> str:

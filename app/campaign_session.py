@@ -38,6 +38,7 @@ from dragrig.rig import (
     preflight,
     read_campaign,
     recover,
+    specimen_remark,
     write_session_record,
 )
 from dragrig.session_state import SessionState, StatePublisher, session_lock
@@ -228,6 +229,8 @@ def run_session(
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         further = len(backend.sampler.channels) - 2
         preflight(left, setup.rig, backend.stage.limits, options.folder, setup.plan_source, further).require()
+        if backend.needs_hands and (remark := specimen_remark(setup.specimen)):
+            options.tell(f"{remark}.")
         record = _session_record(setup, backend, options, calibrations)
         operator = PromptRelay(observer)
         with open_store(record) as store:

@@ -12,6 +12,7 @@ import tomli_w
 from dragrig.config import (
     CALIBRATION_FILE,
     RIG_FILE,
+    UNSTATED,
     Calibration,
     DeviceError,
     DragrigError,
@@ -394,7 +395,8 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
         Where to look for the lab folder (default: the working folder).
     choices
         `rig`, `specimen`, `model`: a file or a shipped name, the model also as settings; by default the rig of the lab
-        folder, or the shipped one outside of a lab. `capsule`: a file or a name, for every step.
+        folder, or the shipped one outside of a lab; without a stated specimen, that of the real rig is unknown.
+        `capsule`: a file or a name, for every step.
         `backend`: by default that of the rig. `double`: whether to use its double.
         `effects`: added to those of the model of the simulated rig, each as `stribeck:ratio=0.4,speed_mm_s=2`.
         `assignments`: each `key=value`; a path that begins with rig, model, specimen or plan changes that, a bare
@@ -413,20 +415,25 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
         # The plan may be elsewhere, and files in it are relative to it.
         changes.steps["capsule"] = str(Path(capsule).absolute() if Path(capsule).is_file() else capsule)
     double = choices.get("double", False)
-    if before is None:
-        base_plan, source, plan_folder = _load_plan(plan)
-        specimen = choose_settings(Specimen, "specimen", choices.get("specimen"), None)
-        model = choose_settings(FrictionModelSettings, "model", choices.get("model"), None)
-        contact_mm = None
-    else:
-        base_plan, source, plan_folder = before.plan, str(plan), before.beside
-        specimen = choose_settings(Specimen, "specimen", choices.get("specimen"), before.specimen)
-        model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model)
-        contact_mm = before.contact_mm
+    if before is not None:
         rig_settings = rig_settings if choices.get("rig") else before.rig
         double = double or (before.double and choices.get("backend") in {None, before.backend})
     rig_changed = changes.applied_to(rig_settings, "rig")
     backend = choices.get("backend") or (rig_changed.backend if before is None else before.backend)
+    specimen_choice = choices.get("specimen")
+    if specimen_choice is None and backend == HARDWARE_BACKEND and (before is None or before.backend != backend):
+        # A real specimen is what somebody states; that of the simulated rig would be an invention.
+        specimen_choice = UNSTATED
+    if before is None:
+        base_plan, source, plan_folder = _load_plan(plan)
+        specimen = choose_settings(Specimen, "specimen", specimen_choice, None)
+        model = choose_settings(FrictionModelSettings, "model", choices.get("model"), None)
+        contact_mm = None
+    else:
+        base_plan, source, plan_folder = before.plan, str(plan), before.beside
+        specimen = choose_settings(Specimen, "specimen", specimen_choice, before.specimen)
+        model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model)
+        contact_mm = before.contact_mm
     model = changes.applied_to(model, "model")
     return Setup(
         plan=_with_step_keys(changes.applied_to(base_plan, "plan"), changes.steps),

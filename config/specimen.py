@@ -1,11 +1,17 @@
 """What is tested: the piece of gut, what holds it, and the capsule dummy."""
 
+from datetime import datetime, time, timedelta
 from enum import StrEnum
-from typing import Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AwareDatetime, Field
+from pydantic import AwareDatetime, BeforeValidator, Field, model_validator
 
 from dragrig.config.settings import Settings
+
+UNSTATED = "unknown"
+"""What a run file says of a specimen where nobody stated it."""
+SPECIMEN_FACTS = ("id", "animal", "segment", "excised_at", "mounted_at", "storage", "temperature_degC")
+"""Keys of a specimen that only somebody at the rig can state."""
 
 
 class Fixture(StrEnum):
@@ -19,6 +25,31 @@ class Fixture(StrEnum):
     """Nothing touches the capsule: blank runs."""
 
 
+def _at_this_place(value: object) -> object:
+    """Return a moment with its offset from UTC: a time of day is the latest such, anything without offset is local."""
+    moment = _parsed_time(value) if isinstance(value, str) else value
+    if isinstance(moment, time):
+        now = datetime.now().astimezone()
+        at = datetime.combine(now.date(), moment)
+        at = at if at.tzinfo is not None else at.astimezone()
+        return at if at <= now else at - timedelta(days=1)
+    if isinstance(moment, datetime) and moment.tzinfo is None:
+        return moment.astimezone()
+    return moment
+
+
+def _parsed_time(text: str) -> datetime | time | str:
+    for read in (time.fromisoformat, datetime.fromisoformat):
+        try:
+            return read(text)
+        except ValueError:
+            continue
+    return text
+
+
+Moment = Annotated[AwareDatetime, BeforeValidator(_at_this_place)]
+
+
 class Specimen(Settings):
     """The specimen."""
 
@@ -28,10 +59,24 @@ class Specimen(Settings):
     """Identity of the piece: runs of the same id share their history; a fresh piece needs a new id."""
     animal: str = ""
     segment: str = ""
-    excised_at: AwareDatetime | None = None
-    mounted_at: AwareDatetime | None = None
+    excised_at: Moment | None = None
+    """When it was taken from the animal: `2026-05-04T09:15:00+02:00`, or `09:15` for the latest such time here."""
+    mounted_at: Moment | None = None
     storage: str = ""
+    """What it lay in until it was mounted."""
     temperature_degC: float | None = Field(default=None, ge=-10, le=60)
+    """Of the bath."""
+
+    @property
+    def not_stated(self) -> tuple[str, ...]:
+        """Keys of `SPECIMEN_FACTS` without a value."""
+        return tuple(key for key in SPECIMEN_FACTS if getattr(self, key) in {None, ""})
+
+    @model_validator(mode="after")
+    def _excised_before_it_is_mounted(self) -> Self:
+        if self.excised_at is not None and self.mounted_at is not None and self.mounted_at < self.excised_at:
+            raise ValueError(f"mounted_at ({self.mounted_at:%H:%M}) comes before excised_at ({self.excised_at:%H:%M})")
+        return self
 
 
 class Capsule(Settings):

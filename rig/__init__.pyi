@@ -70,6 +70,7 @@ from .programme import check_calibration as check_calibration
 from .programme import check_limits as check_limits
 from .programme import check_wiring as check_wiring
 from .programme import preflight as preflight
+from .programme import specimen_remark as specimen_remark
 from .protocols import RunProtocol as RunProtocol
 from .protocols import protocol_kinds as protocol_kinds
 from .protocols.return_stroke import ReturnProtocol as ReturnProtocol

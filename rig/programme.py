@@ -11,6 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from dragrig.config import (
+    UNSTATED,
     Calibration,
     Capsule,
     Fixture,
@@ -254,12 +255,26 @@ class Preflight:
     size_bytes: int
     free_bytes: int
     findings: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+    """What should be known before the session and does not forbid it."""
 
     def require(self) -> None:
         """Raise `PlanError` with the first finding and the number of others."""
         if self.findings:
             more = f" (and {len(self.findings) - 1} more)" if len(self.findings) > 1 else ""
             raise PlanError(self.findings[0] + more + ".")
+
+
+def specimen_remark(specimen: Specimen) -> str:
+    """Say what nobody stated of the specimen on a real rig, and how it is stated; empty where all is."""
+    if not specimen.not_stated:
+        return ""
+    first = specimen.not_stated[0]
+    return (
+        f"specimen {specimen.name}, whose wall counts as {specimen.wall_thickness_mm:g} mm thick: not stated, and so "
+        f"recorded as {UNSTATED}, are {', '.join(specimen.not_stated)}; state them with --specimen FILE, or "
+        f"--set specimen.{first}=…"
+    )
 
 
 def recording_bytes(samples: int, channels: int) -> int:

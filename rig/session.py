@@ -6,7 +6,7 @@ from datetime import datetime
 from math import isfinite
 from uuid import uuid4
 
-from dragrig.config import AbortedError, DeviceError, Fixture, TrippedError, reason_of, to_toml
+from dragrig.config import UNSTATED, AbortedError, DeviceError, Fixture, TrippedError, reason_of, to_toml
 from dragrig.rig.devices import Acquisition, Backend, Contact
 from dragrig.rig.engine import AcquisitionOutcome, Engine, Store, attempt, early_end_error, require_complete
 from dragrig.rig.guard import Guard
@@ -92,6 +92,8 @@ def run_header(
         capsule=_without_empty(run.capsule.model_dump(mode="json", exclude_none=True)),
         specimen={
             **_without_empty(run.specimen.model_dump(mode="json", exclude_none=True)),
+            # A simulated specimen has no such facts; of a real one they exist, and nobody said them.
+            **(dict.fromkeys(run.specimen.not_stated, UNSTATED) if backend.needs_hands else {}),
             "fixture": acquisition.fixture.value,
         },
         settings_toml=f"# run {run.index} of this session, order {acquisition.order}\n{settings_toml}",

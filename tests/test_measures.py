@@ -9,7 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from dragrig.analysis.estimates import correlated_mean
-from dragrig.analysis.measures import measure
+from dragrig.analysis.measures import measure, minutes_since_excision, table_row
+from dragrig.present.campaign import campaign_table_document
 from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import Attribute, RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
 
@@ -175,3 +176,13 @@ def test_a_run_without_phases_is_measured_as_far_as_it_goes() -> None:
     assert measured.rest_offset.reason == "the run has no rest phase"
     assert measured.hold_force.reason == "the run has no hold phase"
     assert measured.steady_force.value is not None
+
+
+def test_the_age_of_a_specimen_is_told_where_its_excision_is_known() -> None:
+    run = sliding()
+    for stated, minutes in (("2025-12-31T23:18:00+00:00", 42.0), ("unknown", None), ("2025-12-31T23:18:00", None)):
+        info = replace(run.info, header=replace(run.info.header, specimen={"excised_at": stated}))
+        assert minutes_since_excision(info) == minutes
+    aged = replace(run, info=replace(info, header=replace(info.header, specimen={"excised_at": "2025-12-31T23:18Z"})))
+    document = campaign_table_document([table_row(aged)])
+    assert "min since excision" in [column.heading for column in next(document.tables()).columns]

@@ -23,7 +23,7 @@ from dragrig.rig.guard import Guard
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import build_programme
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.campaigns import SessionRecord
+from dragrig.rig.runfile.campaigns import SessionRecord, specimen_key
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.runfile.store import MemoryStore
 from dragrig.rig.session import Session
@@ -100,6 +100,16 @@ def test_a_plan_without_prompts_asks_for_hands_before_each_capsule_and_fixture()
     ]
     assert all(prompt.hands for prompt in person.prompts)
     assert [run.info.kind for run in store.runs] == ["relaxation", "return", "drag", "return"]
+
+
+def test_what_nobody_stated_of_a_real_specimen_is_recorded_as_unknown() -> None:
+    session, store, _ = at_the_rig(Present())
+    assert session.run().status is RunStatus.COMPLETE
+    recorded = store.runs[0].info.header.specimen
+    assert {key: recorded[key] for key in ("id", "excised_at", "storage", "temperature_degC")} == dict.fromkeys(
+        ("id", "excised_at", "storage", "temperature_degC"), "unknown"
+    )
+    assert specimen_key(store.runs[0].info) == "jejunum"
 
 
 def test_files_tell_when_the_capsule_went_in() -> None:

@@ -1,6 +1,7 @@
 """What a session runs with: names, files, lab folders and assignments."""
 
 from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dragrig.config.errors import DragrigError, PlanError, SettingsError
+from dragrig.config.specimen import SPECIMEN_FACTS
 from dragrig.rig.protocols.drag import DragProtocol
 from dragrig.setup import Setup, resolve
 
@@ -67,6 +69,20 @@ def test_a_path_changes_rig_model_specimen_and_plan() -> None:
     assert (setup.rig.stage.highest_mm, setup.rig.stage.start_mm) == (120.0, 50.0)
     assert setup.rig.stage.max_speed_mm_s == 100.0
     assert (setup.model.wall, setup.specimen.wall_thickness_mm, setup.plan.seed) == ("table1", 3.0, 7)
+
+
+def test_a_real_specimen_is_stated_or_unknown_and_never_invented() -> None:
+    invented = {"pig", "jejunum", "Tyrode solution, oxygenated"}
+    unknown = resolve("drag", backend="hardware", double=True).specimen
+    assert not invented & set(unknown.model_dump().values())
+    assert unknown.not_stated == SPECIMEN_FACTS
+    stated = resolve("drag", backend="hardware", assignments=["specimen.id=P7", "specimen.excised_at=09:15"]).specimen
+    assert stated.not_stated == ("animal", "segment", "mounted_at", "storage", "temperature_degC")
+    assert stated.excised_at is not None
+    age = datetime.now(UTC) - stated.excised_at
+    assert timedelta(0) <= age <= timedelta(days=1)
+    with pytest.raises(SettingsError, match="comes before excised_at"):
+        resolve("drag", assignments=["specimen.excised_at=2026-05-04T09:15", "specimen.mounted_at=2026-05-04T09:10"])
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
 
@@ -26,9 +27,11 @@ from dragrig.rig import (
     check_wiring,
     preflight,
     read_run,
+    specimen_remark,
 )
 from dragrig.setup import (
     CALIBRATED_QUANTITIES,
+    HARDWARE_BACKEND,
     Pace,
     PlanLike,
     RigChoices,
@@ -109,7 +112,9 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
     find_backend(setup.backend, double=setup.double)
     folder = Path(out) if out is not None else setup.data_root
     further = len(setup.rig.hardware.card.inputs) if setup.backend == "hardware" else None
-    return preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further)
+    checked = preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further)
+    remark = specimen_remark(setup.specimen) if setup.backend == HARDWARE_BACKEND else ""
+    return replace(checked, remarks=(remark,) if remark else ())
 
 
 def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[SetupChoices]) -> tuple[Run, ...]:

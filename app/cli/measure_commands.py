@@ -66,6 +66,8 @@ def check_command(
         return
     preflight = check(plan, out=out, **settings)
     print_document(preflight_document(preflight), as_json=as_json)
+    for remark in preflight.remarks:
+        print_remark(f"NOTE {remark}.")
     for finding in preflight.findings:
         print_error(f"{finding}.")
     if preflight.findings:

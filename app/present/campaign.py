@@ -122,6 +122,9 @@ def mean_table(rows: Sequence[TableRow]) -> Table:
 
 def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -> Table:
     """Tabulate the measures of each run; the first cell links to the runs that have an anchor."""
+    age: Field[TableRow] = Field(
+        "minutes_since_excision", "min since excision", lambda row: row.minutes_since_excision, decimals(0)
+    )
     return Table.of(
         "runs",
         "Steady force ± standard error",
@@ -145,6 +148,7 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
         Field("status", "status", lambda row: row.status),
         Field("checks", "checks", lambda row: row.checks),
         Field("began", "began", lambda row: "" if row.start_time is None else f"{row.start_time:%H:%M:%S}"),
+        *((age,) if any(row.minutes_since_excision is not None for row in rows) else ()),
         Field(
             "remark",
             "remark",

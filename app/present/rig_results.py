@@ -59,6 +59,7 @@ def preflight_document(preflight: "Preflight") -> Document:
                 "size_bytes": preflight.size_bytes,
                 "free_bytes": preflight.free_bytes,
                 "findings": preflight.findings,
+                "remarks": preflight.remarks,
             }
         ),
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from dragrig import present
-from dragrig.analysis import Estimate, RunMeasures, measure
+from dragrig.analysis import Estimate, RunMeasures, measure, minutes_since_excision
 from dragrig.present import (
     Cell,
     Code,
@@ -70,6 +70,13 @@ def check_texts(checks: Mapping[str, Attribute]) -> dict[str, str]:
     if isinstance(slip, int | float):
         texts["slip during the hold"] = f"at {slip:.1f} s" if slip >= 0 else "none seen"
     return texts
+
+
+def specimen_texts(info: RunInfo) -> dict[str, str]:
+    """Return what is known of the specimen, and how old it was when the run began."""
+    minutes = minutes_since_excision(info)
+    age = {} if minutes is None else {"since excision": f"{minutes:.0f} min"}
+    return {**attribute_texts(info.header.specimen), **age}
 
 
 def recording_texts(info: RunInfo) -> dict[str, str]:
@@ -139,7 +146,7 @@ def run_document(run: Run, bad_reason: str | None = None) -> Document:
                     Section("recorded", "Recorded", (Facts(recording_texts(info)),)),
                     Section("protocol", f"Protocol: {info.kind}", (Facts(attribute_texts(header.protocol)),)),
                     Section("capsule", "Capsule", (Facts(attribute_texts(header.capsule)),)),
-                    Section("specimen", "Specimen", (Facts(attribute_texts(header.specimen)),)),
+                    Section("specimen", "Specimen", (Facts(specimen_texts(info)),)),
                     Section("further", "Further", (Facts(further_attribute_texts(info)),)),
                     Section(
                         "all-settings",
@@ -185,7 +192,7 @@ def _file_texts(file: InspectedFile) -> dict[str, str]:
     groups = {
         "protocol": attribute_texts(header.protocol),
         "capsule": attribute_texts(header.capsule),
-        "specimen": attribute_texts(header.specimen),
+        "specimen": specimen_texts(info),
         "checks": check_texts(info.checks),
         "further": attribute_texts(header.entry),
     }

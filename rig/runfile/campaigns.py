@@ -10,6 +10,7 @@ import tomli_w
 from pydantic import AwareDatetime
 
 from dragrig.config import (
+    UNSTATED,
     FrictionModelSettings,
     OutputError,
     Plan,
@@ -130,7 +131,8 @@ def read_campaign(folder: Path) -> Campaign:
 
 def specimen_key(info: RunInfo) -> str:
     """Return what identifies a specimen: its id, or its name where it has none."""
-    return str(info.header.specimen.get("id") or info.header.specimen["name"])
+    identity = info.header.specimen.get("id") or UNSTATED
+    return str(info.header.specimen["name"] if identity == UNSTATED else identity)
 
 
 class SessionRecord(Settings):
