@@ -67,7 +67,7 @@ def window(shared: MainWindow, until: Until) -> MainWindow:
     shared.notices.complaint.hide()
     shared.go_to(shared.run)
     if shared.guard.text() != "guard: armed":
-        press(shared.notices.reset)
+        press(shared.reset)
         until(lambda: shared.guard.text() == "guard: armed")
     return shared
 
@@ -98,7 +98,7 @@ def test_the_reason_of_a_trip_is_shown_and_a_button_resets_the_guard(qtbot: QtBo
     try:
         assert window.notices.trip.isVisible()
         assert "path clear, hands out, e-stop in reach" in window.notices.trip_text.text()
-        press(window.notices.reset)
+        press(window.reset)
         qtbot.waitUntil(lambda: not window.notices.trip.isVisible(), timeout=WAIT_MS)
         assert window.guard.text() == "guard: armed"
     finally:
@@ -239,7 +239,7 @@ def test_abort_at_a_prompt_ends_the_session(window: MainWindow, until: Until) ->
 def test_a_trip_is_shown_and_keeps_the_queue_waiting(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:
     window = opened(qtbot, lab, tmp_path / "window.ini", assignments=("rig.guard.force_limit_mN=20",))
     try:
-        press(window.notices.reset)
+        press(window.reset)
         until(lambda: window.guard.text() == "guard: armed")
         fill(window)
         press(window.run.new.queue)
@@ -249,7 +249,7 @@ def test_a_trip_is_shown_and_keeps_the_queue_waiting(qtbot: QtBot, lab: Path, tm
         press(window.run.start_queue)
         assert "reset it" in window.notices.complaint_text.text()
         assert [entry.stage for entry in window.run.queue.entries] == [QueueState.TRIPPED, QueueState.WAITING]
-        press(window.notices.reset)
+        press(window.reset)
         until(lambda: window.guard.text() == "guard: armed")
     finally:
         window.close_in_order("the test is over")
@@ -419,11 +419,11 @@ def test_a_reset_after_a_stop_asks_its_prompt(qtbot: QtBot, lab: Path, tmp_path:
     try:
         assert window.run.new.chosen_pace == 7.0
         press(window.stop_button)
-        press(window.notices.reset)
+        press(window.reset)
         until(window.notices.prompt.isVisible)
         press(window.notices.answers[Answer.ABORT])
-        until(lambda: window.notices.complaint.isVisible() and window.notices.reset.isEnabled())
-        press(window.notices.reset)
+        until(lambda: window.notices.complaint.isVisible() and window.reset.isEnabled())
+        press(window.reset)
         until(window.notices.prompt.isVisible)
         press(window.notices.answers[Answer.DONE])
         until(lambda: window.guard.text() == "guard: armed")

@@ -1,7 +1,7 @@
 """The page that diagnoses a campaign: verdict, ranking, where the gap is, before and after, what to run next."""
 
 from PySide6.QtCore import QTimer, Signal
-from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QWidget
+from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QSizePolicy, QWidget
 
 from dragrig.analysis.gap import Diagnosis, RunTraces, plan_of_next_runs
 from dragrig.config import DragrigError
@@ -132,7 +132,9 @@ class DiagnosePage(QWidget):
             self.cancel,
             stretch={1: 1},
         )
-        whole = column(card(head, row(self.state, self.progress)), self.results, margin=8, stretch={1: 1})
+        choice = card(head, row(self.state, self.progress))
+        choice.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
+        whole = column(choice, self.results, 0, margin=8, stretch={1: 1})
         self.setLayout(whole)
         self.results.hide()
         self._timer = QTimer(self)

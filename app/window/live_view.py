@@ -1,19 +1,21 @@
 """The run in progress: force raw and filtered, position, speed and phase, as curves and as large numbers."""
 
+import time
 from dataclasses import dataclass
 from math import ceil, floor, isfinite, log10
 from threading import Thread
 
 import numpy as np
 import numpy.typing as npt
-from PySide6.QtWidgets import QCheckBox, QLabel, QWidget
+from PySide6.QtCore import QTimer
+from PySide6.QtWidgets import QCheckBox, QWidget
 
 from dragrig.analysis import SavgolSettings, SavgolStream, default_filter_settings
 from dragrig.engine_host import PHASE_NAMES, LiveSamples
-from dragrig.present import BLUE, GREEN, PALE, PURPLE
+from dragrig.present import BLUE, GREEN, PALE, PURPLE, duration_text
 from dragrig.window.plots import TimePlot
 from dragrig.window.trace_pyramid import TracePyramid
-from dragrig.window.widgets import card, column, label, row
+from dragrig.window.widgets import ElidedLabel, column, label, row, set_role
 
 MIN_BLOCK_S = 0.0005
 """Samples closer than this are stored as the min and max of blocks this long; the run file has them all."""
@@ -86,9 +88,83 @@ def preload_filter() -> None:
     stream.push(np.zeros(200))
 
 
+STALE_S = 1.0
+"""A value that is older is shown with its age, and no longer in black."""
+_AGE_INTERVAL_MS = 250
+_NO_VALUE = "–"
+
+
+class RigReadings(QWidget):
+    """Force, position and speed as large numbers on every page: live, or grey with their age, or gone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.readings = {name: label(_NO_VALUE, "reading") for name in ("force", "position", "speed")}
+        for name, reading in self.readings.items():
+            reading.setAccessibleName(name)
+            reading.setMinimumWidth(reading.fontMetrics().horizontalAdvance("−88888.88 mm/s"))
+        self.limits = label("", "faint")
+        self.about = ElidedLabel("", "faint")
+        self._taken_s: float | None = None
+        self._live_about = ""
+        captions = (label(name, "faint") for name in ("Force", "Position", "Speed"))
+        force, position, speed = (
+            row(caption, value) for caption, value in zip(captions, self.readings.values(), strict=True)
+        )
+        self.setLayout(row(force, position, self.limits, speed, self.about, stretch={4: 1}))
+        self._age = QTimer(self)
+        self._age.timeout.connect(self.show_age)
+        self._age.start(_AGE_INTERVAL_MS)
+
+    def set_limits(self, lowest_mm: float, highest_mm: float) -> None:
+        """Show the stage's limits beside the position."""
+        self.limits.setText(f"of {lowest_mm:g} to {highest_mm:g} mm")
+
+    def show_values(
+        self, force_mN: float | None, position_mm: float | None, speed_mm_s: float | None, about: str
+    ) -> None:
+        """Show values taken now; None is shown as no value, and `about` says what the rig does."""
+        self._taken_s, self._live_about = time.monotonic(), about
+        for name, value, digits, unit in (
+            ("force", force_mN, 0, "mN"), ("position", position_mm, 2, "mm"), ("speed", speed_mm_s, 1, "mm/s"),
+        ):  # fmt: skip
+            known = value is not None and isfinite(value)
+            self.readings[name].setText(f"{value:.{digits}f} {unit}".replace("-", "−") if known else _NO_VALUE)
+        self.show_age()
+
+    def end_motion(self, about: str) -> None:
+        """Show no speed any more: nothing moves; force and position age until the next values."""
+        self.readings["speed"].setText(_NO_VALUE)
+        self._live_about = about
+        self.show_age()
+
+    def clear(self, why: str) -> None:
+        """Show no value, and why there is none."""
+        self._taken_s = None
+        for reading in self.readings.values():
+            reading.setText(_NO_VALUE)
+        self.about.setText(why)
+        self._set_old(old=False)
+
+    def show_age(self) -> None:
+        """Show how old the values are, if they are no longer live."""
+        if self._taken_s is None:
+            return
+        age_s = time.monotonic() - self._taken_s
+        old = age_s > STALE_S
+        if old:
+            self.readings["speed"].setText(_NO_VALUE)
+        self.about.setText(f"{duration_text(age_s)} ago; {self._live_about}" if old else f"live; {self._live_about}")
+        self._set_old(old=old)
+
+    def _set_old(self, *, old: bool) -> None:
+        role = "old reading" if old else "reading"
+        for reading in self.readings.values():
+            if reading.property("role") != role:
+                set_role(reading, role)
+
+
 RECENT_SPAN_S = 10.0
-_READOUT_WIDTHS_PX = {"force": 175, "position": 200, "speed": 205, "phase": 185}
-"""Minimum widths of the readings [px], for the longest values."""
 
 
 class LiveView(QWidget):
@@ -97,8 +173,9 @@ class LiveView(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.run: LiveRun | None = None
-        self.title = label("No run yet: choose a plan, check the preview, and start.", "title")
-        self.readings = {name: label("–", "reading") for name in ("force", "position", "speed", "phase", "time")}
+        self.title = ElidedLabel("No run yet: choose a plan, check the preview, and start.", "title")
+        self.readings = RigReadings()
+        self._start_mm = 0.0
         self.only_last = QCheckBox(f"Onl&y the last {RECENT_SPAN_S:g} s")
         self.only_last.toggled.connect(lambda _: self._draw())
         self.force = TimePlot("Force", "mN")
@@ -112,15 +189,13 @@ class LiveView(QWidget):
         self._filtered = self.force.line("filtered", BLUE, 2.5)
         self._position = self.position.line("", GREEN, 2.0)
         self._speed = self.speed.line("", PURPLE, 2.0)
-        numbers = row(*(self._reading(name, value) for name, value in self.readings.items()), 1)
         layout = column(
-            row(self.title, 1, self.only_last),
-            numbers,
+            row(self.title, self.only_last, stretch={0: 1}),
             self.force.widget,
             self.position.widget,
             self.speed.widget,
             margin=8,
-            stretch={2: 6, 3: 4, 4: 5},
+            stretch={1: 6, 2: 4, 3: 5},
         )
         self.setLayout(layout)
         Thread(target=preload_filter, name="warm-up", daemon=True).start()
@@ -141,7 +216,13 @@ class LiveView(QWidget):
             ):
                 line.trace(values, fresh.rate_hz)
         self.run.take(fresh)
-        self._show_readings(self.run.latest)
+        latest = self.run.latest
+        self.readings.show_values(
+            latest.force_mN,
+            self._start_mm + latest.position_mm,
+            latest.speed_mm_s,
+            f"{latest.phase}, {latest.time_s:.1f} s" if latest.phase else "",
+        )
         if self.isVisible():
             self._draw()
 
@@ -154,21 +235,6 @@ class LiveView(QWidget):
         if self.speed.shown() == before:
             for panel in (self.force, self.position, self.speed):
                 panel.redraw()
-
-    def _show_readings(self, latest: LiveValues) -> None:
-        for name, value, digits, unit in (
-            ("force", latest.force_mN, 0, "mN"),
-            ("position", latest.position_mm, 2, "mm"),
-            ("speed", latest.speed_mm_s, 1, "mm/s"),
-            ("time", latest.time_s, 1, "s"),
-        ):
-            self.readings[name].setText(f"{value:.{digits}f} {unit}".replace("-", "−") if isfinite(value) else "–")
-        self.readings["phase"].setText(latest.phase or "–")
-
-    def _reading(self, name: str, value: QLabel) -> QWidget:
-        value.setMinimumWidth(_READOUT_WIDTHS_PX.get(name, 120))
-        value.setAccessibleName(name)
-        return card(label(name.capitalize(), "faint"), value)
 
 
 def _time_range(time_s: float, *, only_last: bool) -> tuple[float, float]:

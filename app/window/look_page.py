@@ -42,12 +42,14 @@ from dragrig.window.plots import PlotCursor, TimePlot
 from dragrig.window.trace_pyramid import TracePyramid
 from dragrig.window.widgets import (
     StoredSettings,
+    bare_widget,
     button,
     card,
     choose_path,
     column,
     current_item,
     fill_table,
+    flow,
     label,
     named,
     parent_of,
@@ -237,10 +239,8 @@ class TraceOverlay(QWidget):
             self.channel_plot.cursor(name, colour, lambda _: self._show_cursor_values())
             for name, colour in (("A", BLACK), ("B", VERMILLION))
         )
-        controls = row(
-            label("Channel"), self.channel, self.raw, label("Filter window"), self.window_ms, label("order"),
-            self.order, 1, self.cursors, self.fit,
-        )  # fmt: skip
+        filter_ = bare_widget(row(label("Filter window"), self.window_ms, label("order"), self.order))
+        controls = flow(bare_widget(row(label("Channel"), self.channel)), self.raw, filter_, self.cursors, self.fit)
         layout = column(
             controls, self.channel_plot.widget, self.speed_plot.widget, self.values, margin=8, stretch={1: 3, 2: 2}
         )

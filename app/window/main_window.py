@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PySide6.QtCore import QEvent, QObject, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent
-from PySide6.QtWidgets import QApplication, QButtonGroup, QMainWindow, QStackedWidget, QWidget
+from PySide6.QtWidgets import QApplication, QButtonGroup, QMainWindow, QSizePolicy, QStackedWidget, QWidget
 
 from dragrig.engine_host import (
     SILENCE_TIMEOUT_S,
@@ -31,9 +31,23 @@ from dragrig.window.background import EngineLink
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage
 from dragrig.window.run_page import RunPage
-from dragrig.window.widgets import StoredSettings, apply_style, bare_widget, button, card, column, label, row
+from dragrig.window.widgets import (
+    ElidedLabel,
+    MessageText,
+    StoredSettings,
+    apply_style,
+    bare_widget,
+    button,
+    card,
+    column,
+    label,
+    row,
+    scrolling,
+)
 
 COLLECT_INTERVAL_MS = 200
+MIN_WIDTH_PX, MIN_HEIGHT_PX = 940, 500
+"""A Full HD screen at twice the size has 960 by 540; nothing that is shown asks for more."""
 
 
 class GuiThreadCollector(QObject):
@@ -70,46 +84,44 @@ class GuiThreadCollector(QObject):
 
 
 class NoticeBar(QWidget):
-    """Notices above the page: tripped guard, prompt, lost engine, errors.
+    """Notices above the page: tripped guard, prompt, lost engine, errors; a long one is scrolled.
 
     Parameters
     ----------
-    reset, answer, restart
-        Called when the operator resets the guard, answers a prompt (with its number), restarts the engine.
+    answer, restart
+        Called when the operator answers a prompt (with its number), restarts the engine.
     """
 
-    def __init__(
-        self, reset: Callable[[], None], answer: Callable[[int, Answer], None], restart: Callable[[], None]
-    ) -> None:
+    def __init__(self, answer: Callable[[int, Answer], None], restart: Callable[[], None]) -> None:
         super().__init__()
         self._answer = answer
         self._prompt: PromptShown | None = None
-        self.trip_text = label("", wrap=True)
-        self.reset = button("&Reset the guard", reset, "main", "Allow motion again once the cause is removed", "Ctrl+R")
-        self.trip = card(row(self.trip_text, self.reset, stretch={0: 1}), role="trip")
-        self.prompt_text = label("", "title", wrap=True)
+        self.trip_text = MessageText(most_lines=2)
+        self.trip = card(self.trip_text, role="trip")
+        self.prompt_text = MessageText("title")
         self.answers = {
             Answer.DONE: button("&Done", lambda: self._reply(Answer.DONE), "main", "Continue the session"),
             Answer.REDO: button("R&edo the last run", lambda: self._reply(Answer.REDO), help_="Its file is marked bad"),
             Answer.SKIP: button("Ski&p", lambda: self._reply(Answer.SKIP), help_="Skip the run being prepared"),
             Answer.ABORT: button("A&bort", lambda: self._reply(Answer.ABORT), help_="End the session"),
         }
-        self.hands = label("", "faint")
-        self.prompt = card(self.prompt_text, row(self.hands, 1, *self.answers.values()), role="notice")
-        self.lost_text = label("", wrap=True)
+        self.hands = ElidedLabel("", "faint")
+        self.prompt = card(self.prompt_text, row(self.hands, *self.answers.values(), stretch={0: 1}), role="notice")
+        self.lost_text = MessageText(most_lines=2)
         self.restart = button("Start the en&gine again", restart, "main", "Restart the process that controls the rig")
         self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip")
-        self.complaint_text = label("", wrap=True)
+        self.complaint_text = MessageText()
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
         self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice")
-        self.setLayout(column(self.lost, self.trip, self.prompt, self.complaint))
+        notices = column(self.lost, self.trip, self.prompt, self.complaint)
+        notices.setSpacing(4)
+        self.setLayout(notices)
         for frame in (self.lost, self.trip, self.prompt, self.complaint):
             frame.hide()
 
     def show_trip(self, reason: str) -> None:
         """Show why the guard is tripped; hide when it is armed."""
         self.trip_text.setText(f"GUARD TRIPPED: {reason.rstrip('.')}. Nothing moves until the guard is reset.")
-        self.reset.setEnabled(True)
         self.trip.setVisible(bool(reason))
 
     def ask(self, prompt: PromptShown) -> None:
@@ -182,12 +194,16 @@ class MainWindow(QMainWindow):
         self.description = describe_rig(rig)
         self.setWindowTitle(f"dragrig: {self.description.name}, {self.description.title}")
         self.engine = EngineLink(rig, self, silence_s)
-        self.notices = NoticeBar(self._reset, self._reply, self._restart)
+        self.reset = button(
+            "&Reset the guard", self._reset, "main", "Allow motion again once the cause is removed", "Ctrl+R"
+        )
+        self.reset.setEnabled(False)
+        self.notices = NoticeBar(self._reply, self._restart)
         self.run = RunPage(self.engine, rig, self.description, lab, self._stored)
         self.look = LookPage(Path(self.description.data_root), self._stored)
         self.diagnose = DiagnosePage(self._stored)
         self.pages = QStackedWidget()
-        self.stop_button = button("STOP  (Esc)", self._stop_pressed, "stop", "Stop the stage at once")
+        self.stop_button = button("STOP (Esc)", self._stop_pressed, "stop", "Stop the stage at once")
         self.stop_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.guard = label("guard: starting", "faint")
         self._page_buttons = QButtonGroup(self)
@@ -212,6 +228,10 @@ class MainWindow(QMainWindow):
 
     def go_to(self, page: QWidget) -> None:
         """Show a page."""
+        for other in map(self.pages.widget, range(self.pages.count())):
+            # Only the page that is shown asks for room.
+            shown = QSizePolicy.Policy.Preferred if other is page else QSizePolicy.Policy.Ignored
+            other.setSizePolicy(shown, shown)
         self.pages.setCurrentWidget(page)
         chosen = self._page_buttons.button(self.pages.indexOf(page))
         chosen.setChecked(True)
@@ -226,6 +246,7 @@ class MainWindow(QMainWindow):
             case GuardState(reason):
                 self.notices.hide_prompt()
                 self.notices.show_trip(reason)
+                self.reset.setEnabled(bool(reason))
                 self.guard.setText("guard: TRIPPED" if reason else "guard: armed")
             case PromptShown():
                 self.notices.ask(event)
@@ -237,8 +258,9 @@ class MainWindow(QMainWindow):
             case RequestRefused(sentence):
                 self.notices.hide_prompt()
                 self.notices.complain(sentence)
-                self.notices.reset.setEnabled(True)
+                self.reset.setEnabled(True)
             case HostLost(exit_code):
+                self.reset.setEnabled(False)
                 self.guard.setText("guard: no engine")
                 self.notices.engine_lost(exit_code)
             case _:
@@ -292,7 +314,7 @@ class MainWindow(QMainWindow):
         self.run.stop("stopped by operator (stop button)")
 
     def _reset(self) -> None:
-        self.notices.reset.setEnabled(False)
+        self.reset.setEnabled(False)
         self.engine.ask(ResetGuard())
 
     def _reply(self, question: int, answer: Answer) -> None:
@@ -303,7 +325,7 @@ class MainWindow(QMainWindow):
         self.engine.restart()
 
     def _lay_out(self, pages: dict[str, tuple[QWidget, str]]) -> None:
-        top = row(margin=8)
+        top = row(margin=6)
         for index, (name, (page, content)) in enumerate(pages.items()):
             self.pages.addWidget(page)
             number, show = index + 1, partial(self.go_to, page)
@@ -313,25 +335,27 @@ class MainWindow(QMainWindow):
             top.addWidget(opener)
         rig = self.description
         banner = card(
-            label(rig.title, "title"),
-            label(f"{rig.name}: {rig.meaning}", "faint"),
+            row(label(rig.title, "title"), ElidedLabel(f"{rig.name}: {rig.meaning}", "faint"), stretch={1: 1}),
             role="hardware" if rig.real else "simulated",
-            across=True,
         )
+        banner.setContentsMargins(0, -4, 0, -4)
         banner.setAccessibleName(f"{rig.title}: {rig.meaning}")
-        top.addStretch(1)
-        top.addWidget(banner)
-        top.addWidget(self.guard)
-        top.addStretch(1)
+        top.addWidget(banner, 1)
+        top.addWidget(self.reset)
         top.addWidget(self.stop_button)
-        body = column(top, self.notices, self.pages, stretch={2: 1})
+        state = row(self.guard, self.run.live.readings, stretch={1: 1})
+        state.setContentsMargins(10, 0, 10, 4)
+        # A page that needs more room than there is scrolls; what is above it stays.
+        body = column(top, state, self.notices, scrolling(self.pages), stretch={3: 1})
         body.setSpacing(0)
         self.setCentralWidget(bare_widget(body))
+        self.setMinimumSize(MIN_WIDTH_PX, MIN_HEIGHT_PX)
 
     def _restore(self) -> None:
         shape = self._stored.shape("geometry")
         if shape is None or not self.restoreGeometry(shape):
-            self.resize(1440, 960)
+            room = self.screen().availableGeometry()
+            self.resize(min(1440, room.width()), min(960, room.height()))
         index = round(self._stored.number("page", 0))
         self.go_to(self.pages.widget(index) if 0 <= index < self.pages.count() else self.run)
 

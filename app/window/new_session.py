@@ -9,7 +9,6 @@ from PySide6.QtWidgets import (
     QFormLayout,
     QLineEdit,
     QPlainTextEdit,
-    QScrollArea,
     QWidget,
 )
 
@@ -29,7 +28,10 @@ from dragrig.views import (
 )
 from dragrig.window.plots import TimePlot
 from dragrig.window.widgets import (
+    ElidedLabel,
+    MessageText,
     StoredSettings,
+    bare_widget,
     button,
     card,
     choose_path,
@@ -38,6 +40,7 @@ from dragrig.window.widgets import (
     label,
     named,
     row,
+    scrolling,
     set_role,
     table,
 )
@@ -60,10 +63,9 @@ class PlanEditor(QWidget):
         self._form: PlanForm | None = None
         self._values: list[dict[str, str]] = []
         self._shown = -1
-        self._scroll = QScrollArea()
-        self._scroll.setWidgetResizable(True)
-        self._scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self.setLayout(column(self.steps, self.about, self._scroll))
+        self._fields = bare_widget(column())
+        self._rows = column(self.steps, self.about, self._fields)
+        self.setLayout(self._rows)
 
     def edit(self, form: PlanForm) -> None:
         """Show a plan."""
@@ -107,13 +109,15 @@ class PlanEditor(QWidget):
         inner, layout = QWidget(), QFormLayout()
         inner.setObjectName("bare")
         layout.setContentsMargins(0, 0, 8, 0)
-        layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.DontWrapRows)
+        layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
         for field in step.fields:
             name = label(f"{field.name.capitalize()}{f' ({field.unit})' if field.unit else ''}")
             name.setToolTip(_field_help(field))
             layout.addRow(name, self.editors[field.key])
         inner.setLayout(layout)
-        self._scroll.setWidget(inner)
+        self._rows.replaceWidget(self._fields, inner)
+        self._fields.deleteLater()
+        self._fields = inner
 
     def _keep(self) -> None:
         if self._shown >= 0:
@@ -185,8 +189,8 @@ class PlanPreview(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.summary = label("", "title", wrap=True)
-        self.findings = label("", wrap=True)
+        self.summary = ElidedLabel("", "title")
+        self.findings = MessageText()
         self.runs = named(table(_PREVIEW_HEADER), "Runs of the plan")
         self.runs.currentCellChanged.connect(lambda index, *_: self._draw(index))
         self.position = TimePlot("Position", "mm")
@@ -366,18 +370,23 @@ class NewSession(QWidget):
 
     def _lay_out(self) -> None:
         form = QFormLayout()
+        form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
         form.addRow("Operator", named(self.operator, "Operator"))
         form.addRow("Note", named(self.note, "Note"))
         if self._paces:
             form.addRow("Pace", named(self.pace, "Pace"))
         mirror = named(self.mirror, "Mirror folder")
         form.addRow("Mirror folder", row(mirror, self.choose_mirror, stretch={0: 1}))
-        self.plans.setMinimumWidth(180)
-        header = row(self.plans, self.open, stretch={0: 1})
+        self.plans.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.plans.setMinimumContentsLength(8)
+        header = row(label("Plan"), self.plans, self.open, stretch={1: 1})
+        inside = bare_widget(column(self.editor, form, 1))
+        inside.setObjectName("bare")
+        fields = scrolling(inside)
+        fields.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         buttons = row(1, self.queue, self.start)
-        self.setLayout(
-            column(card(column(label("New session", "title"), header, self.editor, form, buttons, stretch={2: 1})))
-        )
+        self.setLayout(column(card(column(header, fields, buttons, stretch={1: 1}))))
+        self.setMinimumWidth(330)
 
     def _choose_pace(self, pace: Pace | None) -> None:
         """Select the pace of the command line, else that used last."""

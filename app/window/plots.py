@@ -17,6 +17,9 @@ PlotValues = npt.NDArray[np.floating]
 _MIN_COLUMNS = 200
 _LEGEND_PER_LINE = 4
 _AXIS_Z = -1000.0
+_LABEL_STYLE = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
+_LETTER_PX = 0.62 * SMALL_PX
+"""Width of a letter of an axis label, on average."""
 
 
 class TimePlot:
@@ -25,9 +28,7 @@ class TimePlot:
     def __init__(self, quantity: str, unit: str, x_label: str = "Time (s)") -> None:
         self._plot = pyqtgraph.PlotWidget()
         item = self._plot.getPlotItem()
-        style = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
-        item.setLabel("left", f"{quantity} ({unit})" if unit else quantity, **style)
-        item.setLabel("bottom", x_label, **style)
+        item.setLabel("bottom", x_label, **_LABEL_STYLE)
         item.showGrid(x=True, y=True)
         item.hideButtons()
         for side in ("left", "bottom"):
@@ -40,8 +41,10 @@ class TimePlot:
             axis.setStyle(tickAlpha=255, maxTickLevel=0)
             axis.setZValue(_AXIS_Z)
         item.getAxis("left").setWidth(84)
-        self._plot.setMinimumHeight(145)
+        self._plot.setMinimumSize(200, 96)
         self._item = item
+        self.set_quantity(quantity, unit)
+        item.getViewBox().sigResized.connect(lambda _: self._label_fits())
         self._lines: list[PlotLine] = []
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
 
@@ -70,8 +73,15 @@ class TimePlot:
 
     def set_quantity(self, quantity: str, unit: str) -> None:
         """Change the label of the vertical axis."""
-        style = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
-        self._item.setLabel("left", f"{quantity} ({unit})" if unit else quantity, **style)
+        self._quantity, self._unit = quantity, unit
+        self._label_fits()
+
+    def _label_fits(self) -> None:
+        """Label the vertical axis with as much as a low plot has room for."""
+        whole = f"{self._quantity} ({self._unit})" if self._unit else self._quantity
+        room = self._item.getViewBox().height()
+        fits = (text for text in (whole, self._unit) if len(text) * _LETTER_PX <= room)
+        self._item.setLabel("left", next(fits, ""), **_LABEL_STYLE)
 
     def remove_lines(self) -> None:
         """Remove all lines."""
@@ -119,7 +129,7 @@ class TimePlot:
         """Hide the time axis; a plot below shows it."""
         self._item.getAxis("bottom").setStyle(showValues=False)
         self._item.setLabel("bottom", "")
-        self._plot.setMinimumHeight(80)
+        self._plot.setMinimumHeight(60)
 
     def show_times(self, start: float, stop: float) -> None:
         """Set the time range [s]."""

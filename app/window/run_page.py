@@ -40,6 +40,7 @@ from dragrig.window.widgets import (
     column,
     current_item,
     fill_table,
+    flow,
     label,
     named,
     parent_of,
@@ -120,15 +121,14 @@ class QueueView(QWidget):
         self.progress = QProgressBar()
         self.progress.setRange(0, 1000)
         self.progress.setAccessibleName("Progress of the running session")
-        self.up = button("&Up", lambda: self._move(-1), help_="Move the selected session up")
-        self.down = button("Dow&n", lambda: self._move(1), help_="Move the selected session down")
+        self.up = button("Up", lambda: self._move(-1), help_="Move the selected session up", keys="Ctrl+Up")
+        self.down = button("Down", lambda: self._move(1), help_="Move the selected session down", keys="Ctrl+Down")
         self.out = button("Re&move", self._remove, help_="Remove the selected session from the queue")
         self.clear = button(
             "C&lear finished", self._clear, help_="Remove ended sessions from the list; their files stay"
         )
         self.look = button("S&how runs", self._open_selected, help_="Show the recorded runs of the selected session")
-        buttons = row(self.up, self.down, self.out, self.clear, 1, self.look)
-        self.setLayout(column(label("Queue", "title"), self.progress, self.tree, buttons))
+        self.setLayout(column(self.tree, flow(self.up, self.down, self.out, self.clear, self.look), margin=8))
         self.show_queue()
 
     def show_queue(self) -> None:
@@ -255,7 +255,6 @@ class RunPage(QWidget):
         self.preview, self.live = PlanPreview(), LiveView()
         self.queue_view = QueueView(self.queue)
         self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
-        self.state = label("No session is running.", "faint")
         self.start_queue = button(
             "Start &the queue", self.run_queue, "main", "Run the waiting sessions one after another"
         )
@@ -265,6 +264,7 @@ class RunPage(QWidget):
         self.tabs = QTabWidget()
         self.tabs.addTab(self.preview, "Previe&w")
         self.tabs.addTab(self.live, "Li&ve")
+        self.tabs.addTab(self.queue_view, "Q&ueue")
         self.tabs.addTab(self.devices, "Devi&ces")
         self._lay_out()
         self._connect(engine)
@@ -401,7 +401,6 @@ class RunPage(QWidget):
         self.queue_view.show_queue()
         self.start_queue.setEnabled(not running and self.queue.next is not None)
         self.abort.setEnabled(running)
-        self.state.setText("A session is running." if running else "No session is running.")
         self.devices.set_session_running(running=running)
         self.running_changed.emit(running)
 
@@ -414,16 +413,12 @@ class RunPage(QWidget):
         self.queue_view.chosen_folder.connect(self.look_at.emit)
 
     def _lay_out(self) -> None:
-        buttons = row(self.state, 1, self.abort, self.start_queue)
-        right = QSplitter(Qt.Orientation.Vertical)
-        right.addWidget(self.tabs)
-        right.addWidget(bare_widget(column(buttons, self.queue_view)))
-        right.setSizes([640, 290])
-        right.setStretchFactor(0, 1)
+        bar = row(self.queue_view.progress, self.abort, self.start_queue, stretch={0: 1})
+        right = bare_widget(column(self.tabs, bar, stretch={0: 1}))
         splitter = QSplitter(Qt.Orientation.Horizontal)
-        self.new.setMinimumWidth(430)
         splitter.addWidget(self.new)
         splitter.addWidget(right)
-        splitter.setSizes([450, 1000])
+        splitter.setSizes([400, 1000])
         splitter.setStretchFactor(1, 1)
-        self.setLayout(column(splitter, margin=8))
+        splitter.setChildrenCollapsible(False)
+        self.setLayout(column(splitter, margin=6))

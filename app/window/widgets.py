@@ -4,8 +4,20 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
-from PySide6.QtCore import QByteArray, QSettings, QSize, Qt
-from PySide6.QtGui import QColor, QFont, QFontDatabase, QKeySequence, QPalette, QShortcut
+from PySide6.QtCore import QByteArray, QPoint, QRect, QSettings, QSize, Qt
+from PySide6.QtGui import (
+    QColor,
+    QFont,
+    QFontDatabase,
+    QKeySequence,
+    QPainter,
+    QPaintEvent,
+    QPalette,
+    QResizeEvent,
+    QShortcut,
+    QTextLayout,
+    QTextOption,
+)
 from PySide6.QtSvgWidgets import QSvgWidget
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -16,6 +28,8 @@ from PySide6.QtWidgets import (
     QHeaderView,
     QLabel,
     QLayout,
+    QLayoutItem,
+    QPlainTextEdit,
     QPushButton,
     QScrollArea,
     QSizePolicy,
@@ -50,7 +64,7 @@ from dragrig.present import (
 )
 
 WidgetT = TypeVar("WidgetT", bound=QWidget)
-TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 32
+TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 24
 SURFACE_COLOUR = "#F3F5F7"
 STOP_COLOUR = "#B00020"
 """For the stop button alone; with white text, legible with any colour vision."""
@@ -61,7 +75,8 @@ QMainWindow, QDialog, QWidget#page {{ background: {SURFACE_COLOUR}; }}
 QLabel[role="title"] {{ font-size: {TITLE_PX}px; font-weight: 600; }}
 QLabel[role="faint"] {{ color: {GREY}; font-size: {SMALL_PX}px; }}
 QLabel[role="wrong"] {{ color: {STOP_COLOUR}; font-weight: 600; }}
-QLabel[role="reading"] {{ font-size: {READING_PX}px; font-weight: 600; }}
+QLabel[role="reading"], QLabel[role="old reading"] {{ font-size: {READING_PX}px; font-weight: 600; }}
+QLabel[role="old reading"] {{ color: {PALE}; }}
 QLabel[role="fine"] {{ color: #00664B; font-weight: 600; }}
 QFrame[role="card"] {{ background: {PAPER}; border: 1px solid {GRID}; border-radius: 6px; }}
 QFrame[role="notice"] {{ background: #FFF4D6; border: 2px solid #8A5A00; border-radius: 6px; }}
@@ -78,11 +93,10 @@ QPushButton[role="main"] {{ background: {BLUE}; color: white; font-weight: 600; 
 QPushButton[role="main"]:focus {{ border: 2px solid {BLACK}; }}
 QPushButton[role="main"]:disabled {{ background: {PALE}; border-color: {PALE}; color: white; }}
 QPushButton[role="stop"] {{ background: {STOP_COLOUR}; color: white; font-size: 22px; font-weight: 800;
-    border: 3px solid #6B0013; border-radius: 8px; padding: 8px 26px; }}
+    border: 3px solid #6B0013; border-radius: 8px; padding: 6px 18px; }}
 QPushButton[role="page"] {{ border: none; border-bottom: 4px solid transparent; border-radius: 0;
-    background: transparent; font-size: 17px; padding: 10px 16px;
-    min-width: 122px; }}
-QPushButton[role="page"]:checked {{ border-bottom: 4px solid {BLUE}; font-weight: 700; }}
+    background: transparent; font-size: 17px; padding: 8px 8px; }}
+QPushButton[role="page"]:checked {{ border-bottom: 4px solid {BLUE}; color: {BLUE}; }}
 QPushButton[role="page"]:focus {{ background: #E3F1FA; }}
 QLineEdit, QPlainTextEdit {{ background: {PAPER}; border: 1px solid {PALE};
     border-radius: 4px; padding: 5px 7px; selection-background-color: {BLUE}; selection-color: white; }}
@@ -100,6 +114,10 @@ QTabBar::tab {{ background: transparent; padding: 8px 16px; border: none; color:
 QTabBar::tab:selected {{ color: {BLACK}; font-weight: 600; border-bottom: 3px solid {BLUE}; }}
 QTabWidget::pane {{ border: 1px solid {GRID}; border-radius: 6px; background: {PAPER}; }}
 QScrollArea, QWidget#bare {{ background: transparent; border: none; }}
+QPlainTextEdit#message {{ background: transparent; border: none; padding: 0; }}
+QPlainTextEdit#message[role="title"] {{ font-size: {TITLE_PX}px; font-weight: 600; }}
+QPlainTextEdit#message[role="wrong"] {{ color: {STOP_COLOUR}; font-weight: 600; }}
+QPlainTextEdit#message[role="fine"] {{ color: #00664B; font-weight: 600; }}
 QProgressBar {{ background: {GRID}; border: none; border-radius: 4px; text-align: center; min-height: 22px; }}
 QProgressBar::chunk {{ background: #8CC4E6; border-radius: 4px; }}
 QSplitter::handle {{ background: {SURFACE_COLOUR}; }}
@@ -159,6 +177,204 @@ def label(text: str = "", role: str = "", *, wrap: bool = False) -> QLabel:
     if wrap:
         made.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Minimum)
     return made
+
+
+class ElidedLabel(QLabel):
+    """A line that gives way: cut off with dots where there is no room, and whole in its tooltip."""
+
+    def __init__(self, text: str = "", role: str = "") -> None:
+        super().__init__(text)
+        self.setProperty("role", role)
+        self.setTextFormat(Qt.TextFormat.PlainText)
+        self.setToolTip(text)
+
+    def setText(self, text: str) -> None:
+        """Show a text."""
+        super().setText(text)
+        self.setToolTip(text)
+
+    def minimumSizeHint(self) -> QSize:
+        """Room for a few letters."""
+        return QSize(min(_MIN_ELIDED_PX, super().minimumSizeHint().width()), super().minimumSizeHint().height())
+
+    def paintEvent(self, _event: QPaintEvent) -> None:
+        """Draw as much of the text as there is room for."""
+        painter = QPainter(self)
+        inside = self.contentsRect()
+        line = self.text().replace("\n", " ")
+        text = self.fontMetrics().elidedText(line, Qt.TextElideMode.ElideRight, inside.width())
+        painter.setPen(self.palette().color(self.foregroundRole()))
+        painter.drawText(inside, int(self.alignment()), text)
+
+
+_MIN_ELIDED_PX = 60
+
+
+class MessageText(QPlainTextEdit):
+    """A message of any length, which can be selected: wrapped, also within a long path, and scrolled beyond some lines.
+
+    Parameters
+    ----------
+    most_lines
+        So many lines are shown at once; it is as tall as its text, but no taller.
+    """
+
+    def __init__(self, role: str = "", most_lines: int = 3) -> None:
+        super().__init__()
+        self._most_lines = most_lines
+        self.setObjectName("message")
+        self.setProperty("role", role)
+        self.setReadOnly(True)
+        self.setTabChangesFocus(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setWordWrapMode(QTextOption.WrapMode.WrapAtWordBoundaryOrAnywhere)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.document().setDocumentMargin(0)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+
+    def text(self) -> str:
+        """Return the text."""
+        return self.toPlainText()
+
+    def setText(self, text: str) -> None:
+        """Show a text."""
+        if text != self.toPlainText():
+            self.setPlainText(text)
+        self.setAccessibleName(text)
+        self._fit()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Wrap the text anew."""
+        super().resizeEvent(event)
+        self._fit()
+
+    def _fit(self) -> None:
+        self.ensurePolished()
+        lines = self._lines()
+        shown = min(lines, self._most_lines)
+        # Only a text that is not shown whole is worth a stop of the Tab key, for the keys that scroll it.
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus if lines > shown else Qt.FocusPolicy.NoFocus)
+        self.setFixedHeight(self.fontMetrics().lineSpacing() * shown + 1)
+
+    def _lines(self) -> int:
+        """Count the lines at the present width; Qt counts those of a hidden text as unwrapped."""
+        lines, option = 0, QTextOption()
+        option.setWrapMode(self.wordWrapMode())
+        for paragraph in self.toPlainText().splitlines() or [""]:
+            layout = QTextLayout(paragraph, self.font())
+            layout.setTextOption(option)
+            layout.beginLayout()
+            line = layout.createLine()
+            while line.isValid():
+                line.setLineWidth(max(self.viewport().width(), 1))
+                lines, line = lines + 1, layout.createLine()
+            layout.endLayout()
+            lines += not paragraph
+        return lines
+
+
+class FlowLayout(QLayout):
+    """Widgets side by side, and on further lines where there is no room."""
+
+    def __init__(self, spacing: int = 8) -> None:
+        super().__init__()
+        self._items: list[QLayoutItem] = []
+        self.setSpacing(spacing)
+        self.setContentsMargins(0, 0, 0, 0)
+
+    def addItem(self, item: QLayoutItem) -> None:
+        """Append an item."""
+        self._items.append(item)
+
+    def count(self) -> int:
+        """Return the number of items."""
+        return len(self._items)
+
+    def itemAt(self, index: int) -> QLayoutItem | None:
+        """Return an item, None beyond the last."""
+        return self._items[index] if 0 <= index < len(self._items) else None
+
+    def takeAt(self, index: int) -> QLayoutItem | None:  # type: ignore[override]  # as Qt calls it
+        """Remove an item."""
+        return self._items.pop(index) if 0 <= index < len(self._items) else None
+
+    def expandingDirections(self) -> Qt.Orientation:
+        """Grow in no direction."""
+        return Qt.Orientation(0)
+
+    def hasHeightForWidth(self) -> bool:
+        """Whether the height follows from the width."""
+        return True
+
+    def heightForWidth(self, width: int) -> int:
+        """Height of all lines at a width."""
+        return self._place(QRect(0, 0, width, 0), move=False)
+
+    def setGeometry(self, rectangle: QRect) -> None:
+        """Place the items."""
+        super().setGeometry(rectangle)
+        self._place(rectangle, move=True)
+
+    def sizeHint(self) -> QSize:
+        """Room for all on one line."""
+        shown = [item.sizeHint() for item in self._items if not item.isEmpty()]
+        width = sum(size.width() + self.spacing() for size in shown) - self.spacing()
+        return QSize(max(width, 0), max((size.height() for size in shown), default=0))
+
+    def minimumSize(self) -> QSize:
+        """Room for the widest item."""
+        shown = [item.minimumSize() for item in self._items if not item.isEmpty()]
+        return QSize(max((size.width() for size in shown), default=0), max((s.height() for s in shown), default=0))
+
+    def _place(self, rectangle: QRect, *, move: bool) -> int:
+        y = rectangle.y()
+        for line in self._lines(rectangle.width()):
+            height = max(size.height() for _, size in line)
+            x = rectangle.x()
+            for item, size in line:
+                if move:
+                    item.setGeometry(QRect(QPoint(x, y + (height - size.height()) // 2), size))
+                x += size.width() + self.spacing()
+            y += height + self.spacing()
+        return max(y - self.spacing() - rectangle.y(), 0)
+
+    def _lines(self, width: int) -> list[list[tuple[QLayoutItem, QSize]]]:
+        lines: list[list[tuple[QLayoutItem, QSize]]] = []
+        used = width
+        for item in self._items:
+            if item.isEmpty():
+                continue
+            size = item.sizeHint().boundedTo(QSize(max(width, item.minimumSize().width()), _ANY_PX))
+            if not lines or used + size.width() > width:
+                lines.append([])
+                used = 0
+            lines[-1].append((item, size))
+            used += size.width() + self.spacing()
+        return lines
+
+
+_ANY_PX = 1 << 20
+
+
+def flow(*widgets: QWidget) -> QWidget:
+    """Return widgets side by side, on as many lines as they need."""
+    layout = FlowLayout()
+    for widget in widgets:
+        layout.addWidget(widget)
+    made = bare_widget(layout)
+    policy = QSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Minimum)
+    policy.setHeightForWidth(True)
+    made.setSizePolicy(policy)
+    return made
+
+
+def scrolling(widget: QWidget) -> QScrollArea:
+    """Return a widget in an area that scrolls where there is less room than it needs."""
+    area = QScrollArea()
+    area.setWidgetResizable(True)
+    area.setFrameShape(QFrame.Shape.NoFrame)
+    area.setWidget(widget)
+    return area
 
 
 def button(text: str, pressed: Callable[[], None], role: str = "", help_: str = "", keys: str = "") -> QPushButton:
@@ -347,18 +563,15 @@ class DocumentView(QWidget):
             if page not in pages.values():
                 page.deleteLater()
         for section in document.content:
-            self.tabs.addTab(_scrolling(section), section.heading or document.title)
+            self.tabs.addTab(_section_area(section), section.heading or document.title)
         for title, page in pages.items():
             self.tabs.addTab(page, title)
 
 
-def _scrolling(section: Section) -> QScrollArea:
-    area = QScrollArea()
-    area.setWidgetResizable(True)
+def _section_area(section: Section) -> QScrollArea:
     inside = bare_widget(column(*_widgets(section.content), 1, margin=10))
     inside.setObjectName("bare")
-    area.setWidget(inside)
-    return area
+    return scrolling(inside)
 
 
 def _widgets(blocks: tuple[Block, ...]) -> Iterator[QWidget]:
