@@ -65,4 +65,5 @@ from .specimen import SPECIMEN_FACTS as SPECIMEN_FACTS
 from .specimen import UNSTATED as UNSTATED
 from .specimen import Capsule as Capsule
 from .specimen import Fixture as Fixture
+from .specimen import Moment as Moment
 from .specimen import Specimen as Specimen

@@ -1,6 +1,6 @@
 """What is tested: the piece of gut, what holds it, and the capsule dummy."""
 
-from datetime import datetime, time, timedelta
+from datetime import date, datetime, time, timedelta
 from enum import StrEnum
 from typing import Annotated, Literal, Self
 
@@ -27,7 +27,11 @@ class Fixture(StrEnum):
 
 def _at_this_place(value: object) -> object:
     """Return a moment with its offset from UTC: a time of day is the latest such, anything without offset is local."""
-    moment = _parsed_time(value) if isinstance(value, str) else value
+    moment = (
+        _parsed_time(str(value))
+        if isinstance(value, str | int | float | date) and not isinstance(value, datetime)
+        else value
+    )
     if isinstance(moment, time):
         now = datetime.now().astimezone()
         at = datetime.combine(now.date(), moment)
@@ -38,13 +42,11 @@ def _at_this_place(value: object) -> object:
     return moment
 
 
-def _parsed_time(text: str) -> datetime | time | str:
-    for read in (time.fromisoformat, datetime.fromisoformat):
-        try:
-            return read(text)
-        except ValueError:
-            continue
-    return text
+def _parsed_time(text: str) -> datetime | time:
+    try:
+        return time.fromisoformat(text) if text[2:3] == ":" else datetime.fromisoformat(text)
+    except ValueError:
+        raise ValueError("is neither a time of day nor a date and time, as 09:15 or 2026-05-04T09:15") from None
 
 
 Moment = Annotated[AwareDatetime, BeforeValidator(_at_this_place)]

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import dragrig
+from dragrig.analysis.models.experiment import Experiment
 from dragrig.cli import main
+from dragrig.config.errors import AnalysisError
 from dragrig.rig.protocols.drag import DragProtocol
 
 DRAG = {"speed_mm_s": 2, "travel_mm": 4, "accel_mm_s2": 400, "rest_s": 0, "hold_s": 0}
@@ -76,6 +78,32 @@ def test_settings_that_come_again_stand_in_a_file(importer: Importer) -> None:
     assert dragrig.load(imported.path).info.header.order == 1
 
 
+def pull(path: str, speed_mm_s: float = 5.0) -> None:
+    """A drag of 20 mm between rests of a second, as an instrument without a command writes it."""
+    time = np.arange(0.0, 2.0 + 20.0 / speed_mm_s, 0.001)
+    position = np.clip(speed_mm_s * (time - 1.0), 0.0, 20.0)
+    force = 0.03 + 0.08 * np.clip(position / 5.0, 0, 1) + 0.001 * np.sin(7000 * time)
+    np.savetxt(path, np.c_[time, force, position], "%.6f", ",", header="t [s],Load [N],Pos [mm]", comments="")
+
+
+PULL = ("--map", "time=1:s", "--map", "force=2:N", "--map", "position=3:mm", "--kind", "drag")
+
+
+def test_a_measurement_with_capsule_and_wall_is_one_for_the_capsule_model(importer: Importer) -> None:
+    pull("a.csv")
+    importer("a.csv", *PULL, "--out", "bare")
+    importer("a.csv", *PULL, "--out", "c", "--capsule", "drag", "--wall-thickness-mm", "2.1", "--specimen", "P7")
+    (bare,) = (Experiment(dragrig.load(run.path)) for run in dragrig.campaign("bare").runs)
+    with pytest.raises(AnalysisError, match=r"capsule \(diameter_mm, .*\), its wall's thickness, its fixture; import"):
+        _ = bare.capsule
+    (run,) = (Experiment(dragrig.load(run.path)) for run in dragrig.campaign("c").runs)
+    assert (run.capsule.diameter_mm, run.wall_thickness_mm, run.fixture.value) == (12.9, 2.1, "foam")
+    protocol = run.run.info.header.protocol
+    assert (protocol["speed_mm_s"], protocol["travel_mm"]) == (5.0, pytest.approx(20.0))
+    assert protocol["rest_s"] == pytest.approx(1.0, abs=0.05)
+    assert any("speed_mm_s = 5" in event.message for event in run.run.events)
+
+
 @pytest.mark.parametrize("form", ["csv", "parquet", "mat", "npz"])
 def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
     (run,) = dragrig.simulate(DragProtocol(speed_mm_s=20, travel_mm=10, rest_s=0.2, hold_s=0.2))
@@ -96,7 +124,7 @@ def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
         (("a.csv", "--map", "time=1:s", "--map", "force=Last:N"), "Last"),
         (("a.csv", "--map", "time=1:s", "--map", "force=Kraft:mV"), "factor"),
         (("a.csv", *MAP, "--set", "speed_mm_s"), "key=value"),
-        (("a.csv", *MAP, "--kind", "drag"), "which the kind drag needs"),
+        (("a.csv", *MAP, "--kind", "drag"), "needs speed_mm_s, travel_mm, accel_mm_s2, rest_s, hold_s"),
         (("a.csv", *MAP, "--decimal", "x"), "decimal"),
         (("a.csv", *MAP, "--start-time", "yesterday"), "start_time"),
         (("a.csv", *MAP, "--resample-hz", "nan"), "resample_hz"),

@@ -16,7 +16,7 @@ from dragrig.analysis.export import CsvStyle, ExportFormat, export_run
 from dragrig.analysis.importing import ImportSettings, import_file, parse_map
 from dragrig.analysis.measures import table_row
 from dragrig.analysis.savgol import filter_file
-from dragrig.config.errors import ImportDataError, OutputError, RunFileError
+from dragrig.config.errors import ImportDataError, OutputError
 from dragrig.rig.runfile import read_run, verify
 from dragrig.rig.runfile.model import Run
 
@@ -298,7 +298,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
 
 def test_a_kind_that_needs_its_parameters_says_so(tmp_path: Path) -> None:
     source = csv(tmp_path, f"t,x,F\n{ROWS}")
-    with pytest.raises(RunFileError, match="speed_mm_s"):
+    with pytest.raises(ImportDataError, match="needs speed_mm_s, travel_mm, accel_mm_s2, rest_s, hold_s"):
         imported(source, tmp_path, *MAP, kind="drag")
     protocol = {"speed_mm_s": 10.0, "travel_mm": 49.0, "accel_mm_s2": 400.0, "rest_s": 0.0, "hold_s": 0.0}
     assert imported(source, tmp_path, *MAP, kind="drag", protocol=protocol).info.kind == "drag"

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AwareDatetime, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
-from dragrig.config import ImportDataError, Settings, describe_validation_error, suggestion
+from dragrig.config import Fixture, ImportDataError, Moment, Settings, describe_validation_error, suggestion
 from dragrig.rig import FloatArray
 
 STANDARD_GRAVITY = 9.80665
@@ -297,10 +297,18 @@ class ImportSettings(Settings):
     protocol: dict[str, str | float | int | bool] = Field(default_factory=dict)
     """The motion as far as known, by the run file's names: speed_mm_s, travel_mm, …."""
     specimen: str = ""
+    """Its name (default: that of the file), or a TOML file of a specimen."""
+    wall_thickness_mm: float | None = Field(default=None, gt=0, le=20)
+    capsule: str = ""
+    """Name or file of the capsule dummy."""
+    fixture: Fixture | None = None
+    """What held the gut; where a capsule is stated, by default what holds it in runs of this kind."""
+    insertion_dwell_s: float | None = Field(default=None, ge=0)
+    """How long the capsule had been in the gut at the first sample."""
     operator: str = ""
     note: str = ""
     order: int = Field(default=0, ge=0)
-    start_time: AwareDatetime | None = None
+    start_time: Moment | None = None
     """When the first row was measured. Default: not known; the time of the file's last change stands in its place."""
 
     @model_validator(mode="after")

@@ -6,19 +6,32 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
 
 from dragrig.analysis import SOURCE_KEY, START_UNKNOWN_KEY
-from dragrig.analysis.importing.conversion import IMPORT_EVENT, ConvertedMeasurement, convert_table
+from dragrig.analysis.importing.conversion import IMPORT_EVENT, SPEED_WINDOW_S, ConvertedMeasurement, convert_table
 from dragrig.analysis.importing.foreign import ForeignTable, ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
-from dragrig.config import ImportDataError, OutputError
-from dragrig.rig import AnyFloatArray, Attribute, PhaseArray, RecordedChannel, RunEvent, RunHeader, RunStatus
+from dragrig.config import Capsule, Fixture, ImportDataError, OutputError, Specimen, find_settings
+from dragrig.rig import (
+    PARAMETERS_OF_KIND,
+    AnyFloatArray,
+    Attribute,
+    Phase,
+    PhaseArray,
+    RecordedChannel,
+    RunEvent,
+    RunHeader,
+    RunStatus,
+    protocol_kinds,
+)
 
 NOT_CHANNELS = frozenset({"time", "command", "phase"})
+CAPSULE_SIZES = ("diameter_mm", "length_mm", "mass_g", "contact_angle_deg")
 UNKNOWN_SIZE = float("nan")
 MAX_PREAMBLE_CHARS = 4000
 
@@ -62,6 +75,13 @@ def import_file(path: Path, target: Path, settings: ImportSettings | None = None
         return _restore_export(table, target)
     measured = convert_table(table, settings)
     header, events = _run_header(path, table, settings, measured)
+    missing = [key for key in PARAMETERS_OF_KIND.get(header.kind, ()) if key not in header.protocol]
+    if missing:
+        stated = " ".join(f"--set {key}=…" for key in missing)
+        raise ImportDataError(
+            f"{path}: a run of kind {header.kind} needs {', '.join(missing)}, which its positions do not show (no "
+            f"single move at one speed between standstills); state them, as in {stated}, or leave the kind out."
+        )
     written = write_run(_run_file_path(target, header), header, measured.columns, events=events)
     return ImportedRun(written, len(measured.columns["time"]), measured.sample_rate_hz, events)
 
@@ -86,6 +106,13 @@ def _run_header(
         unknown = "start time not known (--start-time states it): the file's date stands in its place, no session clock"
         events = (RunEvent(0.0, IMPORT_EVENT, unknown), *events)
         undated = {START_UNKNOWN_KEY: True}
+    known = _stated_circumstances(settings, path.stem)
+    shown = _shown_protocol(settings.kind, measured, known.specimen)
+    protocol = {**{key: value for key, value in shown.items() if key not in settings.protocol}, **settings.protocol}
+    if derived := [f"{key} = {shown[key]:g}" for key in shown if isfinite(shown[key]) and key not in settings.protocol]:
+        events = (*events, RunEvent(0.0, IMPORT_EVENT, f"by the position: {', '.join(derived)}"))
+    if known.fixture is not settings.fixture:
+        events = (*events, RunEvent(0.0, IMPORT_EVENT, f"fixture {known.fixture}, as runs of this kind have"))
     entry: dict[str, Attribute] = {
         "software": f"dragrig {version('dragrig')}",
         "operator": settings.operator,
@@ -96,6 +123,7 @@ def _run_header(
         "import_columns": json.dumps(dict(measured.sources), ensure_ascii=False),
         "import_settings": settings.model_dump_json(exclude_defaults=True),
         "import_time_origin_s": measured.time_origin_s,
+        **({} if settings.insertion_dwell_s is None else {"insertion_dwell_s": settings.insertion_dwell_s}),
         **undated,
         "import_preamble": "\n".join(table.preamble)[:MAX_PREAMBLE_CHARS],
     }
@@ -108,11 +136,73 @@ def _run_header(
         sample_rate_hz=measured.sample_rate_hz,
         channels=measured.channels,
         entry={key: value for key, value in entry.items() if value != ""},
-        protocol=dict(settings.protocol),
-        capsule=dict.fromkeys(("diameter_mm", "length_mm", "mass_g", "contact_angle_deg"), UNKNOWN_SIZE),
-        specimen={"name": settings.specimen or path.stem, "wall_thickness_mm": UNKNOWN_SIZE, "fixture": "none"},
+        protocol=protocol,
+        capsule=known.capsule,
+        specimen={**known.specimen, "fixture": (known.fixture or Fixture.NONE).value},
     )
     return header, events
+
+
+@dataclass(frozen=True, slots=True)
+class _Circumstances:
+    """What is stated of capsule, specimen and fixture; sizes that nobody stated are NaN."""
+
+    capsule: dict[str, Attribute]
+    specimen: dict[str, Attribute]
+    fixture: Fixture | None
+
+
+def _stated_circumstances(settings: ImportSettings, default_name: str) -> _Circumstances:
+    """Return them as attributes of a run; raises `SettingsError` for a capsule or specimen that cannot be found."""
+    capsule: dict[str, Attribute] = dict.fromkeys(CAPSULE_SIZES, UNKNOWN_SIZE)
+    fixture = settings.fixture
+    if settings.capsule:
+        capsule = find_settings(Capsule, "capsule", settings.capsule).model_dump(mode="json")
+        protocol = protocol_kinds().get(settings.kind)
+        fixture = protocol.fixture if fixture is None and protocol is not None else fixture
+    specimen: dict[str, Attribute] = {"name": settings.specimen or default_name, "wall_thickness_mm": UNKNOWN_SIZE}
+    if settings.specimen.endswith(".toml"):
+        stated = find_settings(Specimen, "specimen", settings.specimen).model_dump(mode="json", exclude_none=True)
+        specimen = {key: value for key, value in stated.items() if value != ""}
+    if settings.wall_thickness_mm is not None:
+        specimen["wall_thickness_mm"] = settings.wall_thickness_mm
+    return _Circumstances(capsule, specimen, fixture)
+
+
+def _shown_protocol(kind: str, measured: ConvertedMeasurement, specimen: Mapping[str, Attribute]) -> dict[str, float]:
+    """Return the parameters that runs of a kind must state, as the measured motion shows them; empty without one.
+
+    Speed and acceleration are rounded to three digits, so that repeats at one set speed stay together.
+    """
+    wanted = PARAMETERS_OF_KIND.get(kind, ())
+    phase, position = measured.columns["phase"], np.asarray(measured.columns["position"], dtype=np.float64)
+    time = np.asarray(measured.columns["time"], dtype=np.float64)
+    steady = np.flatnonzero(phase == int(Phase.STEADY))
+    ramp = np.flatnonzero(phase == int(Phase.ACCELERATE))
+    if not wanted or len(steady) < 2 or len(steady) == len(phase):
+        return {}
+    speed = float(np.polyfit(time[steady], position[steady], 1)[0])
+    period = 1 / measured.sample_rate_hz
+    ramp_s = max(len(ramp), 1) * period
+    first, last = max(int((phase == int(Phase.REST)).sum()) - 1, 0), len(phase) - int((phase == int(Phase.HOLD)).sum())
+    travel = float(position[min(last, len(phase) - 1)] - position[first])
+    rest_s, hold_s = (float((phase == int(at)).sum()) * period for at in (Phase.REST, Phase.HOLD))
+    # The speed is smoothed over a window, which hides how steep a shorter ramp is.
+    accel = abs(speed) / ramp_s if ramp_s > 3 * SPEED_WINDOW_S else UNKNOWN_SIZE
+    rounded_speed, rounded_accel = (float(f"{value:.3g}") for value in (abs(speed), accel))
+    wall_mm = specimen["wall_thickness_mm"]
+    strain = abs(travel) / wall_mm if isinstance(wall_mm, float) and isfinite(wall_mm) else None
+    shown = {
+        "speed_mm_s": rounded_speed,
+        "ramp_speed_mm_s": rounded_speed,
+        "accel_mm_s2": rounded_accel,
+        "ramp_accel_mm_s2": rounded_accel,
+        "travel_mm": round(travel, 3),
+        "rest_s": round(rest_s, 6),
+        "hold_s": round(hold_s, 6),
+        **({} if strain is None else {"shear_strain": float(f"{strain:.3g}")}),
+    }
+    return {key: shown[key] for key in wanted if key in shown}
 
 
 def _restore_export(table: ForeignTable, target: Path) -> ImportedRun:

@@ -424,11 +424,26 @@ class Experiment:
         sizes = {key: attribute_number(header, key) for key in keys}
         missing = [key for key, value in sizes.items() if value is None]
         if missing:
-            hint = ", as no import does; name another model with --nominal" if self.imported else ""
-            raise AnalysisError(f"{self.file}: the run does not state its capsule's {' and '.join(missing)}{hint}")
+            raise AnalysisError(
+                f"{self.file}: the run does not state its {', its '.join(self._not_stated(missing))}"
+                + (
+                    "; import it anew with --capsule, --fixture and --wall-thickness-mm, or name another model with "
+                    "--nominal"
+                    if self.imported
+                    else ""
+                )
+            )
         surface = "rough" if self.contact is Contact.STICKING else "smooth"
         name = str(header.get("name") or "capsule")
         return Capsule.model_validate({"name": name, "surface": surface, **sizes})
+
+    def _not_stated(self, missing: Sequence[str]) -> list[str]:
+        """Return all that the capsule model needs of the run and nobody stated."""
+        specimen = self.run.info.header.specimen
+        further = ["wall's thickness"] if attribute_number(specimen, "wall_thickness_mm") is None else []
+        if self.imported and self.fixture is Fixture.NONE and self.kind != "blank":
+            further.append("fixture")
+        return [f"capsule ({', '.join(missing)})", *further]
 
 
 def session_starts(experiments: Sequence[Experiment]) -> tuple[float, ...] | None:

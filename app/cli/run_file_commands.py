@@ -157,6 +157,10 @@ class _ImportOptions(TypedDict):
     to_s: float | None
     kind: str | None
     specimen: str | None
+    wall_thickness_mm: float | None
+    capsule: str | None
+    fixture: str | None
+    insertion_dwell_s: float | None
     operator: str | None
     note: str | None
     start_time: str | None
@@ -191,7 +195,11 @@ class _ImportOptions(TypedDict):
 @click.option(
     "--set", "protocol", metavar="KEY=VALUE", multiple=True, help="Parameters of the motion: speed_mm_s=5, …."
 )
-@click.option("--specimen", metavar="NAME", help="Specimen (default: the name of the file).")
+@click.option("--specimen", metavar="NAME|F", help="Specimen, or its TOML file (default: the name of the file).")
+@click.option("--wall-thickness-mm", type=float, metavar="MM", help="Thickness of the specimen's wall.")
+@click.option("--capsule", metavar="F|NAME", help="Capsule dummy: drag, rough, smooth, or its TOML file.")
+@click.option("--fixture", type=click.Choice(["foam", "vacuum", "none"]), help="What held the gut (default: by kind).")
+@click.option("--insertion-dwell-s", type=float, metavar="S", help="Age of the contact at the first sample.")
 @click.option("--operator", metavar="NAME", help="Operator's name, stored in the run file.")
 @click.option("--note", metavar="TEXT", help="Note, stored in the run file.")
 @click.option("--start-time", metavar="TIME", help="Start of the measurement, as 2026-05-04T09:15:00+02:00.")
@@ -213,6 +221,9 @@ def import_command(
     to time, force, position, command, motor_force or temperature with its unit: --map force=Load:N, or by number,
     --map time=1:s. A unit of another dimension needs a factor: --map force=Friction:1*1000. An export of this software
     needs no map. Existing files are never overwritten.
+
+    Capsule, wall and fixture make a measurement one that gap diagnose compares with the capsule model. What a kind
+    of run must state (speed, travel, …) and --set does not is taken from the position.
     """
     from dragrig.analysis import import_file
     from dragrig.api import import_settings, next_run_order

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Final
 
 from dragrig import present
@@ -114,6 +115,8 @@ def _attribute_text(name: str, value: Attribute) -> str:
         return "yes" if value else "no"
     if isinstance(value, str):
         return value
+    if not isfinite(value):
+        return "unknown"
     unit = UNIT_SUFFIXES.get(_unit_suffix(name), "")
     number = str(value) if isinstance(value, int) else GENERAL(value)
     if name == "shear_strain":
