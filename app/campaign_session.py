@@ -22,6 +22,7 @@ from dragrig.rig import (
     Campaign,
     CampaignProgress,
     FolderStore,
+    IdleReading,
     Mirror,
     MirrorReport,
     NullOperator,
@@ -37,6 +38,7 @@ from dragrig.rig import (
     latest_session_record,
     preflight,
     read_campaign,
+    read_idle,
     recover,
     specimen_remark,
     write_session_record,
@@ -47,6 +49,8 @@ from dragrig.setup import Pace, Setup, contact_position, open_backend, resolve_p
 ResultT = TypeVar("ResultT")
 
 _POLL_S = 0.02
+_IDLE_MEAN_S = 0.1
+"""Five periods of the mains."""
 _END_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
@@ -58,10 +62,16 @@ class _PendingPrompt:
 
 
 class PromptRelay:
-    """Passes a session's prompts to the operator on the calling thread."""
+    """Passes a session's prompts to the operator on the calling thread.
 
-    def __init__(self, operator: Operator) -> None:
-        self._operator = operator
+    Parameters
+    ----------
+    look
+        Reads force and position meanwhile: the thread that asks waits for the answer, so nothing else uses the rig.
+    """
+
+    def __init__(self, operator: Operator, look: Callable[[], IdleReading] | None = None) -> None:
+        self._operator, self._look = operator, look
         # Not a SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
         self._prompts: queue.Queue[_PendingPrompt] = queue.Queue()
 
@@ -80,11 +90,17 @@ class PromptRelay:
             return
         try:
             with _signal_handler(signal.default_int_handler):
-                pending.answer = self._operator.ask(pending.prompt)
+                pending.answer = self._operator.ask(replace(pending.prompt, look=self._look))
         except (KeyboardInterrupt, EOFError):
             pending.answer = Answer.ABORT
         finally:
             pending.answered.set()
+
+
+def idle_reader(backend: Backend, *, timed: bool) -> Callable[[], IdleReading]:
+    """Return what reads force and position while nothing is acquired; it takes no time where time is simulated."""
+    duration_s = _IDLE_MEAN_S if timed else 0.0
+    return lambda: read_idle(backend, duration_s)
 
 
 def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], operator: PromptRelay) -> ResultT:
@@ -232,9 +248,9 @@ def run_session(
         if backend.needs_hands and (remark := specimen_remark(setup.specimen)):
             options.tell(f"{remark}.")
         record = _session_record(setup, backend, options, calibrations)
-        operator = PromptRelay(observer)
+        timed = pace.real_time or backend.needs_hands
+        operator = PromptRelay(observer, idle_reader(backend, timed=timed))
         with open_store(record) as store:
-            timed = pace.real_time or backend.needs_hands
             session = Session(backend, programme, record, store, operator, observer, options.progress, real_time=timed)
             options.begun(session.abort)
             return run_on_worker(session.run, session.abort, operator)

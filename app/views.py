@@ -284,6 +284,9 @@ class RigDescription:
     meaning: str
     real: bool
     force_limit_mN: float
+    lowest_mm: float
+    highest_mm: float
+    """`lowest_mm`, `highest_mm`: the stage's limits, absolute."""
     data_root: str
 
 
@@ -317,6 +320,8 @@ def describe_rig(rig: RigSelection) -> RigDescription:
         meaning=meaning,
         real=not (simulated or setup.double),
         force_limit_mN=setup.rig.guard.force_limit_mN,
+        lowest_mm=setup.rig.stage.lowest_mm,
+        highest_mm=setup.rig.stage.highest_mm,
         data_root=str(setup.data_root),
     )
 
@@ -390,15 +395,32 @@ def shown_trace(path: Path, window_s: float | None = None, order: int | None = N
     settings = SavgolSettings(window, samples, default.order if order is None else order)
     smooth = filter_run(run, settings).trace
     indices, length = _even_grid(run)
+    origin_mm = _origin_mm(info)
     return ShownTrace(
         path=path,
         label=_run_label(info),
         rate_hz=rate,
         start_s=float(run.trace.time[0]) if len(run.trace.time) else 0.0,
-        channels={name: _on_even_grid(values, indices, length) for name, values in run.trace.channels.items()},
-        filtered={name: _on_even_grid(values, indices, length) for name, values in smooth.channels.items()},
+        channels=_shown_channels(run.trace.channels, indices, length, origin_mm),
+        filtered=_shown_channels(smooth.channels, indices, length, origin_mm),
         units={**run.trace.units, **smooth.units},
     )
+
+
+def _origin_mm(info: RunInfo) -> float:
+    """Return the absolute position of a run's start; 0 where it is not known, as of an imported run."""
+    origin_mm = info.header.entry.get("origin_mm", 0.0)
+    return float(origin_mm) if isinstance(origin_mm, int | float) else 0.0
+
+
+def _shown_channels(
+    channels: Mapping[str, AnyFloatArray], indices: npt.NDArray[np.intp], length: int, origin_mm: float
+) -> dict[str, npt.NDArray[np.float32]]:
+    """Return channels at even times, the position absolute as everywhere that a person reads it."""
+    shown = {name: _on_even_grid(values, indices, length) for name, values in channels.items()}
+    if "position" in shown:
+        shown["position"] = shown["position"] + np.float32(origin_mm)
+    return shown
 
 
 def steady_rows(paths: Sequence[Path]) -> tuple[TableRow, ...]:

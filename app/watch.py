@@ -44,6 +44,7 @@ class RunInProgress:
     samples: int
     force_mN: float | None
     position_mm: float | None
+    """Absolute."""
     recent_s: tuple[float, ...] = ()
     recent_mN: tuple[float, ...] = ()
     """`recent_s`, `recent_mN`: force of the last seconds, a few hundred points."""
@@ -219,6 +220,8 @@ def latest_campaign(folder: Path) -> Path:
 def _run_in_progress(run: Run, state: SessionState | None) -> RunInProgress:
     info, trace = run.info, run.trace
     has_samples = trace.time.size > 0
+    origin_mm = info.header.entry.get("origin_mm")
+    start_mm = origin_mm if isinstance(origin_mm, int | float) else 0.0
     mean_from = max(0, trace.time.size - max(1, round(FORCE_MEAN_S * trace.sample_rate_hz)))
     every = max(1, trace.time.size // RECENT_POINTS)
     force = np.asarray(trace.force[::every], dtype=np.float64)
@@ -231,7 +234,7 @@ def _run_in_progress(run: Run, state: SessionState | None) -> RunInProgress:
         run_s=state.run_s if state is not None and state.order == info.header.order else None,
         samples=info.samples,
         force_mN=float(np.nanmean(trace.force[mean_from:])) if has_samples else None,
-        position_mm=float(trace.position[-1]) if has_samples else None,
+        position_mm=start_mm + float(trace.position[-1]) if has_samples else None,
         recent_s=tuple(round(float(time_s), 4) for time_s in trace.time[::every]),
         recent_mN=tuple(round(float(force_mN), 2) for force_mN in force),
     )

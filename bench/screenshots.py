@@ -54,7 +54,7 @@ class Photographer:
 
     def take(self, name: str, widget: QWidget | None = None) -> None:
         """Take a picture."""
-        self.window.notices.complaint.hide()
+        self.window.notices.dismiss.click()
         self.live_for(0.2)
         self.window.resize(1500, 1000)
         self.live_for(0.4)

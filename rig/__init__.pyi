@@ -13,6 +13,7 @@ from .devices import BackendRequest as BackendRequest
 from .devices import Block as Block
 from .devices import Clock as Clock
 from .devices import Contact as Contact
+from .devices import IdleReading as IdleReading
 from .devices import RawReading as RawReading
 from .devices import RigCheck as RigCheck
 from .devices import Sampler as Sampler
@@ -24,6 +25,7 @@ from .devices import Trip as Trip
 from .devices import TripCause as TripCause
 from .devices import WallClock as WallClock
 from .devices import limits_with_override as limits_with_override
+from .devices import read_idle as read_idle
 from .devices import require_within_limits as require_within_limits
 from .devices import stage_limits as stage_limits
 from .devices import with_utc_offset as with_utc_offset

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
+from math import isfinite, nan
 from threading import Event as Signal
 from typing import Protocol, runtime_checkable
 
@@ -24,6 +25,7 @@ from dragrig.config import (
     RigSettings,
     Specimen,
     StageSettings,
+    reason_of,
 )
 from dragrig.rig.profile import AnyFloatArray, MotionExtremes, MotionProfile
 from dragrig.rig.runfile import RecordedChannel
@@ -78,9 +80,11 @@ class RawReading:
     """`counts_begin`, `counts_end`: the encoder's count at the first and the last sample, rising where the stage moves
     up.
     """
+    force_mN: float = nan
+    """Mean force by the calibration in force; NaN where the sampler does not say."""
 
     @classmethod
-    def of(cls, force_V: AnyFloatArray, counts: AnyFloatArray) -> "RawReading":
+    def of(cls, force_V: AnyFloatArray, counts: AnyFloatArray, force_mN: float = nan) -> "RawReading":
         """Summarise volts and counts, both of shape `(n,)`."""
         return cls(
             force_V=float(np.mean(force_V, dtype=np.float64)),
@@ -88,6 +92,7 @@ class RawReading:
             samples=len(force_V),
             counts_begin=round(float(counts[0])),
             counts_end=round(float(counts[-1])),
+            force_mN=force_mN,
         )
 
 
@@ -321,6 +326,38 @@ class SupportsBenchActions(Protocol):
 
     def push(self, distance_mm: float, within_s: float) -> None:
         """Push the carriage, switched off, by a signed distance during the next measurement."""
+
+
+@dataclass(frozen=True, slots=True)
+class IdleReading:
+    """Force and position while nothing is acquired; None where one is not known."""
+
+    force_mN: float | None
+    position_mm: float | None
+    """Absolute; None before the stage is homed."""
+    problem: str = ""
+    """What forbids motion, or why nothing could be read; empty when all is well."""
+
+
+def read_idle(backend: Backend, duration_s: float) -> IdleReading:
+    """Read force and position without motion, as a person sees them who mounts a specimen.
+
+    Only while nothing is armed, and from the thread that would arm.
+
+    Parameters
+    ----------
+    duration_s
+        The force is the mean over this time; 0 takes one sample, and no time of a simulated clock.
+    """
+    try:
+        state, raw = backend.stage.state(), backend.sampler.measure(duration_s)
+    except DeviceError as error:
+        return IdleReading(None, None, reason_of(error))
+    return IdleReading(
+        force_mN=raw.force_mN if isfinite(raw.force_mN) else None,
+        position_mm=state.position_mm if state.homed else None,
+        problem="" if state.fault is None else state.fault.message,
+    )
 
 
 @dataclass(frozen=True, slots=True)

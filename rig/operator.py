@@ -3,15 +3,15 @@
 Before motion: the guard's reset and homing. After it: stop, standstill, drive off.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from threading import Event as Signal
 from typing import Protocol
 
 from dragrig.config import AbortedError, TrippedError
-from dragrig.rig.devices import Backend, StageLimits
+from dragrig.rig.devices import Backend, IdleReading, StageLimits
 from dragrig.rig.engine import AcquisitionOutcome, attempt
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import MotionProfile, trapezoid
@@ -48,6 +48,8 @@ class Prompt:
     can_skip: bool = False
     hands: bool = True
     """Whether a person must do or check something at the rig: no program may answer then."""
+    look: Callable[[], IdleReading] | None = field(default=None, compare=False)
+    """Reads force and position while the prompt is open, on the thread that asks; None where nobody can."""
 
 
 @dataclass(frozen=True, slots=True)

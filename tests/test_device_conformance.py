@@ -14,7 +14,7 @@ from voltage_bench import LEAD_S, open_voltage_rig, velocity_rig
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
-from dragrig.rig.devices import MAX_BLOCK_S, Backend, BackendRequest
+from dragrig.rig.devices import MAX_BLOCK_S, Backend, BackendRequest, read_idle
 from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, Phase, Piece
 from dragrig.sim_backend.devices import open_backend
 from dragrig.sim_backend.doubles.backend import open_backend as open_double
@@ -234,6 +234,19 @@ def test_sampler_measures_raw_values_between_acquisitions(rig: RigUnderTest, bac
     assert 0 < reading.force_V_sd < 0.1
     assert abs(reading.counts_end - reading.counts_begin) <= rig.creep_counts
     assert record(backend, acquire(rest(0.1))).blocks[-1].end_index == 0.1 * backend.sampler.sample_rate_hz
+
+
+def test_force_and_position_can_be_read_between_acquisitions(cold: Backend) -> None:
+    assert read_idle(cold, 0.0).position_mm is None
+    cold.stage.enable()
+    cold.stage.home()
+    until(lambda: not cold.stage.state().moving)
+    reading = read_idle(cold, 0.1)
+    assert reading.problem == ""
+    assert reading.position_mm == pytest.approx(cold.stage.state().position_mm, abs=0.1)
+    assert abs(reading.force_mN or 99.0) < 20.0
+    cold.sampler.arm(acquire(rest(0.1)))
+    assert "stop it before a measurement" in read_idle(cold, 0.1).problem
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from dragrig.engine_host.messages import (
     PromptShown,
     ResetGuard,
     RigExamined,
+    RigIdle,
     RigSelection,
     RunFinished,
     RunStarted,
@@ -26,6 +27,7 @@ from dragrig.engine_host.messages import (
     SessionStarted,
     SessionWaiting,
     StartSession,
+    WatchRig,
 )
 from dragrig.rig.operator import Answer
 from dragrig.rig.profile import Phase
@@ -229,3 +231,45 @@ def test_every_device_is_reported(tmp_path: Path, heard: Listener) -> None:
     assert result.devices
     assert all(check.passed for check in result.devices)
     assert not result.error
+
+
+def test_force_and_position_are_read_between_sessions_and_at_prompts(heard: Listener, tmp_path: Path) -> None:
+    heard.client.ask(WatchRig(on=True))
+    idle = heard.until(RigIdle)
+    assert isinstance(idle, RigIdle)
+    assert abs(idle.reading.force_mN or 99.0) < 20
+    assert idle.reading.position_mm is None  # nobody has homed it
+    heard.answer = None
+    heard.client.ask(StartSession(SessionJob(1, plan(prompt="Mount the specimen"), out=tmp_path / "runs")))
+    asked = heard.until(PromptShown)
+    heard.client.ask(WatchRig(on=False))  # as of the times between sessions
+    at_prompt = heard.until(RigIdle)
+    assert isinstance(asked, PromptShown)
+    assert isinstance(at_prompt, RigIdle)
+    assert at_prompt.reading.position_mm == pytest.approx(40.0, abs=0.01)
+    heard.client.ask(PromptReply(asked.question, Answer.DONE))
+    begun = heard.until(RunStarted)
+    assert isinstance(begun, RunStarted)
+    assert begun.run.start_mm == 40.0
+    heard.until(SessionFinished)
+    heard.heard.clear()
+    heard.client.ask(ExamineRig())
+    heard.until(RigExamined)
+    assert not [event for event in heard.heard if isinstance(event, RigIdle)]
+
+
+def test_looking_takes_no_time_where_time_is_simulated(heard: Listener, tmp_path: Path) -> None:
+    """Else runs would depend on how long a person takes to answer."""
+    files = []
+    for number, looks in enumerate((1, 5)):
+        heard.answer, folder = None, tmp_path / str(number)
+        heard.client.ask(StartSession(SessionJob(number, plan(prompt="Mount the specimen"), out=folder)))
+        asked = heard.until(PromptShown)
+        assert isinstance(asked, PromptShown)
+        for _ in range(looks):
+            heard.until(RigIdle)
+        heard.client.ask(PromptReply(asked.question, Answer.DONE))
+        heard.until(SessionFinished)
+        files.append(only_run(folder))
+    first, second = files
+    np.testing.assert_array_equal(first.trace.force, second.trace.force)

@@ -17,14 +17,14 @@ from PySide6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 import dragrig
-from dragrig.engine_host.messages import RigSelection
+from dragrig.engine_host.messages import GuardState, RigSelection
 from dragrig.rig.operator import Answer
 from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.views import plan_form
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
-from dragrig.window.widgets import StoredSettings
+from dragrig.window.widgets import StoredSettings, Topic
 
 BUSY_S = 600.0
 """A machine that tests may hold the window up for long."""
@@ -64,7 +64,7 @@ def window(shared: MainWindow, until: Until) -> MainWindow:
     """A window with nothing in its queue, whose guard is reset."""
     assert not shared.run.session_running
     shared.run.queue.entries.clear()
-    shared.notices.complaint.hide()
+    shared.notices.dismiss.click()
     shared.go_to(shared.run)
     if shared.guard.text() != "guard: armed":
         press(shared.reset)
@@ -411,6 +411,69 @@ def test_an_offered_plan_can_be_selected_again(window: MainWindow) -> None:
     plans.setCurrentIndex(offered)
     assert window.run.new.plan().name == "coulomb"
     assert window.run.preview.summary.text() != "This plan cannot be used yet"
+
+
+def test_a_reading_is_live_or_grey_with_its_age_or_gone(window: MainWindow, until: Until) -> None:
+    shown = window.run.live.readings
+    force, position, speed = shown.readings.values()
+    slow(window)
+    window.run.new.editor.put("prompt", "Mount the specimen")
+    window.run.new.update_preview()
+    press(window.run.new.start)
+    until(window.notices.prompt.isVisible)
+    until(lambda: shown.about.text() == "live; a prompt is open")
+    assert (position.text(), speed.text()) == ("40.00 mm", "–")
+    press(window.notices.answers[Answer.DONE])
+    until(lambda: moving(window) and speed.text() == "0.2 mm/s")
+    assert 40.0 < float(position.text().split()[0]) < 50.0  # absolute, as the limits beside it
+    assert shown.limits.text() == "of 0 to 150 mm"
+    assert shown.about.text().startswith("live; steady")
+    press(window.stop_button)
+    until(lambda: not window.run.session_running)
+    assert speed.text() == "–"
+    until(lambda: shown.about.text() == "live; idle")
+    assert position.text() == "not homed"  # a simulated drive forgets
+    assert force.text().endswith(" mN")
+    assert "Session ended" in window.notices.complaint_text.text()
+    press(window.run.new.start)
+    assert not window.notices.complaint.isVisible()  # another session: no longer true
+    assert window.run.live.run is None  # nor are the curves of the one before
+    until(window.notices.prompt.isVisible)
+    assert speed.text() == "–"
+    press(window.notices.answers[Answer.ABORT])
+    until(lambda: not window.run.session_running)
+    window.run.devices.watch.setChecked(False)
+    assert (force.text(), shown.about.text()) == ("–", "not read between sessions")
+    shown.show_values(12.0, 3.0, 4.0, "steady")
+    assert force.property("role") == "reading"
+    shown._taken_s -= 5.0
+    shown.show_age()
+    assert (force.text(), speed.text()) == ("12 mN", "–")
+    assert force.property("role") == "old reading"
+    assert shown.about.text() == "5.0 s ago; steady"
+    window.run.devices.watch.setChecked(True)
+    until(lambda: shown.about.text() == "live; idle")
+
+
+def test_a_reading_of_nothing_has_no_sign(window: MainWindow) -> None:
+    shown = window.run.live.readings
+    shown.show_values(-0.2, -0.001, None, "idle")
+    assert shown.readings["Force"].text() == "0 mN"
+    assert shown.readings["Position"].text() == "0.00 mm"
+
+
+def test_a_complaint_goes_away_once_it_is_no_longer_true(window: MainWindow) -> None:
+    notices = window.notices
+    notices.complain("the guard is tripped", Topic.GUARD)
+    notices.complain("dismiss me")
+    window.take(GuardState(""))
+    assert "guard is tripped" not in notices.complaint_text.text()
+    assert "dismiss me" in notices.complaint_text.text()
+    press(notices.dismiss)
+    window.diagnose.complained.emit("no such campaign")
+    assert notices.complaint.isVisible()
+    window.diagnose.begun.emit()
+    assert not notices.complaint.isVisible()
 
 
 def test_a_reset_after_a_stop_asks_its_prompt(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:

@@ -8,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Generic, TypeVar, Unpack
 
-from dragrig.campaign_session import PromptRelay, run_on_worker
+from dragrig.campaign_session import PromptRelay, idle_reader, run_on_worker
 from dragrig.config import AbortedError, Calibration, ContactPoint, DeviceError, SettingsError
 from dragrig.rig import (
     JOG_SPEED_MM_S,
@@ -162,13 +162,15 @@ def run_on_bench(
     DragrigError
         What the work raises; also when the rig cannot be opened or switched off.
     """
-    paced, operator = resolve_pace(pace, double=setup.double), PromptRelay(person or NullOperator())
+    paced = resolve_pace(pace, double=setup.double)
     request = BackendRequest(
         setup.rig, setup.model, paced.real_time, None, setup.calibrations(), pace=paced.times_faster
     )
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         guard = Guard(setup.rig.guard, 1e-3 * setup.rig.encoder.resolution_um)
         engine = Engine(backend, setup.rig, guard)
+        look = idle_reader(backend, timed=paced.real_time or backend.needs_hands)
+        operator = PromptRelay(person or NullOperator(), look)
         bench = OpenRig(setup, backend, ManualControl(backend, guard, engine, operator))
         try:
             result = run_on_worker(lambda: work(bench), engine.abort, operator)

@@ -9,6 +9,7 @@ from .messages import ExamineRig as ExamineRig
 from .messages import GuardState as GuardState
 from .messages import HostLost as HostLost
 from .messages import HostReady as HostReady
+from .messages import IdleReading as IdleReading
 from .messages import LiveSamples as LiveSamples
 from .messages import MirrorStatus as MirrorStatus
 from .messages import OperatorWarning as OperatorWarning
@@ -20,6 +21,7 @@ from .messages import Request as Request
 from .messages import RequestRefused as RequestRefused
 from .messages import ResetGuard as ResetGuard
 from .messages import RigExamined as RigExamined
+from .messages import RigIdle as RigIdle
 from .messages import RigSelection as RigSelection
 from .messages import RunFinished as RunFinished
 from .messages import RunStarted as RunStarted
@@ -29,3 +31,4 @@ from .messages import SessionJob as SessionJob
 from .messages import SessionStarted as SessionStarted
 from .messages import SessionWaiting as SessionWaiting
 from .messages import StartSession as StartSession
+from .messages import WatchRig as WatchRig

@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config import Plan
-from dragrig.rig import PHASE_NAMES, Answer, Reading, RigCheck, RunStatus
+from dragrig.rig import PHASE_NAMES, Answer, IdleReading, Reading, RigCheck, RunStatus
 from dragrig.setup import Pace, RigChoices
 
 __all__ = [
     "PHASE_NAMES",
     "Answer",
+    "IdleReading",
     "Pace",
     "RunStatus",
 ]  # types of the messages' fields, for clients that do not import the rig
@@ -98,6 +99,13 @@ class ResetGuard:
 
 
 @dataclass(frozen=True, slots=True)
+class WatchRig:
+    """Read force and position whenever nothing is done, or leave the rig to other programs meanwhile."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Heartbeat:
     """A sign of life."""
 
@@ -107,7 +115,9 @@ class StopHost:
     """End the process, after ending a running session."""
 
 
-Request: TypeAlias = StartSession | AbortSession | PromptReply | ExamineRig | ResetGuard | Heartbeat | StopHost
+Request: TypeAlias = (
+    StartSession | AbortSession | PromptReply | ExamineRig | ResetGuard | WatchRig | Heartbeat | StopHost
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +150,8 @@ class QueuedRun:
     summary: str
     wait_s: float
     duration_s: float
+    start_mm: float = 0.0
+    """Absolute position where it begins, to which the live positions are relative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +189,13 @@ class RunFinished:
     reason: str
     samples: int
     warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RigIdle:
+    """Force and position while nothing is acquired: between sessions, and while a prompt is open."""
+
+    reading: IdleReading
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,6 +258,7 @@ Event: TypeAlias = (
     | SessionWaiting
     | RunStarted
     | RunFinished
+    | RigIdle
     | PromptShown
     | OperatorWarning
     | SessionFinished

@@ -5,7 +5,7 @@ import queue
 import signal
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -13,8 +13,8 @@ from threading import Event as Signal
 from threading import Lock, Thread
 
 from dragrig.api import examine, run_on_bench
-from dragrig.campaign_session import Made, SessionOptions, resume_campaign, start_campaign
-from dragrig.config import DragrigError, TrippedError
+from dragrig.campaign_session import Made, SessionOptions, idle_reader, resume_campaign, start_campaign
+from dragrig.config import DragrigError, TrippedError, reason_of
 from dragrig.engine_host.messages import (
     SILENCE_TIMEOUT_S,
     AbortSession,
@@ -33,6 +33,7 @@ from dragrig.engine_host.messages import (
     RequestRefused,
     ResetGuard,
     RigExamined,
+    RigIdle,
     RigSelection,
     RingMemory,
     RunFinished,
@@ -43,9 +44,22 @@ from dragrig.engine_host.messages import (
     SessionWaiting,
     StartSession,
     StopHost,
+    WatchRig,
 )
-from dragrig.rig import AcquisitionOutcome, Answer, PlannedRun, Programme, Prompt, Reading, RigCheck, RunStatus
-from dragrig.setup import resolve, resolve_rig
+from dragrig.rig import (
+    AcquisitionOutcome,
+    Answer,
+    Backend,
+    BackendRequest,
+    IdleReading,
+    PlannedRun,
+    Programme,
+    Prompt,
+    Reading,
+    RigCheck,
+    RunStatus,
+)
+from dragrig.setup import open_backend, resolve, resolve_pace, resolve_rig
 
 _POLL_S = 0.25
 CLIENT_GONE = "the window is gone"
@@ -102,9 +116,12 @@ class RequestReceiver:
         self.gone = Signal()
         Thread(target=self._receive_all, name="receiver", daemon=True).start()
 
-    def next(self) -> Request | None:
-        """Wait for a request; None once the client is gone."""
-        numbered = None if self.gone.is_set() else self._requests.get()
+    def next(self, within_s: float | None = None) -> Request | None:
+        """Wait for a request; None once the client is gone, and when none arrives in this time."""
+        try:
+            numbered = None if self.gone.is_set() else self._requests.get(timeout=within_s)
+        except queue.Empty:
+            return None
         if numbered is None:
             return None
         with self._lock:
@@ -118,8 +135,11 @@ class RequestReceiver:
         if abort is not None and reason:
             abort(reason)
 
-    def await_answer(self, question: int, ask: Callable[[], None]) -> Answer:
-        """Ask a question and wait for its answer, which is an abort if the current request is aborted."""
+    def await_answer(self, question: int, ask: Callable[[], None], idle: Callable[[], None] | None = None) -> Answer:
+        """Ask a question and wait for its answer, which is an abort if the current request is aborted.
+
+        `idle` is called again and again meanwhile.
+        """
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
         with self._lock:
             self._answers[question] = answers
@@ -128,7 +148,11 @@ class RequestReceiver:
         try:
             # After its queue exists: the answer may arrive at once.
             ask()
-            return answers.get()
+            while True:
+                with suppress(queue.Empty):
+                    return answers.get(timeout=None if idle is None else IDLE_INTERVAL_S)
+                if idle is not None:
+                    idle()
         finally:
             with self._lock:
                 del self._answers[question]
@@ -198,7 +222,9 @@ class RemoteOperator:
         """Show a prompt and wait for the answer, which is an abort if the session is aborted."""
         number = next(self._numbers)
         shown = PromptShown(number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
-        return self._receiver.await_answer(number, lambda: self._sender.say(shown))
+        look = prompt.look
+        idle = None if look is None else lambda: self._sender.say(RigIdle(look()))
+        return self._receiver.await_answer(number, lambda: self._sender.say(shown), idle)
 
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Report the runs still to make."""
@@ -226,7 +252,7 @@ class RemoteOperator:
 
 
 def _queued_run(run: PlannedRun) -> QueuedRun:
-    return QueuedRun(run.index, run.protocol.summary(), run.wait_s, run.duration_s)
+    return QueuedRun(run.index, run.protocol.summary(), run.wait_s, run.duration_s, run.start_mm)
 
 
 NOT_YET_RESET = "not reset since the start; check: path clear, hands out, e-stop in reach"
@@ -246,6 +272,61 @@ def serve(
     sender.close()
 
 
+IDLE_INTERVAL_S = 0.2
+"""Interval of the readings while nothing is acquired."""
+_RETRY_S = 5.0
+"""Interval of the attempts at a rig that another program uses, or that is not there."""
+
+
+class IdleRig:
+    """The rig while nothing is asked of it: opened to be read, its drive off, and closed for whoever moves it."""
+
+    def __init__(self, rig: RigSelection) -> None:
+        self._rig = rig
+        self._backend: Backend | None = None
+        self._look: Callable[[], IdleReading] = lambda: IdleReading(None, None)
+        self._failed = False
+        self.on = False
+        """Whether it is read; otherwise it is left to other programs."""
+
+    @property
+    def interval_s(self) -> float | None:
+        """Time until the next reading; None for none."""
+        return (_RETRY_S if self._failed else IDLE_INTERVAL_S) if self.on else None
+
+    def look(self) -> IdleReading | None:
+        """Return force and position; None when it is not to be read."""
+        if not self.on:
+            return None
+        try:
+            backend = self._backend = self._backend or self._open()
+        except DragrigError as error:
+            self._failed = True
+            return IdleReading(None, None, reason_of(error))
+        reading = self._look()
+        self._failed = reading.force_mN is None
+        if self._failed:
+            backend.close()
+            self._backend = None
+        return reading
+
+    def close(self) -> None:
+        """Leave the rig."""
+        backend, self._backend, self._failed = self._backend, None, False
+        if backend is not None:
+            backend.close()
+
+    def _open(self) -> Backend:
+        setup = resolve_rig(**self._rig.choices())
+        pace = resolve_pace(self._rig.pace if setup.double else None, double=setup.double)
+        request = BackendRequest(
+            setup.rig, setup.model, pace.real_time, None, setup.calibrations(), pace=pace.times_faster
+        )
+        backend = open_backend(setup.backend, request, double=setup.double)
+        self._look = idle_reader(backend, timed=pace.real_time or backend.needs_hands)
+        return backend
+
+
 class EngineHost:
     """Handles requests on the process's main thread, where a session can handle signals."""
 
@@ -253,19 +334,32 @@ class EngineHost:
         self._sender, self._receiver, self._rig = sender, receiver, rig
         self._operator = RemoteOperator(sender, receiver, live)
         self._trip_reason = NOT_YET_RESET
+        self._idle = IdleRig(rig)
 
     def run(self) -> None:
         """Handle requests until the client is gone."""
         self._sender.say(HostReady(os.getpid()))
         self._sender.say(GuardState(self._trip_reason))
-        while (request := self._receiver.next()) is not None:
-            try:
-                self._handle(request)
-            except Exception as error:  # noqa: BLE001  # the client must know, and the host must go on
-                self._sender.say(RequestRefused(f"a bug ({type(error).__name__}: {error}); please report it."))
+        with closing(self._idle):
+            while not self._receiver.gone.is_set():
+                try:
+                    self._handle_next()
+                except Exception as error:  # noqa: BLE001  # the client must know, and the host must go on
+                    self._sender.say(RequestRefused(f"a bug ({type(error).__name__}: {error}); please report it."))
+
+    def _handle_next(self) -> None:
+        request = self._receiver.next(self._idle.interval_s)
+        if request is not None:
+            # What is asked opens the rig itself.
+            self._idle.close()
+            self._handle(request)
+        elif (reading := self._idle.look()) is not None:
+            self._sender.say(RigIdle(reading))
 
     def _handle(self, request: Request) -> None:
         match request:
+            case WatchRig(on):
+                self._idle.on = on
             case StartSession(job):
                 self._start(job)
             case ExamineRig():

@@ -98,6 +98,8 @@ class DiagnosePage(QWidget):
     """Selects a campaign, diagnoses it in its own process, and shows the result."""
 
     complained = Signal(str)
+    begun = Signal()
+    """A diagnosis has begun: errors of the one before are no longer true."""
     next_experiment = Signal(str, PlanForm)
 
     def __init__(self, stored: StoredSettings) -> None:
@@ -153,6 +155,7 @@ class DiagnosePage(QWidget):
 
     def diagnose(self) -> None:
         """Start the diagnosis."""
+        self.begun.emit()
         self._process = DiagnosisProcess(
             DiagnosisTask(self.campaign.text().strip(), self.nominal.currentText().strip())
         )

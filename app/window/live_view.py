@@ -11,7 +11,7 @@ from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QCheckBox, QWidget
 
 from dragrig.analysis import SavgolSettings, SavgolStream, default_filter_settings
-from dragrig.engine_host import PHASE_NAMES, LiveSamples
+from dragrig.engine_host import PHASE_NAMES, IdleReading, LiveSamples
 from dragrig.present import BLUE, GREEN, PALE, PURPLE, duration_text
 from dragrig.window.plots import TimePlot
 from dragrig.window.trace_pyramid import TracePyramid
@@ -23,7 +23,7 @@ MIN_BLOCK_S = 0.0005
 
 @dataclass(frozen=True, slots=True)
 class LiveValues:
-    """The latest values; filtered force and speed lag by half the filter's window."""
+    """The latest values, the position absolute; filtered force and speed lag by half the filter's window."""
 
     time_s: float = 0.0
     force_mN: float = float("nan")
@@ -33,10 +33,10 @@ class LiveValues:
 
 
 class LiveRun:
-    """The traces of a run in progress."""
+    """The traces of a run in progress, whose positions are absolute: it begins at `start_mm`."""
 
-    def __init__(self, serial: int, rate_hz: float) -> None:
-        self.serial, self.rate_hz = serial, rate_hz
+    def __init__(self, serial: int, rate_hz: float, start_mm: float = 0.0) -> None:
+        self.serial, self.rate_hz, self.start_mm = serial, rate_hz, start_mm
         base = max(1, round(MIN_BLOCK_S * rate_hz))
         self.force, self.filtered, self.position, self.speed = (TracePyramid(base) for _ in range(4))
         settings = default_filter_settings(rate_hz)
@@ -50,7 +50,7 @@ class LiveRun:
         if fresh.missed:
             self._skip(fresh.missed)
         self.force.append(fresh.force)
-        self.position.append(fresh.position)
+        self.position.append(fresh.position + np.float64(self.start_mm))
         force = self._force.push(fresh.force, fresh.first_index)
         speed = self._position.push(fresh.position, fresh.first_index)
         self.filtered.append(force)
@@ -72,7 +72,7 @@ class LiveRun:
         self.latest = LiveValues(
             time_s=(fresh.first_index + len(fresh.force)) / self.rate_hz,
             force_mN=_last_finite(force, self.latest.force_mN),
-            position_mm=_last_finite(fresh.position, self.latest.position_mm),
+            position_mm=_last_finite(fresh.position + np.float64(self.start_mm), self.latest.position_mm),
             speed_mm_s=_last_finite(speed, self.latest.speed_mm_s),
             phase=PHASE_NAMES[phase] if phase < len(PHASE_NAMES) else "",
         )
@@ -92,6 +92,8 @@ STALE_S = 1.0
 """A value that is older is shown with its age, and no longer in black."""
 _AGE_INTERVAL_MS = 250
 _NO_VALUE = "–"
+_WIDEST = {"Force": "−8888 mN", "Position": "not homed", "Speed": "−888.8 mm/s"}
+"""The readings, with the widest text of each."""
 
 
 class RigReadings(QWidget):
@@ -99,18 +101,16 @@ class RigReadings(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.readings = {name: label(_NO_VALUE, "reading") for name in ("force", "position", "speed")}
+        self.readings = {name: label(_NO_VALUE, "reading") for name in _WIDEST}
         for name, reading in self.readings.items():
             reading.setAccessibleName(name)
-            reading.setMinimumWidth(reading.fontMetrics().horizontalAdvance("−88888.88 mm/s"))
+            reading.ensurePolished()
+            reading.setMinimumWidth(reading.fontMetrics().horizontalAdvance(_WIDEST[name]))
         self.limits = label("", "faint")
         self.about = ElidedLabel("", "faint")
         self._taken_s: float | None = None
         self._live_about = ""
-        captions = (label(name, "faint") for name in ("Force", "Position", "Speed"))
-        force, position, speed = (
-            row(caption, value) for caption, value in zip(captions, self.readings.values(), strict=True)
-        )
+        force, position, speed = (row(label(name, "faint"), value) for name, value in self.readings.items())
         self.setLayout(row(force, position, self.limits, speed, self.about, stretch={4: 1}))
         self._age = QTimer(self)
         self._age.timeout.connect(self.show_age)
@@ -126,15 +126,17 @@ class RigReadings(QWidget):
         """Show values taken now; None is shown as no value, and `about` says what the rig does."""
         self._taken_s, self._live_about = time.monotonic(), about
         for name, value, digits, unit in (
-            ("force", force_mN, 0, "mN"), ("position", position_mm, 2, "mm"), ("speed", speed_mm_s, 1, "mm/s"),
+            ("Force", force_mN, 0, "mN"), ("Position", position_mm, 2, "mm"), ("Speed", speed_mm_s, 1, "mm/s"),
         ):  # fmt: skip
+            # Adding zero takes the sign off a rounded −0.
             known = value is not None and isfinite(value)
-            self.readings[name].setText(f"{value:.{digits}f} {unit}".replace("-", "−") if known else _NO_VALUE)
+            text = f"{round(value, digits) + 0.0:.{digits}f} {unit}" if known and value is not None else _NO_VALUE
+            self.readings[name].setText(text.replace("-", "−"))
         self.show_age()
 
     def end_motion(self, about: str) -> None:
         """Show no speed any more: nothing moves; force and position age until the next values."""
-        self.readings["speed"].setText(_NO_VALUE)
+        self.readings["Speed"].setText(_NO_VALUE)
         self._live_about = about
         self.show_age()
 
@@ -153,7 +155,7 @@ class RigReadings(QWidget):
         age_s = time.monotonic() - self._taken_s
         old = age_s > STALE_S
         if old:
-            self.readings["speed"].setText(_NO_VALUE)
+            self.readings["Speed"].setText(_NO_VALUE)
         self.about.setText(f"{duration_text(age_s)} ago; {self._live_about}" if old else f"live; {self._live_about}")
         self._set_old(old=old)
 
@@ -176,6 +178,7 @@ class LiveView(QWidget):
         self.title = ElidedLabel("No run yet: choose a plan, check the preview, and start.", "title")
         self.readings = RigReadings()
         self._start_mm = 0.0
+        self._recording = False
         self.only_last = QCheckBox(f"Onl&y the last {RECENT_SPAN_S:g} s")
         self.only_last.toggled.connect(lambda _: self._draw())
         self.force = TimePlot("Force", "mN")
@@ -200,14 +203,50 @@ class LiveView(QWidget):
         self.setLayout(layout)
         Thread(target=preload_filter, name="warm-up", daemon=True).start()
 
+    def set_limits(self, lowest_mm: float, highest_mm: float) -> None:
+        """Show the stage's limits beside the position, and in its plot where they are in view."""
+        self.readings.set_limits(lowest_mm, highest_mm)
+        for level, name in ((lowest_mm, "lower limit"), (highest_mm, "upper limit")):
+            self.position.level(level, name, in_view=False)
+
+    def begin_session(self, title: str) -> None:
+        """Show a title, and no longer the curves of the session before."""
+        self.begin(title)
+        self.run = None
+        for line in (self._raw, self._filtered, self._position, self._speed):
+            line.points(np.zeros(0), np.zeros(0))
+
     def begin(self, title: str) -> None:
-        """Show the title of the run."""
+        """Show a title."""
         self.title.setText(title)
+
+    def begin_run(self, title: str, start_mm: float) -> None:
+        """Show the title of a run that begins at an absolute position."""
+        self.begin(title)
+        self._start_mm, self._recording = start_mm, True
+
+    def end_run(self, title: str) -> None:
+        """Show that the run is over: its curves stay, and its speed is no reading any more."""
+        self.begin(title)
+        self._recording = False
+        self.readings.end_motion("the run has ended")
+
+    def show_idle(self, reading: IdleReading, doing: str) -> None:
+        """Show force and position while nothing is acquired."""
+        if self._recording:
+            return
+        about = "; ".join(filter(None, (doing, reading.problem)))
+        if reading.force_mN is None:
+            self.readings.clear(about)
+            return
+        self.readings.show_values(reading.force_mN, reading.position_mm, None, about)
+        if reading.position_mm is None:
+            self.readings.readings["Position"].setText("not homed")
 
     def take(self, fresh: LiveSamples) -> None:
         """Show samples."""
         if self.run is None or self.run.serial != fresh.serial:
-            self.run = LiveRun(fresh.serial, fresh.rate_hz)
+            self.run = LiveRun(fresh.serial, fresh.rate_hz, self._start_mm)
             for line, values in (
                 (self._raw, self.run.force),
                 (self._filtered, self.run.filtered),
@@ -219,9 +258,9 @@ class LiveView(QWidget):
         latest = self.run.latest
         self.readings.show_values(
             latest.force_mN,
-            self._start_mm + latest.position_mm,
-            latest.speed_mm_s,
-            f"{latest.phase}, {latest.time_s:.1f} s" if latest.phase else "",
+            latest.position_mm,
+            latest.speed_mm_s if self._recording else None,
+            f"{latest.phase}, {latest.time_s:.1f} s" if self._recording else "the run has ended",
         )
         if self.isVisible():
             self._draw()

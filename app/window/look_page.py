@@ -366,6 +366,8 @@ class LookPage(QWidget):
     """Browser, traces, steady forces, export."""
 
     complained = Signal(str)
+    begun = Signal()
+    """Other runs are read: errors of those before are no longer true."""
 
     def __init__(self, folder: Path, stored: StoredSettings) -> None:
         super().__init__()
@@ -428,6 +430,7 @@ class LookPage(QWidget):
 
     def _show_selected(self, runs: Sequence[ShownRun]) -> None:
         self._selected = list(runs)
+        self.begun.emit()
         self.export.setEnabled(bool(runs))
         self._load()
         paths = [run.path for run in runs]

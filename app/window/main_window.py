@@ -3,6 +3,7 @@
 import gc
 import signal
 import sys
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -35,6 +36,7 @@ from dragrig.window.widgets import (
     ElidedLabel,
     MessageText,
     StoredSettings,
+    Topic,
     apply_style,
     bare_widget,
     button,
@@ -43,6 +45,7 @@ from dragrig.window.widgets import (
     label,
     row,
     scrolling,
+    set_role,
 )
 
 COLLECT_INTERVAL_MS = 200
@@ -83,6 +86,9 @@ class GuiThreadCollector(QObject):
                 return
 
 
+_MAX_COMPLAINTS = 4
+
+
 class NoticeBar(QWidget):
     """Notices above the page: tripped guard, prompt, lost engine, errors; a long one is scrolled.
 
@@ -96,6 +102,7 @@ class NoticeBar(QWidget):
         super().__init__()
         self._answer = answer
         self._prompt: PromptShown | None = None
+        self._complaints: dict[str, tuple[str, str]] = {}
         self.trip_text = MessageText(most_lines=2)
         self.trip = card(self.trip_text, role="trip")
         self.prompt_text = MessageText("title")
@@ -138,12 +145,18 @@ class NoticeBar(QWidget):
         self._prompt = None
         self.prompt.hide()
 
-    def complain(self, sentence: str) -> None:
-        """Show an error below those already shown, the last four at most."""
-        before = self.complaint_text.text() if self.complaint.isVisible() else ""
-        lines = [*before.splitlines(), sentence][-4:]
-        self.complaint_text.setText("\n".join(dict.fromkeys(lines)))
-        self.complaint.show()
+    def complain(self, sentence: str, topic: str = Topic.ANY) -> None:
+        """Show an error, with the time, below those already shown, the last four at most."""
+        self._complaints.pop(sentence, None)
+        self._complaints[sentence] = (time.strftime("%H:%M:%S"), topic)
+        for oldest in list(self._complaints)[:-_MAX_COMPLAINTS]:
+            del self._complaints[oldest]
+        self._show_complaints()
+
+    def settle(self, topic: str) -> None:
+        """Hide the errors of a topic: they are no longer true."""
+        self._complaints = {sentence: kept for sentence, kept in self._complaints.items() if kept[1] != topic}
+        self._show_complaints()
 
     def engine_lost(self, exit_code: int | None) -> None:
         """Show that the engine is gone."""
@@ -159,7 +172,13 @@ class NoticeBar(QWidget):
         self.lost.show()
 
     def _dismiss(self) -> None:
-        self.complaint.hide()
+        self._complaints = {}
+        self._show_complaints()
+
+    def _show_complaints(self) -> None:
+        lines = (f"{at}  {sentence}" for sentence, (at, _) in self._complaints.items())
+        self.complaint_text.setText("\n".join(lines))
+        self.complaint.setVisible(bool(self._complaints))
 
     def _reply(self, answer: Answer) -> None:
         if self._prompt is not None:
@@ -216,8 +235,11 @@ class MainWindow(QMainWindow):
             }
         )
         self.engine.event_received.connect(self.take)
-        for page in (self.run, self.look, self.diagnose):
-            page.complained.connect(self.notices.complain)
+        self.run.complained.connect(self.notices.complain)
+        self.run.settled.connect(self.notices.settle)
+        for page, topic in ((self.look, Topic.LOOK), (self.diagnose, Topic.DIAGNOSIS)):
+            page.complained.connect(partial(self.notices.complain, topic=topic))
+            page.begun.connect(partial(self.notices.settle, topic))
         self.run.look_at.connect(self._look_at)
         self.look.browser.campaign_chosen.connect(self.diagnose.offer)
         self.diagnose.next_experiment.connect(self._offer_next)
@@ -248,16 +270,20 @@ class MainWindow(QMainWindow):
                 self.notices.show_trip(reason)
                 self.reset.setEnabled(bool(reason))
                 self.guard.setText("guard: TRIPPED" if reason else "guard: armed")
+                set_role(self.guard, "wrong" if reason else "fine")
+                if not reason:
+                    self.notices.settle(Topic.GUARD)
             case PromptShown():
                 self.notices.ask(event)
                 QApplication.alert(self)
             case SessionFinished():
                 self.notices.hide_prompt()
+                self.notices.settle(Topic.CLOSING)
             case OperatorWarning(sentence):
-                self.notices.complain(sentence)
+                self.notices.complain(sentence, Topic.SESSION)
             case RequestRefused(sentence):
                 self.notices.hide_prompt()
-                self.notices.complain(sentence)
+                self.notices.complain(sentence, Topic.GUARD)
                 self.reset.setEnabled(True)
             case HostLost(exit_code):
                 self.reset.setEnabled(False)
@@ -286,7 +312,7 @@ class MainWindow(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:
         """End the engine in good order; a running session must be stopped first."""
         if self.run.session_running and not self._closing:
-            self.notices.complain("A session is running: stop it (Esc), then close the window.")
+            self.notices.complain("A session is running: stop it (Esc), then close the window.", Topic.CLOSING)
             event.ignore()
             return
         self._stored.keep("geometry", self.saveGeometry())

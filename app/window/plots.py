@@ -89,8 +89,11 @@ class TimePlot:
             self._item.removeItem(line.drawn)
         self._lines = []
 
-    def level(self, value: float, text: str, *, aside: bool = False) -> None:
-        """Draw a horizontal limit with a label in the middle, or above it near the right end."""
+    def level(self, value: float, text: str, *, aside: bool = False, in_view: bool = True) -> None:
+        """Draw a horizontal limit with a label in the middle, or above it near the right end.
+
+        It is always shown, or without `in_view` only where the lines come near it.
+        """
         line = pyqtgraph.InfiniteLine(
             pos=value,
             angle=0,
@@ -102,7 +105,7 @@ class TimePlot:
                 "anchors": [(0.5, 1.0)] * 2 if aside else None,
             },
         )
-        self._item.addItem(line)
+        self._item.addItem(line, ignoreBounds=not in_view)
 
     def remove_levels(self) -> None:
         """Remove all limits."""

@@ -5,7 +5,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
-from PySide6.QtWidgets import QHeaderView, QProgressBar, QSplitter, QTabWidget, QTreeWidget, QTreeWidgetItem, QWidget
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QHeaderView,
+    QProgressBar,
+    QSplitter,
+    QTabWidget,
+    QTreeWidget,
+    QTreeWidgetItem,
+    QWidget,
+)
 
 from dragrig.config import DragrigError
 from dragrig.engine_host import (
@@ -14,9 +23,11 @@ from dragrig.engine_host import (
     ExamineRig,
     GuardState,
     HostLost,
+    HostReady,
     LiveSamples,
     QueuedRun,
     RigExamined,
+    RigIdle,
     RigSelection,
     RunFinished,
     RunStarted,
@@ -26,6 +37,7 @@ from dragrig.engine_host import (
     SessionStarted,
     SessionWaiting,
     StartSession,
+    WatchRig,
 )
 from dragrig.present import duration_text
 from dragrig.views import PlanForm, RigDescription, SessionPreview
@@ -35,6 +47,7 @@ from dragrig.window.new_session import NewSession, PlanPreview
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import (
     StoredSettings,
+    Topic,
     bare_widget,
     button,
     column,
@@ -61,7 +74,10 @@ class DevicesView(QWidget):
         self.status = label(self._result_text, "faint", wrap=True)
         self.devices = named(table(("State", "Device", "Result")), "State of every device")
         self.again = button("Chec&k again", self.check, help_="Check every device; nothing moves")
-        self.setLayout(column(row(self.status, 1, self.again), self.devices, margin=8))
+        self.watch = QCheckBox("Read force and position between sessions (&J)")
+        self.watch.setToolTip("The rig is held for it; switched off, other programs may use the rig between sessions")
+        self.watch.setChecked(True)
+        self.setLayout(column(row(self.status, self.again, stretch={0: 1}), self.devices, self.watch, margin=8))
 
     def check(self) -> None:
         """Request a check of every device."""
@@ -77,7 +93,7 @@ class DevicesView(QWidget):
         )
         faults = sum(not check.passed for check in result.devices)
         self.verdict = "NOT FOUND" if result.error else f"{faults} FAILED" if faults else "all ok"
-        self._result_text = result.error or f"{len(result.devices)} checks, {self.verdict}."
+        self._result_text = result.error or f"{len(result.devices)} checks at {time.strftime('%H:%M')}, {self.verdict}."
         self._show_state()
 
     def engine_lost(self) -> None:
@@ -232,7 +248,10 @@ class RunPage(QWidget):
     """Form, preview, live view, devices and queue."""
 
     running_changed = Signal(bool)
-    complained = Signal(str)
+    complained = Signal(str, str)
+    """A sentence, and the topic that settles it."""
+    settled = Signal(str)
+    """A topic whose complaints are no longer true."""
     look_at = Signal(str)
     """Folder of a campaign whose runs are to be shown."""
 
@@ -246,15 +265,18 @@ class RunPage(QWidget):
     ) -> None:
         super().__init__()
         self.setObjectName("page")
-        self._engine = engine
+        self._engine, self._stored = engine, stored
         self._queue_started = False
         self._progress_at = 0.0
         self._trip_reason = "the engine is starting"
         self.queue = SessionQueue()
         self.new = NewSession(rig, description, lab, stored)
         self.preview, self.live = PlanPreview(), LiveView()
+        self.live.set_limits(description.lowest_mm, description.highest_mm)
         self.queue_view = QueueView(self.queue)
         self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
+        self.devices.watch.setChecked(stored.text("watch", "yes") == "yes")
+        self.devices.watch.toggled.connect(lambda on: self._watch(on=on))
         self.start_queue = button(
             "Start &the queue", self.run_queue, "main", "Run the waiting sessions one after another"
         )
@@ -287,7 +309,7 @@ class RunPage(QWidget):
         try:
             plan = self.new.plan()
         except DragrigError as error:
-            self.complained.emit(str(error))
+            self.complained.emit(str(error), Topic.SESSION)
             return None
         job = SessionJob(
             self.queue.next_number(),
@@ -312,12 +334,13 @@ class RunPage(QWidget):
         if self._engine.lost or self._trip_reason:
             self._queue_started = False
             cause = "the engine has ended; start it again" if self._engine.lost else "the guard is tripped; reset it"
-            self.complained.emit(f"{entry.title} is waiting: {cause}, then start the queue.")
+            self.complained.emit(f"{entry.title} is waiting: {cause}, then start the queue.", Topic.GUARD)
             return
         entry.stage = QueueState.RUNNING
+        self.settled.emit(Topic.SESSION)
         self._engine.ask(StartSession(entry.job))
         self.tabs.setCurrentWidget(self.live)
-        self.live.begin(f"{entry.title}: preparing …")
+        self.live.begin_session(f"{entry.title}: preparing …")
         self._show_state()
 
     def stop(self, reason: str) -> None:
@@ -328,30 +351,48 @@ class RunPage(QWidget):
     def take(self, event: Event) -> None:
         """Handle an event of the engine."""
         match event:
-            case SessionStarted():
-                self.queue.session_started(event)
-            case SessionWaiting(duration_s, reason):
-                self.live.begin(f"{reason}: {duration_text(duration_s)}")
-            case RunStarted(run, order):
-                self.queue.run_started(event)
-                self.live.begin(f"Run {order}: {run.summary}")
-            case RunFinished():
-                self.queue.run_finished(event)
-                self._show_warnings(event)
-            case SessionFinished():
-                self._ended(event)
+            case RigIdle(reading):
+                self.live.show_idle(reading, "a prompt is open" if self.session_running else "idle")
+                return
+            case HostReady():
+                self._engine.ask(WatchRig(self.devices.watch.isChecked()))
+                return
             case GuardState(reason):
                 self._trip_reason = reason
             case RigExamined():
                 self.devices.show_result(event)
                 self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
             case HostLost():
-                self._queue_started, self._trip_reason = False, "the engine ended unexpectedly"
-                self.queue.engine_lost(self._trip_reason)
-                self.devices.engine_lost()
+                self._engine_lost()
             case _:
-                return
+                self._follow_session(event)
         self._show_state()
+
+    def _follow_session(self, event: Event) -> None:
+        match event:
+            case SessionStarted():
+                self.queue.session_started(event)
+            case SessionWaiting(duration_s, reason):
+                self.live.begin(f"{reason}: {duration_text(duration_s)}")
+            case RunStarted(run, order):
+                self.queue.run_started(event)
+                self.live.begin_run(f"Run {order}: {run.summary}", run.start_mm)
+            case RunFinished(run, order):
+                self.queue.run_finished(event)
+                self.live.end_run(f"Run {order}, {event.status.value}: {run.summary}")
+                self._show_warnings(event)
+            case SessionFinished():
+                self._ended(event)
+            case _:
+                pass
+
+    def _engine_lost(self) -> None:
+        self._queue_started, self._trip_reason = False, "the engine ended unexpectedly"
+        self.queue.engine_lost(self._trip_reason)
+        self.devices.engine_lost()
+        self.tabs.setTabText(self.tabs.indexOf(self.devices), "Devi&ces")
+        self.live.end_run("The engine has ended")
+        self.live.readings.clear("no engine")
 
     def sample(self, fresh: LiveSamples) -> None:
         """Show live samples."""
@@ -362,12 +403,19 @@ class RunPage(QWidget):
             entry.elapsed_s = self.live.run.latest.time_s
             self.queue_view.show_queue()
 
+    def _watch(self, *, on: bool) -> None:
+        self._stored.keep("watch", "yes" if on else "no")
+        self._engine.ask(WatchRig(on))
+        if not on:
+            self.live.readings.clear("not read between sessions")
+
     def _ended(self, event: SessionFinished) -> None:
         self.queue.session_finished(event)
         if event.mirror is not None and event.mirror.missing:
             names, mirror = ", ".join(name for name, _ in event.mirror.missing), event.mirror.folder
             self.complained.emit(
-                f"NOT IN THE MIRROR {mirror}: {names}. The originals are in {event.folder}, the reasons in the queue."
+                f"NOT IN THE MIRROR {mirror}: {names}. The originals are in {event.folder}, the reasons in the queue.",
+                Topic.SESSION,
             )
         if event.status is RunStatus.COMPLETE:
             self.live.begin(f"Complete: {event.folder}")
@@ -377,13 +425,13 @@ class RunPage(QWidget):
             if event.status is RunStatus.TRIPPED:
                 self._trip_reason = event.reason
             else:
-                self.complained.emit(f"Session ended: {event.reason}")
+                self.complained.emit(f"Session ended: {event.reason}", Topic.SESSION)
         if self._queue_started:
             self.run_queue()
 
     def _show_warnings(self, event: RunFinished) -> None:
         for warning in event.warnings:
-            self.complained.emit(f"Run {event.order}, {event.run.summary}: {warning}.")
+            self.complained.emit(f"Run {event.order}, {event.run.summary}: {warning}.", Topic.SESSION)
 
     def _add_to_queue(self, *, start: bool) -> None:
         self.new.update_preview()

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import StrEnum
 from typing import TypeVar
 
 from PySide6.QtCore import QByteArray, QPoint, QRect, QSettings, QSize, Qt
@@ -506,6 +507,23 @@ def choose_path(
     dialog.setFileMode(QFileDialog.FileMode.Directory if folder else QFileDialog.FileMode.ExistingFile)
     dialog.fileSelected.connect(chosen)
     dialog.open()
+
+
+class Topic(StrEnum):
+    """What a complaint is about: it goes away by itself once this is settled."""
+
+    ANY = "any"
+    """Until it is dismissed."""
+    SESSION = "session"
+    """Until the next session starts."""
+    CLOSING = "closing"
+    """Until no session is running."""
+    GUARD = "guard"
+    """Until the guard is armed."""
+    LOOK = "look"
+    """Until other runs are read."""
+    DIAGNOSIS = "diagnosis"
+    """Until the next diagnosis starts."""
 
 
 class StoredSettings:

@@ -525,9 +525,10 @@ class SimulatedSampler:
         white = random_generator(rig.simulated.seed, RandomStream.FORCE_WHITE, self._measurements, "measure")
         self._measurements += 1
         noise_mN = white.standard_normal(max(1, round(duration_s * self._rate_hz))) * rig.simulated.noise.white_mN
-        force_V = ForceConverter.of(rig.force_sensor).convert(noise_mN) / wiring.per_V + wiring.zero_V
+        force_mN = ForceConverter.of(rig.force_sensor).convert(noise_mN)
+        force_V = force_mN / wiring.per_V + wiring.zero_V
         counts = np.rint(np.array([begin_mm, end_mm]) * encoder.counts_per_mm)
-        return RawReading.of(force_V, counts)
+        return RawReading.of(force_V, counts, float(np.mean(force_mN)))
 
     def _session_start(self, acquisition: Acquisition) -> float:
         now = self._clock.now()

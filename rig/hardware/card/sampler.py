@@ -459,7 +459,8 @@ class CardSampler:
                 volts, counts = self._collect(self._fetcher(tasks), max(1, round(duration_s * self._rate_hz)))
             finally:
                 tasks.close()
-        return RawReading.of(volts, -counts if self._connection.card.encoder.reversed else counts)
+        mean_mN = self._scaling.mN_per_V * float(np.mean(volts, dtype=np.float64)) + self._scaling.zero_mN
+        return RawReading.of(volts, -counts if self._connection.card.encoder.reversed else counts, mean_mN)
 
     def _collect(self, fetcher: SampleFetcher, samples: int) -> tuple[FloatArray, FloatArray]:
         """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` each."""
