@@ -133,6 +133,8 @@ def summarise_exclusions(left_out: Iterable[Exclusion]) -> str:
     return "; ".join(clauses if len(clauses) <= MAX_REASONS else [*clauses[:MAX_REASONS], "and other reasons"])
 
 
+MAX_VALUE = 1e100
+"""The square of a larger value, summed over a record, may exceed what a number holds."""
 MIN_SAMPLES_FOR_MEAN = 8
 MAX_SPECTRUM_SAMPLES = 100_000
 """Longer records are averaged in groups first: only slow noise matters to the mean."""
@@ -175,6 +177,8 @@ def correlated_mean(values: npt.ArrayLike, longest_correlation: float = 0.0) -> 
         return missing(f"only {len(record)} samples, fewer than {MIN_SAMPLES_FOR_MEAN}")
     if not np.isfinite(record).all():
         return missing("samples are missing (NaN)")
+    if float(np.abs(record).max()) > MAX_VALUE:
+        return missing(f"a sample is {np.abs(record).max():.1g}, which nothing measures")
     mean = float(record.mean())
     group = max(1, 2 * len(record) // MAX_SPECTRUM_SAMPLES)
     deviations = record[: len(record) // group * group].reshape(-1, group).mean(axis=1) - mean

@@ -161,16 +161,20 @@ def end_of_hold(trace: Trace) -> Mask:
     return hold & (trace.time >= end - min(HOLD_END_S, (end - begin) / 2))
 
 
+MAX_MEASURABLE_MN = 1e12
+"""A larger force is a fault of its file; squared, it may exceed what a number holds."""
+
+
 def clipped_samples(run: Run) -> Mask:
     """Which samples of the signal are clipped at the end of the sensor's range.
 
     Where the run's checks counted clipped samples, they are those at the trace's extremes. A run
     without checks is judged by its trace: an extreme held for more than four samples, while the samples
-    around it are noisy.
+    around it are noisy. What no sensor can measure counts as clipped everywhere.
     """
     force = run.trace.force
     counted = run.info.checks.get("clipped_samples")
-    clipped = np.zeros(len(force), dtype=np.bool_)
+    clipped = np.asarray(np.abs(force) > MAX_MEASURABLE_MN)
     if not np.isfinite(force).any() or (counted is not None and not counted):
         return clipped
     for extreme in (np.nanmax(force), np.nanmin(force)):

@@ -14,6 +14,7 @@ from dragrig.analysis.wording import count_text
 from dragrig.config import AnalysisError, RunFileError, reason_of
 from dragrig.rig import Campaign, Contact, Run, RunInfo, RunStatus, specimen_key
 
+MAX_STAGE_MM = 1e9
 MAX_INVALID_SHARE = 0.2
 """A run with a larger share of clipped or missing samples is excluded; up to it, the samples are."""
 MAX_PULSE_RUNS_SHARE = 0.1
@@ -231,6 +232,8 @@ def unusable_reason(experiment: Experiment) -> str | None:
         return f"{invalid:.0%} of its samples are clipped or missing (NaN)"
     if not np.isfinite(experiment.run.trace.position).any():
         return "its positions are missing (NaN), so that its motion is not known"
+    if (largest := float(np.nanmax(np.abs(experiment.run.trace.position)))) > MAX_STAGE_MM:
+        return f"its positions reach {largest:.1g} mm, which no stage does"
     try:
         _ = experiment.motion, experiment.fixture
     except AnalysisError as error:

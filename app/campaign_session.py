@@ -51,6 +51,8 @@ ResultT = TypeVar("ResultT")
 _POLL_S = 0.02
 _IDLE_MEAN_S = 0.1
 """Five periods of the mains."""
+MIRROR_ANSWER_S = 10.0
+"""How long a mirror may take to answer before a session."""
 _END_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
@@ -420,10 +422,24 @@ def _run_campaign(
 def _open_mirror(target: Path, folder: Path, tell: Callable[[str], None], before: Campaign | None) -> Mirror:
     if (target.resolve() / folder.resolve().name) == folder.resolve():
         raise OutputError(f"--mirror {target}: is where the campaign itself goes; name a folder on another disk.")
+    _require_mirror_in_reach(target)
     mirror = Mirror(target, folder.resolve().name, tell)
     for run in before.runs if before is not None else ():
         mirror.submit(run.path)
     return mirror
+
+
+def _require_mirror_in_reach(target: Path) -> None:
+    """Refuse a mirror that is not there, or whose disk does not answer, before anything moves."""
+    answers = queue.Queue[bool]()
+    # A lost network disk may hang for minutes, and with it whoever asks.
+    threading.Thread(target=lambda: answers.put(target.is_dir()), name="mirror check", daemon=True).start()
+    try:
+        why = "" if answers.get(timeout=MIRROR_ANSWER_S) else "there is no such folder"
+    except queue.Empty:
+        why = f"its disk has not answered for {MIRROR_ANSWER_S:g} s"
+    if why:
+        raise OutputError(f"--mirror {target}: {why}; make it, mount the disk, or leave the mirror out.")
 
 
 def _close_mirror(mirror: Mirror, folder: Path) -> MirrorReport:

@@ -208,7 +208,8 @@ class CampaignWatch:
 def latest_campaign(folder: Path) -> Path:
     """Return `folder` if it is a campaign, else the latest campaign in it; `RunFileError` if there is none."""
     if not folder.is_dir():
-        raise RunFileError(f"{folder}: no such folder; name a campaign, or the folder that holds campaigns.")
+        missing = "is a file" if folder.is_file() else "no such folder"
+        raise RunFileError(f"{folder}: {missing}; name a campaign, or the folder that holds campaigns.")
     if any(folder.glob("session-*")) or any(folder.glob("*.h5")):
         return folder
     sessions = list(folder.glob("*/session-*.toml"))

@@ -205,12 +205,16 @@ def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tupl
         for candidate in (beside / path if beside is not None else path, path):
             if candidate.is_file():
                 return read_toml(candidate), str(candidate)
-        raise SettingsError(f"{name_or_path}: there is no such file; check the path.")
+        missing = "is a folder, not a file" if path.is_dir() else "there is no such file"
+        raise SettingsError(f"{name_or_path}: {missing}; check the path.")
     shipped = shipped_files(kind)
     if name_or_path in shipped:
         return tomllib.loads(shipped[name_or_path].read_text("utf-8")), f"shipped {kind} {name_or_path}"
+    if path.is_file():
+        raise SettingsError(f"{name_or_path}: is a file whose name does not end in .toml, as one of a {kind} must.")
+    missing = "is a folder" if path.is_dir() else "there is no such file"
     raise SettingsError(
-        f"{name_or_path}: there is no such file and no {kind} of this name; {suggestion(name_or_path, list(shipped))}"
+        f"{name_or_path}: {missing} and no {kind} of this name; {suggestion(name_or_path, list(shipped))}"
     )
 
 

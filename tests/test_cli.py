@@ -179,3 +179,30 @@ def test_results_go_to_standard_output_alone(capsys: pytest.CaptureFixture[str])
 
     assert run_command_line(command, []) == 0
     assert capsys.readouterr() == ("42\n", "")
+
+
+@pytest.mark.parametrize(
+    "words", [("run",), ("table",), ("watch",), ("recover",), ("run", "--resume"), ("run", "--rig")]
+)
+def test_a_file_that_exists_is_never_missing(
+    tmp_path: Path, words: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.txt").write_text("not ours", "utf-8")
+    command, *option = words
+    plan = ["drag"] if option == ["--rig"] else []
+    assert main([command, *plan, *option, "there.txt"]) == 2
+    said = capsys.readouterr().err
+    assert "there.txt" in said
+    assert "no such" not in said
+
+
+def test_a_mistake_in_a_file_of_ones_own_names_file_and_line(capsys: pytest.CaptureFixture[str]) -> None:
+    def raise_from(folder: str) -> Callable[[], None]:
+        scope: dict[str, Callable[[], None]] = {}
+        exec(compile("def law():\n    return 1 / 0\n", f"/somewhere/{folder}/mine.py", "exec"), scope)
+        return scope["law"]
+
+    for folder in ("sim_backend/effects", "rig/protocols"):
+        assert run_command_line(click.Command("c", callback=raise_from(folder)), []) == 1
+        assert f"{folder}/mine.py, line 2: ZeroDivisionError: division by zero" in capsys.readouterr().err

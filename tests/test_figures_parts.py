@@ -203,7 +203,7 @@ def test_a_name_that_nobody_chose_gives_way(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["picture.gif", "picture"])
 def test_an_unknown_ending_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(OutputError, match=r"\.png or \.svg"):
+    with pytest.raises(OutputError, match=r"\.png, \.svg, \.pdf"):
         save_figure(new_figure(2, 2), tmp_path / name)
 
 

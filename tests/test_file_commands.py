@@ -177,3 +177,14 @@ def test_recover_finishes_what_a_crash_left(command: Command, tmp_path: Path, mo
     assert json.loads(printed.out)[0]["outcome"] == "left"
     assert "x.recording.h5" in printed.err
     assert (tmp_path / "x.recording.h5").read_bytes() == b"not HDF5"
+
+
+def test_a_reader_that_leaves_keeps_no_file_from_being_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, practice: Path
+) -> None:
+    def closed(text: str) -> None:
+        raise BrokenPipeError(32, f"nobody reads {text!r}")
+
+    monkeypatch.setattr("dragrig.cli.run_file_commands.print_result", closed)
+    main(["export", str(practice), "--out", str(tmp_path / "csv"), "-q"])
+    assert len(list((tmp_path / "csv").iterdir())) == len(list(practice.glob("*.h5"))) > 1

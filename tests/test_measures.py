@@ -186,3 +186,13 @@ def test_the_age_of_a_specimen_is_told_where_its_excision_is_known() -> None:
     aged = replace(run, info=replace(info, header=replace(info.header, specimen={"excised_at": "2025-12-31T23:18Z"})))
     document = campaign_table_document([table_row(aged)])
     assert "min since excision" in [column.heading for column in next(document.tables()).columns]
+
+
+def test_a_value_that_nothing_measures_is_no_number_of_a_mean_or_a_peak() -> None:
+    run = sliding()
+    force = np.array(run.trace.force, dtype=np.float64)
+    force[len(force) // 2] = 1e300
+    row = table_row(with_force(run, force))
+    assert (row.steady_force_mN, row.peak_force_mN) == (None, None)
+    assert row.rest_offset_mN is not None
+    assert correlated_mean(force).value is None

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import dragrig
+from dragrig.analysis import filter_file
 from dragrig.cli import main
 from dragrig.config.errors import OutputError
 from dragrig.rig.engine import AcquisitionOutcome
@@ -137,3 +138,21 @@ def test_another_file_of_the_same_name_is_never_replaced(tmp_path: Path) -> None
     target.write_bytes(b"new")
     copy_verified(source, target)
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_mirror_out_of_reach_is_refused_before_the_session(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="there is no such folder; make it, mount the disk"):
+        dragrig.run("blank", out=tmp_path / "runs", mirror=tmp_path / "gone", assignments=FAST[:1])
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_filtered_run_replaces_its_older_copy(tmp_path: Path) -> None:
+    (tmp_path / "second").mkdir()
+    made = dragrig.run("blank", out=tmp_path / "runs", mirror=tmp_path / "second", assignments=FAST[:1])
+    for run in made.files:
+        filter_file(run)
+    again = dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
+    assert again.mirrored is not None
+    assert again.mirrored.whole
+    for run in made.files:
+        assert filecmp.cmp(run, tmp_path / "second" / "runs" / run.name, shallow=False)

@@ -498,7 +498,8 @@ def _phase_differences(overlay: AlignedRuns, zeros: tuple[float, float]) -> Iter
 
 
 def _rms_and_largest(values: FloatArray) -> tuple[float, float]:
-    return float(np.sqrt(np.mean(values**2))), float(values[np.abs(values).argmax()])
+    with np.errstate(over="ignore"):  # a sample that nothing measures
+        return float(np.sqrt(np.mean(values**2))), float(values[np.abs(values).argmax()])
 
 
 def _motion_difference(a: Run, b: Run | None, overlay: AlignedRuns | None) -> MotionDifference:

@@ -249,7 +249,8 @@ def resume(
     """
     folder = Path(campaign)
     if not folder.is_dir():
-        raise OutputError(f"{folder}: there is no such campaign; name the folder that run printed.")
+        missing = "is a file" if folder.is_file() else "there is no such campaign"
+        raise OutputError(f"{folder}: {missing}; name the folder that run printed.")
     return resume_campaign(folder, _session_options(operator, note, pace, mirror, tell), person, assignments)
 
 

@@ -125,7 +125,29 @@ def _usage_sentence(error: click.ClickException) -> str:
     return f"{where}{message.rstrip('.')}; see {error.ctx.command_path} --help."
 
 
+OWN_FILE_FOLDERS = (("sim_backend", "effects"), ("rig", "protocols"))
+"""Where files of one's own are put: effects and kinds of run, with the folders' names in the package."""
+
+
+def _own_file_place(error: Exception) -> str:
+    """Return file and line of a mistake in a file that a person may have added; empty for any other."""
+    if isinstance(error, SyntaxError) and error.filename:
+        places = [(error.filename, error.lineno or 1)]
+    else:
+        frames = traceback.extract_tb(error.__traceback__)
+        places = [(frame.filename, frame.lineno or 1) for frame in reversed(frames)]
+    for name, line in places:
+        path = Path(name).resolve()
+        is_base = path.name in {"__init__.py", "base.py", "run_state.py"}
+        if path.parts[-3:-1] in OWN_FILE_FOLDERS and not is_base:
+            return f"{path}, line {line}"
+    return ""
+
+
 def _bug_sentence(error: Exception) -> str:
+    if place := _own_file_place(error):
+        message = error.msg if isinstance(error, SyntaxError) else f"{type(error).__name__}: {error}"
+        return f"{place}: {message[:200]}; correct this file, or take it out of its folder"
     text = "".join(traceback.format_exception(error))
     with tempfile.NamedTemporaryFile(
         "w", prefix="dragrig-bug-", suffix=".log", delete=False, encoding="utf-8"

@@ -101,13 +101,14 @@ def diagnose_command(
     model = None if save_model is None else save_amended_model(diagnosis, save_model, overwrite=overwrite)
     model_name = None if model is None else str(model)
     document = diagnosis_document(diagnosis, source=diagnosed.source, model=model_name, run_ids=diagnosed.run_ids)
-    print_document(document, as_json=as_json)
-    if save_model is not None and model is None:
-        print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
+    # Written before anything is printed: a reader such as head ends the command.
     if report is not None:
         from dragrig.present import render_page
 
         write_text(render_page(document), report, overwrite=overwrite)
+    print_document(document, as_json=as_json)
+    if save_model is not None and model is None:
+        print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
     for name, file in (("model", model), ("report", report)):
         if file is not None and not as_json:
             print_result(f"{name:8}{display_path(file)}")
@@ -187,13 +188,13 @@ def next_command(
         require_writable(save_plan, overwrite=overwrite)
     with ProgressMeter("searching") as meter:
         experiment = next_experiment(source, between=between, minutes=minutes, progress=meter.at, **settings)
+    if save_plan is not None and experiment is not None:
+        save_next_plan(experiment, save_plan, overwrite=overwrite)
     print_document(next_experiment_document(experiment), as_json=as_json)
     if save_plan is not None and experiment is None:
         print_remark(f"{display_path(save_plan)} is not written: there is no run to recommend")
-    elif save_plan is not None and experiment is not None:
-        save_next_plan(experiment, save_plan, overwrite=overwrite)
-        if not as_json:
-            print_result(f"plan    {display_path(save_plan)}")
+    elif save_plan is not None and not as_json:
+        print_result(f"plan    {display_path(save_plan)}")
 
 
 @click.command("isolability")
@@ -226,13 +227,13 @@ def isolability_command(
         require_writable(report, overwrite=overwrite)
     with ProgressMeter("computing") as meter:
         document = isolability_document(isolability(source, without=without, progress=meter.at, **settings))
-    print_document(document, as_json=as_json)
     if report is not None:
         from dragrig.present import render_page
 
         write_text(render_page(document), report, overwrite=overwrite)
-        if not as_json:
-            print_result(f"report  {display_path(report)}")
+    print_document(document, as_json=as_json)
+    if report is not None and not as_json:
+        print_result(f"report  {display_path(report)}")
 
 
 @click.command("effects")
@@ -316,14 +317,14 @@ def blind_command(
             without_true=without_true,
             progress=meter.at,
         )
+    if report is not None:
+        save_exam_report(exam, report, overwrite=overwrite)
     if as_json:
         print_json(exam.document())
     else:
         print_document(exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256), as_json=False)
-    if report is not None:
-        save_exam_report(exam, report, overwrite=overwrite)
-        if not as_json:
-            print_result(f"report  {display_path(report)}")
+    if report is not None and not as_json:
+        print_result(f"report  {display_path(report)}")
     if exam.failed:
         name, reason = next(iter(exam.failed.items()))
         raise AnalysisError(f"{len(exam.failed)} of {cases} campaigns were not diagnosed; of {name}: {reason}.")

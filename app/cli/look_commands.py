@@ -49,7 +49,7 @@ def table_command(campaign: Path, as_json: bool) -> None:
     print_document(document, as_json=as_json)
 
 
-PICTURE_SUFFIXES = (".png", ".svg")
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 @click.command("show")
@@ -59,7 +59,7 @@ PICTURE_SUFFIXES = (".png", ".svg")
     "-o",
     metavar="FILE|DIR",
     type=click.Path(path_type=Path),
-    help="A .png or .svg file for one picture, or a folder for all (default: beside the runs).",
+    help="A .png, .svg or .pdf file for one picture, or a folder for all (default: beside the runs).",
 )
 @click.option("--no-filtered", "raw_only", is_flag=True, help="Leave out the filtered force.")
 @click.option("--motor-force", is_flag=True, help="Add the motor force, where it was recorded.")
@@ -84,13 +84,13 @@ def show_command(
         runs.process(lambda path, _: _draw_run(path, target, filtered=not raw_only, motor_force=motor_force)),
         overviews.process(lambda folder, _: _draw_campaign(folder, target)),
     )
-    drawn = []
-    for source, picture in pictures:
-        drawn.append({"source": source, "picture": picture})
-        if not as_json:
-            print_result(display_path(picture))
+    # All are drawn before any is printed: a reader such as head ends the command.
+    drawn = [{"source": source, "picture": picture} for source, picture in pictures]
     if as_json:
         print_json(drawn)
+    else:
+        for line in drawn:
+            print_result(display_path(line["picture"]))
     runs.close()
     overviews.close()
 
@@ -204,9 +204,8 @@ def compare_command(
 
     with ProgressMeter("comparing") as meter:
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
-    if out is None or not as_json:
-        print_document(comparison_document(comparison), as_json=as_json)
     if as_json and out is None:
+        print_document(comparison_document(comparison), as_json=True)
         return
     default = comparison_folder(comparison, a)
     # Measured data are often read-only.
@@ -217,6 +216,7 @@ def compare_command(
     if as_json:
         print_json({**comparison_json(comparison), "files": written})
         return
+    print_document(comparison_document(comparison), as_json=False)
     print_result(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
     print_result(f"pictures  {len(written) - 2} in {display_path(folder)}")
 

@@ -88,14 +88,17 @@ def model_command(
     body = find_settings(Capsule, "capsule", capsule)
     thickness_mm = find_settings(Specimen, "specimen", specimen).wall_thickness_mm
     document = model_document(rows, settings, body, thickness_mm)
+    # Written before anything is printed: a reader such as head ends the command.
+    written = (
+        tuple(save_figures(document, out or Path(), overwrite=overwrite)) if out is not None or not as_json else ()
+    )
     if as_json:
         print_json(rows)
     else:
         print_document(document, as_json=False)
     report = print_remark if as_json else print_result
-    if out is not None or not as_json:
-        for path in save_figures(document, out or Path(), overwrite=overwrite):
-            report(str(path))
+    for path in written:
+        report(str(path))
 
 
 def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple[str, ...]) -> "FrictionModelSettings":
@@ -248,8 +251,7 @@ def identify_command(
     with ProgressMeter("identifying") as meter:
         identified = identify(campaign, nominal=nominal, model=model, wall=wall, specimen=specimen, progress=meter.at)
     result = identified.result
-    if not as_json:
-        print_document(identification_document(result), as_json=False)
+    # Written before anything is printed: a reader such as head ends the command.
     written: list[Path] = []
     if save_model is not None:
         written.append(save_identified_model(identified, save_model, overwrite=overwrite))
@@ -260,6 +262,7 @@ def identify_command(
     if as_json:
         print_json({**identification_json(result), "files": written})
     else:
+        print_document(identification_document(result), as_json=False)
         for path in written:
             print_result(display_path(path))
     if result.joint is not None and not result.joint.converged:

@@ -1,5 +1,6 @@
 """Commands on run files: info, mark, filter, import, export."""
 
+from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
@@ -127,7 +128,8 @@ def filter_command(
         return filter_file(path, filter_settings(rate_hz, window_s, window_samples, order, derivative))
 
     batch = FileBatch.from_good_runs(inputs, "filtering")
-    results = []
+    # All files are written before any line is printed: a reader such as head ends the command.
+    results, lines = [], []
     for path, filtered in batch.process(filter_run):
         parameters = filtered.trace.parameters
         results.append({"file": path, "parameters": parameters, "events": filtered.events})
@@ -136,10 +138,17 @@ def filter_command(
             text += f"order {parameters['order']}"
             if parameters["derivative"]:
                 text += f", derivative {parameters['derivative']}"
-            print_result("; ".join((f"{path}  {text}", *(event.message for event in filtered.events))))
+            lines.append("; ".join((f"{path}  {text}", *(event.message for event in filtered.events))))
+    _print_results(results, lines, as_json=as_json)
+    batch.close()
+
+
+def _print_results(results: Sequence[object], lines: Sequence[str], *, as_json: bool) -> None:
     if as_json:
         print_json(results)
-    batch.close()
+    else:
+        for line in lines:
+            print_result(line)
 
 
 class _ImportOptions(TypedDict):
@@ -238,7 +247,7 @@ def import_command(
     def convert(path: Path, _progress: FileProgress) -> "ImportedRun":
         return import_file(path, folder, base.model_copy(update={"order": next(orders)}))
 
-    results = []
+    results, lines = [], []
     for path, imported in batch.process(convert):
         results.append(
             {
@@ -249,12 +258,12 @@ def import_command(
                 "events": imported.events,
             }
         )
+        lines.append(display_path(imported.path))
         if not as_json:
-            print_result(display_path(imported.path))
+            print_remark(f"{path}:")
             for event in imported.events:
                 print_remark(f"  {event.time_s:.3f} s: {event.message}")
-    if as_json:
-        print_json(results)
+    _print_results(results, lines, as_json=as_json)
     batch.close()
 
 
@@ -313,11 +322,9 @@ def export_command(
         target = (folder or path.parent) / f"{path.stem}.{form}"
         return export_run(path, target, ExportFormat(form), style, overwrite=overwrite, progress=progress)
 
-    results = []
+    results, lines = [], []
     for path, written in batch.process(write):
         results.append({"run": path, "file": written})
-        if not as_json:
-            print_result(display_path(written))
-    if as_json:
-        print_json(results)
+        lines.append(display_path(written))
+    _print_results(results, lines, as_json=as_json)
     batch.close()

@@ -1,4 +1,4 @@
-"""Results written into files: texts, pages, and figures as PNG or SVG; a file is written whole or not at all."""
+"""Results written into files: texts, pages, and figures as PNG, SVG or PDF; a file is written whole or not at all."""
 
 import io
 import os
@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from dragrig.present.document import Document
     from dragrig.present.document import Figure as DocumentFigure
 
-FIGURE_FORMATS = {".png": {"Software": "dragrig"}, ".svg": {"Date": None, "Creator": "dragrig"}}
+FIGURE_FORMATS: Mapping[str, Mapping[str, str | None]] = {
+    ".png": {"Software": "dragrig"},
+    ".svg": {"Date": None, "Creator": "dragrig"},
+    ".pdf": {"CreationDate": None, "Creator": "dragrig"},
+}
 """Endings of files that can be written, and what such a file says of itself: never when it was made."""
 
 
@@ -94,14 +98,14 @@ def unused_path(path: Path, suffix: str = "") -> Path:
 
 
 def save_figure(figure: "Figure", path: Path, overwrite: bool = False) -> Path:
-    """Write a picture as PNG or SVG, by its name's ending, and return the path.
+    """Write a picture as PNG, SVG or PDF, by its name's ending, and return the path.
 
     Raises `OutputError` when the ending is another one, the file exists and may not be replaced, or the folder cannot
     be written to.
     """
     ending = path.suffix.lower()
     if ending not in FIGURE_FORMATS:
-        raise OutputError(f"{path}: a picture is written as {' or '.join(FIGURE_FORMATS)}; change the name's ending.")
+        raise OutputError(f"{path}: a picture is written as {', '.join(FIGURE_FORMATS)}; change the name's ending.")
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: is there already; choose another name or say --overwrite.")
     content = _figure_bytes(figure, ending)

@@ -108,7 +108,8 @@ class Campaign:
 def read_campaign(folder: Path) -> Campaign:
     """Read every run file of a folder, attributes only; raises `RunFileError` when there is no such folder."""
     if not folder.is_dir():
-        raise RunFileError(f"{folder}: there is no such folder; give the folder that holds the run files")
+        missing = "is a file" if folder.is_file() else "there is no such folder"
+        raise RunFileError(f"{folder}: {missing}; give the folder that holds the run files")
     runs: list[RunInfo] = []
     marks: dict[Path, RunMark] = {}
     unreadable: list[tuple[Path, RunFileError]] = []

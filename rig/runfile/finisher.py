@@ -163,6 +163,8 @@ def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) ->
 
     Raises `RunFileError` when there is no such folder or file.
     """
+    if place.is_file() and not schema.is_recording(place):
+        raise RunFileError(f"{place}: is no recording (NAME{schema.RECORDING_SUFFIX}); give the folder of a campaign")
     if not place.exists():
         raise RunFileError(f"{place}: there is no such folder or recording; give the folder of a campaign")
     recovered: list[RecoveredRecording] = []

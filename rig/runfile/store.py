@@ -14,13 +14,14 @@ from typing import Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config import OutputError, RecordingError
+from dragrig.config import OutputError, RecordingError, RunFileError
 from dragrig.rig import AnyFloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.campaigns import mark_bad
 from dragrig.rig.runfile.filesystem import brief_error, move_into_place, remove_quietly
 from dragrig.rig.runfile.finisher import Finisher, FinishResult
 from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.rig.runfile.reader import read_info
 from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
 from dragrig.rig.runfile.schema import FORMAT_VERSION
 
@@ -209,7 +210,8 @@ class Mirror:
     def _copy(self, file: Path) -> bool:
         try:
             self._require_mirror()
-            copy_verified(file, self.folder / file.name, self._count_step)
+            copy = self.folder / file.name
+            copy_verified(file, copy, self._count_step, replaces=_is_same_recording(file, copy))
         except (OSError, OutputError) as error:
             reason = brief_error(error)
             if self._missing.get(file.name) != reason:
@@ -236,11 +238,22 @@ class Mirror:
         self._steps += 1
 
 
-def copy_verified(source: Path, target: Path, progress: Callable[[], None] = lambda: None) -> None:
+def _is_same_recording(file: Path, copy: Path) -> bool:
+    """Whether a copy that differs holds the same samples of the same run, filtered or annotated since."""
+    try:
+        ours, theirs = read_info(file), read_info(copy)
+    except RunFileError:
+        return False
+    return bool(ours.raw_sha256) and (ours.header.run_id, ours.raw_sha256) == (theirs.header.run_id, theirs.raw_sha256)
+
+
+def copy_verified(
+    source: Path, target: Path, progress: Callable[[], None] = lambda: None, *, replaces: bool = False
+) -> None:
     """Copy a file, read the copy back from its disk, compare, and give it its name atomically.
 
-    An equal copy that exists already is left; one that differs is never replaced. `progress` is called after each
-    piece.
+    An equal copy that exists already is left; one that differs is replaced only where `replaces` says that it is an
+    older state of the same file. `progress` is called after each piece.
 
     Raises
     ------
@@ -252,7 +265,8 @@ def copy_verified(source: Path, target: Path, progress: Callable[[], None] = lam
     if target.exists():
         if _file_sha256(target, progress) == _file_sha256(source, progress):
             return
-        raise OutputError("a file of this name is there and differs; it is left as it is")
+        if not replaces:
+            raise OutputError("a file of this name is there and differs; it is left as it is")
     part = schema.part_path(target)
     try:
         digest = hashlib.sha256()
