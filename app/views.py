@@ -1,6 +1,7 @@
 """What the window shows, made in other processes and threads: plans, runs and diagnoses; free of Qt."""
 
 import multiprocessing
+import re
 import signal
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -99,6 +100,10 @@ class StepForm:
     values: Mapping[str, str]
 
 
+FieldPlace: TypeAlias = tuple[int, str]
+"""Number of a step, from 0, and the key of one of its fields."""
+
+
 @dataclass(frozen=True, slots=True)
 class PlanForm:
     """A plan as a form."""
@@ -106,6 +111,39 @@ class PlanForm:
     plan: Plan
     source: str
     steps: tuple[StepForm, ...] = ()
+
+    def values(self) -> list[dict[str, str]]:
+        """Return the plan's own values of every step, as text; what it leaves out has its default."""
+        return [{field.key: step.values.get(field.key, field.default) for field in step.fields} for step in self.steps]
+
+    def misread(self, values: Sequence[Mapping[str, str]]) -> "dict[FieldPlace, str]":
+        """Return what is wrong with texts that are no values of their fields at all, by step and key."""
+        problems: dict[FieldPlace, str] = {}
+        for number, (step, texts) in enumerate(zip(self.steps, values, strict=True)):
+            for field in step.fields:
+                try:
+                    _parse_field(field, texts.get(field.key, "").strip(), step.kind)
+                except SettingsError as error:
+                    problems[number, field.key] = str(error).split(": ", 1)[-1]
+        return problems
+
+    def place_of(self, sentence: str, step: int | None = None) -> "FieldPlace | None":
+        """Return step and key of the field that an error is about: the first that it names; None where it names none.
+
+        Parameters
+        ----------
+        step
+            The step, where the sentence does not say.
+        """
+        named = re.search(r"steps\[(\d+)\]", sentence)
+        number = int(named[1]) if named else step
+        if number is None:
+            number = 0 if len(self.steps) == 1 else None
+        if number is None or number >= len(self.steps):
+            return None
+        found = {field.key: re.search(rf"\b{field.key}\b", sentence) for field in self.steps[number].fields}
+        starts = {key: match.start() for key, match in found.items() if match is not None}
+        return (number, min(starts, key=starts.__getitem__)) if starts else None
 
     def filled(self, values: Sequence[Mapping[str, str]]) -> Plan:
         """Return the plan with these values in its steps.
@@ -262,6 +300,8 @@ class SessionPreview:
     preflight: Preflight
     lowest_mm: float
     highest_mm: float
+    conditions: str = ""
+    """Capsule, fixture and order of each step, in one sentence."""
 
 
 def motion_curves(preview: RunPreview) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -299,7 +339,21 @@ def preview_session(plan: Plan | str, rig: RigSelection) -> SessionPreview:
         For invalid settings.
     """
     stage = resolve_rig(**rig.choices()).rig.stage
-    return SessionPreview(check(plan, **rig.choices()), stage.lowest_mm, stage.highest_mm)
+    checked = check(plan, **rig.choices())
+    steps = plan.steps if isinstance(plan, Plan) else plan_form(plan).plan.steps
+    return SessionPreview(checked, stage.lowest_mm, stage.highest_mm, _conditions(checked, steps))
+
+
+def _conditions(checked: Preflight, steps: Sequence[PlanStep]) -> str:
+    """Say what no curve shows: capsule, fixture and order of each step."""
+    parts = []
+    for number, step in enumerate(steps):
+        runs = [preview.run for preview in checked.previews if preview.run.step == number]
+        capsules = ", ".join(dict.fromkeys(run.capsule.name for run in runs))
+        fixtures = ", ".join(dict.fromkeys(run.fixture.value for run in runs))
+        where = f"Step {number + 1}: " if len(steps) > 1 else ""
+        parts.append(f"{where}capsule {capsules}, fixture {fixtures}, order {step.order.value.replace('_', ' ')}")
+    return "; ".join(parts) + "."
 
 
 def describe_rig(rig: RigSelection) -> RigDescription:

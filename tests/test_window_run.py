@@ -12,8 +12,9 @@ from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
 
 require_qt()
 
-from PySide6.QtCore import QSettings, Qt
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtCore import QPoint, QPointF, QSettings, Qt
+from PySide6.QtGui import QWheelEvent
+from PySide6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
 
 import dragrig
@@ -474,6 +475,138 @@ def test_a_complaint_goes_away_once_it_is_no_longer_true(window: MainWindow) -> 
     assert notices.complaint.isVisible()
     window.diagnose.begun.emit()
     assert not notices.complaint.isVisible()
+
+
+def wheel_over(widget: QWidget) -> None:
+    middle = QPointF(widget.rect().center())
+    event = QWheelEvent(middle, widget.mapToGlobal(middle), QPoint(0, 0), QPoint(0, -120), Qt.MouseButton.NoButton,
+                        Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False)  # fmt: skip
+    QApplication.sendEvent(widget, event)
+
+
+def test_the_wheel_changes_only_the_field_with_the_focus(window: MainWindow, qtbot: QtBot) -> None:
+    fill(window)
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
+    editor = window.run.new.editor
+    window.run.new.operator.setFocus()
+    before = editor.values()
+    for field in (*editor.editors.values(), window.run.new.plans, window.run.new.pace):
+        wheel_over(field)
+        if isinstance(field, QComboBox):  # a wheel of a real mouse would give it the focus, and then turn it
+            assert field.focusPolicy() is Qt.FocusPolicy.StrongFocus
+    assert editor.values() == before
+    window.go_to(window.look)
+    spin = window.look.overlay.order
+    order = spin.value()
+    wheel_over(spin)
+    assert spin.value() == order
+    spin.setFocus()
+    wheel_over(spin)
+    assert spin.value() != order
+    spin.setValue(order)
+
+
+def test_the_preview_names_capsule_fixture_and_order(window: MainWindow) -> None:
+    fill(window, fixture="vacuum", order="reversed")
+    preview = window.run.preview
+    assert preview.conditions.text() == "capsule drag, fixture vacuum, order reversed."
+    header = [preview.runs.horizontalHeaderItem(at).text() for at in range(preview.runs.columnCount())]
+    assert preview.runs.item(0, header.index("Fixture")).text() == "vacuum"
+    assert preview.runs.item(0, header.index("Capsule")).text() == "drag"
+
+
+def test_curves_go_with_the_plan_that_they_were_of(window: MainWindow) -> None:
+    fill(window)
+    preview = window.run.preview
+    assert len(preview._position_line.drawn.getData()[0]) > 2
+    window.run.new.editor.put("speed_mm_s", "fast")
+    window.run.new.update_preview()
+    assert preview.runs.rowCount() == 0
+    assert preview._position_line.drawn.getData()[0] is None or not len(preview._position_line.drawn.getData()[0])
+    assert preview.conditions.text() == ""
+    fill(window)
+
+
+def test_what_differs_from_the_last_session_is_marked(window: MainWindow) -> None:
+    fill(window, plan="blank", speed_mm_s="10")
+    new = window.run.new
+    press(new.queue)
+    assert not new.changes.isVisible()
+    assert new.editor.captions["order"].text() == "Order"
+    new.editor.put("order", "reversed")
+    new.update_preview()
+    assert new.editor.captions["order"].text() == "Order ●"
+    assert new.changes.text() == "Differs from the last session: Order reversed (was listed)."
+    assert "was listed" in new.editor.captions["order"].toolTip()
+    new.editor.put("order", "listed")
+    new.update_preview()
+    assert not new.changes.isVisible()
+
+
+def test_an_invalid_field_says_so_below_itself_and_on_every_tab(window: MainWindow) -> None:
+    fill(window)
+    run, new = window.run, window.run.new
+    for key, text, said in (
+        ("speed_mm_s", "fast", "'fast' is not a number"),
+        ("repeats", "0", "greater than or equal to 1"),
+        ("travel_mm", "900", "outside the stage's travel"),
+        ("capsule", "no-such-capsule", "no-such-capsule"),
+    ):
+        fill(window, **{key: text})
+        for tab in range(run.tabs.count()):
+            run.tabs.setCurrentIndex(tab)
+            assert new.editor.problems[key].isVisible(), key
+            assert said in new.editor.problems[key].text(), key
+            name = next(field.name for field in new._form.steps[0].fields if field.key == key)
+            assert new.problem.isVisible()
+            assert new.problem.text().startswith(f"{name.capitalize()}: "), new.problem.text()
+        others = [label for other, label in new.editor.problems.items() if other != key]
+        assert not any(label.isVisible() for label in others)
+        fill(window, **{key: {"repeats": "1", "speed_mm_s": "20", "travel_mm": "10"}.get(key, "")})
+    fill(window, speed_mm_s="20", travel_mm="10", capsule="")
+    assert not new.problem.isVisible()
+
+
+def test_edits_survive_another_plan_and_can_be_taken_back(window: MainWindow, qtbot: QtBot) -> None:
+    fill(window, speed_mm_s="11", order="listed")
+    new = window.run.new
+    new.editor.put("speed_mm_s", "12")
+    new.update_preview()
+    new.editor.put("order", "random")
+    new.plans.setCurrentIndex(new.plans.findData("coulomb"))  # before the preview was due
+    new.plans.setCurrentIndex(new.plans.findData("drag"))
+    values = new.editor.values()[0]
+    assert (values["speed_mm_s"], values["order"]) == ("12", "random")
+    press(new.undo)
+    assert new.editor.values()[0]["order"] == "listed"
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
+    field = new.editor.editors["speed_mm_s"]
+    field.setFocus()
+    qtbot.keyClick(field, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    qtbot.waitUntil(lambda: new.editor.values()[0]["speed_mm_s"] == "11", timeout=WAIT_MS)
+
+
+def test_what_was_removed_from_the_queue_can_be_put_back(window: MainWindow) -> None:
+    view = window.run.queue_view
+    window.run.queue._removed.clear()
+    for speed in ("10", "20", "40"):
+        fill(window, speed_mm_s=speed)
+        press(window.run.new.queue)
+    entries = list(window.run.queue.entries)
+    window.run.tabs.setCurrentWidget(view)
+    view.tree.setCurrentItem(view.tree.topLevelItem(1))
+    press(view.out)
+    assert window.run.queue.entries == [entries[0], entries[2]]
+    entries[0].stage = QueueState.ABORTED
+    press(view.clear)
+    assert window.run.queue.entries == [entries[2]]
+    press(view.back)
+    press(view.back)
+    assert window.run.queue.entries == entries
+    assert not view.back.isEnabled()
+    assert window.run.start_queue.isEnabled()
 
 
 def test_a_reset_after_a_stop_asks_its_prompt(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:

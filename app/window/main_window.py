@@ -9,8 +9,17 @@ from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QEvent, QObject, Qt, QTimer
-from PySide6.QtGui import QCloseEvent, QKeyEvent
-from PySide6.QtWidgets import QApplication, QButtonGroup, QMainWindow, QSizePolicy, QStackedWidget, QWidget
+from PySide6.QtGui import QCloseEvent, QKeyEvent, QKeySequence
+from PySide6.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QButtonGroup,
+    QComboBox,
+    QMainWindow,
+    QSizePolicy,
+    QStackedWidget,
+    QWidget,
+)
 
 from dragrig.engine_host import (
     SILENCE_TIMEOUT_S,
@@ -49,6 +58,7 @@ from dragrig.window.widgets import (
 )
 
 COLLECT_INTERVAL_MS = 200
+_SHOW, _WHEEL = QEvent.Type.Show, QEvent.Type.Wheel
 MIN_WIDTH_PX, MIN_HEIGHT_PX = 940, 500
 """A Full HD screen at twice the size has 960 by 540; nothing that is shown asks for more."""
 
@@ -293,7 +303,17 @@ class MainWindow(QMainWindow):
                 pass
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Stop the stage on Escape wherever the focus is, also in a dialog."""
+        """Stop the stage on Escape wherever the focus is, also in a dialog; keep the wheel off fields in passing."""
+        if isinstance(watched, QComboBox | QAbstractSpinBox) and event.type() in {_SHOW, _WHEEL}:
+            # A wheel would give it the focus first.
+            watched.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            if event.type() is _WHEEL and not watched.hasFocus():
+                # What is around it scrolls instead.
+                event.ignore()
+                return True
+        if self._undoes_form(watched, event):
+            event.ignore()
+            return True
         pressed = event.type() in {QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride}
         if pressed and isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.session_running:
             if event.type() is QEvent.Type.KeyPress:
@@ -301,6 +321,13 @@ class MainWindow(QMainWindow):
             event.accept()
             return True
         return super().eventFilter(watched, event)
+
+    def _undoes_form(self, watched: QObject, event: QEvent) -> bool:
+        """Whether a key is the form's own undo, which takes back changes of lists and switches too."""
+        if event.type() is not QEvent.Type.ShortcutOverride or not isinstance(event, QKeyEvent):
+            return False
+        inside = isinstance(watched, QWidget) and self.run.new.editor.isAncestorOf(watched)
+        return inside and event.matches(QKeySequence.StandardKey.Undo)
 
     def close_in_order(self, reason: str) -> None:
         """Close the window whatever is running: the stage is stopped first, and the run finished."""

@@ -1,12 +1,17 @@
 """The next session: its plan as a form, operator and pace, and a preview of what it will do."""
 
+import json
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QFormLayout,
+    QLabel,
     QLineEdit,
     QPlainTextEdit,
     QWidget,
@@ -17,6 +22,7 @@ from dragrig.engine_host import Pace, RigSelection
 from dragrig.present import BLUE, PURPLE, duration_text, size_text
 from dragrig.views import (
     FieldKind,
+    FieldPlace,
     FormField,
     PlanForm,
     RigDescription,
@@ -46,11 +52,16 @@ from dragrig.window.widgets import (
 )
 
 DEFAULT_TEXT = "default"
+CHANGED_MARK = " ●"
+"""Beside the name of a field that differs from the last session."""
 FieldEditor = QLineEdit | QPlainTextEdit | QComboBox | QCheckBox
 
 
 class PlanEditor(QWidget):
-    """Edits the steps of a plan; `changed` after every change."""
+    """Edits the steps of a plan; `changed` after every change.
+
+    A field that differs from `reference` is marked, and one that is invalid says so below itself.
+    """
 
     changed = Signal()
 
@@ -60,26 +71,31 @@ class PlanEditor(QWidget):
         self.steps.currentIndexChanged.connect(self._show_step)
         self.about = label("", "faint", wrap=True)
         self.editors: dict[str, FieldEditor] = {}
+        self.captions: dict[str, QLabel] = {}
+        self.problems: dict[str, QLabel] = {}
         self._form: PlanForm | None = None
         self._values: list[dict[str, str]] = []
         self._shown = -1
+        self._invalid: dict[FieldPlace, str] = {}
+        self._changes: dict[FieldPlace, str] = {}
         self._fields = bare_widget(column())
         self._rows = column(self.steps, self.about, self._fields)
         self.setLayout(self._rows)
 
-    def edit(self, form: PlanForm) -> None:
-        """Show a plan."""
+    def edit(self, form: PlanForm, values: Sequence[Mapping[str, str]] | None = None) -> None:
+        """Show a plan, with these values or its own."""
+        step = max(self._shown, 0) if form == self._form else 0
         self._form, self._shown = form, -1
-        self._values = [
-            {field.key: step.values.get(field.key, field.default) for field in step.fields} for step in form.steps
-        ]
+        self._values = [dict(texts) for texts in (form.values() if values is None else values)]
+        self._invalid, self._changes = {}, {}
         with QSignalBlocker(self.steps):
             self.steps.clear()
             self.steps.addItems(
                 [f"Step {number} of {len(form.steps)}: {step.kind}" for number, step in enumerate(form.steps, 1)]
             )
+            self.steps.setCurrentIndex(step)
         self.steps.setVisible(len(form.steps) > 1)
-        self._show_step(0)
+        self._show_step(step)
 
     def values(self) -> list[dict[str, str]]:
         """Return the values of every step as text."""
@@ -99,6 +115,21 @@ class PlanEditor(QWidget):
             case _:
                 editor.setText(text)
 
+    def mark(self, invalid: Mapping[FieldPlace, str], changes: Mapping[FieldPlace, str]) -> None:
+        """Say below a field what is wrong with it, and beside its name that it was changed, with what it was."""
+        self._invalid, self._changes = dict(invalid), dict(changes)
+        form, shown = self._form, self._shown
+        if form is None or shown < 0:
+            return
+        for field in form.steps[shown].fields:
+            problem, change = self._invalid.get((shown, field.key), ""), self._changes.get((shown, field.key))
+            self.problems[field.key].setText(problem)
+            self.problems[field.key].setVisible(bool(problem))
+            caption = self.captions[field.key]
+            caption.setText(f"{field_label(field)}{'' if change is None else CHANGED_MARK}")
+            caption.setToolTip(_field_help(field) if change is None else f"Changed: {change}. {_field_help(field)}")
+            set_role(caption, "wrong" if problem else "changed" if change is not None else "")
+
     def _show_step(self, index: int) -> None:
         if self._form is None or not 0 <= index < len(self._form.steps):
             return
@@ -106,18 +137,22 @@ class PlanEditor(QWidget):
         step, self._shown = self._form.steps[index], index
         self.about.setText(step.about)
         self.editors = {field.key: self._editor(field, self._values[index][field.key]) for field in step.fields}
+        self.captions = {field.key: label(field_label(field)) for field in step.fields}
+        self.problems = {field.key: label("", "wrong", wrap=True) for field in step.fields}
         inner, layout = QWidget(), QFormLayout()
         inner.setObjectName("bare")
         layout.setContentsMargins(0, 0, 8, 0)
         layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
-        for field in step.fields:
-            name = label(f"{field.name.capitalize()}{f' ({field.unit})' if field.unit else ''}")
-            name.setToolTip(_field_help(field))
-            layout.addRow(name, self.editors[field.key])
+        for key, editor in self.editors.items():
+            layout.addRow(self.captions[key], editor)
+            layout.addRow(self.problems[key])
         inner.setLayout(layout)
         self._rows.replaceWidget(self._fields, inner)
+        self._fields.hide()
         self._fields.deleteLater()
         self._fields = inner
+        inner.show()
+        self.mark(self._invalid, self._changes)
 
     def _keep(self) -> None:
         if self._shown >= 0:
@@ -165,6 +200,11 @@ def _editor_text(editor: FieldEditor) -> str:
             return editor.text()
 
 
+def field_label(field: FormField) -> str:
+    """Return the name of a field as the form has it, with its unit."""
+    return f"{field.name.capitalize()}{f' ({field.unit})' if field.unit else ''}"
+
+
 def _field_help(field: FormField) -> str:
     sweep = "Several values, separated by commas, make a run for each value." if field.sweeps else ""
     limits = f"Allowed: {field.limits}." if field.limits else ""
@@ -176,6 +216,7 @@ _PREVIEW_HEADER = (
     "Run",
     "Protocol",
     "Capsule",
+    "Fixture",
     "Position (mm)",
     "Speed (mm/s)",
     "Wait before",
@@ -191,6 +232,7 @@ class PlanPreview(QWidget):
         super().__init__()
         self.summary = ElidedLabel("", "title")
         self.findings = MessageText()
+        self.conditions = MessageText(most_lines=2)
         self.runs = named(table(_PREVIEW_HEADER), "Runs of the plan")
         self.runs.currentCellChanged.connect(lambda index, *_: self._draw(index))
         self.position = TimePlot("Position", "mm")
@@ -203,11 +245,12 @@ class PlanPreview(QWidget):
         layout = column(
             self.summary,
             self.findings,
+            self.conditions,
             self.position.widget,
             self.speed.widget,
             self.runs,
             margin=8,
-            stretch={2: 3, 3: 2, 4: 3},
+            stretch={3: 3, 4: 2, 5: 3},
         )
         self.setLayout(layout)
 
@@ -226,11 +269,13 @@ class PlanPreview(QWidget):
             limits = f"stage limits {session.lowest_mm:g} to {session.highest_mm:g} mm"
             self.findings.setText(f"Plan OK, within limits; {limits}.")
         set_role(self.findings, "wrong" if preflight.findings else "fine")
+        self.conditions.setText(session.conditions)
         rows = [
             (
                 str(preview.run.index),
                 preview.run.protocol.summary(),
                 preview.run.capsule.name,
+                preview.run.fixture.value,
                 f"{preview.lowest_mm:g} to {preview.highest_mm:g}",
                 f"{preview.speed_mm_s:g}",
                 duration_text(preview.run.wait_s) if preview.run.wait_s else "none",
@@ -252,6 +297,13 @@ class PlanPreview(QWidget):
         self.summary.setText("This plan cannot be used yet")
         self.findings.setText(sentence)
         set_role(self.findings, "wrong")
+        # What is shown is of the plan before, which nobody is about to run.
+        self._session = None
+        self.conditions.setText("")
+        fill_table(self.runs, [])
+        for plot, line in ((self.position, self._position_line), (self.speed, self._speed_line)):
+            line.points(np.zeros(0), np.zeros(0))
+            plot.remove_levels()
 
     def _draw(self, index: int) -> None:
         previews = () if self._session is None else self._session.preflight.previews
@@ -264,6 +316,7 @@ class PlanPreview(QWidget):
 
 
 _EDIT_DELAY_MS = 250
+_MAX_UNDO = 100
 _SIMULATED_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "as fast as possible": "fast"}
 _DOUBLE_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "5 times faster": 5.0, "20 times faster": 20.0}
 
@@ -283,12 +336,18 @@ class NewSession(QWidget):
         self._rig, self._description, self._stored = rig, description, stored
         self._form: PlanForm | None = None
         self._offered: dict[str, PlanForm] = {}
+        self._shown_plan = ""
+        self._edited: dict[str, list[dict[str, str]]] = {}
+        self._history: list[tuple[str, list[dict[str, str]]]] = []
         self.session: SessionPreview | None = None
         self.plans = named(QComboBox(), "Plan")
         for name in known_plans(None if lab is None else lab.absolute()):
             self.plans.addItem(Path(name).stem if name.endswith(".toml") else name, name)
         self.open = button("&Open …", self._choose_file, help_="Open a plan file")
         self.editor = PlanEditor()
+        self.changes = MessageText(most_lines=2)
+        self.problem = MessageText("wrong", most_lines=2)
+        self.undo = button("Undo", self.undo_edit, help_="Take back the last change of the form", keys="Ctrl+Z")
         self.operator = QLineEdit(stored.text("operator"))
         self.note = QLineEdit()
         self.mirror = QLineEdit(stored.text("mirror"))
@@ -337,7 +396,9 @@ class NewSession(QWidget):
             if self.plans.findData(name) < 0:
                 self.plans.addItem(plan.plan.name, name)
             self.plans.setCurrentIndex(self.plans.findData(name))
-        self._edit(plan)
+        self._note_edit()
+        self._edited.pop(name, None)
+        self._edit(name, plan)
 
     def plan(self) -> Plan:
         """Return the plan in the form; raises `DragrigError`."""
@@ -348,16 +409,106 @@ class NewSession(QWidget):
     def update_preview(self) -> None:
         """Preview the session."""
         self._edit_timer.stop()
-        self.session = None
+        self._note_edit()
+        self.session, refusal = None, ""
         try:
             self.session = preview_session(self.plan(), self._rig)
         except DragrigError as error:
-            self.refused.emit(str(error))
+            refusal = str(error)
+            self.refused.emit(refusal)
         else:
             self.planned.emit(self.session)
+        self._mark_fields(refusal)
         allowed = self.session is not None and not self.session.preflight.findings
         self.start.setEnabled(allowed)
         self.queue.setEnabled(allowed)
+
+    def undo_edit(self) -> None:
+        """Take back the last change, also of a plan that is not shown any more."""
+        self._edit_timer.stop()
+        self._note_edit()
+        if not self._history:
+            return
+        plan, values = self._history.pop()
+        self._edited[plan] = values
+        # What the form shows is what is taken back: no edit to note.
+        self._shown_plan = ""
+        with QSignalBlocker(self.plans):
+            self.plans.setCurrentIndex(self.plans.findData(plan))
+        self._load(plan)
+
+    def note_session(self) -> None:
+        """Remember the form as the last session of its plan, from which later edits are told."""
+        self._stored.keep(f"last session, {self._shown_plan}", json.dumps(self.editor.values()))
+        self._mark_fields("")
+
+    def _note_edit(self) -> None:
+        """Remember the values before a change, for undo."""
+        if self._form is None or not self._shown_plan:
+            return
+        before, now = self._edited.get(self._shown_plan), self.editor.values()
+        if before is not None and now != before:
+            self._history = [*self._history, (self._shown_plan, before)][-_MAX_UNDO:]
+        self._edited[self._shown_plan] = now
+        self.undo.setEnabled(bool(self._history))
+
+    def _mark_fields(self, refusal: str) -> None:
+        form = self._form
+        if form is None:
+            self.changes.hide()
+            self._say_problem(refusal)
+            return
+        invalid = form.misread(self.editor.values())
+        findings: tuple[str, ...] = () if self.session is None else self.session.preflight.findings
+        for sentence in (refusal, *findings) if not invalid else ():
+            if place := form.place_of(sentence, self._step_of(sentence)):
+                # Without where it stands: that is here.
+                brief = re.sub(r"^.*?(steps\[\d+\][.:] ?|run \d+ \(.*?\) )", "", sentence)
+                invalid.setdefault(place, brief)
+        changes = self._changes(form)
+        self.editor.mark(invalid, changes)
+        problems = [f"{self._field_name(form, place)}: {problem}" for place, problem in invalid.items()]
+        self._say_problem(problems[0] if problems else refusal or next(iter(findings), ""))
+        told = "; ".join(f"{self._field_name(form, place)} {change}" for place, change in changes.items())
+        since = "the last session" if self._last_session(form) is not None else "the plan"
+        self.changes.setText(f"Differs from {since}: {told}.")
+        self.changes.setVisible(bool(changes))
+
+    def _say_problem(self, sentence: str) -> None:
+        self.problem.setText(sentence)
+        self.problem.setVisible(bool(sentence))
+
+    def _step_of(self, finding: str) -> int | None:
+        """Return the step of the run that a finding is about."""
+        named_run = re.search(r"\brun (\d+) \(", finding)
+        previews = () if self.session is None else self.session.preflight.previews
+        runs = {preview.run.index: preview.run.step for preview in previews}
+        return runs.get(int(named_run[1])) if named_run else None
+
+    def _last_session(self, form: PlanForm) -> list[dict[str, str]] | None:
+        """Return the values of the last session of this plan, if it had the same steps and fields."""
+        try:
+            values = json.loads(self._stored.text(f"last session, {self._shown_plan}"))
+            same = [list(map(str, texts)) for texts in values] == [list(texts) for texts in form.values()]
+        except (ValueError, TypeError):
+            return None
+        return [{key: str(text) for key, text in texts.items()} for texts in values] if same else None
+
+    def _changes(self, form: PlanForm) -> dict[FieldPlace, str]:
+        """Return what differs from the last session of this plan, or from the plan where there was none."""
+        before = self._last_session(form) or form.values()
+        return {
+            (number, key): f"{texts[key].strip() or DEFAULT_TEXT} (was {was.strip() or DEFAULT_TEXT})"
+            for number, (texts, old) in enumerate(zip(self.editor.values(), before, strict=True))
+            for key, was in old.items()
+            if texts[key].strip() != was.strip()
+        }
+
+    def _field_name(self, form: PlanForm, place: FieldPlace) -> str:
+        number, key = place
+        step = form.steps[number]
+        where = f"Step {number + 1}, " if len(form.steps) > 1 else ""
+        return where + next(field.name for field in step.fields if field.key == key).capitalize()
 
     def keep(self) -> None:
         """Store the choices for the next start."""
@@ -384,8 +535,10 @@ class NewSession(QWidget):
         inside.setObjectName("bare")
         fields = scrolling(inside)
         fields.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        buttons = row(1, self.queue, self.start)
-        self.setLayout(column(card(column(header, fields, buttons, stretch={1: 1}))))
+        buttons = row(self.undo, 1, self.queue, self.start)
+        self.changes.hide()
+        self.problem.hide()
+        self.setLayout(column(card(column(header, fields, self.changes, self.problem, buttons, stretch={1: 1}))))
         self.setMinimumWidth(330)
 
     def _choose_pace(self, pace: Pace | None) -> None:
@@ -410,19 +563,25 @@ class NewSession(QWidget):
         self.plans.setCurrentIndex(self.plans.findData(path))
 
     def _load(self, name: str) -> None:
+        self._note_edit()
         try:
             form = self._offered.get(name) or plan_form(name)
         except DragrigError as error:
-            self._form = None
+            self._form, self._shown_plan = None, ""
+            self._mark_fields(str(error))
             self.start.setEnabled(False)
             self.queue.setEnabled(False)
             self.refused.emit(str(error))
             return
-        self._edit(form)
+        self._edit(name, form)
 
-    def _edit(self, form: PlanForm) -> None:
-        self._form = form
-        self.editor.edit(form)
+    def _edit(self, name: str, form: PlanForm) -> None:
+        """Show a plan, with the edits made to it before in this window."""
+        edited = self._edited.get(name)
+        same = edited is not None and [list(texts) for texts in edited] == [list(texts) for texts in form.values()]
+        self._form, self._shown_plan = form, name
+        self.editor.edit(form, edited if same else None)
+        self._edited[name] = self.editor.values()
         self.update_preview()
 
 

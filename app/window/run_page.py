@@ -123,6 +123,7 @@ class QueueView(QWidget):
 
     chosen_folder = Signal(str)
     """Folder of a finished session whose runs are to be shown."""
+    changed = Signal()
 
     def __init__(self, queue: SessionQueue) -> None:
         super().__init__()
@@ -143,8 +144,11 @@ class QueueView(QWidget):
         self.clear = button(
             "C&lear finished", self._clear, help_="Remove ended sessions from the list; their files stay"
         )
+        self.back = button("Put back", self._put_back, help_="Put back what was removed last", keys="Ctrl+Shift+Z")
         self.look = button("S&how runs", self._open_selected, help_="Show the recorded runs of the selected session")
-        self.setLayout(column(self.tree, flow(self.up, self.down, self.out, self.clear, self.look), margin=8))
+        self.setLayout(
+            column(self.tree, flow(self.up, self.down, self.out, self.back, self.clear, self.look), margin=8)
+        )
         self.show_queue()
 
     def show_queue(self) -> None:
@@ -153,6 +157,8 @@ class QueueView(QWidget):
         if state != self._shown:
             self._shown = state
             self._rebuild()
+            self.changed.emit()
+        self.back.setEnabled(self._queue.can_put_back)
         self._show_progress()
 
     def _state(self, entry: QueuedSession) -> tuple[object, ...]:
@@ -208,6 +214,10 @@ class QueueView(QWidget):
         if (entry := self._selected()) is not None:
             self._queue.remove(entry)
             self.show_queue()
+
+    def _put_back(self) -> None:
+        self._queue.put_back()
+        self.show_queue()
 
     def _clear(self) -> None:
         self._queue.clear_finished()
@@ -322,6 +332,7 @@ class RunPage(QWidget):
         entry = QueuedSession(job, plan.name, session.preflight.duration_s, len(session.preflight.previews))
         self.queue.add(entry)
         self.new.keep()
+        self.new.note_session()
         self._show_state()
         return entry
 
@@ -447,10 +458,15 @@ class RunPage(QWidget):
     def _show_state(self) -> None:
         running = self.session_running
         self.queue_view.show_queue()
-        self.start_queue.setEnabled(not running and self.queue.next is not None)
+        self._show_buttons()
         self.abort.setEnabled(running)
         self.devices.set_session_running(running=running)
         self.running_changed.emit(running)
+
+    def _show_buttons(self) -> None:
+        waiting = sum(entry.stage is QueueState.WAITING for entry in self.queue.entries)
+        self.start_queue.setEnabled(not self.session_running and waiting > 0)
+        self.tabs.setTabText(self.tabs.indexOf(self.queue_view), f"Q&ueue ({waiting})" if waiting else "Q&ueue")
 
     def _connect(self, engine: EngineLink) -> None:
         engine.event_received.connect(self.take)
@@ -458,6 +474,7 @@ class RunPage(QWidget):
         self.new.planned.connect(self.preview.show_session)
         self.new.refused.connect(self.preview.refuse)
         self.new.submitted.connect(lambda start: self._add_to_queue(start=start))
+        self.queue_view.changed.connect(self._show_buttons)
         self.queue_view.chosen_folder.connect(self.look_at.emit)
 
     def _lay_out(self) -> None:

@@ -99,6 +99,7 @@ class SessionQueue:
     def __init__(self) -> None:
         self.entries: list[QueuedSession] = []
         self._number = 0
+        self._removed: list[list[tuple[int, QueuedSession]]] = []
 
     def next_number(self) -> int:
         """Return a number for the next job."""
@@ -127,7 +128,22 @@ class SessionQueue:
     def remove(self, entry: QueuedSession) -> None:
         """Remove a session that is not running."""
         if entry.stage is not QueueState.RUNNING:
-            self.entries.remove(entry)
+            self._take_out([entry])
+
+    @property
+    def can_put_back(self) -> bool:
+        """Whether sessions were removed that can be put back."""
+        return bool(self._removed)
+
+    def put_back(self) -> None:
+        """Put back what was removed last, where it was."""
+        for place, entry in self._removed.pop() if self._removed else ():
+            self.entries.insert(min(place, len(self.entries)), entry)
+
+    def _take_out(self, entries: list[QueuedSession]) -> None:
+        if entries:
+            self._removed.append([(place, entry) for place, entry in enumerate(self.entries) if entry in entries])
+            self.entries = [entry for entry in self.entries if entry not in entries]
 
     def move(self, entry: QueuedSession, by: int) -> None:
         """Move a waiting session among the waiting ones."""
@@ -141,7 +157,8 @@ class SessionQueue:
 
     def clear_finished(self) -> None:
         """Remove the sessions that have ended."""
-        self.entries = [entry for entry in self.entries if entry.stage in {QueueState.WAITING, QueueState.RUNNING}]
+        lasting = {QueueState.WAITING, QueueState.RUNNING}
+        self._take_out([entry for entry in self.entries if entry.stage not in lasting])
 
     def session_started(self, event: SessionStarted) -> None:
         """Store the runs of a session."""

@@ -78,6 +78,7 @@ QLabel[role="faint"] {{ color: {GREY}; font-size: {SMALL_PX}px; }}
 QLabel[role="wrong"] {{ color: {STOP_COLOUR}; font-weight: 600; }}
 QLabel[role="reading"], QLabel[role="old reading"] {{ font-size: {READING_PX}px; font-weight: 600; }}
 QLabel[role="old reading"] {{ color: {PALE}; }}
+QLabel[role="changed"] {{ color: {BLUE}; font-weight: 600; }}
 QLabel[role="fine"] {{ color: #00664B; font-weight: 600; }}
 QFrame[role="card"] {{ background: {PAPER}; border: 1px solid {GRID}; border-radius: 6px; }}
 QFrame[role="notice"] {{ background: #FFF4D6; border: 2px solid #8A5A00; border-radius: 6px; }}
