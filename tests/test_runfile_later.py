@@ -14,6 +14,8 @@ import pytest
 from nexusformat.nexus import nxload
 from runfiles import START, arrays, header, record
 
+import dragrig
+from dragrig.analysis import filter_file
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig.runfile import (
     finish,
@@ -204,3 +206,22 @@ def test_a_nexus_reader_opens_the_file_with_force_against_time(run_file: Path) -
     np.testing.assert_array_equal(plot.nxsignal.nxdata, wanted["force"])
     np.testing.assert_array_equal(axis.nxdata, wanted["time"])
     assert root["entry/filtered"].nxsignal.nxname == "force"
+
+
+def test_a_nexus_tool_finds_title_times_sample_and_the_time_axis(tmp_path: Path) -> None:
+    (made, _) = dragrig.run("drag", out=tmp_path / "c", operator="Ada", assignments=["speed_mm_s=20"]).files
+    filter_file(made)
+    with h5py.File(made) as file:
+        entry = file["entry"]
+        assert all("NX_class" in group.attrs for group in entry.values() if isinstance(group, h5py.Group))
+        assert entry["title"].asstr()[()] == "drag of jejunum"
+        assert entry["start_time"].asstr()[()] == entry.attrs["start_time"]
+        assert entry["end_time"].asstr()[()] == entry.attrs["end_time"]
+        assert entry["user/name"].asstr()[()] == "Ada"
+        assert entry["sample/name"].asstr()[()] == "jejunum"
+        assert {"git_revision", "python", "numpy", "h5py"} <= set(entry["provenance"].attrs)
+        assert list(entry["trace"].attrs["auxiliary_signals"]) == ["motor_force", "position"]
+        for group in (entry["trace"], entry["filtered"]):
+            assert all(group[name].dims[0][0] == group["time"] for name in group if name != "time")
+            assert all("long_name" in column.attrs for column in group.values())
+    assert verify(made).holds

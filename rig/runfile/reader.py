@@ -37,6 +37,8 @@ from dragrig.rig.runfile.model import (
 MAX_ATTRIBUTE_VALUES = 256
 """An attribute with more values than this is damaged; reading them could take all memory."""
 MAX_VALUE_BYTES = 1 << 16
+SCALE_ATTRIBUTES = frozenset({"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST"})
+"""Of HDF5's dimension scales."""
 SCALAR_CLASSES = frozenset({h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h5py.h5t.ENUM})
 MAX_DEFLATE_RATIO = 1100
 """Deflate packs at most 1032 bytes into one; a dataset that claims more than this is damaged."""
@@ -67,8 +69,11 @@ def required_dataset(file: h5py.File, path: str) -> h5py.Dataset:
 
 
 def attributes_of(holder: h5py.Group | h5py.Dataset) -> dict[str, Attribute]:
-    """Return all attributes as plain Python values; a list becomes comma-separated text."""
-    return {str(name): attribute_of(holder, name) for name in holder.attrs}
+    """Return all attributes as plain Python values; a list becomes comma-separated text.
+
+    Those that tie a dataset to its dimension scale are not among them.
+    """
+    return {str(name): attribute_of(holder, name) for name in holder.attrs if name not in SCALE_ATTRIBUTES}
 
 
 def attribute_of(holder: h5py.Group | h5py.Dataset, name: str) -> Attribute:
@@ -187,7 +192,7 @@ def read_info_v1(file: h5py.File, path: Path) -> RunInfo:
         sample_rate_hz=positive_rate(trace["sample_rate_hz"]),
         channels=channels,
         entry={name: value for name, value in entry.items() if name not in schema.HEADER_ATTRIBUTES},
-        protocol=protocol,
+        protocol=_without_class(protocol),
         capsule=_without_class(capsule),
         specimen=_without_class(specimen),
         settings_toml=str(to_python(required_dataset(file, schema.SETTINGS)[()])) if schema.SETTINGS in file else "",
@@ -333,7 +338,7 @@ def _phase(file: h5py.File, rows: slice) -> PhaseArray:
     if "names" not in dataset.attrs:
         raise LayoutError("/entry/trace/phase lacks the attribute names")
     names = ", ".join(PHASE_NAMES)
-    if attributes_of(dataset)["names"] != names:
+    if attribute_of(dataset, "names") != names:
         raise LayoutError(f"the attribute names of /entry/trace/phase is not {names}")
     _require_plausible_size(dataset)
     phase: PhaseArray = dataset[rows]

@@ -1,6 +1,8 @@
 """The run file's layout in one place: its names, attributes and units, and the names of the files beside it."""
 
+import platform
 import re
+import subprocess
 from collections.abc import Mapping
 from datetime import datetime
 from functools import cache
@@ -53,6 +55,20 @@ FIXED_ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
     TRACE: {"NX_class": "NXdata", "axes": "time"},
 }
 """Attributes that make a NeXus viewer find the force trace; every file has them."""
+
+NEXUS_CLASSES: Mapping[str, str] = dict.fromkeys((PROTOCOL, CAPSULE, SPECIMEN, CHECKS), "NXcollection")
+"""Classes of further groups; older files without them are read all the same."""
+
+LONG_NAMES: Mapping[str, str] = {
+    TIME: "time since the first sample",
+    "force": "force against the capsule",
+    "motor_force": "force of the motor",
+    "position": "position relative to the start",
+    COMMAND: "commanded position relative to the start",
+    PHASE: "phase of the motion",
+    "temperature": "temperature",
+}
+"""Names for the axes of a viewer, to which the unit is added."""
 
 REQUIRED_ATTRIBUTES: Mapping[str, Mapping[str, type]] = {
     ENTRY: {"run_id": str, "start_time": str, "order": int, "status": str, "backend": str},
@@ -149,6 +165,26 @@ def lock_path(path: Path) -> Path:
 def mark_path(path: Path) -> Path:
     """Return the path of a run's mark."""
     return path.with_name(run_name(path) + ".mark.toml")
+
+
+@cache
+def provenance() -> Mapping[str, str]:
+    """Return what made a file: versions of this software, of Python and of the libraries, and the git revision."""
+    libraries = {name: version(name) for name in ("h5py", "numpy", "scipy")}
+    return {"dragrig": version("dragrig"), "git_revision": _git_revision(), "python": platform.python_version(),
+            "platform": platform.platform(), **libraries}  # fmt: skip
+
+
+def _git_revision() -> str:
+    """Return the revision of the clone that this software runs from; "unknown" for an installed copy."""
+    folder = Path(__file__).resolve().parent
+    if not any((above / ".git").exists() for above in folder.parents[:3]):
+        return "unknown"
+    ask = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=12"]
+    try:
+        return subprocess.run(ask, capture_output=True, text=True, timeout=5.0, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
 
 
 @cache

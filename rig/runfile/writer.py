@@ -122,7 +122,8 @@ def write_header(file: h5py.File, header: RunHeader, status: RunStatus) -> None:
     file.attrs["format_version"] = schema.FORMAT_VERSION
     groups = _groups(header, status)
     for path in dict.fromkeys((*schema.FIXED_ATTRIBUTES, *groups)):
-        write_attributes(file.require_group(path), {**schema.FIXED_ATTRIBUTES.get(path, {}), **groups.get(path, {})})
+        fixed = schema.FIXED_ATTRIBUTES.get(path) or {"NX_class": schema.NEXUS_CLASSES[path]}
+        write_attributes(file.require_group(path), {**fixed, **groups.get(path, {})})
     if header.settings_toml:
         file[schema.SETTINGS] = header.settings_toml
 
@@ -161,6 +162,8 @@ def write_dataset_attributes(dataset: h5py.Dataset, name: str, units: Mapping[st
         dataset.attrs["names"] = list(PHASE_NAMES)
     else:
         dataset.attrs["units"] = units[name]
+    label = schema.LONG_NAMES.get(name, name.replace("_", " "))
+    dataset.attrs["long_name"] = f"{label} ({units[name]})" if name in units else label
 
 
 def column_units(channels: Sequence[RecordedChannel]) -> dict[str, str]:
@@ -211,8 +214,63 @@ def write_ending(file: h5py.File, events: Sequence[RunEvent], ending: RunEnding,
         entry.attrs["end_time"] = ending.end_time.isoformat()
     if ending.checks:
         group = file.create_group(schema.CHECKS)
-        group.attrs["NX_class"] = "NXcollection"
+        group.attrs["NX_class"] = schema.NEXUS_CLASSES[schema.CHECKS]
         write_attributes(group, ending.checks)
+    _write_nexus_fields(file)
+    trace = file[schema.TRACE]
+    others = [name for name in trace if name not in {*schema.FRAME_DATASETS, trace.attrs["signal"]}]
+    trace.attrs["auxiliary_signals"] = others
+    scale_time(trace)
+
+
+def _write_nexus_fields(file: h5py.File) -> None:
+    """Write, from the attributes, what the NeXus standard has as fields and groups, for programs that look there."""
+    entry, specimen = file[schema.ENTRY], file[schema.SPECIMEN].attrs
+    attributes = {name: str(value) for name, value in entry.attrs.items()}
+    fields = {
+        "title": f"{file[schema.PROTOCOL].attrs['kind']} of {specimen['name']}",
+        "start_time": attributes["start_time"],
+        "end_time": attributes.get("end_time", ""),
+        "entry_identifier_uuid": attributes["run_id"],
+        "experiment_description": attributes.get("note", ""),
+        "program_name": attributes.get("software", ""),
+    }
+    _write_fields(entry, fields)
+    sample = _nexus_group(entry, "sample", "NXsample", {"name": str(specimen["name"])})
+    temperature = specimen.get("temperature_degC")
+    if isinstance(temperature, float | int):
+        sample["temperature"] = float(temperature)
+        sample["temperature"].attrs["units"] = "degC"
+    if operator := attributes.get("operator"):
+        _nexus_group(entry, "user", "NXuser", {"name": operator})
+    instrument = _nexus_group(entry, "instrument", "NXinstrument", {"name": "linear-motor drag tester"})
+    _nexus_group(instrument, "force_sensor", "NXsensor", {"name": attributes.get("sensor_serial", "force sensor")})
+    write_attributes(_nexus_group(entry, "provenance", "NXcollection", {}), schema.provenance())
+
+
+def _nexus_group(parent: h5py.Group, name: str, nexus_class: str, fields: Mapping[str, str]) -> h5py.Group:
+    group = parent.create_group(name)
+    group.attrs["NX_class"] = nexus_class
+    _write_fields(group, fields)
+    return group
+
+
+def _write_fields(group: h5py.Group, fields: Mapping[str, str]) -> None:
+    for name, text in fields.items():
+        if text:
+            group[name] = text
+
+
+def scale_time(group: h5py.Group) -> None:
+    """Make the time of a trace the dimension scale of its other datasets, in place of what a copy lost."""
+    time = group[schema.TIME]
+    columns = [group[name] for name in group if name != schema.TIME]
+    for dataset, name in ((time, "REFERENCE_LIST"), *((column, "DIMENSION_LIST") for column in columns)):
+        if name in dataset.attrs:
+            del dataset.attrs[name]
+    time.make_scale(schema.TIME)
+    for column in columns:
+        column.dims[0].attach_scale(time)
 
 
 def write_run(
@@ -361,6 +419,9 @@ def rewrite(path: Path, edit: Callable[[h5py.File], None], *, without: Sequence[
             with open_run(path) as source:
                 _copy_run(source, file, frozenset(without))
             edit(file)
+            for group in (schema.TRACE, schema.FILTERED):
+                if group in file:
+                    scale_time(file[group])
 
 
 def store_filtered(path: Path, filtered: FilteredTrace, events: Sequence[RunEvent] = ()) -> None:
@@ -380,6 +441,8 @@ def store_filtered(path: Path, filtered: FilteredTrace, events: Sequence[RunEven
         for name, column in {schema.TIME: filtered.time, **filtered.channels}.items():
             dataset = create_column(group, name, len(column), np.dtype("<f8"))
             dataset.attrs["units"] = units.get(name, "")
+            label = schema.LONG_NAMES.get(name, name.replace("_", " "))
+            dataset.attrs["long_name"] = f"filtered {label}" if name != schema.TIME else label
             dataset[:] = column
         run_events = [event for event in read_events_v1(file) if event.kind != schema.FILTER_EVENT]
         filter_events = [RunEvent(event.time_s, schema.FILTER_EVENT, event.message) for event in events]
