@@ -157,6 +157,9 @@ class TableRow:
     steady_force_error_mN: float | None = None
     rest_offset_mN: float | None = None
     rest_offset_error_mN: float | None = None
+    steady_above_rest_mN: float | None = None
+    """Steady force with the mean at rest taken off: the sensor's zero, and what the resting capsule bears."""
+    steady_above_rest_error_mN: float | None = None
     peak_force_mN: float | None = None
     hold_force_mN: float | None = None
     measured_speed_mm_s: float | None = None
@@ -233,6 +236,7 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
         steady_force_error_mN=measured.steady_force.standard_error,
         rest_offset_mN=measured.rest_offset.value,
         rest_offset_error_mN=measured.rest_offset.standard_error,
+        **_above_rest(measured),
         peak_force_mN=measured.peak_force.value,
         hold_force_mN=measured.hold_force.value,
         measured_speed_mm_s=measured.speed.value,
@@ -242,6 +246,16 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
         mark=bad or "",
         remark="; ".join(f"no {name}: {estimate.reason}" for name, estimate in named.items() if estimate.reason),
     )
+
+
+def _above_rest(measured: RunMeasures) -> dict[str, float | None]:
+    """Return the steady force less that at rest, with its standard error; nothing where either is missing."""
+    steady, rest = measured.steady_force, measured.rest_offset
+    if steady.value is None or rest.value is None:
+        return {}
+    errors = (steady.standard_error, rest.standard_error)
+    known = None if None in errors else sqrt(sum(error**2 for error in errors if error is not None))
+    return {"steady_above_rest_mN": steady.value - rest.value, "steady_above_rest_error_mN": known}
 
 
 def minutes_since_excision(info: RunInfo) -> float | None:

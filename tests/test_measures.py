@@ -196,3 +196,13 @@ def test_a_value_that_nothing_measures_is_no_number_of_a_mean_or_a_peak() -> Non
     assert (row.steady_force_mN, row.peak_force_mN) == (None, None)
     assert row.rest_offset_mN is not None
     assert correlated_mean(force).value is None
+
+
+def test_a_steady_force_is_given_with_the_force_at_rest_taken_off() -> None:
+    row = table_row(sliding())
+    assert row.steady_above_rest_mN == pytest.approx(80.0, abs=1.0)
+    assert row.steady_force_error_mN is not None
+    assert row.rest_offset_error_mN is not None
+    assert row.steady_above_rest_error_mN == pytest.approx(
+        np.hypot(row.steady_force_error_mN, row.rest_offset_error_mN)
+    )

@@ -5,7 +5,11 @@ from pathlib import Path
 import pytest
 
 from dragrig.config.errors import DragrigError, SettingsError
+from dragrig.config.plan import Plan, PlanStep, ReturnMode, RunOrder
+from dragrig.config.settings import shipped_files
+from dragrig.config.specimen import Fixture
 from dragrig.engine_host.messages import RigSelection
+from dragrig.rig.protocols import protocol_kinds
 from dragrig.views import FieldKind, describe_rig, known_plans, motion_curves, plan_form, preview_session
 
 
@@ -94,3 +98,13 @@ def test_a_rig_is_named_unmistakably(rig: RigSelection, title: str, real: bool) 
 def test_a_plan_that_is_none_is_refused() -> None:
     with pytest.raises(SettingsError, match="no plan of this name"):
         plan_form("dragg")
+
+
+def test_the_page_on_plans_has_every_key_and_its_allowed_words() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "writing-a-plan.md").read_text("utf-8")
+    keys = {*Plan.model_fields, *PlanStep.model_fields} - {"parameters"}
+    for protocol in protocol_kinds().values():
+        if protocol.kind != "return":
+            keys |= {protocol.kind, *protocol.model_fields}
+    words = {*RunOrder, *ReturnMode, *Fixture, *shipped_files("plan"), *shipped_files("capsule")}
+    assert [word for word in sorted(keys | words) if f"`{word}`" not in page] == []

@@ -104,7 +104,7 @@ def mean_table(rows: Sequence[TableRow]) -> Table:
     """Tabulate the mean steady force of repeated runs."""
     return Table.of(
         "means",
-        "Mean of repeated runs ± standard error, without bad and unfinished runs",
+        "Mean of repeated runs, as recorded; ± is one standard error; without bad and unfinished runs",
         mean_per_speed(rows),
         Field("specimen", "specimen", lambda mean: mean.specimen),
         Field("kind", "kind", lambda mean: mean.kind),
@@ -127,7 +127,8 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
     )
     return Table.of(
         "runs",
-        "Steady force ± standard error",
+        "Steady force as recorded, and with the force at rest (zero of the sensor, relaxed wall) taken off; ± is one "
+        "standard error",
         rows,
         Field("file", "run", lambda row: row.file),
         Field("kind", "kind", lambda row: row.kind),
@@ -144,6 +145,11 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
             lambda row: _with_error(row.steady_force_mN, row.steady_force_error_mN),
         ),
         Field("rest_offset_mN", "at rest, mN", lambda row: row.rest_offset_mN, decimals(1)),
+        Field(
+            "steady_above_rest_mN",
+            "steady − rest, mN",
+            lambda row: _with_error(row.steady_above_rest_mN, row.steady_above_rest_error_mN),
+        ),
         Field("peak_force_mN", "peak, mN", lambda row: row.peak_force_mN, decimals(1)),
         Field("status", "status", lambda row: row.status),
         Field("checks", "checks", lambda row: row.checks),
