@@ -61,6 +61,7 @@ from .importing.foreign import ImportSettings as ImportSettings
 from .importing.foreign import parse_map as parse_map
 from .importing.importer import ImportedRun as ImportedRun
 from .importing.importer import import_file as import_file
+from .importing.importer import import_runs as import_runs
 from .linear_gaussian import PARAMETER_BOUND as PARAMETER_BOUND
 from .linear_gaussian import ChannelBlocks as ChannelBlocks
 from .linear_gaussian import JointProblem as JointProblem

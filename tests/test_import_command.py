@@ -1,6 +1,7 @@
 """`dragrig import`: from an instrument's text to a run file, and what cannot be."""
 
 import json
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,97 @@ def test_a_measurement_with_capsule_and_wall_is_one_for_the_capsule_model(import
     assert any("speed_mm_s = 5" in event.message for event in run.run.events)
 
 
+@pytest.mark.parametrize(
+    ("first", "begins"),
+    [
+        ("2026-05-04T09:15:00.{:03d}", "2026-05-04T09:15:00"),
+        ("2026-05-04 09:15:00.{:03d}+02:00", "2026-05-04T09:15:00+02:00"),
+        ("23:59:00.{:03d}", ""),
+    ],
+)
+def test_dates_and_times_of_day_are_a_clock(importer: Importer, first: str, begins: str) -> None:
+    rows = [f"{first.format(k * 10)},{0.1 * k:.1f},0.{k}" for k in range(50)]
+    Path("a.csv").write_text("\n".join(["Time,Load [N],Pos [mm]", *rows]), "utf-8")
+    importer("a.csv", "--map", "time=1", "--map", "force=2:N", "--map", "position=3:mm", "--out", "c")
+    (info,) = dragrig.campaign("c").runs
+    assert info.header.sample_rate_hz == pytest.approx(100)
+    assert ("start_time_unknown" in info.header.entry) == (not begins)
+    if begins:
+        assert info.header.start_time == datetime.fromisoformat(begins).astimezone()
+
+
+@pytest.mark.parametrize("first", [",,", "0.00,,0.0"])
+def test_blanks_in_a_first_row_are_left_out_and_told(importer: Importer, first: str) -> None:
+    rows = [f"{0.01 * k:.2f},{0.1 * k:.1f},0.{k}" for k in range(1, 50)]
+    Path("a.csv").write_text("\n".join(["t [s],Load [N],Pos [mm]", first, *rows]), "utf-8")
+    importer("a.csv", "--map", "time=t", "--map", "force=Load", "--map", "position=Pos", "--out", "c")
+    (info,) = dragrig.campaign("c").runs
+    assert info.samples == 49
+    if first.startswith("0"):
+        assert any("1 rows at begin or end lack a number" in event.message for event in dragrig.load(info.path).events)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        [{"t": 0.01 * k, "F": 1.0, "x": 0.1 * k} for k in range(20)],
+        {"t": [0.01 * k for k in range(20)], "F": [1.0] * 20, "x": [0.1 * k for k in range(20)]},
+        {"columns": ["t", "F", "x"], "data": [[0.01 * k, 1.0, 0.1 * k] for k in range(20)]},
+    ],
+)
+def test_json_is_read_in_its_usual_forms(importer: Importer, content: object) -> None:
+    Path("a.json").write_text(json.dumps(content), "utf-8")
+    importer("a.json", "--map", "time=t:s", "--map", "force=F:N", "--map", "position=x:mm", "--out", "c")
+    (info,) = dragrig.campaign("c").runs
+    assert (info.samples, dragrig.load(info.path).trace.force[0]) == (20, 1000.0)
+
+
+def test_a_spreadsheet_is_read_with_its_dates_and_heading(
+    importer: Importer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calamine = pytest.importorskip("python_calamine")
+    begin = datetime(2026, 5, 4, 9, 15, tzinfo=UTC)
+    rows = [[begin + timedelta(milliseconds=10 * k), 0.1 * k, float(k)] for k in range(50)]
+
+    class Book:
+        sheet_names = ("notes", "data")
+
+        def get_sheet_by_name(self, name: str) -> "Book":
+            self.rows = [["Lab 7", "", ""], ["Time", "Load [N]", "Pos [mm]"], *rows] if name == "data" else [["see"]]
+            return self
+
+        def to_python(self, *, skip_empty_area: bool) -> list[list[object]]:
+            return list(self.rows)
+
+    monkeypatch.setattr(calamine.CalamineWorkbook, "from_path", lambda path: Book())
+    (tmp_path / "a.xlsx").write_bytes(b"PK")
+    importer("a.xlsx", "--map", "time=Time", "--map", "force=Load", "--map", "position=Pos", "--out", "c")
+    (info,) = dragrig.campaign("c").runs
+    assert (info.samples, info.header.start_time) == (50, begin)
+
+
+def test_a_long_record_becomes_a_run_for_each_motion(importer: Importer) -> None:
+    time = np.arange(0.0, 16.0, 0.01)
+    position = np.interp(time, [0, 1, 3, 5, 7, 9, 11, 13, 16], [0, 0, 10, 10, 0, 0, 10, 10, 10])
+    np.savetxt("a.csv", np.c_[time, 0.1 + 0 * time, position], "%.6f", ",", header="t [s],F [N],x [mm]", comments="")
+    importer("a.csv", "--map", "time=t", "--map", "force=F", "--map", "position=x", "--kind", "drag",
+             "--split-at", "rests", "--out", "c")  # fmt: skip
+    runs = sorted(dragrig.campaign("c").runs, key=lambda run: run.header.order)
+    assert [round(float(run.header.protocol["travel_mm"])) for run in runs] == [10, -10, 10]
+    assert [run.header.entry["origin_mm"] for run in runs] == pytest.approx([0, 10, 0], abs=0.01)
+    assert [run.header.protocol["speed_mm_s"] for run in runs] == [5, 5, 5]
+
+
+def test_a_turning_rigs_angle_and_torque_become_travel_and_force(importer: Importer) -> None:
+    rows = [f"{0.01 * k:.2f},{0.5 + 0.001 * k:.4f},{float(k)}" for k in range(50)]
+    Path("a.csv").write_text("\n".join(["t [s],M [Nm],phi [deg]", *rows]), "utf-8")
+    importer("a.csv", "--map", "time=t", "--map", "force=M", "--map", "position=phi", "--radius-mm", "25", "--out", "c")
+    (info,) = dragrig.campaign("c").runs
+    trace = dragrig.load(info.path).trace
+    assert trace.force[0] == pytest.approx(20_000)
+    assert trace.position[-1] == pytest.approx(49 * np.pi / 180 * 25)
+
+
 @pytest.mark.parametrize("form", ["csv", "parquet", "mat", "npz"])
 def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
     (run,) = dragrig.simulate(DragProtocol(speed_mm_s=20, travel_mm=10, rest_s=0.2, hold_s=0.2))
@@ -131,7 +223,9 @@ def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
         (("a.csv", *MAP, "--out", "a.csv"), "a.csv"),
         (("empty.csv", *MAP), "is empty"),
         (("binary.csv", *MAP), "binary.csv"),
-        (("sheet.xlsx", *MAP), "CSV"),
+        (("sheet.xlsx", *MAP), "no spreadsheet file"),
+        (("a.csv", *MAP, "--split-at", "rests"), "shows no rests"),
+        (("a.csv", "--map", "time=1:s", "--map", "force=Kraft:Nm"), "--radius-mm"),
         (("nowhere.csv", *MAP), "there is no such file"),
         ((".", *MAP), "is a folder"),
         (("a.csv", "--settings", "a.csv"), "not"),

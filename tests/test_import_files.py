@@ -249,7 +249,7 @@ MAP = ("time=t:s", "force=F:mN", "position=x:mm")
 @pytest.mark.parametrize(
     ("text", "maps", "options", "message"),
     [
-        (f"t,x,F\n{ROWS}\n5.0,50,NaN\n", MAP, {}, "in.csv: line 52, column 'F' has no number"),
+        (f"t,x,F\n{ROWS}\n5.0,50,NaN\n5.1,51,51\n", MAP, {}, "in.csv: line 52, column 'F' has no number"),
         (f"t,x,F\n{ROWS}\n5.0,fifty,50\n", MAP, {}, "in.csv: line 52, column 'x' holds 'fifty'"),
         (f"t,x,F\n{ROWS}\n4.8,48,48\n", MAP, {}, "time goes back at line 52, from 4.9 s to 4.8 s"),
         (f"t,x,F\n{ROWS}", ("time=t:s",), {}, "no column is mapped to force or motor_force; map one of 't', 'x', 'F'"),
@@ -276,7 +276,7 @@ def test_what_cannot_be_imported_is_said_in_one_sentence_and_leaves_nothing(
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("none.csv", "no such file"), ("book.xlsx", "save the sheet as CSV"), ("run.h5", "a run file needs no import")],
+    [("none.csv", "no such file"), ("book.xlsx", "no spreadsheet file"), ("run.h5", "a run file needs no import")],
 )
 def test_files_of_other_kinds_are_refused(tmp_path: Path, name: str, message: str) -> None:
     if name != "none.csv":

@@ -8,8 +8,10 @@ count). So rows off the grid are never moved: the user either asks for resamplin
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +58,10 @@ MOVING_SHARE = 0.05
 """Share of the top speed above which the stage moves."""
 STEADY_TOLERANCE = 0.1
 """Relative deviation from the plateau's speed that is still steady."""
+SPLIT_WINDOW_S = 0.1
+"""Window over which a motion is told from a rest."""
+MIN_REST_BETWEEN_S = 0.3
+"""A shorter standstill, as at a reversal, belongs to its motion."""
 MIN_PLATEAU_SHARE = 0.5
 """Share of the motion that must be steady, for it to be one move at one speed."""
 
@@ -73,6 +79,8 @@ class ConvertedMeasurement:
     """`origin_mm`, `time_origin_s`: position and time of the first row in the foreign file."""
     skipped_s: float = 0.0
     """Time by which the run begins after the file's first row."""
+    begins_at: datetime | None = None
+    """When the file's first row was measured, where its time is a date."""
     sources: Mapping[str, str] = field(default_factory=dict)
     """For each quantity, its column, unit and factor, in words."""
 
@@ -118,7 +126,10 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
     understood, or rows are unevenly spaced and neither resampling nor a rate is set.
     """
     sources = settings.columns.mapped() or guess_columns(table).mapped()
-    mapped = {quantity: _map_column(table, quantity, source) for quantity, source in sources.items()}
+    mapped = {quantity: _map_column(table, quantity, source, settings) for quantity, source in sources.items()}
+    table, blanks = _without_blank_ends(table, [source.column for source in mapped.values()])
+    if blanks:
+        mapped = {quantity: _map_column(table, quantity, source, settings) for quantity, source in sources.items()}
     if not any(quantity in mapped for quantity in SIGNAL_CHANNELS):
         names = ", ".join(repr(column.name) for column in table.columns)
         raise ImportDataError(
@@ -129,6 +140,7 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         quantity: source.scale.apply(table.numbers(source.column, whole=True)) for quantity, source in mapped.items()
     }
     extra, events = _extra_channels(table, mapped)
+    events += [_event(f"{blanks} rows at begin or end lack a number and were left out")] if blanks else []
     values |= {name: column.values for name, column in extra.items()}
     all_stamps = values.pop("time", None)
     stamps, rows = _select_rows(table, settings, all_stamps)
@@ -162,6 +174,7 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         origin_mm=origin_mm,
         time_origin_s=float(stamps[0]) if stamps is not None and len(stamps) else 0.0,
         skipped_s=0.0 if stamps is None or all_stamps is None else float(stamps[0] - all_stamps[0]),
+        begins_at=mapped["time"].column.begins_at if "time" in mapped else None,
         sources={quantity: str(source) for quantity, source in mapped.items()},
     )
 
@@ -170,7 +183,52 @@ def _event(message: str) -> RunEvent:
     return RunEvent(0.0, IMPORT_EVENT, message)
 
 
-def _map_column(table: ForeignTable, quantity: str, source: ColumnSource) -> _MappedColumn:
+def _without_blank_ends(table: ForeignTable, columns: Sequence[ForeignColumn]) -> tuple[ForeignTable, int]:
+    """Return the table without the rows at its begin and end in which a column lacks a number, and their count."""
+    complete = np.ones(table.rows, dtype=np.bool_)
+    for column in columns:
+        complete &= np.isfinite(column.values)
+    rows = np.flatnonzero(complete)
+    if not rows.size or len(rows) == table.rows:
+        return table, 0
+    kept = slice(int(rows[0]), int(rows[-1]) + 1)
+    trimmed = tuple(replace(column, values=column.values[kept]) for column in table.columns)
+    lines = None if table.lines is None else table.lines[kept]
+    left_out = table.rows - (kept.stop - kept.start)
+    return (replace(table, columns=trimmed, lines=lines), left_out) if left_out else (table, 0)
+
+
+def motion_stretches(table: ForeignTable, settings: ImportSettings) -> tuple[tuple[float, float], ...]:
+    """Return the stretches [s] of a long record with one motion each, cut in the middle of the rests between them.
+
+    Raises `ImportDataError` where no time and position are mapped, or there are not several motions.
+    """
+    sources = settings.columns.mapped() or guess_columns(table).mapped()
+    if not {"time", "position"} <= set(sources):
+        raise ImportDataError(f"{table.path}: split_at = 'rests' needs a time and a position; map both.")
+    mapped = {name: _map_column(table, name, sources[name], settings) for name in ("time", "position")}
+    table, _ = _without_blank_ends(table, [source.column for source in mapped.values()])
+    time, position = (
+        source.scale.apply(table.numbers(table.column(source.column.name), whole=True)) for source in mapped.values()
+    )
+    window_s = max(SPLIT_WINDOW_S, 4 * float(np.median(np.diff(time))))
+    ends = np.interp(time + window_s / 2, time, position), np.interp(time - window_s / 2, time, position)
+    speed = np.abs(ends[0] - ends[1]) / window_s
+    moving = speed > MOVING_SHARE * float(speed.max())
+    moves = [(time[start], time[stop - 1]) for start, stop in mask_spans(moving)]
+    joined: list[tuple[float, float]] = []
+    for start, stop in moves:
+        if joined and start - joined[-1][1] < MIN_REST_BETWEEN_S:
+            joined[-1] = (joined[-1][0], float(stop))
+        else:
+            joined.append((float(start), float(stop)))
+    if len(joined) < 2:
+        raise ImportDataError(f"{table.path}: shows no rests between motions to split it at; leave split_at out.")
+    cuts = [(before[1] + after[0]) / 2 for before, after in pairwise(joined)]
+    return tuple(pairwise((float(time[0]), *cuts, float(time[-1]))))
+
+
+def _map_column(table: ForeignTable, quantity: str, source: ColumnSource, settings: ImportSettings) -> _MappedColumn:
     column = table.column(source.column)
     unit = source.unit or column.units
     if not unit and source.factor is None:
@@ -179,7 +237,7 @@ def _map_column(table: ForeignTable, quantity: str, source: ColumnSource) -> _Ma
             f"{quantity}={column.name!r}:{TARGET_UNITS[quantity]}."
         )
     try:
-        return _MappedColumn(column, unit, unit_scale(quantity, unit, source.factor, source.offset))
+        return _MappedColumn(column, unit, unit_scale(quantity, unit, source.factor, source.offset, settings.radius_mm))
     except ImportDataError as error:
         raise ImportDataError(f"{table.path}: column {column.name!r}: {error}.") from error
 

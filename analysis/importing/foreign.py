@@ -6,6 +6,8 @@ Named columns of numbers with their units; which column is which quantity, how t
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
+from math import pi
 from pathlib import Path
 from typing import Literal
 
@@ -39,8 +41,14 @@ CONVERTIBLE_UNITS: Mapping[str, Mapping[str, float]] = {
 """For each stored unit, the factor of every unit that converts to it."""
 _OFFSETS = {"K": -273.15, "degF": -32 * 5 / 9}
 
+ROTARY_UNITS: Mapping[str, Mapping[str, float]] = {
+    "mm": {"rad": 1.0, "deg": pi / 180, "rev": 2 * pi},
+    "mN": {"Nm": 1e6, "Ncm": 1e4, "mNm": 1e3},
+}
+"""Units of a turning rig: an angle is multiplied by the radius [mm], a torque divided by it."""
+
 OTHER_UNITS = ("mV", "V", "mA", "A", "rad", "deg", "rev", "counts", "1", "%", "MPa", "kPa", "Pa", "bar", "rad/s",
-               "mm/s", "m/s", "µm/s", "rpm", "Hz", "Nm", "W", "g", "kg")  # fmt: skip
+               "mm/s", "m/s", "µm/s", "rpm", "Hz", "Nm", "Ncm", "mNm", "W", "g", "kg")  # fmt: skip
 """Units of other quantities, which only a factor stated by the user converts."""
 
 _SPELLINGS = {
@@ -81,7 +89,9 @@ def canonical_unit(text: str) -> str | None:
     return plain if plain in _EXACT else _FOLDED.get(plain.lower())
 
 
-def unit_scale(quantity: str, unit: str, factor: float | None, offset: float) -> UnitScale:
+def unit_scale(
+    quantity: str, unit: str, factor: float | None, offset: float, radius_mm: float | None = None
+) -> UnitScale:
     """Return how a column in `unit` becomes a quantity of the run file.
 
     Parameters
@@ -89,6 +99,8 @@ def unit_scale(quantity: str, unit: str, factor: float | None, offset: float) ->
     factor
         Multiplies besides the unit's own factor; required for a unit of another quantity, where it is the number of
         stored units per unit of the column.
+    radius_mm
+        Of a turning rig: converts angles to travels, and torques to forces.
 
     Raises
     ------
@@ -101,6 +113,9 @@ def unit_scale(quantity: str, unit: str, factor: float | None, offset: float) ->
     if standard is not None and standard in convertible:
         stated = 1.0 if factor is None else factor
         return UnitScale(convertible[standard] * stated, _OFFSETS.get(standard, 0.0) * stated + offset)
+    rotary = ROTARY_UNITS.get(target, {}).get(standard or "")
+    if factor is None and rotary is not None and radius_mm is not None:
+        return UnitScale(rotary * radius_mm if target == "mm" else rotary / radius_mm, offset)
     if factor is not None:
         return UnitScale(factor, offset)
     allowed = ", ".join(convertible)
@@ -109,9 +124,10 @@ def unit_scale(quantity: str, unit: str, factor: float | None, offset: float) ->
             f"{quantity} in {unit!r} is not understood; allowed are {allowed}, or any other unit with a factor, as in "
             f"{quantity}=COLUMN:{unit or 'UNIT'}*12.5 for 12.5 {target} per {unit or 'UNIT'}"
         )
+    turning = ", or the radius of a turning rig (--radius-mm)" if rotary is not None else ""
     raise ImportDataError(
         f"{quantity} in {standard} needs a factor, as in {quantity}=COLUMN:{standard}*12.5 for 12.5 {target} per "
-        f"{standard}; without one allowed are {allowed}"
+        f"{standard}{turning}; without one allowed are {allowed}"
     )
 
 
@@ -147,6 +163,8 @@ class ForeignColumn:
     """Shape `(N,)`, NaN where a cell is empty or says NaN."""
     bad: InvalidCell | None = None
     """First cell that is not a number; the values are then all NaN."""
+    begins_at: datetime | None = None
+    """Of a column of dates and times, which hold seconds since the first one: when that was."""
 
     @property
     def label(self) -> str:
@@ -279,7 +297,11 @@ class ImportSettings(Settings):
     header_lines: int | None = Field(default=None, ge=0)
     """Lines before the first row of numbers; the last of them hold names and perhaps units."""
     table: str = ""
-    """Variable or struct of a MAT file, or group of a TDMS file; the largest table when empty."""
+    """Variable or struct of a MAT file, group of a TDMS file, sheet of a workbook; the largest table when empty."""
+    radius_mm: float | None = Field(default=None, gt=0)
+    """Of a turning rig: angles become travels at this radius, and torques forces."""
+    split_at: Literal["", "rests"] = ""
+    """Make a run of each motion of a long record, cut in the middle of the rests between them."""
     sample_rate_hz: float | None = Field(default=None, gt=0)
     """Rows are evenly spaced at this rate; time stamps then only have to agree with it in their span."""
     resample_hz: float | None = Field(default=None, gt=0)

@@ -13,7 +13,13 @@ from uuid import uuid4
 import numpy as np
 
 from dragrig.analysis import SOURCE_KEY, START_UNKNOWN_KEY
-from dragrig.analysis.importing.conversion import IMPORT_EVENT, SPEED_WINDOW_S, ConvertedMeasurement, convert_table
+from dragrig.analysis.importing.conversion import (
+    IMPORT_EVENT,
+    SPEED_WINDOW_S,
+    ConvertedMeasurement,
+    convert_table,
+    motion_stretches,
+)
 from dragrig.analysis.importing.foreign import ForeignTable, ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
 from dragrig.config import Capsule, Fixture, ImportDataError, OutputError, Specimen, find_settings
@@ -67,10 +73,33 @@ def import_file(path: Path, target: Path, settings: ImportSettings | None = None
     OutputError
         When the target exists already, or cannot be written.
     """
+    settings = settings or ImportSettings()
+    return _import_table(path, read_foreign(path, settings), target, settings)
+
+
+def import_runs(path: Path, folder: Path, settings: ImportSettings) -> tuple[ImportedRun, ...]:
+    """Turn a foreign measurement into a run file, or with `split_at` into one for each of its motions.
+
+    Their orders count from that of the settings on. Raises as `import_file`.
+    """
+    table = read_foreign(path, settings)
+    if not settings.split_at:
+        return (_import_table(path, table, folder, settings),)
+    stretches = enumerate(motion_stretches(table, settings))
+    return tuple(
+        _import_table(
+            path,
+            table,
+            folder,
+            settings.model_copy(update={"from_s": begin, "to_s": end, "order": settings.order + number}),
+        )
+        for number, (begin, end) in stretches
+    )
+
+
+def _import_table(path: Path, table: ForeignTable, target: Path, settings: ImportSettings) -> ImportedRun:
     from dragrig.rig import write_run
 
-    settings = settings or ImportSettings()
-    table = read_foreign(path, settings)
     if table.export and not settings.columns.mapped():
         return _restore_export(table, target)
     measured = convert_table(table, settings)
@@ -99,10 +128,10 @@ def _run_header(
     path: Path, table: ForeignTable, settings: ImportSettings, measured: ConvertedMeasurement
 ) -> tuple[RunHeader, tuple[RunEvent, ...]]:
     events = measured.events
-    start_time = settings.start_time or datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    start_time = settings.start_time or measured.begins_at or datetime.fromtimestamp(path.stat().st_mtime, UTC)
     start_time += timedelta(seconds=measured.skipped_s)
     undated: dict[str, Attribute] = {}
-    if settings.start_time is None:
+    if settings.start_time is None and measured.begins_at is None:
         unknown = "start time not known (--start-time states it): the file's date stands in its place, no session clock"
         events = (RunEvent(0.0, IMPORT_EVENT, unknown), *events)
         undated = {START_UNKNOWN_KEY: True}

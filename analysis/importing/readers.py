@@ -1,4 +1,4 @@
-"""Readers of foreign files: text tables in any dialect, MATLAB, Parquet, TDMS and NumPy files."""
+"""Readers of foreign files: text tables in any dialect, spreadsheets, MATLAB, Parquet, TDMS, NumPy and JSON files."""
 
 import codecs
 import csv
@@ -6,9 +6,11 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import date, datetime
+from datetime import time as time_of_day
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,10 +40,8 @@ SAMPLED_BYTES = 4096
 MAX_MATRIX_COLUMNS = 64
 """A matrix with more columns is an image or a grid, not a table."""
 
+SPREADSHEET_ENDINGS = frozenset({".xlsx", ".xlsm", ".xls", ".ods"})
 _UNSUPPORTED_ENDINGS = {
-    ".xlsx": "save the sheet as CSV",
-    ".xls": "save the sheet as CSV",
-    ".ods": "save the sheet as CSV",
     ".h5": "a run file needs no import; export other HDF5 files as CSV or MAT",
     ".hdf5": "export it as CSV or MAT",
     ".nxs": "export it as CSV or MAT",
@@ -59,7 +59,7 @@ _EXPORT_LINE = re.compile(r"# ([\w-]+): (.*)")
 
 
 def read_foreign(path: Path, settings: ImportSettings | None = None) -> ForeignTable:
-    """Read a measurement by its ending: .mat, .parquet, .tdms, .npz, or text under any other.
+    """Read a measurement by its ending: .mat, .parquet, .tdms, .npz, .json, a spreadsheet, or text under any other.
 
     Raises `ImportDataError` when the file cannot be read, or holds no table.
     """
@@ -71,14 +71,17 @@ def read_foreign(path: Path, settings: ImportSettings | None = None) -> ForeignT
         raise ImportDataError(f"{path}: {ending} files are not read; {_UNSUPPORTED_ENDINGS[ending]}.")
     if path.stat().st_size == 0:
         raise ImportDataError(f"{path}: is empty; give a file with a table of numbers.")
-    if ending == ".mat":
-        return read_mat(path, settings.table)
-    if ending in {".parquet", ".pq"}:
-        return read_parquet(path)
-    if ending == ".tdms":
-        return read_tdms(path, settings.table)
-    if ending == ".npz":
-        return read_npz(path)
+    readers: Mapping[str, Callable[[], ForeignTable]] = {
+        ".mat": lambda: read_mat(path, settings.table),
+        ".parquet": lambda: read_parquet(path),
+        ".pq": lambda: read_parquet(path),
+        ".tdms": lambda: read_tdms(path, settings.table),
+        ".npz": lambda: read_npz(path),
+        ".json": lambda: read_json(path, settings.table),
+        **dict.fromkeys(SPREADSHEET_ENDINGS, lambda: read_spreadsheet(path, settings)),
+    }
+    if ending in readers:
+        return readers[ending]()
     return read_text(path, settings.encoding, settings.delimiter, settings.decimal, settings.header_lines)
 
 
@@ -102,7 +105,12 @@ def read_text(
 
     Raises `ImportDataError` when there is no table, its rows differ in width, or its decimal mark is ambiguous.
     """
-    lines = read_lines(path, encoding)
+    return _table_of_lines(path, read_lines(path, encoding), delimiter, decimal, header_lines)
+
+
+def _table_of_lines(
+    path: Path, lines: Sequence[str], delimiter: str, decimal: str, header_lines: int | None
+) -> ForeignTable:
     dialect = detect_dialect(path, lines, delimiter, header_lines)
     rows = [number for number in range(dialect.first_row, len(lines)) if lines[number].strip()]
     if not rows:
@@ -235,7 +243,7 @@ def _first_row(lines: Sequence[str], delimiter: str, numeric: Sequence[int]) -> 
 
 def _header(lines: Sequence[str], delimiter: str, width: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units from the last lines before the table that have its width."""
-    rows = [cells for line in lines if line.strip() and (cells := _header_cells(line, delimiter, width))]
+    rows = [cells for line in lines if any(cells := _header_cells(line, delimiter, width))]
     if not rows:
         return (), ()
     if len(rows) > 1 and _are_units(rows[-1]) and not _are_units(rows[-2]):
@@ -343,11 +351,35 @@ def _text_column(name: str, units: str, cells: "pa.ChunkedArray", decimal: str) 
         return ForeignColumn(name, units, np.full(len(cells), np.nan))
     if pa.types.is_integer(cells.type) or pa.types.is_floating(cells.type):
         return ForeignColumn(name, units, np.asarray(cells.cast(pa.float64()).to_numpy(), dtype=np.float64))
-    texts = [str(cell).strip() for cell in cells.to_pylist()]
+    texts = ["" if cell is None else str(cell).strip() for cell in cells.to_pylist()]
+    if (clock := _clock_column(name, texts)) is not None:
+        return clock
     wrong_mark = "." if decimal == "," else ","
     invalid = (row for row, text in enumerate(texts) if not is_number(text) or wrong_mark in text)
     first = next(invalid, 0)
     return ForeignColumn(name, units, np.full(len(cells), np.nan), InvalidCell(first, texts[first]))
+
+
+def _clock_column(name: str, texts: Sequence[str]) -> ForeignColumn | None:
+    """Return dates and times, or times of day, as seconds since the first one; None for anything else."""
+    first = next((text for text in texts if text), "")
+    is_time_of_day = first[2:3] == ":"
+    try:
+        # A time of day counts as one of the first day; after midnight the clock begins anew.
+        moments = [
+            datetime.fromisoformat(f"{'0001-01-01T' if is_time_of_day else ''}{text.replace(',', '.')}")
+            if text
+            else None
+            for text in texts
+        ]
+        begin = next(moment for moment in moments if moment is not None)
+        seconds = np.array([np.nan if moment is None else (moment - begin).total_seconds() for moment in moments])
+    except (StopIteration, TypeError, ValueError):
+        return None
+    if is_time_of_day:
+        steps = np.diff(seconds, prepend=seconds[:1])
+        return ForeignColumn(name, "s", seconds + 86_400.0 * np.cumsum(steps < -43_200.0))
+    return ForeignColumn(name, "s", seconds, begins_at=begin if begin.tzinfo is not None else begin.astimezone())
 
 
 def _export_preamble(preamble: Sequence[str]) -> dict[str, object]:
@@ -381,6 +413,60 @@ def read_parquet(path: Path) -> ForeignTable:
         columns.append(("", _array_column(column.name, values, units)))
     export = (table.schema.metadata or {}).get(b"dragrig", b"")
     return _foreign_table(path, columns, export=export.decode("utf-8", "replace"))
+
+
+def read_spreadsheet(path: Path, settings: ImportSettings) -> ForeignTable:
+    """Read a sheet of a workbook (.xlsx, .xls, .ods), the largest one or that named as the table.
+
+    Raises `ImportDataError` when it cannot be read, or holds no table of numbers.
+    """
+    from python_calamine import CalamineWorkbook
+
+    with _damage_reported(path, "spreadsheet"):
+        book = CalamineWorkbook.from_path(str(path))
+        sheets = {name: book.get_sheet_by_name(name).to_python(skip_empty_area=False) for name in book.sheet_names}
+    if settings.table and settings.table not in sheets:
+        raise ImportDataError(
+            f"{path}: there is no sheet {settings.table!r}; {suggestion(settings.table, list(sheets))}"
+        )
+    name = settings.table or max(sheets, key=lambda sheet: len(sheets[sheet]), default="")
+    lines = ["\t".join(_cell_text(cell) for cell in row) for row in sheets.get(name, [])]
+    if not any(line.strip() for line in lines):
+        raise ImportDataError(f"{path}: is empty; give a file with a table of numbers.")
+    return _table_of_lines(path, lines, "\t", ".", settings.header_lines)
+
+
+def _cell_text(cell: object) -> str:
+    return cell.isoformat() if isinstance(cell, date | time_of_day) else str(cell).replace("\t", " ").replace("\n", " ")
+
+
+def read_json(path: Path, table: str = "") -> ForeignTable:
+    """Read a JSON file: a list of records, lists by column, or `columns` and `data`.
+
+    Raises `ImportDataError` when it is none of these.
+    """
+    try:
+        content: object = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise ImportDataError(f"{path}: is no JSON file ({error}); export it anew or as CSV.") from error
+    if isinstance(content, dict) and {"columns", "data"} <= set(content):
+        content = [dict(zip(content["columns"], row, strict=False)) for row in content["data"]]
+    if isinstance(content, list) and all(isinstance(row, dict) for row in content):
+        names = dict.fromkeys(str(name) for row in content for name in row)
+        content = {name: [row.get(name) for row in content] for name in names}
+    columns = list(_json_columns("", content if isinstance(content, dict) else {}))
+    return _foreign_table(path, columns, table)
+
+
+def _json_columns(group: str, tree: Mapping[str, object]) -> Iterator[tuple[str, ForeignColumn]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from _json_columns(f"{group}.{name}" if group else name, value)
+        elif isinstance(value, list) and value:
+            is_numeric = all(item is None or isinstance(item, int | float) for item in value)
+            texts = [] if is_numeric else ["" if item is None else str(item) for item in value]
+            numbers = np.array([np.nan if item is None else item for item in value]) if is_numeric else np.array(texts)
+            yield group, _clock_column(name, texts) or _array_column(name, numbers)
 
 
 def read_npz(path: Path) -> ForeignTable:

@@ -1,7 +1,6 @@
 """Commands on run files: info, mark, filter, import, export."""
 
 from collections.abc import Sequence
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
@@ -159,6 +158,8 @@ class _ImportOptions(TypedDict):
     decimal: str | None
     header_lines: int | None
     table: str | None
+    radius_mm: float | None
+    split_at: str | None
     sample_rate_hz: float | None
     resample_hz: float | None
     steady: bool | None
@@ -189,7 +190,9 @@ class _ImportOptions(TypedDict):
 @click.option("--delimiter", metavar="MARK", help="Between the columns of text (default: detected).")
 @click.option("--decimal", metavar="MARK", help="Decimal mark of text (default: detected).")
 @click.option("--header-lines", type=int, metavar="N", help="Lines before the first row of numbers.")
-@click.option("--table", metavar="NAME", help="Variable of a MAT file, or group of a TDMS file.")
+@click.option("--table", metavar="NAME", help="Variable of a MAT file, group of a TDMS file, sheet of a workbook.")
+@click.option("--radius-mm", type=float, metavar="MM", help="Of a turning rig: converts rad, deg, rev and Nm.")
+@click.option("--split-at", type=click.Choice(["rests"]), help="Make a run of each motion of a long record.")
 @click.option("--sample-rate-hz", type=float, metavar="HZ", help="Rows are evenly spaced at this rate.")
 @click.option("--resample-hz", type=float, metavar="HZ", help="Interpolate rows at uneven times to this rate.")
 @click.option(
@@ -226,15 +229,15 @@ def import_command(
 ) -> None:
     """Convert foreign measurements into run files.
 
-    FILE is text (CSV, decimal commas, any encoding that instruments write), MAT, Parquet, TDMS or NPZ. Map each column
-    to time, force, position, command, motor_force or temperature with its unit: --map force=Load:N, or by number,
-    --map time=1:s. A unit of another dimension needs a factor: --map force=Friction:1*1000. An export of this software
-    needs no map. Existing files are never overwritten.
+    FILE is text (CSV, decimal commas, any encoding that instruments write), MAT, Parquet, TDMS, NPZ, JSON or a
+    spreadsheet. Map each column to time, force, position, command, motor_force or temperature with its unit: --map
+    force=Load:N, or by number, --map time=1:s; dates and times need none. A unit of another dimension needs a factor:
+    --map force=Friction:1*1000. An export of this software needs no map. Existing files are never overwritten.
 
     Capsule, wall and fixture make a measurement one that gap diagnose compares with the capsule model. What a kind
     of run must state (speed, travel, …) and --set does not is taken from the position.
     """
-    from dragrig.analysis import import_file
+    from dragrig.analysis import import_runs
     from dragrig.api import import_settings, next_run_order
     from dragrig.run_inputs import input_files
 
@@ -242,13 +245,12 @@ def import_command(
     named = {key: value for key, value in options_set.items() if value is not None}
     base = import_settings(assignments, {**named, **_protocol_settings(protocol)}, settings)
     folder = options.make_folder(out) if out is not None else Path()
-    orders = count(next_run_order(folder))
 
-    def convert(path: Path, _progress: FileProgress) -> "ImportedRun":
-        return import_file(path, folder, base.model_copy(update={"order": next(orders)}))
+    def convert(path: Path, _progress: FileProgress) -> "tuple[ImportedRun, ...]":
+        return import_runs(path, folder, base.model_copy(update={"order": next_run_order(folder)}))
 
     results, lines = [], []
-    for path, imported in batch.process(convert):
+    for path, imported in ((path, run) for path, runs in batch.process(convert) for run in runs):
         results.append(
             {
                 "source": path,
