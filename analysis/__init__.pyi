@@ -23,6 +23,7 @@ from .estimates import summarise_exclusions as summarise_exclusions
 from .export import EXPORT_FORMAT_KEY as EXPORT_FORMAT_KEY
 from .export import CsvStyle as CsvStyle
 from .export import ExportFormat as ExportFormat
+from .export import ExportSelection as ExportSelection
 from .export import export_campaign as export_campaign
 from .export import export_run as export_run
 from .export import write_export as write_export

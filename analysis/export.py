@@ -5,7 +5,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import isfinite
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.estimates import Progress, no_progress
-from dragrig.config import AnalysisError, OutputError, RunFileError
+from dragrig.config import AnalysisError, OutputError, RunFileError, suggestion
 from dragrig.rig import PHASE_NAMES, Attribute, Run
 
 EXPORT_FORMAT_KEY = "dragrig-export"
@@ -68,6 +68,57 @@ def export_content(run: Run) -> ExportContent:
     columns.append(_column("command", "mm", trace.command))
     columns.append(ExportColumn("phase", "phase", "", trace.phase))
     return ExportContent(tuple(columns), _metadata(run, columns))
+
+
+@dataclass(frozen=True, slots=True)
+class ExportSelection:
+    """What of a run is exported; time always is."""
+
+    columns: tuple[str, ...] = ()
+    """Names of columns, with or without unit (default: all)."""
+    filtered_only: bool = False
+    """Whether a recorded quantity is left out where the filter's is there."""
+    every: int = 1
+    """How many samples become one, their mean; of the phase the first."""
+
+    def __bool__(self) -> bool:
+        """Whether anything is left out."""
+        return self != ExportSelection()
+
+    def applied_to(self, content: ExportContent, path: Path) -> ExportContent:
+        """Return the chosen part of an export; raises `AnalysisError` where there is no such column, or no sample."""
+        if not self:
+            return content
+        time, *others = content.columns
+        if self.filtered_only:
+            filtered = {column.dataset.removeprefix("filtered/") for column in others if "/" in column.dataset}
+            if not filtered:
+                raise AnalysisError(f"{path}: was not filtered; run dragrig filter first.")
+            others = [column for column in others if column.dataset not in filtered]
+        for name in self.columns:
+            if not any(name in _names(column) for column in others):
+                known = [column.name for column in others]
+                raise AnalysisError(f"{path}: has no column {name}; {suggestion(name, known)}")
+        chosen = [column for column in others if not self.columns or _names(column) & set(self.columns)]
+        samples = len(time.values) // self.every
+        if not samples:
+            raise AnalysisError(f"{path}: has {len(time.values)} samples, fewer than {self.every}; lower --every.")
+        columns = tuple(replace(column, values=self._thinned(column, samples)) for column in (time, *chosen))
+        # Not the whole run, so that an import takes it for a plain table with units in its names.
+        metadata = {key: value for key, value in content.metadata.items() if key != EXPORT_FORMAT_KEY}
+        described: Json = {column.name: [column.dataset, column.units, column.values.dtype.name] for column in columns}
+        return ExportContent(columns, {**metadata, "columns": described, "samples_averaged": self.every})
+
+    def _thinned(self, column: ExportColumn, samples: int) -> npt.NDArray[np.generic]:
+        pieces = column.values[: samples * self.every].reshape(samples, self.every)
+        if column.values.dtype.kind != "f" or self.every == 1:
+            return pieces[:, 0]
+        return np.asarray(pieces.mean(axis=1, dtype=np.float64), dtype=column.values.dtype)
+
+
+def _names(column: ExportColumn) -> set[str]:
+    unit = column_name("", column.units).removeprefix("column")
+    return {column.name, column.name.removesuffix(unit), column.dataset}
 
 
 def column_name(label: str, units: str) -> str:
@@ -257,6 +308,7 @@ def export_run(
     export_format: ExportFormat = ExportFormat.CSV,
     style: CsvStyle | None = None,
     *,
+    selection: ExportSelection = ExportSelection(),
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Path:
@@ -268,6 +320,8 @@ def export_run(
         A file, or a folder in which the export gets the run's name.
     style
         Decimal mark and delimiter of a CSV file.
+    selection
+        Columns and samples (default: all).
     overwrite
         Whether an existing export may be replaced.
 
@@ -287,7 +341,9 @@ def export_run(
 
     target = _target_file(path, target, export_format)
     _require_free(target, overwrite=overwrite)
-    return write_export(read_run(path), target, export_format, style, overwrite=overwrite, progress=progress)
+    return write_export(
+        read_run(path), target, export_format, style, selection=selection, overwrite=overwrite, progress=progress
+    )
 
 
 def export_campaign(
@@ -340,6 +396,7 @@ def write_export(
     export_format: ExportFormat,
     style: CsvStyle | None = None,
     *,
+    selection: ExportSelection = ExportSelection(),
     overwrite: bool = False,
     progress: Progress = no_progress,
 ) -> Path:
@@ -348,7 +405,7 @@ def write_export(
     if target.exists() and target.samefile(run.info.path):
         raise OutputError(f"{target}: is the run file itself; give the export another name.")
     with _written_atomically(target) as part:
-        content = export_content(run)
+        content = selection.applied_to(export_content(run), run.info.path)
         match export_format:
             case ExportFormat.CSV:
                 write_csv(part, content, style or CsvStyle(), progress)

@@ -10,7 +10,9 @@ import pandas as pd
 import pytest
 
 import dragrig
+from dragrig.analysis.export import ExportSelection, export_content
 from dragrig.cli import main
+from dragrig.config.errors import AnalysisError
 from dragrig.rig.runfile import read_mark, read_run
 
 PRACTICE = Path(__file__).parent / "data" / "campaign"
@@ -188,3 +190,17 @@ def test_a_reader_that_leaves_keeps_no_file_from_being_written(
     monkeypatch.setattr("dragrig.cli.run_file_commands.print_result", closed)
     main(["export", str(practice), "--out", str(tmp_path / "csv"), "-q"])
     assert len(list((tmp_path / "csv").iterdir())) == len(list(practice.glob("*.h5"))) > 1
+
+
+def test_an_export_of_chosen_columns_filtered_and_averaged(command: Command, practice: Path) -> None:
+    run = sorted(practice.glob("*.h5"))[0]
+    command("filter", str(run))
+    command("export", str(run), "--columns", "force_filtered,position", "--filtered-only", "--every", "10", "-o", "e")
+    table = pd.read_csv(next(Path("e").iterdir()), comment="#")
+    whole = read_run(run)
+    assert list(table.columns) == ["time_s", "force_filtered_mN", "position_mm"]
+    assert len(table) == len(whole.trace.time) // 10
+    assert whole.filtered is not None
+    assert table["force_filtered_mN"][3] == pytest.approx(whole.filtered.channels["force"][30:40].mean())
+    with pytest.raises(AnalysisError, match="did you mean force_mN"):
+        ExportSelection(("forze",)).applied_to(export_content(whole), run)

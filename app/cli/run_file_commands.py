@@ -294,6 +294,11 @@ def _protocol_settings(assignments: tuple[str, ...]) -> dict[str, object]:
 )
 @click.option("--decimal", metavar="MARK", help="Decimal mark of CSV, . or ,")
 @click.option("--delimiter", metavar="MARK", help="Between the columns of CSV: , ; | or tab.")
+@click.option("--columns", metavar="NAME,NAME,…", help="Columns besides the time, as force,position (default: all).")
+@click.option("--filtered-only", is_flag=True, help="Leave out what was recorded where the filter's result is there.")
+@click.option(
+    "--every", metavar="N", type=click.IntRange(min=1), default=1, help="Make one row of N samples, their mean."
+)
 @options.out("Folder for the files (default: beside each run file).")
 @options.overwrite
 @options.as_json
@@ -303,6 +308,9 @@ def export_command(
     form: str,
     decimal: str | None,
     delimiter: str | None,
+    columns: str | None,
+    filtered_only: bool,
+    every: int,
     out: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -312,17 +320,21 @@ def export_command(
     RUN is a run file, a pattern or a campaign's folder. Without --overwrite no existing file is replaced. Runs
     marked bad are left out unless they are named themselves.
     """
-    from dragrig.analysis import CsvStyle, ExportFormat, export_run
+    from dragrig.analysis import CsvStyle, ExportFormat, ExportSelection, export_run
 
     if form != "csv" and (decimal or delimiter):
         raise click.UsageError("--decimal and --delimiter are for --format csv alone", click.get_current_context())
     style = CsvStyle(decimal or ".", "\t" if delimiter in {"tab", "\\t"} else delimiter or "")
+    names = tuple(name.strip() for name in (columns or "").split(",") if name.strip())
+    selection = ExportSelection(names, filtered_only, every)
     batch = FileBatch.from_good_runs(inputs, "exporting")
     folder = options.make_folder(out) if out is not None else None
 
     def write(path: Path, progress: FileProgress) -> Path:
         target = (folder or path.parent) / f"{path.stem}.{form}"
-        return export_run(path, target, ExportFormat(form), style, overwrite=overwrite, progress=progress)
+        return export_run(
+            path, target, ExportFormat(form), style, selection=selection, overwrite=overwrite, progress=progress
+        )
 
     results, lines = [], []
     for path, written in batch.process(write):
