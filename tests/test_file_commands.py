@@ -204,3 +204,25 @@ def test_an_export_of_chosen_columns_filtered_and_averaged(command: Command, pra
     assert table["force_filtered_mN"][3] == pytest.approx(whole.filtered.channels["force"][30:40].mean())
     with pytest.raises(AnalysisError, match="did you mean force_mN"):
         ExportSelection(("forze",)).applied_to(export_content(whole), run)
+
+
+def test_campaigns_are_listed_and_their_runs_found(command: Command, practice: Path) -> None:
+    shutil.copytree(practice, Path("below") / "d")
+    first = sorted(practice.glob("*.h5"))[0]
+    command("mark", str(first), "--bad", "slipped")
+    listed = json.loads(command("list", "--json", ".").out)
+    runs = dragrig.campaign(practice).runs
+    assert [Path(entry["folder"]).name for entry in listed] == ["d", "c"]
+    assert [sum(entry["kinds"].values()) for entry in listed] == [len(runs), len(runs)]
+    assert [entry["bad"] for entry in listed] == [0, 1]
+    kind, began = runs[0].kind, runs[-1].header.start_time
+
+    def found(*words: str) -> set[str]:
+        return {Path(line).name for line in command("find", "c", "-q", *words).out.splitlines()}
+
+    assert found() == {run.path.name for run in runs}
+    assert found("--kind", kind) == {run.path.name for run in runs if run.kind == kind}
+    assert found("--bad") == {first.name}
+    assert found("--good") == found() - {first.name}
+    assert found("--since", began.isoformat()) == {r.path.name for r in runs if r.header.start_time >= began}
+    assert found("--specimen", "nobody") == set()

@@ -42,6 +42,10 @@ SECTIONS: Sections = {
         "gui": CommandEntry("measure_commands:gui_command", "Open the window: run plans, view runs, diagnose."),
     },
     "Evaluate": {
+        "list": CommandEntry("look_commands:list_command", "List the campaigns of a folder."),
+        "find": CommandEntry(
+            "look_commands:find_command", "Find runs by specimen, kind, operator, date and mark, in all campaigns."
+        ),
         "info": CommandEntry("run_file_commands:info_command", "Show the contents of run files."),
         "table": CommandEntry(
             "look_commands:table_command", "Tabulate a campaign: a line per run, and means per speed."

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import chain
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import click
 
@@ -25,6 +25,8 @@ from dragrig.cli.console import (
 from dragrig.present import duration_text, shortest
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from matplotlib.figure import Figure
     from rich.table import Table
 
@@ -47,6 +49,81 @@ def table_command(campaign: Path, as_json: bool) -> None:
     with ProgressMeter("measuring") as meter:
         document = campaign_table_document(table_rows(campaign, meter.at))
     print_document(document, as_json=as_json)
+
+
+def _data_root(folder: Path | None) -> Path:
+    from dragrig.setup import resolve_rig
+
+    return folder or resolve_rig().data_root
+
+
+@click.command("list")
+@click.argument("folder", required=False, type=click.Path(path_type=Path))
+@options.as_json
+@options.quiet
+def list_command(folder: Path | None, as_json: bool) -> None:
+    """List the campaigns in FOLDER and below it (default: the lab's data root).
+
+    One line each: when it began, specimen, runs by kind, operator, and how many are marked bad.
+    """
+    from dragrig.present import campaigns_list_document
+    from dragrig.run_inputs import campaigns_below
+
+    print_document(campaigns_list_document(tuple(campaigns_below(_data_root(folder)))), as_json=as_json)
+
+
+class _FindOptions(TypedDict):
+    """Options that are fields of a query of the same name."""
+
+    specimen: str
+    kind: str
+    operator: str
+
+
+def _parse_moment(context: click.Context, parameter: click.Parameter, text: str | None) -> "datetime | None":
+    from datetime import datetime
+
+    try:
+        moment = None if text is None else datetime.fromisoformat(text)
+    except ValueError:
+        raise click.BadParameter(
+            f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15", context, parameter
+        ) from None
+    return moment if moment is None or moment.tzinfo is not None else moment.astimezone()
+
+
+@click.command("find")
+@click.argument("folder", required=False, type=click.Path(path_type=Path))
+@click.option("--specimen", metavar="NAME", default="", help="Name or id of the specimen.")
+@click.option("--kind", metavar="NAME", default="", help="Kind of run: drag, relaxation, ….")
+@click.option("--operator", metavar="NAME", default="", help="Part of the operator's name.")
+@click.option("--since", metavar="DATE", callback=_parse_moment, help="Begun at this time or later.")
+@click.option("--until", metavar="DATE", callback=_parse_moment, help="Begun at this time or earlier.")
+@click.option("--bad/--good", "marked", default=None, help="Marked bad, or not (default: either).")
+@options.as_json
+@options.quiet
+def find_command(
+    folder: Path | None,
+    since: "datetime | None",
+    until: "datetime | None",
+    marked: bool | None,
+    as_json: bool,
+    **wanted: Unpack[_FindOptions],
+) -> None:
+    """Find runs in all campaigns in FOLDER and below it (default: the lab's data root).
+
+    Prints the path of each run file: dragrig show $(dragrig find --specimen P7 --kind drag).
+    """
+    from dragrig.run_inputs import RunQuery, campaigns_below
+
+    query = RunQuery(since=since, until=until, marked=marked, **wanted)
+    paths = [run.path for campaign in campaigns_below(_data_root(folder)) for run in query.of(campaign)]
+    if as_json:
+        print_json(paths)
+        return
+    for path in paths:
+        print_result(display_path(path))
+    print_remark(f"{len(paths)} run{'' if len(paths) == 1 else 's'}")
 
 
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")

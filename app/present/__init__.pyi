@@ -1,6 +1,7 @@
 from .campaign import CampaignReportData as CampaignReportData
 from .campaign import campaign_document as campaign_document
 from .campaign import campaign_table_document as campaign_table_document
+from .campaign import campaigns_list_document as campaigns_list_document
 from .campaign_figures import campaign_figure as campaign_figure
 from .campaign_figures import comparison_figure as comparison_figure
 from .campaign_figures import comparison_overview_figure as comparison_overview_figure

@@ -26,7 +26,7 @@ from dragrig.present import (
     value_with_error,
 )
 from dragrig.present.run import run_drawing
-from dragrig.rig import Campaign, ReturnProtocol, RunInfo, RunStatus, SessionRecord, read_run, run_name
+from dragrig.rig import Campaign, ReturnProtocol, RunInfo, RunStatus, SessionRecord, read_run, run_name, specimen_key
 
 MAX_DRAWN_RUNS = 100
 """Runs that a report draws one by one; a page that is mailed must stay small."""
@@ -98,6 +98,54 @@ def campaign_table_document(rows: Sequence[TableRow]) -> Document:
         sections=(Section("runs", "", (run_table(rows),)), Section("means", "Means", (mean_table(rows),))),
         data=to_json_object({"runs": rows, "means": mean_per_speed(rows)}),
     )
+
+
+def campaigns_list_document(campaigns: Sequence[Campaign]) -> Document:
+    """Lay out the campaigns of a folder, a line each."""
+    table = Table.of(
+        "campaigns",
+        "",
+        campaigns,
+        Field("folder", "campaign", lambda campaign: str(campaign.folder)),
+        Field("began", "began", _began_text),
+        Field("specimens", "specimen", lambda campaign: ", ".join(sorted({*map(specimen_key, campaign.runs)}))),
+        Field("kinds", "runs", _kinds_text),
+        Field(
+            "operators", "operator", lambda campaign: ", ".join(sorted(set(map(_operator_of, campaign.runs)) - {""}))
+        ),
+        Field("bad", "marked bad", lambda campaign: len(campaign.marks), shortest()),
+        Field("unreadable", "unreadable", lambda campaign: len(campaign.unreadable), shortest()),
+    )
+    return Document(
+        title=f"{len(campaigns)} campaign{'' if len(campaigns) == 1 else 's'}",
+        sections=(Section("campaigns", "", (table,)),),
+        data=[
+            to_json_object(
+                {
+                    "folder": campaign.folder,
+                    "began": min((run.header.start_time for run in campaign.runs), default=None),
+                    "specimens": sorted({*map(specimen_key, campaign.runs)}),
+                    "kinds": dict(Counter(run.kind for run in campaign.runs)),
+                    "operators": sorted(set(map(_operator_of, campaign.runs)) - {""}),
+                    "bad": len(campaign.marks),
+                    "unreadable": len(campaign.unreadable),
+                }
+            )
+            for campaign in campaigns
+        ],
+    )
+
+
+def _began_text(campaign: Campaign) -> str:
+    return f"{min(run.header.start_time for run in campaign.runs):%Y-%m-%d %H:%M}" if campaign.runs else ""
+
+
+def _kinds_text(campaign: Campaign) -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in Counter(run.kind for run in campaign.runs).most_common())
+
+
+def _operator_of(run: RunInfo) -> str:
+    return str(run.header.entry.get("operator", ""))
 
 
 def mean_table(rows: Sequence[TableRow]) -> Table:
