@@ -63,7 +63,9 @@ from .importing.foreign import parse_map as parse_map
 from .importing.importer import ImportedRun as ImportedRun
 from .importing.importer import import_file as import_file
 from .importing.importer import import_runs as import_runs
+from .linear_gaussian import FRICTION_VARIATION as FRICTION_VARIATION
 from .linear_gaussian import PARAMETER_BOUND as PARAMETER_BOUND
+from .linear_gaussian import STIFFNESS_VARIATION as STIFFNESS_VARIATION
 from .linear_gaussian import ChannelBlocks as ChannelBlocks
 from .linear_gaussian import JointProblem as JointProblem
 from .linear_gaussian import JointSolution as JointSolution

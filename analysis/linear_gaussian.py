@@ -46,8 +46,8 @@ def single_blas_thread() -> Iterator[None]:
         yield
 
 
-STIFFNESS_VARIATION = "stiffness"
-"""Name of the run-to-run variation that multiplies the stiff part of the force."""
+STIFFNESS_VARIATION, FRICTION_VARIATION = "stiffness", "friction"
+"""Names of the run-to-run variations that multiply the stiff part of the force, and friction."""
 ZERO_WIDENING = 2.0
 """A zero's standard deviation is at least this times the median distance from 0 that the runs show."""
 MAX_PASSES = 12
@@ -418,18 +418,22 @@ class JointProblem:
 
         return tuple(self._once(whitening))
 
-    def with_stiffness(self, number: int, predicted: Prediction, stiff: FloatArray, near: Whitening) -> Whitening:
-        """Linearise a run's covariance again where a further, stiff force is added to its prediction.
+    def with_varying_force(
+        self, number: int, predicted: Prediction, variation: str, force: FloatArray, near: Whitening
+    ) -> Whitening:
+        """Linearise a run's covariance again where a force is added that varies from run to run.
 
         Parameters
         ----------
-        stiff
-            Block means of that force, shape `(B,)`, which the run's stiffness factor multiplies too.
+        variation
+            Name of the run's own factor that multiplies the force.
+        force
+            Block means of that force, shape `(B,)`.
         near
             The whitening without it.
         """
-        is_stiffness = np.array([variation.name == STIFFNESS_VARIATION for variation in self.nominal.variations])
-        varying = predicted.varying + np.outer(is_stiffness, stiff)
+        multiplied = np.array([factor.name == variation for factor in self.nominal.variations])
+        varying = predicted.varying + np.outer(multiplied, force)
         return Whitening.of(near.noise_root, self._run_signatures(number, varying))
 
     def _run_signatures(self, number: int, varying: FloatArray) -> FloatArray:

@@ -14,11 +14,13 @@ from hypothesis import settings
 # Tests run side by side, so that a second thread of linear algebra only waits for the first.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# Tests start hundreds of processes. Where bytecode must not be written beside its source, each would compile all that
-# it imports, for a second and more, so that its bytecode is kept with what pytest remembers.
+# Tests start hundreds of processes, and run in several. Where bytecode must not be written beside its source, each
+# would compile all that it imports, for a second and more, so its bytecode is kept with what pytest remembers.
 if sys.dont_write_bytecode:
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"]
+    sys.dont_write_bytecode = False
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ.setdefault("PYTEST_QT_API", "pyside6")

@@ -14,7 +14,7 @@ from math import atan2, hypot, pi
 
 import numpy as np
 
-from dragrig.analysis import ANGLE_PARAMETER, JointProblem, Whitening
+from dragrig.analysis import ANGLE_PARAMETER, FRICTION_VARIATION, STIFFNESS_VARIATION, JointProblem, Whitening
 from dragrig.analysis.gap.run_data import RunData, smooth_modulations
 from dragrig.config import EffectSettings, ModelSettings
 from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray
@@ -460,6 +460,7 @@ def linearise(
     reference_model_errors = None if reference is None else reference.run_columns(ColumnKind.MODEL_ERROR)
     run_designs, grams, signatures_by_run = [], [], dict[int, FloatArray]()
     wall = chain_with(candidates, study.chain).only(lambda effect: effect.location in WALL_PLACES)
+    interface = study.chain.only(lambda effect: effect.location is Location.INTERFACE)
     for number, (run_data, (scene, gain)) in enumerate(zip(study.runs, study.scenes(z), strict=True)):
         separate = [added_force(chain_with([candidate], study.chain), scene, gain) for candidate in candidates]
         nominal_effects = added_force(study.chain, scene, gain)
@@ -487,9 +488,11 @@ def linearise(
                 signatures_by_run[first_run] = variant_signatures if of_first is None else of_first
             rows.append(run_data.block_means(variant_signatures))
         whitening = whitenings[number]
-        if wall.effects and run_data.experiment.contact is Contact.STICKING:
-            stiff = run_data.block_means(added_force(wall, scene, gain))
-            whitening = problem.with_stiffness(number, predictions[number], stiff, whitening)
+        is_sticking = run_data.experiment.contact is Contact.STICKING
+        varying_chain, variation = (wall, STIFFNESS_VARIATION) if is_sticking else (interface, FRICTION_VARIATION)
+        if varying_chain.effects:
+            force = run_data.block_means(added_force(varying_chain, scene, gain))
+            whitening = problem.with_varying_force(number, predictions[number], variation, force, whitening)
         residual = run_data.block_data.blocks.mean - predictions[number].total - effects
         columns = np.column_stack((by_nominal[number], *(values.T for values in rows)))
         varying = problem.variation_sds[:, None] * predictions[number].varying

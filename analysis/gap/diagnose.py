@@ -66,7 +66,7 @@ from dragrig.analysis.gap.gap_reduction import (
     predict_held_out,
     reduction_over_runs,
 )
-from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, is_periodic_in_session
+from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, converged, is_periodic_in_session
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
 from dragrig.analysis.gap.localise import ALPHA, attribute_to_effects, localise
 from dragrig.analysis.gap.next_run import reasons_for_no_run, recommend_next_run
@@ -417,7 +417,8 @@ def _calibration_for(study: Study, options: DiagnosisOptions) -> Calibration:
 def _named_fit(search: ForceSearchResult, classification: Classification) -> HypothesisFit | None:
     """Return the fit with the named effects on the force."""
     on_force = {effect.id for effect in search.study.effects}
-    return fit_together(search, [name for name in classification.effects if name in on_force])
+    fit = fit_together(search, [name for name in classification.effects if name in on_force])
+    return None if fit is None else converged(search.study, fit, search.nominal)
 
 
 def _assembled_diagnosis(

@@ -21,6 +21,7 @@ from dragrig.analysis.gap.design import (
     Study,
     fit_columns,
     gauss_newton,
+    gauss_newton_step,
     joint_fit,
     linearise,
     project_dictionary,
@@ -200,6 +201,11 @@ def _period_grid(period_s: float, session_s: float, width: float = 0.05, max_cou
 
 
 GAUSS_NEWTON_STEPS = 2
+MAX_FURTHER_STEPS = 8
+MIN_CHI2_OF_STEP = 4.0
+"""A step that lowers chi-square by less moves no parameter by two standard errors."""
+MIN_STEP_SHARE = 0.3
+"""A step that leads too far is tried at a half and a quarter of its length."""
 MAX_OWN_VARIANTS, MIN_OWN_LLR = 3, 8.0
 """Number of further variants of its own effect that a candidate may have, and the log likelihood ratio that each must
 add."""
@@ -269,6 +275,45 @@ def refit_with_effect(study: Study, design: Design, ranked: RankedEffect, nomina
             fit.chi2_with_form_error, before - 2 * max(common.llr - PERIOD_SEARCH_LLR, ranked.llr)
         ),
     )
+
+
+def converged(study: Study, fit: HypothesisFit, nominal: Design) -> HypothesisFit:
+    """Take further steps from a fit until its effects explain no more at their own values.
+
+    To compare hypotheses, chi-square after one more linear step is enough, and the values one step short of it. Of
+    effects that stand out by far that step may double the size.
+    """
+    if fit.periodic:
+        return fit
+    design, best = _at(study, fit.parameters)
+    point = fit.parameters
+    share = 1.0
+    for _ in range(MAX_FURTHER_STEPS):
+        following = _between(point, gauss_newton_step(design), share)
+        trial, chi2 = _at(study, following)
+        if chi2 < best - MIN_CHI2_OF_STEP:
+            point, best, design, share = following, chi2, trial, 1.0
+        elif share < MIN_STEP_SHARE:
+            break
+        else:
+            share *= 0.5
+    return fit if point is fit.parameters else fit_hypothesis(study, point, nominal)[0]
+
+
+def _between(point: ParameterPoint, other: ParameterPoint, share: float) -> ParameterPoint:
+    """Return the point that lies so far on the way to another one."""
+    candidates = tuple(
+        replace(old, values={name: value + share * (new.values[name] - value) for name, value in old.values.items()})
+        for old, new in zip(point.candidates, other.candidates, strict=True)
+    )
+    return ParameterPoint(np.asarray(point.z + share * (other.z - point.z)), candidates)
+
+
+def _at(study: Study, point: ParameterPoint) -> tuple[Design, float]:
+    """Return the design at a point, and chi-square there with the nominal parameters alone fitted."""
+    design = linearise(study, point.z, point.candidates)
+    nominal_alone = fit_columns(design, design.total_gram(), ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
+    return design, nominal_alone.chi2 + design.log_det
 
 
 def fit_hypothesis(
