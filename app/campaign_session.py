@@ -199,6 +199,8 @@ class SessionOptions:
     progress: CampaignProgress = field(default_factory=CampaignProgress)
     begun: Callable[[Callable[[str], None]], None] = _ignore_abort
     """Called before anything moves with a function that ends the session in good order from any thread."""
+    pause: Signal | None = None
+    """Set by anybody to have the session wait for a person before its next run."""
     mirror: Path | None = None
     """Folder for a second copy of each finished file."""
     tell: Callable[[str], None] = discard_message
@@ -253,7 +255,17 @@ def run_session(
         timed = pace.real_time or backend.needs_hands
         operator = PromptRelay(observer, idle_reader(backend, timed=timed))
         with open_store(record) as store:
-            session = Session(backend, programme, record, store, operator, observer, options.progress, real_time=timed)
+            session = Session(
+                backend,
+                programme,
+                record,
+                store,
+                operator,
+                observer,
+                options.progress,
+                real_time=timed,
+                pause=options.pause,
+            )
             options.begun(session.abort)
             return run_on_worker(session.run, session.abort, operator)
 

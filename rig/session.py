@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from math import isfinite
+from threading import Event as Signal
 from uuid import uuid4
 
 from dragrig.config import UNSTATED, AbortedError, DeviceError, Fixture, TrippedError, reason_of, to_toml
@@ -127,7 +128,13 @@ class CampaignProgress:
 
 
 class Session:
-    """Makes the pending runs of a programme; `run` belongs to one thread, `abort` to any."""
+    """Makes the pending runs of a programme; `run` belongs to one thread, `abort` to any.
+
+    Parameters
+    ----------
+    pause
+        Set by anybody to have the session wait for a person before its next run; cleared then.
+    """
 
     def __init__(
         self,
@@ -140,11 +147,13 @@ class Session:
         progress: CampaignProgress = CampaignProgress(),
         *,
         real_time: bool = False,
+        pause: Signal | None = None,
     ) -> None:
         self._backend, self._programme, self._record = backend, programme, record
         self._settings_toml = to_toml(record)
         self._store, self._operator, self._observer = store, operator, observer
         self._real_time = real_time
+        self._pause = pause or Signal()
         self._done, self._order = progress.done, progress.next_order
         self._guard = Guard(record.rig.guard, 1e-3 * record.rig.encoder.resolution_um)
         self.engine = Engine(backend, record.rig, self._guard)
@@ -194,7 +203,7 @@ class Session:
             if not self._is_due(run):
                 place += 1
                 continue
-            match self._prepare(run):
+            match self._pause_before(run) or self._prepare(run):
                 case Answer.DONE:
                     self._make(run)
                     place += 1
@@ -205,6 +214,23 @@ class Session:
                     place = next((index for index in later if runs[index].prompt), len(runs))
                 case Answer.ABORT:
                     raise AbortedError("ended at a prompt.")
+
+    def _pause_before(self, run: PlannedRun) -> Answer | None:
+        """Wait for a person where a pause was asked for, but not between a run and its return stroke.
+
+        Returns the answer that is to be followed in place of making the run; None to go on.
+        """
+        if not self._pause.is_set() or run.follows >= 0:
+            return None
+        self._pause.clear()
+        if run.prompt:
+            # Its own prompt waits.
+            return None
+        can_redo = any(result.run.follows < 0 for result in self._results)
+        prompt = Prompt(f"Paused. Next is {run.protocol.summary()}; done continues", run, can_redo, hands=False)
+        answer = self._operator.ask(prompt)
+        self.engine.require_not_aborted()
+        return answer if answer is not Answer.DONE else None
 
     def _is_due(self, run: PlannedRun) -> bool:
         """Whether a run is to be made: a return stroke only right after its run, any other unless it is done."""

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
 
 import dragrig
-from dragrig.engine_host.messages import GuardState, RigSelection
+from dragrig.engine_host.messages import GuardState, MirrorStatus, RigSelection, SessionFinished
 from dragrig.rig.operator import Answer
 from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import RunStatus
@@ -76,7 +76,9 @@ def window(shared: MainWindow, until: Until) -> MainWindow:
 def fill(window: MainWindow, plan: str = "drag", **values: str) -> None:
     new = window.run.new
     new.plans.setCurrentIndex(new.plans.findData(plan))
-    usual = {"travel_mm": "10", "rest_s": "0.2", "hold_s": "0.2", "wait_s": "0", "way_back": "stay", "prompt": ""}
+    # Edits of a test before survive, as they do for a person.
+    usual = {"travel_mm": "10", "rest_s": "0.2", "hold_s": "0.2", "wait_s": "0", "way_back": "stay", "prompt": "",
+             "prompt_each": "no", "repeats": "1", "order": "listed", "fixture": "", "capsule": ""}  # fmt: skip
     for key, text in {**usual, **values}.items():
         new.editor.put(key, text)
     new.pace.setCurrentText("as fast as possible")
@@ -388,19 +390,30 @@ def test_every_file_is_copied_to_the_chosen_mirror(window: MainWindow, until: Un
     assert not window.notices.complaint.isVisible()
 
 
-def test_files_missing_in_the_mirror_are_shown(window: MainWindow, until: Until, tmp_path: Path) -> None:
+def test_a_mirror_that_cannot_be_reached_is_refused(window: MainWindow, until: Until, tmp_path: Path) -> None:
     fill(window, speed_mm_s="20")
     window.run.new.mirror.setText(str(tmp_path / "unplugged"))
     press(window.run.new.start)
     until(lambda: not window.run.session_running)
     window.run.new.mirror.clear()
     entry = window.run.queue.entries[-1]
-    assert entry.stage is QueueState.COMPLETE
-    (file,) = Path(entry.folder).glob("*.h5")
+    assert entry.stage is QueueState.REFUSED
+    assert "unplugged" in entry.reason
+    assert "unplugged" in window.notices.complaint_text.text()
+
+
+def test_files_missing_in_the_mirror_are_shown(window: MainWindow, until: Until, tmp_path: Path) -> None:
+    fill(window, speed_mm_s="20")
+    press(window.run.new.queue)
+    entry = window.run.queue.entries[-1]
+    entry.stage = QueueState.RUNNING
+    mirror = MirrorStatus(tmp_path, 1, (("0000-drag.h5", "there is no such folder"),))
+    window.take(SessionFinished(entry.job.number, RunStatus.COMPLETE, "", tmp_path, mirror))
+    window.run.take(SessionFinished(entry.job.number, RunStatus.COMPLETE, "", tmp_path, mirror))
     item = window.run.queue_view.tree.topLevelItem(0)
     below = {item.child(at).text(0): item.child(at).text(3) for at in range(item.childCount())}
-    assert "there is no such folder" in below[file.name]
-    assert f"{entry.mirror.missing[0][0]}" in window.notices.complaint_text.text()
+    assert "there is no such folder" in below["0000-drag.h5"]
+    assert "0000-drag.h5" in window.notices.complaint_text.text()
     assert "NOT IN THE MIRROR" in item.text(3)
 
 
@@ -607,6 +620,54 @@ def test_what_was_removed_from_the_queue_can_be_put_back(window: MainWindow) -> 
     assert window.run.queue.entries == entries
     assert not view.back.isEnabled()
     assert window.run.start_queue.isEnabled()
+
+
+def test_a_session_pauses_after_the_run(window: MainWindow, until: Until) -> None:
+    run = window.run
+    fill(window, prompt="Put the capsule in", repeats="3", way_back="driven")
+    press(run.new.start)
+    until(window.notices.prompt.isVisible)
+    press(run.pause)
+    press(window.notices.answers[Answer.DONE])
+    until(lambda: window.notices.prompt.isVisible() and window.notices.prompt_text.text().startswith("Paused"))
+    assert not run.pause.isChecked()
+    assert len(run.queue.current.ended) == 2  # the run and its return stroke
+    press(window.notices.answers[Answer.REDO])
+    until(window.notices.prompt.isVisible)
+    press(window.notices.answers[Answer.DONE])
+    until(lambda: not run.session_running)
+    entry = run.queue.entries[-1]
+    assert entry.stage is QueueState.COMPLETE
+    made = read_campaign(Path(entry.folder))
+    assert (len(made.runs), len(made.good)) == (8, 6)
+    assert not run.pause.isEnabled()
+    log = run.log.toPlainText()
+    assert "Prompt: Paused. Next is drag" in log
+    assert f"Session complete: {entry.folder}" in log
+
+
+def test_waiting_sessions_survive_closing_the_window(qtbot: QtBot, lab: Path, tmp_path: Path) -> None:
+    first = opened(qtbot, lab, tmp_path / "window.ini")
+    fill(first, speed_mm_s="10, 20")
+    first.run.new.operator.setText("C. Person")
+    press(first.run.new.queue)
+    press(first.run.new.queue)
+    first.run.queue.entries[0].stage = QueueState.ABORTED
+    first.close_in_order("closed")
+    second = opened(qtbot, lab, tmp_path / "window.ini")
+    try:
+        (entry,) = second.run.queue.entries
+        assert entry.stage is QueueState.WAITING
+        assert (entry.job.plan, entry.job.operator) == (first.run.queue.entries[1].job.plan, "C. Person")
+        assert entry.run_count == 2
+        assert entry.job.pace == "fast"
+        assert not second.run.session_running  # nothing starts by itself
+        assert second.run.start_queue.isEnabled()
+        second.run.queue.restore("[{}")
+        second.run.queue.restore('[{"plan": 3}]')
+        assert len(second.run.queue.entries) == 1
+    finally:
+        second.close_in_order("the test is over")
 
 
 def test_a_reset_after_a_stop_asks_its_prompt(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:

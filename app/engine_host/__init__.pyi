@@ -14,6 +14,7 @@ from .messages import LiveSamples as LiveSamples
 from .messages import MirrorStatus as MirrorStatus
 from .messages import OperatorWarning as OperatorWarning
 from .messages import Pace as Pace
+from .messages import PauseSession as PauseSession
 from .messages import PromptReply as PromptReply
 from .messages import PromptShown as PromptShown
 from .messages import QueuedRun as QueuedRun

@@ -81,6 +81,13 @@ class AbortSession:
 
 
 @dataclass(frozen=True, slots=True)
+class PauseSession:
+    """Wait for a person before the next run of the session, or no longer."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class PromptReply:
     """The answer to the prompt of this number."""
 
@@ -116,7 +123,7 @@ class StopHost:
 
 
 Request: TypeAlias = (
-    StartSession | AbortSession | PromptReply | ExamineRig | ResetGuard | WatchRig | Heartbeat | StopHost
+    StartSession | AbortSession | PauseSession | PromptReply | ExamineRig | ResetGuard | WatchRig | Heartbeat | StopHost
 )
 
 

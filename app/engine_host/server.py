@@ -26,6 +26,7 @@ from dragrig.engine_host.messages import (
     LiveRingWriter,
     MirrorStatus,
     OperatorWarning,
+    PauseSession,
     PromptReply,
     PromptShown,
     QueuedRun,
@@ -101,6 +102,8 @@ class RequestReceiver:
     ----------
     gone
         Set once the client is gone, or wants the host to end.
+    pause
+        Set to have the session wait for a person before its next run.
     """
 
     def __init__(self, connection: "Connection[Event, Request]", silence_s: float = SILENCE_TIMEOUT_S) -> None:
@@ -114,6 +117,7 @@ class RequestReceiver:
         self._abort_reason = ""
         self._answers: dict[int, queue.SimpleQueue[Answer]] = {}
         self.gone = Signal()
+        self.pause = Signal()
         Thread(target=self._receive_all, name="receiver", daemon=True).start()
 
     def next(self, within_s: float | None = None) -> Request | None:
@@ -190,6 +194,11 @@ class RequestReceiver:
                     answers = self._answers.get(question)
                 if answers is not None:
                     answers.put(answer)
+            case PauseSession(on):
+                if on:
+                    self.pause.set()
+                else:
+                    self.pause.clear()
             case Heartbeat() | StopHost():
                 pass
             case _:
@@ -221,6 +230,7 @@ class RemoteOperator:
     def ask(self, prompt: Prompt) -> Answer:
         """Show a prompt and wait for the answer, which is an abort if the session is aborted."""
         number = next(self._numbers)
+        self._receiver.pause.clear()
         shown = PromptShown(number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
         look = prompt.look
         idle = None if look is None else lambda: self._sender.say(RigIdle(look()))
@@ -375,6 +385,7 @@ class EngineHost:
             self._sender.say(SessionFinished(job.number, None, sentence))
             return
         self._operator.job = job.number
+        self._receiver.pause.clear()
         finished = SessionFinished(job.number, RunStatus.FAILED, "the engine met a bug")
         try:
             made = self._run_session(job)
@@ -395,6 +406,7 @@ class EngineHost:
             note=job.note,
             pace=job.pace,
             begun=self._receiver.stops,
+            pause=self._receiver.pause,
             mirror=job.mirror,
             tell=lambda sentence: self._sender.say(OperatorWarning(sentence)),
         )

@@ -344,7 +344,7 @@ class MainWindow(QMainWindow):
             return
         self._stored.keep("geometry", self.saveGeometry())
         self._stored.keep("page", str(self.pages.currentIndex()))
-        self.run.new.keep()
+        self.run.keep()
         self.look.keep()
         self.diagnose.keep()
         self.setEnabled(False)

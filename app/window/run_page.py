@@ -8,6 +8,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QHeaderView,
+    QPlainTextEdit,
     QProgressBar,
     QSplitter,
     QTabWidget,
@@ -25,6 +26,8 @@ from dragrig.engine_host import (
     HostLost,
     HostReady,
     LiveSamples,
+    PauseSession,
+    PromptShown,
     QueuedRun,
     RigExamined,
     RigIdle,
@@ -252,6 +255,7 @@ def _mirror_text(entry: QueuedSession) -> str:
 
 
 _PROGRESS_INTERVAL_S = 0.2
+_LOG_LINES = 10_000
 
 
 class RunPage(QWidget):
@@ -280,6 +284,8 @@ class RunPage(QWidget):
         self._progress_at = 0.0
         self._trip_reason = "the engine is starting"
         self.queue = SessionQueue()
+        self._queue_key = f"queue, {description.title}, {description.name}"
+        self.queue.restore(stored.text(self._queue_key, "[]"))
         self.new = NewSession(rig, description, lab, stored)
         self.preview, self.live = PlanPreview(), LiveView()
         self.live.set_limits(description.lowest_mm, description.highest_mm)
@@ -293,11 +299,20 @@ class RunPage(QWidget):
         self.abort = button(
             "&Abort the session", self._abort, help_="Stop the stage; the run and the session end as aborted"
         )
+        self.pause = button(
+            "Pause after this run", self._pause, help_="Wait for you before the next run", keys="Ctrl+P"
+        )
+        self.pause.setCheckable(True)
+        self.log = named(QPlainTextEdit(), "Log of this window")
+        self.log.setReadOnly(True)
+        self.log.setTabChangesFocus(True)
+        self.log.setMaximumBlockCount(_LOG_LINES)
         self.tabs = QTabWidget()
         self.tabs.addTab(self.preview, "Previe&w")
         self.tabs.addTab(self.live, "Li&ve")
         self.tabs.addTab(self.queue_view, "Q&ueue")
         self.tabs.addTab(self.devices, "Devi&ces")
+        self.tabs.addTab(self.log, "Log (&X)")
         self._lay_out()
         self._connect(engine)
         self.new.begin()
@@ -307,6 +322,11 @@ class RunPage(QWidget):
     def session_running(self) -> bool:
         """Whether a session is running."""
         return self.queue.current is not None
+
+    def keep(self) -> None:
+        """Store form and waiting sessions for the next start; nothing starts by itself then."""
+        self.new.keep()
+        self._stored.keep(self._queue_key, self.queue.waiting_as_text())
 
     def offer_and_queue(self, name: str, plan: PlanForm) -> None:
         """Append a plan from another page to the queue and preview it; nothing starts."""
@@ -381,6 +401,8 @@ class RunPage(QWidget):
 
     def _follow_session(self, event: Event) -> None:
         match event:
+            case PromptShown():
+                self.pause.setChecked(False)
             case SessionStarted():
                 self.queue.session_started(event)
             case SessionWaiting(duration_s, reason):
@@ -452,6 +474,38 @@ class RunPage(QWidget):
         if start:
             self.run_queue()
 
+    def _pause(self) -> None:
+        self._engine.ask(PauseSession(self.pause.isChecked()))
+
+    def write_log(self, sentence: str) -> None:
+        """Add a line to the log, with the time."""
+        self.log.appendPlainText(f"{time.strftime('%Y-%m-%d %H:%M:%S')}  {sentence}")
+
+    def _write_event(self, event: Event) -> None:
+        match event:
+            case HostReady(pid):
+                self.write_log(f"Engine ready, process {pid}.")
+            case HostLost(exit_code):
+                self.write_log(f"ENGINE LOST, exit code {exit_code}.")
+            case GuardState(reason):
+                self.write_log(f"GUARD TRIPPED: {reason}." if reason else "Guard armed.")
+            case SessionStarted(_, runs):
+                self.write_log(f"Session started, {len(runs)} runs.")
+            case SessionWaiting(duration_s, why):
+                self.write_log(f"Waiting {duration_text(duration_s)}: {why}.")
+            case PromptShown():
+                self.write_log(f"Prompt: {event.text}.")
+            case RunStarted(run, order):
+                self.write_log(f"Run {order} started: {run.summary}.")
+            case RunFinished(run, order):
+                reason = f", {event.reason}" if event.reason else ""
+                self.write_log(f"Run {order} {event.status.value}{reason}: {event.samples} samples.")
+            case SessionFinished():
+                status = "not started" if event.status is None else event.status.value
+                self.write_log(": ".join(filter(None, (f"Session {status}", event.reason, str(event.folder or "")))))
+            case _:
+                pass
+
     def _abort(self) -> None:
         self.stop("aborted by operator")
 
@@ -460,6 +514,9 @@ class RunPage(QWidget):
         self.queue_view.show_queue()
         self._show_buttons()
         self.abort.setEnabled(running)
+        self.pause.setEnabled(running)
+        if not running:
+            self.pause.setChecked(False)
         self.devices.set_session_running(running=running)
         self.running_changed.emit(running)
 
@@ -469,7 +526,9 @@ class RunPage(QWidget):
         self.tabs.setTabText(self.tabs.indexOf(self.queue_view), f"Q&ueue ({waiting})" if waiting else "Q&ueue")
 
     def _connect(self, engine: EngineLink) -> None:
+        engine.event_received.connect(self._write_event)
         engine.event_received.connect(self.take)
+        self.complained.connect(lambda sentence, _: self.write_log(sentence))
         engine.sampled.connect(self.sample)
         self.new.planned.connect(self.preview.show_session)
         self.new.refused.connect(self.preview.refuse)
@@ -478,7 +537,7 @@ class RunPage(QWidget):
         self.queue_view.chosen_folder.connect(self.look_at.emit)
 
     def _lay_out(self) -> None:
-        bar = row(self.queue_view.progress, self.abort, self.start_queue, stretch={0: 1})
+        bar = row(self.queue_view.progress, self.pause, self.abort, self.start_queue, stretch={0: 1})
         right = bare_widget(column(self.tabs, bar, stretch={0: 1}))
         splitter = QSplitter(Qt.Orientation.Horizontal)
         splitter.addWidget(self.new)

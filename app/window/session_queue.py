@@ -1,8 +1,12 @@
 """The queue of sessions: waiting, running with its progress, finished; independent of Qt."""
 
+import json
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 
+from dragrig.config import Plan
 from dragrig.engine_host import (
     MirrorStatus,
     QueuedRun,
@@ -93,6 +97,21 @@ class QueuedSession:
         return 1.0 - self.left_s / self.total_s if self.total_s > 0 and self.runs else 0.0
 
 
+def _entry_as_json(entry: QueuedSession) -> dict[str, object]:
+    job = entry.job
+    plan = job.plan if isinstance(job.plan, str) else job.plan.model_dump(mode="json", exclude_unset=True)
+    mirror = str(job.mirror) if job.mirror is not None else ""
+    return {
+        "plan": plan,
+        "operator": job.operator,
+        "note": job.note,
+        "pace": job.pace,
+        "mirror": mirror,
+        "planned_s": entry.planned_s,
+        "run_count": entry.run_count,
+    }
+
+
 class SessionQueue:
     """Sessions in order; at most one is running."""
 
@@ -134,6 +153,26 @@ class SessionQueue:
     def can_put_back(self) -> bool:
         """Whether sessions were removed that can be put back."""
         return bool(self._removed)
+
+    def waiting_as_text(self) -> str:
+        """Return the waiting sessions as JSON, for the next start of the window."""
+        waiting = [entry for entry in self.entries if entry.stage is QueueState.WAITING]
+        return json.dumps([_entry_as_json(entry) for entry in waiting])
+
+    def restore(self, text: str) -> None:
+        """Append the sessions that `waiting_as_text` returned; what cannot be read is left out."""
+        with suppress(ValueError, TypeError, KeyError, AttributeError):
+            for kept in json.loads(text):
+                plan = Plan.model_validate(kept["plan"])
+                job = SessionJob(
+                    self.next_number(),
+                    plan,
+                    str(kept["operator"]),
+                    str(kept["note"]),
+                    kept["pace"],
+                    mirror=Path(kept["mirror"]) if kept["mirror"] else None,
+                )
+                self.add(QueuedSession(job, plan.name, float(kept["planned_s"]), int(kept["run_count"])))
 
     def put_back(self) -> None:
         """Put back what was removed last, where it was."""
