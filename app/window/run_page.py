@@ -537,7 +537,7 @@ class RunPage(QWidget):
         self.queue_view.chosen_folder.connect(self.look_at.emit)
 
     def _lay_out(self) -> None:
-        bar = row(self.queue_view.progress, self.pause, self.abort, self.start_queue, stretch={0: 1})
+        bar = column(self.queue_view.progress, row(1, self.pause, self.abort, self.start_queue))
         right = bare_widget(column(self.tabs, bar, stretch={0: 1}))
         splitter = QSplitter(Qt.Orientation.Horizontal)
         splitter.addWidget(self.new)
