@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.estimates import Progress, no_progress
-from dragrig.config import AnalysisError, OutputError, RunFileError, suggestion
+from dragrig.config import AnalysisError, OutputError, RunFileError
 from dragrig.rig import PHASE_NAMES, Attribute, Run
 
 EXPORT_FORMAT_KEY = "dragrig-export"
@@ -98,6 +98,8 @@ class ExportSelection:
         for name in self.columns:
             if not any(name in _names(column) for column in others):
                 known = [column.name for column in others]
+                from dragrig.config import suggestion
+
                 raise AnalysisError(f"{path}: has no column {name}; {suggestion(name, known)}")
         chosen = [column for column in others if not self.columns or _names(column) & set(self.columns)]
         samples = len(time.values) // self.every
