@@ -94,6 +94,7 @@ _AGE_INTERVAL_MS = 250
 _NO_VALUE = "–"
 _WIDEST = {"Force": "−8888 mN", "Position": "not homed", "Speed": "−888.8 mm/s"}
 """The readings, with the widest text of each."""
+_LEAST_WIDTH_PX = 640
 
 
 class RigReadings(QWidget):
@@ -106,12 +107,14 @@ class RigReadings(QWidget):
             reading.setAccessibleName(name)
             reading.ensurePolished()
             reading.setMinimumWidth(reading.fontMetrics().horizontalAdvance(_WIDEST[name]))
-        self.limits = label("", "faint")
+        self.limits = ElidedLabel("", "faint")
         self.about = ElidedLabel("", "faint")
         self._taken_s: float | None = None
         self._live_about = ""
         force, position, speed = (row(label(name, "faint"), value) for name, value in self.readings.items())
         self.setLayout(row(force, position, self.limits, speed, self.about, stretch={4: 1}))
+        # The layout would ask for the widest values at once, and the window with it be wider than a small screen.
+        self.setMinimumWidth(_LEAST_WIDTH_PX)
         self._age = QTimer(self)
         self._age.timeout.connect(self.show_age)
         self._age.start(_AGE_INTERVAL_MS)
