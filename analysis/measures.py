@@ -206,7 +206,7 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
         progress(done, len(campaign.runs))
         mark = campaign.marks.get(info.path)
         try:
-            rows.append(table_row(read_run(info.path), mark.reason if mark else None))
+            rows.append(table_row(read_run(info.path, info), mark.reason if mark else None))
         except RunFileError as error:
             rows.append(_unreadable_row(info.path, error))
     progress(len(campaign.runs), len(campaign.runs))

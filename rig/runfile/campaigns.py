@@ -130,6 +130,15 @@ def read_campaign(folder: Path) -> Campaign:
     return Campaign(folder, tuple(runs), marks, tuple(unreadable), tuple(recordings))
 
 
+def is_same_recording(file: Path, copy: Path) -> bool:
+    """Whether a copy that differs holds the same samples of the same run, filtered or annotated since."""
+    try:
+        ours, theirs = read_info(file), read_info(copy)
+    except RunFileError:
+        return False
+    return bool(ours.raw_sha256) and (ours.header.run_id, ours.raw_sha256) == (theirs.header.run_id, theirs.raw_sha256)
+
+
 def specimen_key(info: RunInfo) -> str:
     """Return what identifies a specimen: its id, or its name where it has none."""
     identity = info.header.specimen.get("id") or UNSTATED

@@ -14,14 +14,13 @@ from typing import Self, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config import OutputError, RecordingError, RunFileError
+from dragrig.config import OutputError, RecordingError
 from dragrig.rig import AnyFloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import schema
-from dragrig.rig.runfile.campaigns import mark_bad
+from dragrig.rig.runfile.campaigns import is_same_recording, mark_bad
 from dragrig.rig.runfile.filesystem import brief_error, move_into_place, remove_quietly
 from dragrig.rig.runfile.finisher import Finisher, FinishResult
 from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunHeader, RunInfo, RunStatus, Trace
-from dragrig.rig.runfile.reader import read_info
 from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
 from dragrig.rig.runfile.schema import FORMAT_VERSION
 
@@ -211,7 +210,7 @@ class Mirror:
         try:
             self._require_mirror()
             copy = self.folder / file.name
-            copy_verified(file, copy, self._count_step, replaces=_is_same_recording(file, copy))
+            copy_verified(file, copy, self._count_step, replaces=is_same_recording(file, copy))
         except (OSError, OutputError) as error:
             reason = brief_error(error)
             if self._missing.get(file.name) != reason:
@@ -236,15 +235,6 @@ class Mirror:
 
     def _count_step(self) -> None:
         self._steps += 1
-
-
-def _is_same_recording(file: Path, copy: Path) -> bool:
-    """Whether a copy that differs holds the same samples of the same run, filtered or annotated since."""
-    try:
-        ours, theirs = read_info(file), read_info(copy)
-    except RunFileError:
-        return False
-    return bool(ours.raw_sha256) and (ours.header.run_id, ours.raw_sha256) == (theirs.header.run_id, theirs.raw_sha256)
 
 
 def copy_verified(
