@@ -30,8 +30,8 @@ from dragrig.analysis.gap.features import (
     shipped_calibration,
 )
 from dragrig.analysis.gap.position_channel import MIN_POSITION_SHARE, POSITION_RIVAL_SLOPE, POSITION_SHARE_WIDTH
-from dragrig.analysis.gap.spectral_lines import MIN_MAINS_LLR, hum_effect
-from dragrig.sim_backend.effects import Coordinate, catalogue, confusable_effects
+from dragrig.analysis.gap.spectral_lines import MIN_MAINS_LLR
+from dragrig.sim_backend.effects import Coordinate, catalogue, confusable_effects, hum_effect
 
 MIN_OTHER_LINE_LLR = 60.0
 MAINS_LLR_WIDTH, OTHER_LINE_LLR_WIDTH = 1.5, 8.0

@@ -66,7 +66,7 @@ from dragrig.analysis.gap.gap_reduction import (
     predict_held_out,
     reduction_over_runs,
 )
-from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, converged, is_periodic_in_session
+from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, converged
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
 from dragrig.analysis.gap.localise import ALPHA, attribute_to_effects, localise
 from dragrig.analysis.gap.next_run import reasons_for_no_run, recommend_next_run
@@ -84,7 +84,6 @@ from dragrig.analysis.gap.spectral_lines import (
     correct_known_motion,
     find_moving_line,
     find_spectral_lines,
-    hum_effect,
     known_effects,
     lines_beyond_known,
     lines_that_matter,
@@ -94,7 +93,7 @@ from dragrig.analysis.gap.studies import CapsuleStudy, prepare_study
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
 from dragrig.config import DiagnosisSummary, EffectSettings, ModelSettings
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import catalogue
+from dragrig.sim_backend.effects import catalogue, hum_effect
 
 
 def add_hum_to_noise(study: Study, experiments: Sequence[Experiment], lines: SpectralLines) -> Study:
@@ -154,10 +153,7 @@ def decision_inputs(
 def _swing_period_s(singles: Sequence[HypothesisFit]) -> float:
     """Return the period of an effect that is periodic in session time; 0 for none."""
     periodic = (
-        candidate
-        for fit in singles
-        for candidate in fit.parameters.candidates
-        if is_periodic_in_session(candidate.effect)
+        candidate for fit in singles for candidate in fit.parameters.candidates if candidate.effect.periodic_in_session
     )
     return next((candidate.values[candidate.effect.period_parameter] for candidate in periodic), 0.0)
 

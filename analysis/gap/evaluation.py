@@ -24,11 +24,19 @@ from dragrig.analysis.gap.position_channel import (
     predicted_position_error,
 )
 from dragrig.analysis.gap.run_data import run_data_of
-from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude, find_spectral_lines, hum_effect, without_hum
+from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude, find_spectral_lines, without_hum
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.config import AnalysisError, EffectSettings, ModelSettings
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import ActiveEffect, Channel, Coordinate, Effect, EffectChain, active_effects
+from dragrig.sim_backend.effects import (
+    ActiveEffect,
+    Channel,
+    Coordinate,
+    Effect,
+    EffectChain,
+    active_effects,
+    hum_effect,
+)
 
 BOOTSTRAP_SAMPLES = 500
 SIZE_GRID = (-1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)

@@ -31,7 +31,7 @@ from dragrig.analysis.gap.design import (
 from dragrig.analysis.gap.features import CHANCE_SIGMAS, NOISE_UNCERTAINTY
 from dragrig.analysis.gap.run_data import RunData, rms_where_active
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import Coordinate, Effect, RunState
+from dragrig.sim_backend.effects import RunState
 
 TIED_HARMONICS = 4
 MAX_PERIODS = 12
@@ -240,14 +240,14 @@ class HypothesisFit:
     @property
     def periodic(self) -> bool:
         """Whether one of the effects is periodic in session time, so that its phase may be lost between runs."""
-        return any(is_periodic_in_session(candidate.effect) for candidate in self.parameters.candidates)
+        return any(candidate.effect.periodic_in_session for candidate in self.parameters.candidates)
 
 
 def refit_with_effect(study: Study, design: Design, ranked: RankedEffect, nominal: Design) -> HypothesisFit:
     """Fit an effect together with those of a design, starting from its best variant."""
     z, amplitude = joint_fit(design, ranked.variants)
     variant = design.variants[ranked.variants[0]]
-    if not is_periodic_in_session(variant.effect):
+    if not variant.effect.periodic_in_session:
         candidate = ranked.candidate(design.variants, amplitude)
         start = ParameterPoint(z, (*design.candidates, candidate))
         fit = fit_hypothesis(study, gauss_newton(study, start, GAUSS_NEWTON_STEPS, design), nominal, design)[0]
@@ -391,11 +391,6 @@ def _add_own_variants(design: Design, total: FloatArray, ids: set[str]) -> tuple
     return chi2, added
 
 
-def is_periodic_in_session(effect: Effect) -> bool:
-    """Whether an effect is periodic in session time."""
-    return effect.periodic_in is Coordinate.SESSION
-
-
 def rank_with_free_phases(design: Design, ranked: tuple[RankedEffect, ...]) -> tuple[RankedEffect, ...]:
     """Rank periodic effects with a phase of their own in each run, unless a common phase ranks higher."""
     pairs = _quadrature_pairs(design.variants)
@@ -419,5 +414,5 @@ def _quadrature_pairs(variants: Sequence[EffectVariant]) -> list[tuple[int, int]
     return [
         (number, number + 1)
         for number, variant in enumerate(variants)
-        if is_periodic_in_session(variant.effect) and not variant.is_quadrature and variant.effect.phase is not None
+        if variant.effect.periodic_in_session and not variant.is_quadrature and variant.effect.phase is not None
     ]

@@ -40,7 +40,6 @@ from dragrig.analysis.gap.design import (
 )
 from dragrig.analysis.gap.diagnosis import display_name
 from dragrig.analysis.gap.features import gap_weight
-from dragrig.analysis.gap.hypothesis_fit import is_periodic_in_session
 from dragrig.analysis.gap.position_channel import (
     MIN_POSITION_SHARE,
     PositionErrors,
@@ -129,7 +128,7 @@ class SignatureAngles:
         opposed = products[np.ix_(starts, starts)] < 0
         squares[opposed & one_signed[:, None] & one_signed[None, :]] = 0.0
         for number, variant_columns in enumerate(variants):
-            if is_periodic_in_session(design.variants[variant_columns.variants[0]].effect):
+            if design.variants[variant_columns.variants[0]].effect.periodic_in_session:
                 free_phase = _free_phase_shares(design, variant_columns.variants, basis)
                 squares[:, number] = np.maximum(squares[:, number], np.add.reduceat(free_phase, starts) / counts)
         return cls(variants, np.clip(squares, 0.0, 1.0))

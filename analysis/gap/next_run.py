@@ -74,11 +74,10 @@ from dragrig.analysis.gap.position_channel import (
     predicted_position_error,
     score_model_classes,
 )
-from dragrig.analysis.gap.spectral_lines import hum_effect
 from dragrig.analysis.gap.studies import CapsuleStudy
 from dragrig.config import AnalysisError
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import Channel, catalogue
+from dragrig.sim_backend.effects import Channel, catalogue, hum_effect
 
 LOG_ODDS_PER_SHARE = 14.0
 """Log odds per share of an effect's squares that a rival leaves."""

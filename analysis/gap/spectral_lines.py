@@ -20,7 +20,7 @@ from dragrig.analysis import (
     in_phase,
 )
 from dragrig.rig import Contact, FloatArray, Phase
-from dragrig.sim_backend.effects import Effect, EffectChain, spectral_line_effects
+from dragrig.sim_backend.effects import EffectChain
 
 MIN_FREQUENCY_HZ, FREQUENCY_STEP_HZ = 2.5, 0.5
 HOLD_SETTLING_S = 0.5
@@ -293,12 +293,6 @@ NEW_HUM_FACTOR = 1.5
 """A mains line counts as a gap if its amplitude exceeds the known one by this factor."""
 LEAKAGE_SHARE = 0.02
 """Share of a line's log likelihood ratio that may leak to other frequencies."""
-
-
-def hum_effect() -> Effect:
-    """Return the effect that is found as a spectral line, hum of the mains."""
-    (hum,) = spectral_line_effects()
-    return hum
 
 
 def known_effects(nominal: NominalModel) -> EffectChain:

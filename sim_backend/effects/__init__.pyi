@@ -20,11 +20,11 @@ from .base import confusable_effects as confusable_effects
 from .base import evaluation_rate_hz as evaluation_rate_hz
 from .base import evaluation_times as evaluation_times
 from .base import find_effect as find_effect
+from .base import hum_effect as hum_effect
 from .base import phase as phase
 from .base import shape as shape
 from .base import similar_effects as similar_effects
 from .base import size as size
-from .base import spectral_line_effects as spectral_line_effects
 from .run_state import HoopStress as HoopStress
 from .run_state import RunState as RunState
 from .run_state import ShearedWall as ShearedWall

@@ -219,6 +219,11 @@ class Effect(ABC):
         return None if self.phase is None else self.coordinate
 
     @property
+    def periodic_in_session(self) -> bool:
+        """Whether it is periodic in session time."""
+        return self.periodic_in is Coordinate.SESSION
+
+    @property
     def shapes(self) -> tuple[EffectParameter, ...]:
         """Parameters of its form."""
         return tuple(parameter for parameter in self.parameters if parameter.role is Role.SHAPE)
@@ -322,9 +327,10 @@ def find_effect(effect_id: str) -> Effect:
     return known[effect_id]
 
 
-def spectral_line_effects() -> tuple[Effect, ...]:
-    """Return the effects that a diagnosis finds as a line at the mains' frequency."""
-    return tuple(effect for effect in catalogue().values() if effect.spectral_line)
+def hum_effect() -> Effect:
+    """Return the effect that a diagnosis finds as a line at the mains' frequency."""
+    (hum,) = (effect for effect in catalogue().values() if effect.spectral_line)
+    return hum
 
 
 def confusable_effects(effect_id: str) -> frozenset[str]:
