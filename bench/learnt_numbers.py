@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
-from dragrig.analysis.gap import Calibration, DecisionInputs, TrainingCase, calibrate
+from dragrig.analysis.gap import DecisionInputs, TrainingCase, VerdictCalibration, calibrate
 from dragrig.analysis.gap.classifier import judge
 from dragrig.analysis.gap.features import shipped_calibration
 from dragrig.scoring import AnswerKey
@@ -67,7 +67,7 @@ class Marks:
     stated: tuple[tuple[float, bool], ...]
 
     @classmethod
-    def of(cls, cases: Sequence[Case], calibration: Calibration) -> "Marks":
+    def of(cls, cases: Sequence[Case], calibration: VerdictCalibration) -> "Marks":
         """Judge campaigns by what was learnt."""
         right = wrong = missed = 0
         stated = []

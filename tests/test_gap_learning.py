@@ -12,9 +12,9 @@ import dragrig
 from dragrig.analysis.gap.classifier import classify
 from dragrig.analysis.gap.diagnosis import UNKNOWN, Classification, Verdict
 from dragrig.analysis.gap.features import (
-    Calibration,
     DecisionInputs,
     HypothesisSummary,
+    VerdictCalibration,
     shipped_calibration,
 )
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, DETECTABLE_D_PRIME
@@ -49,7 +49,7 @@ def lessons(seed: int, count: int = 60) -> list[TrainingCase]:
     return made
 
 
-def learnt(made: list[TrainingCase]) -> Calibration:
+def learnt(made: list[TrainingCase]) -> VerdictCalibration:
     return calibrate(made, DEFAULT_TOLERANCE_MN, seeds=(1,))
 
 
@@ -131,7 +131,7 @@ def test_an_exam_becomes_a_file_that_is_as_good_as_what_was_learnt(tmp_path: Pat
     made_by = "dragrig gap blind --cases 70 --seed 5 --mix learning --out learnt"
     assert calibration.command == f"{made_by}; dragrig gap calibrate learnt"
     assert calibration.weights == learnt(made).weights
-    assert Calibration.model_validate_json(calibration.model_dump_json()) == calibration
+    assert VerdictCalibration.model_validate_json(calibration.model_dump_json()) == calibration
 
 
 def test_each_part_is_judged_by_what_the_others_teach(tmp_path: Path) -> None:

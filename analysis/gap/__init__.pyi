@@ -30,8 +30,8 @@ from .evaluation import RelativeEffectSize as RelativeEffectSize
 from .evaluation import evaluate as evaluate
 from .excess import CHANNELS as CHANNELS
 from .excess import PROTOCOLS as PROTOCOLS
-from .features import Calibration as Calibration
 from .features import DecisionInputs as DecisionInputs
+from .features import VerdictCalibration as VerdictCalibration
 from .isolability import CONFUSED_SIN2 as CONFUSED_SIN2
 from .isolability import DETECTABLE_D_PRIME as DETECTABLE_D_PRIME
 from .isolability import EffectPair as EffectPair

@@ -21,10 +21,10 @@ from dragrig.analysis.gap.diagnosis import (
 from dragrig.analysis.gap.features import (
     EQUAL_SHARE,
     EXCHANGE,
-    Calibration,
     DecisionInputs,
     HypothesisFeatures,
     PresenceWeights,
+    VerdictCalibration,
     hypothesis_features,
     largest_llr,
     shipped_calibration,
@@ -44,7 +44,9 @@ CONFUSABLE_RATIO = 0.1
 """Hypotheses with at least this fraction of the highest probability count as confusable with it."""
 
 
-def classify(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibration | None = None) -> Classification:
+def classify(
+    inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalibration | None = None
+) -> Classification:
     """Return the verdict on a campaign; `calibration` defaults to the shipped one."""
     weights = calibration or shipped_calibration()
     force = _force_posterior(inputs, tolerance_mN, weights)
@@ -81,7 +83,7 @@ class _ForcePosterior:
         return sum(self.probabilities.values())
 
 
-def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Calibration) -> _ForcePosterior:
+def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: VerdictCalibration) -> _ForcePosterior:
     hypotheses = hypothesis_features(inputs, tolerance_mN)
     gate = weights.gate
     excess_per_block = inputs.excess / max(inputs.block_count, 1)
@@ -189,7 +191,10 @@ def unknown_because_of_line(inputs: DecisionInputs, classification: Classificati
 
 
 def unknown_by_excess_alone(
-    inputs: DecisionInputs, classification: Classification, tolerance_mN: float, calibration: Calibration | None = None
+    inputs: DecisionInputs,
+    classification: Classification,
+    tolerance_mN: float,
+    calibration: VerdictCalibration | None = None,
 ) -> bool:
     """Whether the verdict is `unknown` because blocks differ by more than noise, and nothing predicts by how much."""
     gate = (calibration or shipped_calibration()).gate
@@ -294,7 +299,7 @@ class Judgement:
     """Probability that each effect on the force is there."""
 
 
-def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: Calibration | None = None) -> Judgement:
+def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalibration | None = None) -> Judgement:
     """Return the verdict on a campaign, from classifier and competition of causes.
 
     Without a competition, as in inputs of a synthetic campaign, the classifier alone decides.

@@ -45,10 +45,10 @@ from dragrig.analysis.gap.diagnosis import (
     Verdict,
 )
 from dragrig.analysis.gap.features import (
-    Calibration,
     DecisionInputs,
     HypothesisSummary,
     NonparametricLaw,
+    VerdictCalibration,
     shipped_calibration,
 )
 from dragrig.analysis.gap.forward_selection import (
@@ -327,7 +327,7 @@ class DiagnosisOptions:
     """Smallest relevant rms force of an effect where it acts."""
     next_runs: ExperimentBudget = field(default_factory=ExperimentBudget)
     """Limits of the next experiment; default: one run of the short grid."""
-    calibration: Calibration | None = None
+    calibration: VerdictCalibration | None = None
     """Gate and weights of the verdict; default: the shipped ones."""
 
 
@@ -405,7 +405,7 @@ def _with_trusted_motion(selection: RunSelection, position: PositionAnalysis) ->
     )
 
 
-def _calibration_for(study: Study, options: DiagnosisOptions) -> Calibration:
+def _calibration_for(study: Study, options: DiagnosisOptions) -> VerdictCalibration:
     calibration = options.calibration or shipped_calibration()
     return calibration if isinstance(study, CapsuleStudy) else calibration.with_hand_set_weights
 

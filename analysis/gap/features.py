@@ -191,7 +191,7 @@ class PresenceWeights(BaseModel):
     competition: float
 
 
-class Calibration(BaseModel):
+class VerdictCalibration(BaseModel):
     """What is learnt from campaigns whose hidden effects are known, with its origin. No number is of a single effect.
 
     Attributes
@@ -221,7 +221,7 @@ class Calibration(BaseModel):
     presence: PresenceWeights
 
     @property
-    def with_hand_set_weights(self) -> "Calibration":
+    def with_hand_set_weights(self) -> "VerdictCalibration":
         """The same gate and presence with hand-set weights."""
         return self.model_copy(update={"weights": HAND_SET_WEIGHTS})
 
@@ -231,9 +231,9 @@ class Calibration(BaseModel):
 
 
 @cache
-def shipped_calibration() -> Calibration:
+def shipped_calibration() -> VerdictCalibration:
     """Return the shipped calibration."""
-    return Calibration.model_validate_json(CALIBRATION_FILE.read_text(encoding="utf-8"))
+    return VerdictCalibration.model_validate_json(CALIBRATION_FILE.read_text(encoding="utf-8"))
 
 
 CHANCE_SIGMAS, NOISE_UNCERTAINTY = 2.5, 0.06

@@ -111,7 +111,7 @@ def find_spectral_lines(experiments: Sequence[Experiment], channel: str) -> Spec
     return SpectralLines(mains, non_mains)
 
 
-def _lines_of(spectrum: "_Spectrum") -> list[SpectralLine]:
+def _lines_of(spectrum: "_HoldSpectrum") -> list[SpectralLine]:
     frequency, mean, background = spectrum.frequency_hz, spectrum.power, spectrum.background
     ratio = mean / background
     llr = np.where(ratio > 1, spectrum.segments * (ratio - 1 - np.log(np.maximum(ratio, 1e-12))), 0.0)
@@ -137,7 +137,7 @@ def detectable_line_amplitude(experiments: Sequence[Experiment], channel: str, l
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Spectrum:
+class _HoldSpectrum:
     """Mean power and background, shapes `(F,)`, over an effective number of independent segments."""
 
     frequency_hz: FloatArray
@@ -148,13 +148,13 @@ class _Spectrum:
     rate_hz: float
 
 
-def _spectrum(experiments: Sequence[Experiment], channel: str) -> _Spectrum | None:
+def _spectrum(experiments: Sequence[Experiment], channel: str) -> _HoldSpectrum | None:
     segments = [segment for experiment in experiments for segment in _still_segments(experiment, channel)]
     rate = min((segment.rate_hz for segment in segments), default=0.0)
     return _spectrum_at(segments, np.arange(MIN_FREQUENCY_HZ, 0.48 * rate, FREQUENCY_STEP_HZ))
 
 
-def _spectrum_at(segments: "Sequence[_Segment]", frequency: FloatArray) -> _Spectrum | None:
+def _spectrum_at(segments: "Sequence[_Segment]", frequency: FloatArray) -> _HoldSpectrum | None:
     """Return the mean spectrum at evenly spaced frequencies; None for fewer than two segments or ten frequencies."""
     if len(segments) < 2 or frequency.size < 10:
         return None
@@ -164,7 +164,7 @@ def _spectrum_at(segments: "Sequence[_Segment]", frequency: FloatArray) -> _Spec
     mean = np.average(power, axis=0, weights=weights)
     effective_count = float(weights.sum() ** 2 / np.sum(weights**2))
     samples = float(np.average(weights, weights=weights))
-    return _Spectrum(frequency, mean, _background(frequency, mean), effective_count, samples, rate)
+    return _HoldSpectrum(frequency, mean, _background(frequency, mean), effective_count, samples, rate)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

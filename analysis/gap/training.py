@@ -8,10 +8,10 @@ import numpy as np
 from dragrig.analysis.gap.classifier import MOTION_ERROR_LOG_ODDS, classify, judge, presence_inputs
 from dragrig.analysis.gap.diagnosis import Classification
 from dragrig.analysis.gap.features import (
-    Calibration,
     DecisionInputs,
     GapGate,
     PresenceWeights,
+    VerdictCalibration,
     hypothesis_features,
     largest_llr,
 )
@@ -211,7 +211,7 @@ def calibrate(
     seeds: Sequence[int] = (),
     command: str = "",
     left_out: Collection[str] = (),
-) -> Calibration:
+) -> VerdictCalibration:
     """Return what campaigns teach: first the classifier, then its weight beside the competition of causes.
 
     Parameters
@@ -241,8 +241,10 @@ def calibrate(
     return learnt.model_copy(update={"presence": presence, "seeds": tuple(seeds), "command": command})
 
 
-def _without_presence(cases: Sequence[TrainingCase], tolerance_mN: float, left_out: Collection[str]) -> Calibration:
-    return Calibration(
+def _without_presence(
+    cases: Sequence[TrainingCase], tolerance_mN: float, left_out: Collection[str]
+) -> VerdictCalibration:
+    return VerdictCalibration(
         version=CALIBRATION_VERSION,
         command="",
         seeds=(),
@@ -255,7 +257,7 @@ def _without_presence(cases: Sequence[TrainingCase], tolerance_mN: float, left_o
 
 def _in_turn(
     cases: Sequence[TrainingCase], folds: int, tolerance_mN: float, left_out: Collection[str]
-) -> Iterator[tuple[TrainingCase, Calibration]]:
+) -> Iterator[tuple[TrainingCase, VerdictCalibration]]:
     """Yield every case with a classifier that the cases of other folds taught."""
     taught = [
         _without_presence([case for index, case in enumerate(cases) if index % folds != fold], tolerance_mN, left_out)

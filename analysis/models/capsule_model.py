@@ -7,7 +7,14 @@ from functools import cached_property
 import numpy as np
 
 from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.models.nominal_model import Combination, NominalModel, Parameter, Prediction, Predictor, Variation
+from dragrig.analysis.models.nominal_model import (
+    NominalModel,
+    Parameter,
+    ParameterCombination,
+    Prediction,
+    Predictor,
+    Variation,
+)
 from dragrig.config import Fixture, FrictionModelSettings, Specimen
 from dragrig.rig import Acquisition, Contact, FloatArray, MotionProfile
 from dragrig.sim_backend.friction import (
@@ -58,11 +65,11 @@ def capsule_parameters(settings: FrictionModelSettings) -> tuple[Parameter, ...]
     return (*scales, angle)
 
 
-def _force_combination(name: str, powers: Mapping[str, float], meaning: str) -> Combination:
-    return Combination(name, "1", {"force_gain": 1.0, **powers}, f"{meaning} as the force channel shows it")
+def _force_combination(name: str, powers: Mapping[str, float], meaning: str) -> ParameterCombination:
+    return ParameterCombination(name, "1", {"force_gain": 1.0, **powers}, f"{meaning} as the force channel shows it")
 
 
-def _element_combination(name: str, scale: str, symbol: str) -> Combination:
+def _element_combination(name: str, scale: str, symbol: str) -> ParameterCombination:
     return _force_combination(name, {"stiffness_scale": 1.0, scale: 1.0}, f"scale of {symbol}")
 
 
@@ -72,8 +79,12 @@ CAPSULE_COMBINATIONS = (
     _element_combination("e3_shown", "e3_scale", "E3"),
     _element_combination("eta1_shown", "eta1_scale", "η1"),
     _element_combination("eta2_shown", "eta2_scale", "η2"),
-    Combination("fast_time_scale", "1", {"eta1_scale": 1.0, "e1_scale": -1.0}, "scale of the time constant η1/E1"),
-    Combination("slow_time_scale", "1", {"eta2_scale": 1.0, "e2_scale": -1.0}, "scale of the time constant η2/E2"),
+    ParameterCombination(
+        "fast_time_scale", "1", {"eta1_scale": 1.0, "e1_scale": -1.0}, "scale of the time constant η1/E1"
+    ),
+    ParameterCombination(
+        "slow_time_scale", "1", {"eta2_scale": 1.0, "e2_scale": -1.0}, "scale of the time constant η2/E2"
+    ),
     _force_combination("friction_shown", {"friction_coefficient": 1.0}, "friction coefficient"),
     _force_combination("mucus_shown", {"mucus_scale": 1.0}, "scale of the viscosity"),
 )
@@ -392,7 +403,7 @@ class CapsuleModel(NominalModel):
         return RUN_VARIATIONS
 
     @property
-    def combinations(self) -> tuple[Combination, ...]:
+    def combinations(self) -> tuple[ParameterCombination, ...]:
         """The scales as the force channel shows them, with its gain, and the time constants."""
         return CAPSULE_COMBINATIONS
 

@@ -21,10 +21,10 @@ import numpy as np
 from dragrig.analysis.models.capsule_model import CapsuleModel
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.models.nominal_model import (
-    Combination,
     ForcePart,
     NominalModel,
     Parameter,
+    ParameterCombination,
     Prediction,
     Predictor,
     Variation,
@@ -174,7 +174,7 @@ class AmendedModel(NominalModel):
         return self.own.variations
 
     @property
-    def combinations(self) -> tuple[Combination, ...]:
+    def combinations(self) -> tuple[ParameterCombination, ...]:
         """Products of parameters worth reporting."""
         return self.own.combinations
 
@@ -285,7 +285,7 @@ class CheckedModel(NominalModel):
         return tuple(self.own.variations)
 
     @property
-    def combinations(self) -> tuple[Combination, ...]:
+    def combinations(self) -> tuple[ParameterCombination, ...]:
         """Products of parameters worth reporting."""
         return tuple(self.own.combinations)
 
@@ -405,7 +405,7 @@ def _type_errors(model: NominalModel) -> Iterator[str]:
     name: object = model.name
     if not isinstance(name, str) or not name:
         yield f"its name is {name!r}, and must be some text"
-    kinds = {"parameters": Parameter, "variations": Variation, "combinations": Combination}
+    kinds = {"parameters": Parameter, "variations": Variation, "combinations": ParameterCombination}
     for attribute, kind in kinds.items():
         members: object = getattr(model, attribute)
         if not isinstance(members, Sequence):

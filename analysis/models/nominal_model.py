@@ -69,7 +69,7 @@ class Variation:
 
 
 @dataclass(frozen=True, slots=True)
-class Combination:
+class ParameterCombination:
     """A product of powers of positive parameters, which runs may determine where they cannot tell its factors apart."""
 
     name: str
@@ -171,7 +171,7 @@ class NominalModel(Protocol):
         return ()
 
     @property
-    def combinations(self) -> tuple[Combination, ...]:
+    def combinations(self) -> tuple[ParameterCombination, ...]:
         """Products of parameters worth reporting; default: none."""
         return ()
 

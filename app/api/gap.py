@@ -35,7 +35,7 @@ from dragrig.rig import Run
 from dragrig.setup import PlanLike, SetupChoices, resolve
 
 if TYPE_CHECKING:
-    from dragrig.analysis.gap import Calibration, DiagnosisOptions
+    from dragrig.analysis.gap import DiagnosisOptions, VerdictCalibration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,13 +257,13 @@ def diagnosis_options(
     return DiagnosisOptions(excluded=tuple(dict.fromkeys(without)), tolerance_mN=tolerance, calibration=learnt)
 
 
-def _load_calibration(path: Path) -> "Calibration":
+def _load_calibration(path: Path) -> "VerdictCalibration":
     from pydantic import ValidationError
 
-    from dragrig.analysis.gap import Calibration
+    from dragrig.analysis.gap import VerdictCalibration
 
     try:
-        return Calibration.model_validate_json(path.read_text("utf-8"))
+        return VerdictCalibration.model_validate_json(path.read_text("utf-8"))
     except OSError as error:
         raise SettingsError(f"--calibration {path}: cannot be read ({error.strerror}); name another file.") from error
     except (UnicodeDecodeError, ValidationError) as error:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dragrig.analysis.gap import Calibration, DecisionInputs, TrainingCase
+from dragrig.analysis.gap import DecisionInputs, TrainingCase, VerdictCalibration
 from dragrig.config import AnalysisError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class _ReadExam:
     training: tuple[TrainingCase, ...]
 
 
-def gap_calibrate(exams: Sequence[str | Path], tolerance_mN: float = 0.5) -> Calibration:
+def gap_calibrate(exams: Sequence[str | Path], tolerance_mN: float = 0.5) -> VerdictCalibration:
     """Learn thresholds and weights from exams; judge the result on exams with other seeds.
 
     Parameters

@@ -89,7 +89,7 @@ MIN_DRAWN = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class ShownRun:
+class PlottedRun:
     """A run of a budget's picture, and the part of the gap that it is shown for; None for the gap itself."""
 
     run: RunContributions
@@ -174,7 +174,7 @@ def _write_name_inside(axes: Axes, part: BarPart, middle: float, room_in: float)
     return True
 
 
-def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) -> tuple[ShownRun, ...]:
+def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) -> tuple[PlottedRun, ...]:
     """Choose for each large part of a channel's gap the run where it adds most, of a kind that is not shown yet.
 
     A part misleads the fit of the nominal parameters, so that it shows in runs where it does not act itself, often
@@ -189,7 +189,7 @@ def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) ->
     parts = [entry for entry in here.large if any(run.rms(entry.cause) > 0 for run in left)]
     if here.named and not parts:
         return ()  # a spectral line, which block means do not show
-    chosen: list[ShownRun] = []
+    chosen: list[PlottedRun] = []
     rounds: tuple[BudgetEntry | None, ...] = tuple(parts[:MAX_BUDGET_RUNS]) or (None,)
     while left and len(chosen) < max(MIN_BUDGET_RUNS, len(rounds)):
         size = partial(_size_of, part=rounds[len(chosen) % len(rounds)])
@@ -198,7 +198,7 @@ def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) ->
         others = [run for run in left if run.kind not in kinds and size(run) >= ELSEWHERE * most]
         new = [run for run in left if (run.kind, run.label) not in conditions]
         best = max(others or new or left, key=size)
-        chosen.append(ShownRun(best, rounds[len(chosen) % len(rounds)]))
+        chosen.append(PlottedRun(best, rounds[len(chosen) % len(rounds)]))
         left.remove(best)
     return tuple(chosen)
 
@@ -208,7 +208,7 @@ def _size_of(run: RunContributions, part: BudgetEntry | None) -> float:
 
 
 def _draw_runs(
-    panels: Sequence[Axes], runs: Sequence[ShownRun], here: ChannelBudget, colours: Mapping[str, str]
+    panels: Sequence[Axes], runs: Sequence[PlottedRun], here: ChannelBudget, colours: Mapping[str, str]
 ) -> None:
     """Draw each run in a panel with a scale of its own: the gap behind, the parts in the colours of the bar."""
     for axes, shown in zip(panels, runs, strict=True):
@@ -223,7 +223,7 @@ def _draw_runs(
     panels[0].legend([handle], [GAP_LINE.word], loc="lower right", bbox_to_anchor=(1.0, 1.0), bbox_transform=above)
 
 
-def _draw_parts(axes: Axes, shown: ShownRun, causes: Sequence[str], colours: Mapping[str, str]) -> None:
+def _draw_parts(axes: Axes, shown: PlottedRun, causes: Sequence[str], colours: Mapping[str, str]) -> None:
     run = shown.run
     first, last = _shown_range_s(run)
     inside = (run.time_s >= first) & (run.time_s <= last)

@@ -24,7 +24,7 @@ from dragrig.present import (
 from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate
 
 if TYPE_CHECKING:
-    from dragrig.analysis.gap import Calibration
+    from dragrig.analysis.gap import VerdictCalibration
 
 MAX_WRONG_VERDICTS = 40
 """Wrong verdicts that a terminal lists."""
@@ -55,7 +55,7 @@ def exam_document(score: ExamScore, cases: int, seed: int, answers_sha256: str) 
     )
 
 
-def calibration_document(calibration: "Calibration", cross_validated: Sequence[Rate] | None) -> Document:
+def calibration_document(calibration: "VerdictCalibration", cross_validated: Sequence[Rate] | None) -> Document:
     """Lay out what was learnt from exams, and how often verdicts are right in cross-validation."""
     gate = calibration.gate
     columns = (Column("feature", "feature"), Column("weight", "weight", decimals(2, signed=True)))

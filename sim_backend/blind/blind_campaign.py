@@ -14,7 +14,7 @@ import numpy as np
 
 from dragrig.sim_backend.blind.effects import CATALOGUE, DRAWN, OUTSIDE
 from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect, one_of
-from dragrig.sim_backend.blind.run_plans import Capsule, RunList, RunPlan, draw_programme, in_session
+from dragrig.sim_backend.blind.run_plans import CapsuleDummy, RunList, RunPlan, draw_programme, in_session
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +152,7 @@ class Setting:
     runs: tuple[RunPlan, ...]
     noise: NoiseLevels
     errors: NominalErrors = NominalErrors()
-    capsule: Capsule = field(default_factory=Capsule)
+    capsule: CapsuleDummy = field(default_factory=CapsuleDummy)
     exchange_recorded: bool = True
     """Whether the files say which specimen a run was made on, where it was exchanged."""
 
@@ -208,7 +208,7 @@ def _other_programme(setting: Setting, random: np.random.Generator) -> Setting:
 
 
 def _other_capsule(setting: Setting, random: np.random.Generator) -> Setting:
-    capsule = Capsule(
+    capsule = CapsuleDummy(
         radius_mm=float(random.uniform(5.0, 7.0)),
         length_mm=float(random.uniform(12.0, 26.0)),
         mass_g=float(random.uniform(15.0, 80.0)),
@@ -326,7 +326,7 @@ class BlindCampaign:
     """Variation of each run, in the order of `runs`."""
     plant: str = "written"
     conditions: tuple[str, ...] = ()
-    capsule: Capsule = field(default_factory=Capsule)
+    capsule: CapsuleDummy = field(default_factory=CapsuleDummy)
     second: HiddenSpecimen | None = None
     """The specimen that took the first one's place midway; None where it was not exchanged."""
     exchange_recorded: bool = True
@@ -516,9 +516,9 @@ def _session(
     return setting, tuple(draw_run_variation(random) for _ in setting.runs)
 
 
-def _on_capsule(specimen: HiddenSpecimen, capsule: Capsule) -> HiddenSpecimen:
+def _on_capsule(specimen: HiddenSpecimen, capsule: CapsuleDummy) -> HiddenSpecimen:
     """Return the specimen on another capsule, whose contact angle its own differs from alike."""
-    return replace(specimen, angle_deg=specimen.angle_deg + capsule.angle_deg - Capsule().angle_deg)
+    return replace(specimen, angle_deg=specimen.angle_deg + capsule.angle_deg - CapsuleDummy().angle_deg)
 
 
 def _random(seed: int, purpose: str) -> np.random.Generator:

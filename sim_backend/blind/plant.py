@@ -33,7 +33,7 @@ from dragrig.sim_backend.blind.effects.hidden_effect import (
 from dragrig.sim_backend.blind.run_plans import (
     NOTED_DWELL_S,
     PLANT_WALL_MM,
-    Capsule,
+    CapsuleDummy,
     Floats,
     RunList,
     RunPlan,
@@ -62,7 +62,7 @@ class GutContact:
     effects: Sequence[HiddenEffect]
     ageing: float
     """Factor on stiffness of the effects that vary from run to run."""
-    capsule: Capsule = field(default_factory=Capsule)
+    capsule: CapsuleDummy = field(default_factory=CapsuleDummy)
 
     @cached_property
     def angle(self) -> float:

@@ -19,7 +19,7 @@ NOTED_DWELL_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
-class Capsule:
+class CapsuleDummy:
     """The capsule of a campaign, as its files describe it."""
 
     radius_mm: float = 6.45
