@@ -62,7 +62,11 @@ class SessionState(Settings):
     run_s: float = 0.0
     """Its recording time."""
     after_s: float = 0.0
-    """Duration of all later runs, with waits, without prompts."""
+    """Duration of all later runs, without prompts; with waits where time is real."""
+    total_s: float = 0.0
+    """The same of all runs of this session."""
+    busy_s: float = 0.0
+    """Wall-clock time from the first run to the start of this activity, without prompts."""
     status: str = ""
     """How the session ended."""
     reason: str = ""
@@ -140,8 +144,8 @@ class StatePublisher:
         """Publish the number and duration of the runs."""
         self._started = True
         self._runs = tuple(pending)
-        after_s = sum(map(_planned_duration_s, self._runs))
-        self._publish("preparing", runs=len(pending), real_time=real_time, after_s=after_s)
+        total_s = _planned_duration_s(self._runs, real_time=real_time)
+        self._publish("preparing", runs=len(pending), real_time=real_time, after_s=total_s, total_s=total_s)
         self._observer.begins(programme, pending, real_time=real_time)
 
     def waits(self, duration_s: float, why: str) -> None:
@@ -159,7 +163,7 @@ class StatePublisher:
             order=order,
             run=run.protocol.summary(),
             run_s=run.duration_s,
-            after_s=sum(map(_planned_duration_s, later)),
+            after_s=_planned_duration_s(later, real_time=self._state.real_time),
         )
         self._observer.run_begins(run, order)
 
@@ -178,7 +182,11 @@ class StatePublisher:
             self._publish("ended", status=status, reason=reason)
 
     def _publish(self, doing: Activity, **changes: object) -> None:
-        update = {"said": "", "wait_s": 0.0, **changes, "doing": doing, "since": _now()}
+        now, before = _now(), self._state
+        # Preparing is over once; a person takes any time. Neither says how fast runs are made.
+        counts = before.doing not in {"preparing", "asking"}
+        busy_s = before.busy_s + ((now - before.since).total_seconds() if counts else 0.0)
+        update = {"said": "", "wait_s": 0.0, **changes, "doing": doing, "since": now, "busy_s": busy_s}
         self._state = self._state.model_copy(update=update)
         part = self._folder / f".{STATE_FILE}.part"
         with contextlib.suppress(OSError, OutputError):
@@ -186,5 +194,5 @@ class StatePublisher:
             rename_into_place(part, self._folder / STATE_FILE)
 
 
-def _planned_duration_s(run: PlannedRun) -> float:
-    return run.wait_s + run.tare_s + run.duration_s
+def _planned_duration_s(runs: Sequence[PlannedRun], *, real_time: bool) -> float:
+    return sum(run.tare_s + run.duration_s + (run.wait_s if real_time else 0.0) for run in runs)

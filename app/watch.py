@@ -1,4 +1,4 @@
-"""Following a running campaign from another process, read-only, and serving its state as a page to this machine.
+"""Following a running campaign from another process, read-only, and serving its state as a page.
 
 A state is no `Document`: it is no result but a stream, updated in place twice a second in terminal and page, and a line
 of JSON each time. `CampaignState.to_json` is what page and `--json` read.
@@ -6,6 +6,8 @@ of JSON each time. `CampaignState.to_json` is what page and `--json` read.
 
 import json
 import os
+import secrets
+import socket
 import sys
 import threading
 import time
@@ -15,6 +17,7 @@ from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.parse import parse_qsl
 
 import numpy as np
 
@@ -28,6 +31,8 @@ FORCE_MEAN_S = 0.1
 """The current force is the mean over this time."""
 RECENT_POINTS = 300
 """Points of the recent force, about a screen's width."""
+PACE_KNOWN_FROM = 0.1
+"""From this share of a session on, the time left follows the pace so far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +86,7 @@ class CampaignState:
     runs: int | None
     """`run`, `runs`: number of the current run of this session, and of how many; None where it is not known."""
     left_s: float | None
-    """Time left by the plan without prompts; recorded time where time is simulated."""
+    """Time left without prompts; None where it is not known yet."""
     status: str
     """How the session ended."""
     recording: RunInProgress | None
@@ -241,46 +246,91 @@ def _run_in_progress(run: Run, state: SessionState | None) -> RunInProgress:
     )
 
 
-def _time_left_s(state: SessionState, recording: RunInProgress | None) -> float:
+def _time_left_s(state: SessionState, recording: RunInProgress | None) -> float | None:
+    """Return the planned time that is left, at the pace so far once a tenth is done.
+
+    Before that it is the plan's, where time is real, and else unknown.
+    """
     run_s = 0.0
     if recording is not None and recording.run_s is not None and state.doing == "recording":
         run_s = max(0.0, recording.run_s - recording.time_s)
-    waited = min(state.wait_s, (datetime.now(UTC) - state.since).total_seconds()) if state.doing == "waiting" else 0.0
-    return max(0.0, run_s + state.after_s - waited)
+    since_s = (datetime.now(UTC) - state.since).total_seconds()
+    waited = min(state.wait_s, since_s) if state.doing == "waiting" else 0.0
+    left_s = max(0.0, run_s + state.after_s - waited)
+    done_s = state.total_s - left_s
+    if done_s < PACE_KNOWN_FROM * state.total_s or done_s <= 0:
+        return left_s if state.real_time else None
+    busy_s = state.busy_s + (since_s if state.doing not in {"preparing", "asking"} else 0.0)
+    return left_s * busy_s / done_s
 
 
-LAST_STATE_S = 3.0
-"""How long the last state is served, at most, until a browser has read it."""
-LOCAL_HOSTS = ("127.0.0.1", "localhost")
-
-
-@dataclass(frozen=True, slots=True)
-class _ShownState:
-    content: bytes = b"{}"
-    last: bool = False
+LOCAL_HOST = "127.0.0.1"
+LOCAL_HOSTS = (LOCAL_HOST, "localhost")
+HIDDEN_TAB_S = 70.0
+"""A tab that asked within this time is waited for at the end: browsers let hidden tabs ask once a minute."""
 
 
 class StatePage:
     """The state a page server serves; one thread calls `show`, the server's threads the rest."""
 
-    def __init__(self) -> None:
+    def __init__(self, host: str = LOCAL_HOST) -> None:
+        self.host = host
         self.port = 0
         self.html = b""
-        self.shown = _ShownState()
-        self._last_served = threading.Event()
+        self.token = "" if host in LOCAL_HOSTS else secrets.token_urlsafe(16)
+        """What a request from another machine must bring."""
+        self._content = b"{}"
+        self._over = False
+        self._asked_at: dict[str, float] = {}
+        self._changed = threading.Condition()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        host = _own_address() if self.host == "0.0.0.0" else self.host  # noqa: S104  # compared, not bound
+        return f"http://{host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     def show(self, state: CampaignState) -> None:
         """Serve this state from now on."""
-        self.shown = _ShownState(json.dumps(state.to_json(), allow_nan=False).encode(), state.over)
+        with self._changed:
+            self._content, self._over = json.dumps(state.to_json(), allow_nan=False).encode(), state.over
 
-    def note_served(self, shown: _ShownState) -> None:
-        """Note that a browser has received a state."""
-        if shown.last:
-            self._last_served.set()
+    def admits(self, host: str, token: str) -> bool:
+        """Return whether a request may read: by its token, or on this machine by its host, against DNS rebinding."""
+        if self.token:
+            return secrets.compare_digest(token.encode(), self.token.encode())
+        return host.rsplit(":", 1)[0] in LOCAL_HOSTS
 
-    def wait_for_last(self) -> None:
-        """Wait until a browser has received the last state, at most `LAST_STATE_S`."""
-        self._last_served.wait(LAST_STATE_S)
+    def content(self, tab: str) -> tuple[bytes, bool]:
+        """Return the state for a tab, and whether it is the last one."""
+        with self._changed:
+            self._asked_at[tab] = time.monotonic()
+            return self._content, self._over
+
+    def forget(self, tab: str) -> None:
+        """Wait for this tab no longer: it has received the last state, or was closed."""
+        with self._changed:
+            self._asked_at.pop(tab, None)
+            self._changed.notify_all()
+
+    def wait_for_tabs(self) -> None:
+        """Wait until every open tab has received the last state, at most `HIDDEN_TAB_S`."""
+        with self._changed:
+            while self._asked_at:
+                left_s = max(self._asked_at.values()) + HIDDEN_TAB_S - time.monotonic()
+                if left_s <= 0:
+                    return
+                self._changed.wait(left_s)
+
+
+def _own_address() -> str:
+    """Return the address by which others reach this machine; connecting a datagram socket sends nothing."""
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(("192.0.2.1", 9))
+            return str(probe.getsockname()[0])
+    except OSError:
+        return socket.gethostname()
 
 
 class _PageServer(ThreadingHTTPServer):
@@ -295,28 +345,33 @@ class _PageServer(ThreadingHTTPServer):
 
 
 @contextmanager
-def serve_state_page(port: int) -> Iterator[StatePage]:
-    """Serve a page on the loopback address until the block ends.
+def serve_state_page(port: int, host: str = LOCAL_HOST) -> Iterator[StatePage]:
+    """Serve a page until the block ends: to this machine alone, or at another address to those who have its token.
 
-    Raises `OutputError` when the port is not available.
+    Raises `OutputError` when address or port are not available.
     """
     from dragrig.present import render_template
 
-    page = StatePage()
+    page = StatePage(host)
     page.html = render_template("watch.html", {"title": "dragrig watch"}).encode()
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            # DNS rebinding: only pages of this machine may read the state.
-            if self.headers.get("Host", "").rsplit(":", 1)[0] not in LOCAL_HOSTS:
+            path, _, query = self.path.partition("?")
+            asked = dict(parse_qsl(query))
+            tab = asked.get("tab", "")
+            if not page.admits(self.headers.get("Host", ""), asked.get("token", "")):
                 self.send_error(403)
-                return
-            if self.path == "/":
+            elif path == "/":
                 self._answer(page.html, "text/html; charset=utf-8")
-            elif self.path == "/state.json":
-                shown = page.shown
-                self._answer(shown.content, "application/json")
-                page.note_served(shown)
+            elif path == "/state.json":
+                content, last = page.content(tab)
+                self._answer(content, "application/json")
+                if last:
+                    page.forget(tab)
+            elif path == "/closed":
+                page.forget(tab)
+                self._answer(b"", "text/plain")
             else:
                 self.send_error(404)
 
@@ -325,6 +380,7 @@ def serve_state_page(port: int) -> Iterator[StatePage]:
             self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(content)))
             self.send_header("Cache-Control", "no-store")
+            self.send_header("Referrer-Policy", "no-referrer")
             self.end_headers()
             self.wfile.write(content)
 
@@ -332,9 +388,12 @@ def serve_state_page(port: int) -> Iterator[StatePage]:
             del format, args
 
     try:
-        server = _PageServer(("127.0.0.1", port), Handler)
+        server = _PageServer((host, port), Handler)
     except OSError as error:
-        raise OutputError(f"--page {port}: not available ({error.strerror}); name another port, or 0.") from error
+        raise OutputError(
+            f"--page {port} at {host}: not available ({error.strerror}); name another port, or 0, and an address of "
+            "this machine."
+        ) from error
     page.port = server.server_address[1]
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
     thread.start()

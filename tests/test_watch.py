@@ -93,7 +93,7 @@ def test_an_open_prompt_is_shown(seen: Onlooker) -> None:
     [state] = seen.asked
     assert (state.doing, state.message) == ("asking", "Take the capsule off")
     assert (state.run, state.runs, state.finished) == (0, 4, ())
-    assert state.left_s is not None
+    assert state.left_s is None  # on a simulated rig nobody knows yet
     assert not state.over
 
 
@@ -243,6 +243,59 @@ def test_the_page_is_served_to_this_machine_alone(seen: Onlooker) -> None:
             urlopen(f"{address}/etc")
 
 
+def test_other_machines_need_the_token(seen: Onlooker) -> None:
+    with serve_state_page(0, "0.0.0.0") as page:
+        page.show(seen.recorded[0])
+        own = f"http://127.0.0.1:{page.port}"
+        for path in ("/", "/state.json", "/state.json?token=guess"):
+            with pytest.raises(HTTPError, match="403"):
+                urlopen(f"{own}{path}")
+        assert page.address.endswith(f"/?token={page.token}")
+        with urlopen(Request(f"{own}/state.json?token={page.token}", headers={"Host": "rig.lab"})) as answer:
+            assert json.load(answer)["doing"] == "recording"
+
+
+def test_every_tab_is_told_the_end(seen: Onlooker) -> None:
+    def ask(tab: str) -> str:
+        with urlopen(f"{page.address}state.json?tab={tab}") as answer:
+            return str(json.load(answer)["doing"])
+
+    with serve_state_page(0) as page:
+        page.show(seen.recorded[0])
+        assert {ask("desk"), ask("phone"), ask("closed")} == {"recording"}
+        page.show(CampaignWatch(seen.asked[0].folder).look())
+        waiting = threading.Thread(target=page.wait_for_tabs)
+        waiting.start()
+        assert ask("desk") == "ended"
+        urlopen(f"{page.address}closed?tab=closed").close()
+        waiting.join(0.2)
+        assert waiting.is_alive()
+        assert ask("phone") == "ended"
+        waiting.join()
+
+
+def test_the_time_left_follows_the_pace(tmp_path: Path) -> None:
+    now = datetime.now(UTC)
+    folder = tmp_path / "paced"
+    folder.mkdir()
+    (folder / "session-1.toml").touch()
+    state = SessionState(plan="p", backend="simulated", doing="between", total_s=3600.0, after_s=2700.0, busy_s=10.0)
+
+    def left_s(state: SessionState) -> float | None:
+        (folder / STATE_FILE).write_text(state.model_dump_json(), "utf-8")
+        with session_lock(folder):
+            return CampaignWatch(folder).look().left_s
+
+    state = state.model_copy(update={"since": now})
+    left = left_s(state)
+    assert left is not None
+    assert 30.0 <= left < 3 * (10.0 + 600.0)
+    asking = state.model_copy(update={"doing": "asking"})
+    assert left_s(asking) == pytest.approx(30.0)
+    assert left_s(asking.model_copy(update={"after_s": 3500.0})) is None
+    assert left_s(asking.model_copy(update={"after_s": 3500.0, "real_time": True})) == 3500.0
+
+
 def test_the_page_shows_the_run_and_its_end(seen: Onlooker, browser: "Browser") -> None:
     from browsing import PHONE_PX, opened
     from playwright.sync_api import expect
@@ -257,6 +310,7 @@ def test_the_page_shows_the_run_and_its_end(seen: Onlooker, browser: "Browser") 
             assert page.evaluate("document.documentElement.scrollWidth") <= PHONE_PX
             server.show(CampaignWatch(seen.asked[0].folder).look())
             expect(page.locator("#state")).to_have_text("Over, complete", timeout=600_000)
+            expect(page.locator("#left")).to_have_text("4 complete")
             assert page.locator("#runs tbody tr").count() == 4
             assert heard.messages == []
             assert {line.split("?")[0] for line in heard.requests} == {address, f"{address}state.json"}

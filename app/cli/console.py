@@ -194,6 +194,8 @@ SILENT_FIRST_S = 1.0
 """Shorter tasks show no progress."""
 _FIRST_LINE_S = 5.0
 _MAX_LINE_INTERVAL_S = 60.0
+_PACE_KNOWN_FROM = 0.1
+"""From this share on the time left is shown."""
 
 
 class ProgressMeter:
@@ -216,6 +218,7 @@ class ProgressMeter:
         self._done = 0.0
         self._clock = clock
         self._started = clock()
+        self._paused_at: float | None = None
         self._shown = not (is_quiet() if quiet is None else quiet)
         self._bar: tuple[Progress, TaskID] | None = None
         self._next_line_s = _FIRST_LINE_S
@@ -227,7 +230,8 @@ class ProgressMeter:
         self.pause()
 
     def pause(self) -> None:
-        """Remove the bar; the next step shows it again."""
+        """Remove the bar, and stop the clock; the next step shows it again."""
+        self._paused_at = self._paused_at or self._clock()
         if self._bar is not None:
             self._bar[0].stop()
             self._bar = None
@@ -236,6 +240,9 @@ class ProgressMeter:
         """Add to what is done of the total, and name what is being done now."""
         self._done += amount
         self._label = self._label if label is None else label
+        if self._paused_at is not None:
+            self._started += self._clock() - self._paused_at
+            self._paused_at = None
         elapsed_s = self._clock() - self._started
         if not self._shown or elapsed_s < SILENT_FIRST_S:
             return
@@ -246,7 +253,8 @@ class ProgressMeter:
             if self._bar is None:
                 self._bar = _start_bar(self._total)
             progress, task = self._bar
-            progress.update(task, completed=self._done, description=self._label)
+            left = self._left(elapsed_s)
+            progress.update(task, completed=self._done, total=self._total, description=self._label, left=left)
 
     def to(self, done: float, label: str | None = None) -> None:
         """Set how much of the total is done."""
@@ -271,8 +279,14 @@ class ProgressMeter:
         if elapsed_s < self._next_line_s or not 0 < self._done < self._total:
             return
         self._next_line_s = elapsed_s + min(elapsed_s, _MAX_LINE_INTERVAL_S)
-        left = duration_text(elapsed_s * (self._total - self._done) / self._done)
-        click.echo(f"{self._label}: {100 * self._done / self._total:.0f} %, {left} left", err=True)
+        left = self._left(elapsed_s)
+        click.echo(f"{self._label}: {100 * self._done / self._total:.0f} %{left and f', {left}'}", err=True)
+
+    def _left(self, elapsed_s: float) -> str:
+        """Return the time left at the mean pace; earlier than a tenth nobody knows it."""
+        if not _PACE_KNOWN_FROM * self._total <= self._done < self._total or self._done <= 0:
+            return ""
+        return f"{duration_text(elapsed_s * (self._total - self._done) / self._done)} left"
 
     @contextmanager
     def _silent_once_closed(self) -> Iterator[None]:
@@ -285,17 +299,17 @@ class ProgressMeter:
 
 def _start_bar(total: float) -> "tuple[Progress, TaskID]":
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
     progress = Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[left]}", markup=False),
         console=Console(stderr=True),
         transient=True,
     )
-    task = progress.add_task("", total=total)
+    task = progress.add_task("", total=total, left="")
     progress.start()
     return progress, task
 

@@ -320,7 +320,13 @@ ACTIVITY_TEXTS = {
     flag_value=DEFAULT_PORT,
     default=None,
     type=click.IntRange(0, 65535),
-    help=f"Serve a page to this machine alone (default port: {DEFAULT_PORT}; 0: any free one).",
+    help=f"Serve a page, without --host to this machine alone (default port: {DEFAULT_PORT}; 0: any free one).",
+)
+@click.option(
+    "--host",
+    metavar="ADDRESS",
+    help="Serve the page to other machines too, at this address of this machine (0.0.0.0: at all); the printed address "
+    "has a token without which nothing is shown.",
 )
 @click.option(
     "--every",
@@ -333,22 +339,24 @@ ACTIVITY_TEXTS = {
 )
 @options.as_json
 @options.quiet
-def watch_command(folder: Path, once: bool, page: int | None, every_s: float, as_json: bool) -> None:
+def watch_command(folder: Path, once: bool, page: int | None, host: str | None, every_s: float, as_json: bool) -> None:
     """Show the progress of a running campaign from another process; only reads files.
 
     DIR is the campaign's folder, or a folder of campaigns, of which the latest is followed. Shows the run, its phase,
     the time left, the current force and what the session waits for; ends when the campaign does. With --json each state
     is one line of JSON; with --once there is one state.
     """
-    from dragrig.watch import CampaignWatch, serve_state_page
+    from dragrig.watch import LOCAL_HOST, CampaignWatch, serve_state_page
 
     watch = CampaignWatch(folder)
+    if host is not None and page is None:
+        page = DEFAULT_PORT
     if page is not None and not once:
-        with serve_state_page(page) as server:
-            print_remark(f"http://127.0.0.1:{server.port}/ shows {watch.folder}")
+        with serve_state_page(page, host or LOCAL_HOST) as server:
+            print_remark(f"{server.address} shows {watch.folder}")
             for state in watch.follow(every_s):
                 server.show(state)
-            server.wait_for_last()
+            server.wait_for_tabs()
         _print_state(state, as_json)
     elif once:
         _print_state(watch.look(), as_json)

@@ -52,18 +52,33 @@ const show = (state) => {
   }
   document.title = `${DOING[state.doing]} · ${state.campaign}`;
 };
-let over = false;
+const asked = new URLSearchParams({
+  tab: Math.random().toString(36).slice(2), token: new URLSearchParams(location.search).get("token") ?? "",
+});
+const reach = (path, more) => fetch(`${path}?${asked}`, { cache: "no-store", ...more });
+const count = (runs) => {
+  const counts = new Map();
+  for (const run of runs) counts.set(run.status, (counts.get(run.status) ?? 0) + 1);
+  return [...counts].map(([status, number]) => `${number} ${status}`).join(", ") || "none";
+};
+let over = false, answered = new Date();
 const look = async () => {
   try {
-    const state = await (await fetch("/state.json", { cache: "no-store" })).json();
+    const answer = await reach("/state.json");
+    if (!answer.ok) throw new Error(answer.statusText);
+    const state = await answer.json();
+    answered = new Date();
     if ("doing" in state) {
       show(state);
       over = ["ended", "died"].includes(state.doing);
+      put("measure", over ? "Run files" : "Left");
+      if (over) put("left", count(state.finished));
     }
   } catch {
-    put("state", "Nobody follows the campaign any more: dragrig watch has ended.");
-    over = true;
+    put("state", `No answer from dragrig watch since ${answered.toLocaleTimeString()}; what is below is of then.`);
+    document.title = "No answer · dragrig watch";
   }
   if (!over) setTimeout(look, 500);
 };
+addEventListener("pagehide", () => { if (!over) reach("/closed", { keepalive: true }).catch(() => {}); });
 look();
