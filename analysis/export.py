@@ -115,7 +115,7 @@ class ExportSelection:
         pieces = column.values[: samples * self.every].reshape(samples, self.every)
         if column.values.dtype.kind != "f" or self.every == 1:
             return pieces[:, 0]
-        return np.asarray(pieces.mean(axis=1, dtype=np.float64), dtype=column.values.dtype)
+        return np.asarray(np.mean(pieces.astype(np.float64), axis=1), dtype=column.values.dtype)
 
 
 def _names(column: ExportColumn) -> set[str]:
