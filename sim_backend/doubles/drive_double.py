@@ -107,10 +107,12 @@ class DriveDouble:
                 self._continue_homing()
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)
-            elif self._is_blocked(self._direction) and self._seeks_switch:
-                self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
             elif self._is_blocked(self._direction):
-                self._end(Halt.LIMIT_SWITCH)
+                # Looked at once: it may come onto the switch between two looks, which homing must not take for a fault.
+                if self._seeks_switch:
+                    self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
+                else:
+                    self._end(Halt.LIMIT_SWITCH)
             elif 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._received_s:
                 self._end(Halt.SILENCE)
 
