@@ -46,7 +46,7 @@ def named(name: str, shares: dict[str, float], p: float = 0.001) -> AxisLocation
     bins = tuple(
         AxisBin(key, None, None, share, 3.0 * share, p if share > 0.5 else 1.0) for key, share in shares.items()
     )
-    return AxisLocation(name, bins, 1.0, None, None, 0.0, 1.0, p)
+    return AxisLocation(name, bins, 1.0, None, None, 0.0, p)
 
 
 def ranged(name: str, edges: list[tuple[float, float]], shares: list[float], p: float = 0.002) -> AxisLocation:
@@ -54,9 +54,9 @@ def ranged(name: str, edges: list[tuple[float, float]], shares: list[float], p: 
                  for (low, high), share in zip(edges, shares, strict=True))  # fmt: skip
     inside = [at for at, share in enumerate(shares) if share > 0.1]
     if not inside:
-        return AxisLocation(name, bins, 1.0, None, None, 0.0, 1.0, 1.0)
+        return AxisLocation(name, bins, 1.0, None, None, 0.0, 1.0)
     low, high = edges[inside[0]][0], edges[inside[-1]][1]
-    return AxisLocation(name, bins, 0.95, low, high, sum(shares[inside[0] : inside[-1] + 1]), p, p)
+    return AxisLocation(name, bins, 0.95, low, high, sum(shares[inside[0] : inside[-1] + 1]), p)
 
 
 def cells(loud: bool) -> tuple[PhaseCell, ...]:

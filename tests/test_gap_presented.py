@@ -34,9 +34,10 @@ from dragrig.present.diagnosis import (
     shrink_json,
 )
 from dragrig.present.diagnosis_figures import before_after_figure, location_figure, ranking_figure, representative_runs
-from dragrig.present.diagnosis_sentences import shrink_sentences
+from dragrig.present.diagnosis_sentences import shape_sentence, shrink_sentences
+from dragrig.present.document import Figure
 from dragrig.present.html_page import render_page
-from dragrig.present.numbers import to_json_value
+from dragrig.present.numbers import p_value_text, to_json_value
 from dragrig.present.terminal import document_text
 from dragrig.scoring import score_exam
 from dragrig.sim_backend.effects.base import catalogue
@@ -221,13 +222,51 @@ def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:
     for sentence in (text(STRIBECK), page_words(ALL["effect"])):
         assert re.search(r"protocol +drag 90 %, coulomb 10 % ", sentence)
         assert re.search(r"speed +0\.5 to 2 mm/s: 79 % ", sentence)
-        assert re.search(r"session +not significant ", sentence)
+        assert re.search(r"session +.*\(not significant\) ", sentence)
         assert "strain" not in text(STRIBECK).split("Which")[0]
         assert "mainly a function of speed, which accounts for 71 %" in sentence
     assert "exceeds noise and repeatability nowhere" in text(NO_GAP)
     location = replace(STRIBECK.where.location("speed_mm_s"), low=2.0, high=2.0)
     here = replace(STRIBECK, where=replace(STRIBECK.where, locations=(location,)))
     assert "at 2 mm/s: 79 %" in text(here)
+
+
+def test_a_place_has_one_p_value_in_table_and_figure() -> None:
+    where = STRIBECK.where
+    document = diagnosis_document(STRIBECK)
+    table = next(table for table in document.tables() if table.name == "location")
+    in_table = {row[0].text: row[2].text for row in table.cells}
+    assert in_table["anywhere"] == p_value_text(where.p)
+    assert in_table["anywhere"] in location_figure(where).texts[1].get_text()
+    drawn = {axes.get_title(loc="left"): axes.get_xlabel() for axes in location_figure(where).axes}
+    for title, axis in {"Speed (mm/s)": "speed", "Position (mm)": "position", "Frequency (Hz)": "frequency"}.items():
+        assert drawn[title].endswith(f", {in_table[axis]}")
+
+
+def test_a_gap_at_no_place_beyond_chance_is_not_said_to_be_at_one() -> None:
+    nowhere = tuple(replace(location, p=0.2) for location in STRIBECK.where.locations)
+    here = replace(STRIBECK, where=replace(STRIBECK.where, locations=nowhere, p=0.2))
+    rows = [row for row in text(here).splitlines() if re.match("(channel|protocol|phase|speed|session) ", row)]
+    assert len(rows) == 5
+    assert all("(not significant)" in row for row in rows)
+    assert location_figure(here.where).texts[0].get_text().startswith("A gap, at no place beyond chance")
+    assert "(not significant)" not in next(row for row in text(STRIBECK).splitlines() if row.startswith("speed "))
+
+
+@CASES
+def test_the_conclusion_and_its_probability_are_the_first_two_sentences_and_a_figure_follows(
+    diagnosis: Diagnosis,
+) -> None:
+    document = diagnosis_document(diagnosis)
+    assert "probability" in " ".join((document.answer, *document.lead[:1]))
+    first = document.content[0]
+    assert diagnosis.budget is None or isinstance(first.content[0], Figure)
+
+
+def test_a_residual_whose_level_is_unknown_says_what_of_its_course_is_explained() -> None:
+    vague = replace(shrink(), closed=-4.5, closed_95ci=(-9.0, -2.9))
+    assert "94.0 % of the excess is explained" in shape_sentence(vague, 0.94)
+    assert shape_sentence(vague, 0.2) == shape_sentence(vague, None) == shape_sentence(shrink(), 0.94) == ""
 
 
 def test_nothing_is_cut_off_in_a_pipe() -> None:

@@ -38,7 +38,6 @@ from .isolability import EffectPair as EffectPair
 from .isolability import Isolability as Isolability
 from .isolability import isolability_sentences as isolability_sentences
 from .isolability import isolate as isolate
-from .localise import ALPHA as ALPHA
 from .next_run import recommend_for_pair as recommend_for_pair
 from .run_data import choose_runs as choose_runs
 from .training import TrainingCase as TrainingCase

@@ -32,6 +32,7 @@ from dragrig.analysis.gap.classifier import (
 )
 from dragrig.analysis.gap.design import Candidate, ColumnKind, Study, fit_columns
 from dragrig.analysis.gap.diagnosis import (
+    ALPHA,
     NO_GAP,
     UNKNOWN,
     Classification,
@@ -68,7 +69,7 @@ from dragrig.analysis.gap.gap_reduction import (
 )
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, converged
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
-from dragrig.analysis.gap.localise import ALPHA, attribute_to_effects, localise
+from dragrig.analysis.gap.localise import attribute_to_effects, localise
 from dragrig.analysis.gap.next_run import reasons_for_no_run, recommend_next_run
 from dragrig.analysis.gap.position_channel import (
     PositionAnalysis,

@@ -12,6 +12,9 @@ from dragrig.config import ModelSettings, PlanStep
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import catalogue
 
+ALPHA = 0.05
+"""Significance level of a gap, and of a place of it."""
+
 
 @dataclass(frozen=True, slots=True)
 class AxisBin:
@@ -56,9 +59,8 @@ class AxisLocation:
     share
         Share of this range.
     p
-        p-value of this range.
-    min_p
-        Smallest p-value on the axis.
+        p-value of the place that is said of the axis: of this range, or of the most significant named bin. Corrected
+        for all places compared on the axis.
     """
 
     name: str
@@ -68,7 +70,11 @@ class AxisLocation:
     high: float | None
     share: float
     p: float
-    min_p: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether the place that is said of the axis stands out beyond chance."""
+        return self.p < ALPHA
 
     @property
     def shares(self) -> Mapping[str, float]:
@@ -112,7 +118,7 @@ class GapLocation:
     present
         Whether there is a gap.
     p
-        p-value of the excess, or of its concentration in one place.
+        p-value of the excess, or of its concentration in one place, corrected for all axes.
     rms
         Root mean excess of all runs, in expected standard deviations.
     locations

@@ -308,9 +308,18 @@ def _no_edges(labels: tuple[str, ...]) -> FloatArray:
     return np.full((len(labels), 2), np.nan)
 
 
+SET_VALUE_TOLERANCE = 1e-3
+"""Relative difference up to which two speeds or strains are one set value."""
+
+
 def _axis_by_value(name: str, runs: CampaignResiduals, value: FloatArray, included: BoolArray) -> ExcessAxis:
     levels = np.unique(value[included & (value > 0)])
-    member = (value[:, None] == levels) & included[:, None]
+    # A speed that is converted between units, or read back from a drive, is off its set value by rounding: 0.49999999.
+    apart = np.diff(levels, prepend=0.0) > SET_VALUE_TOLERANCE * levels
+    level_of_value = np.searchsorted(levels[apart], value * (1 + SET_VALUE_TOLERANCE), side="right") - 1
+    groups = np.arange(np.count_nonzero(apart))
+    member = (level_of_value[:, None] == groups) & (included & (value > 0))[:, None]
+    levels = np.array([float(f"{np.median(value[group]):.4g}") for group in member.T])
     return _whole_run_axis(name, (), np.stack((levels, levels), axis=1), runs, member)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dragrig.analysis.gap.diagnosis import AxisBin, AxisLocation, GapLocation, PhaseCell
+from dragrig.analysis.gap.diagnosis import ALPHA, AxisBin, AxisLocation, GapLocation, PhaseCell
 from dragrig.analysis.gap.excess import (
     BANDS_HZ,
     PERMUTATIONS,
@@ -277,9 +277,6 @@ MIN_COVERED_SHARE = 0.05
 MIN_SINGLE_RUN_SCORE = 0.3
 """Smallest score of a domain for a single run, which no other run confirms."""
 
-ALPHA = 0.05
-"""Significance level of a gap."""
-
 
 def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed: int = 0) -> GapLocation:
     """Locate where residuals of a campaign exceed noise and repeatability.
@@ -321,7 +318,7 @@ def localise(blocks: Sequence[ResidualBlocks], present: bool | None = None, seed
         for axis, significance in zip(axes, significances, strict=True)
     ]
     if not has_session_clock(blocks):
-        locations.append(AxisLocation(SESSION_AXIS, (), 0.0, None, None, 0.0, 1.0, 1.0))
+        locations.append(AxisLocation(SESSION_AXIS, (), 0.0, None, None, 0.0, 1.0))
     min_score = MIN_SINGLE_RUN_SCORE if len(runs.ids) == 1 else 0.0
     return GapLocation(
         present=gap_present,
@@ -352,13 +349,11 @@ def _axis_location(
         for number in range(shares.size)
     )
     if not axis.ordered or total <= 0:
-        return AxisLocation(axis.name, bins, covered, None, None, 0.0, 1.0, significance.min_p)
+        return AxisLocation(axis.name, bins, covered, None, None, 0.0, significance.min_p)
     first, last = _narrowest_window(shares)
     low, high = float(axis.edges[first, 0]), float(axis.edges[last, 1])
     share = float(shares[first : last + 1].sum())
-    return AxisLocation(
-        axis.name, bins, covered, low, high, share, significance.window_p(first, last), significance.min_p
-    )
+    return AxisLocation(axis.name, bins, covered, low, high, share, significance.window_p(first, last))
 
 
 def _axis_bin(axis: ExcessAxis, number: int, share: float, rms: float, significance: Significance) -> AxisBin:
@@ -429,5 +424,5 @@ def attribute_to_effects(
     axes = []
     for residual, effect in zip(location.locations, where.locations, strict=True):
         bins = tuple(replace(bin_, p=own.p) for bin_, own in zip(effect.bins, residual.bins, strict=True))
-        axes.append(replace(effect, bins=bins, p=residual.p, min_p=residual.min_p))
+        axes.append(replace(effect, bins=bins, p=residual.p))
     return replace(where, p=location.p, locations=tuple(axes))

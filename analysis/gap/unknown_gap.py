@@ -17,7 +17,7 @@ from dragrig.analysis.gap.diagnosis import (
 )
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.features import DecisionInputs
-from dragrig.analysis.gap.localise import ALPHA, FAST_HZ, FREQUENCIES_HZ, best_wavenumber, periodic_shares
+from dragrig.analysis.gap.localise import FAST_HZ, FREQUENCIES_HZ, best_wavenumber, periodic_shares
 from dragrig.analysis.gap.spectral_lines import SpectralLine
 from dragrig.analysis.gap.unknown_law import (
     DOMINANT_SHARE,
@@ -395,20 +395,28 @@ _KIND_NAMES = {"coulomb": "Coulomb"}
 
 
 def location_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
-    """Describe where the excess is, and in which runs it is not; ranges only where significant."""
+    """Describe where the excess is, and in which runs it is not; ranges only where significant.
+
+    Where no place stands out beyond chance, excess is only said to be mostly there, and to be nowhere not.
+    """
     kinds = kinds_with_excess(where, blocks, NOTABLE_SHARE)
     absent = [
         name
         for name in dict.fromkeys(run.kind for run in blocks)
         if where.location("protocol").shares.get(name, 0.0) < NEGLIGIBLE_SHARE
     ]
-    text = f"It is in {_channels_text(where)} of {kinds_text(kinds)}{_speeds_text(where, blocks)}"
+    certain = any(location.significant for location in where.locations)
+    kinds_of_run = f"{kinds_text(kinds)}{_speeds_text(where)}"
+    text = f"It is {'' if certain else 'mostly '}in {_channels_text(where)} of {kinds_of_run}"
     text += _range_text(where.location("strain"), "at shear strains of", "")
     text += _range_text(where.location("position"), "between", " mm of the stroke", joiner="and")
     text += _range_text(where.location("session"), "between", " min of the session", joiner="and", unit=60.0)
     text += f", {span}" if (span := phase_span(where)) else ""
     text += _range_text(where.location("band_hz"), "at", " Hz") if where.domain == "frequency" else ""
-    text += f"; not in {kinds_text(absent, 'or')}" if absent else ""
+    if not certain:
+        text += ", though no place stands out beyond chance"
+    elif absent:
+        text += f"; not in {kinds_text(absent, 'or')}"
     return f"{text}.{_single_run_text(blocks)}"
 
 
@@ -426,11 +434,11 @@ def _channels_text(where: GapLocation) -> str:
     return "the " + " and the ".join(named) if named else "all channels"
 
 
-def _speeds_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
+def _speeds_text(where: GapLocation) -> str:
     location = where.location("speed_mm_s")
-    if location.low is None or location.high is None or location.p >= ALPHA:
+    if location.low is None or location.high is None or not location.significant:
         return ""
-    levels = {run.speed_mm_s for run in blocks if run.contact is not Contact.STICKING}
+    levels = [axis_bin.low for axis_bin in location.bins if axis_bin.low is not None]
     if location.low == location.high:
         return f" at {location.low:g} mm/s"
     if location.high >= max(levels):
@@ -441,7 +449,7 @@ def _speeds_text(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> str:
 
 
 def _range_text(location: AxisLocation, before: str, after: str, joiner: str = "to", unit: float = 1.0) -> str:
-    if location.low is None or location.high is None or location.p >= ALPHA:
+    if location.low is None or location.high is None or not location.significant:
         return ""
     low, high = location.low / unit, location.high / unit
     return f", {before} {low:.3g}{after}" if low == high else f", {before} {low:.3g} {joiner} {high:.3g}{after}"

@@ -54,6 +54,7 @@ from dragrig.present.diagnosis_sentences import (
     domain_sentence,
     effect_description,
     is_stated_verdict,
+    shape_sentence,
     shrink_sentences,
     sizes_differ_sentence,
     verdict_sentences,
@@ -104,13 +105,16 @@ def diagnosis_document(
     run_ids
         Ids of the runs by the names of their files, for the JSON; a file without one is named.
     """
-    answer, *lead = (*budget_sentences(diagnosis.budget), *verdict_sentences(diagnosis))
+    parts, verdict = budget_sentences(diagnosis.budget), verdict_sentences(diagnosis)
+    # The conclusion and its probability come first, what limits them after that.
+    answer, *lead = (*parts[:1], *verdict[:1], *parts[1:], *verdict[1:])
     return Document(
         title=f"Gap diagnosis: {diagnosis.specimen}",
         answer=answer,
         lead=tuple(lead),
         sections=(
             _budget_section(diagnosis),
+            _no_gap_section(diagnosis),
             _confidence_section(diagnosis, source),
             _location_section(diagnosis),
             _ranking_section(diagnosis),
@@ -195,6 +199,25 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
     )
 
 
+def _no_gap_section(diagnosis: Diagnosis) -> Section:
+    """Show runs and model within noise and scatter where there is no gap to cut into parts."""
+    if diagnosis.verdict is not Verdict.NO_GAP or not diagnosis.traces:
+        return Section("no-gap", "The runs and the model", ())
+    return Section("no-gap", "The runs and the model", (_before_after_figure(diagnosis),))
+
+
+def _before_after_figure(diagnosis: Diagnosis) -> Figure:
+    floor_mN = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
+    named = bool(diagnosis.effects)
+    return Figure(
+        "before-after",
+        "A row for each run: left, the measurement and what the model says; right, the residual.",
+        "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model without "
+        "an effect explains worst. The grey band is noise and scatter of repeats.",
+        lambda: present.before_after_figure(present.representative_runs(diagnosis.traces), floor_mN, named=named),
+    )
+
+
 def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
     nine_of_ten = "A probability of 0.9 means that nine of ten such verdicts were right on those campaigns."
     limit = "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis)
@@ -225,7 +248,11 @@ def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
 
 
 def _location_section(diagnosis: Diagnosis) -> Section:
-    basis = "Excess is what exceeds noise and run-to-run scatter once the model's own parameters fit this specimen."
+    basis = (
+        "Excess is what exceeds noise and run-to-run scatter once the model's own parameters fit this specimen. The "
+        "p-value of a place is the probability of so much excess there by chance, corrected for all places compared "
+        "on its axis; that of the whole is corrected for all axes."
+    )
 
     return Section(
         "where",
@@ -247,7 +274,7 @@ def _location_section(diagnosis: Diagnosis) -> Section:
                 axis_texts(diagnosis.where),
                 Field("axis", "axis", lambda axis: axis.axis),
                 Field("where", "most of the excess", lambda axis: axis.where),
-                Field("p", "p-value without a gap", lambda axis: FormattedNumber(axis.p, p_value_text(axis.p))),
+                Field("p", "p-value", lambda axis: FormattedNumber(axis.p, p_value_text(axis.p))),
             ),
         ),
     )
@@ -321,15 +348,10 @@ def _unknown_blocks(unknown: UnexplainedGap | None) -> tuple[Text | Code, ...]:
 
 def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
     shrink, named = diagnosis.shrink, bool(diagnosis.effects)
-    floor_mN = None if shrink is None else shrink.noise_floor_mN
     reduction = "" if shrink is None else " ".join(shrink_sentences(shrink, named=named))
-    before_after = Figure(
-        "before-after",
-        "A row for each run: left, the measurement and what the model says; right, the residual.",
-        "Drags at the lowest, a middle and the highest speed, and of each other kind the run that the model without "
-        "an effect explains worst. The grey band is noise and scatter of repeats.",
-        lambda: present.before_after_figure(present.representative_runs(diagnosis.traces), floor_mN, named=named),
-    )
+    verdict = _stated_hypothesis(diagnosis)
+    shape = "" if shrink is None or verdict is None else shape_sentence(shrink, verdict.held_out_improvement)
+    drawn_here = diagnosis.traces and diagnosis.verdict is not Verdict.NO_GAP
     simulated = isinstance(diagnosis.model, FrictionModelSettings)
     dry_run = "A dry run with it contains the effect, and fresh" if simulated else "Fresh"
     commands = (f"dragrig run drag --model {model}",) if simulated else ()
@@ -347,8 +369,9 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
             _parameter_table(diagnosis),
             Text(sizes_differ_sentence(diagnosis), TextKind.EXPLANATION),
             Text(reduction or "No run was held out, or no effect is named, so that the gap reduction is not known."),
+            Text(shape),
             Section("model", "The model with the effect", amended if model else ()),
-            *((before_after,) if diagnosis.traces else ()),
+            *((_before_after_figure(diagnosis),) if drawn_here else ()),
             *(() if shrink is None else (r2_table(shrink, named=named),)),
         ),
     )

@@ -16,7 +16,6 @@ from matplotlib.transforms import offset_copy
 
 from dragrig.analysis import capitalise
 from dragrig.analysis.gap import (
-    ALPHA,
     CHANNELS,
     PROTOCOLS,
     AxisLocation,
@@ -50,6 +49,7 @@ from dragrig.present import (
     fit_y_range,
     label_times,
     new_figure,
+    p_value_text,
     panel_size_in,
     probability_text,
     set_time_range,
@@ -59,7 +59,13 @@ from dragrig.present import (
     tint,
     write_legend,
 )
-from dragrig.present.diagnosis_sentences import DOMAIN_NAMES, MAIN_SCORE, is_stated_verdict, verdict_sentences
+from dragrig.present.diagnosis_sentences import (
+    DOMAIN_NAMES,
+    MAIN_SCORE,
+    excess_text,
+    is_stated_verdict,
+    verdict_sentences,
+)
 from dragrig.present.gap_budget import (
     ChannelBudget,
     budget_bars,
@@ -306,6 +312,8 @@ def _location_title(where: GapLocation) -> str:
         return "No gap beyond noise and repeatability"
     channel, protocol = (where.location(axis).shares for axis in ("channel", "protocol"))
     in_channel, in_runs = (max(shares, key=lambda name: shares[name]) for shares in (channel, protocol))
+    if not any(location.significant for location in where.locations):
+        return f"A gap, at no place beyond chance; most of the excess is in {in_runs} runs"
     share = f"{100 * protocol[in_runs]:.0f} %"
     main = where.domain_scores.get(where.domain, 0.0) >= MAIN_SCORE
     matter = f", above all a matter of {DOMAIN_NAMES.get(where.domain, where.domain)}" if main else ""
@@ -313,9 +321,8 @@ def _location_title(where: GapLocation) -> str:
 
 
 def _location_subtitle(where: GapLocation, name: str) -> str:
-    p = f"p = {where.p:.2g}" if where.p >= 0.001 else "p < 0.001"
     excess = (
-        f"excess over what noise, repeatability and tolerance explain: {_sd_text(where.rms)} standard deviations, {p}"
+        f"excess over noise, repeatability and tolerance: {excess_text(where)}, {p_value_text(where.p)} for the whole"
     )
     return "  ·  ".join(part for part in (shortened_to_width(name, SMALL_PT, 4.5), excess) if part)
 
@@ -387,12 +394,13 @@ def _draw_axis_shares(axes: Axes, location: AxisLocation, title: str, unit: floa
     low, high = location.low, location.high
     inside = [axis_bin.low is not None and axis_bin.high is not None and axis_bin.low >= low and axis_bin.high <= high
               for axis_bin in location.bins]  # fmt: skip
-    colours = [VERMILLION if marked and location.p < ALPHA else PALE for marked in inside]
+    colours = [VERMILLION if marked and location.significant else PALE for marked in inside]
     axes.bar(range(len(location.bins)), [100 * axis_bin.share for axis_bin in location.bins], color=colours, width=0.86)
     _set_bin_ticks(axes, location, unit)
     axes.set_ylim(0, 118 * max(axis_bin.share for axis_bin in location.bins))
     axes.grid(visible=False, axis="x")
-    axes.set_xlabel(_location_text(location, unit), fontsize=SMALL_PT, color=VERMILLION if location.p < ALPHA else GREY)
+    colour = VERMILLION if location.significant else GREY
+    axes.set_xlabel(_location_text(location, unit), fontsize=SMALL_PT, color=colour)
 
 
 def _set_bin_ticks(axes: Axes, location: AxisLocation, unit: float) -> None:
@@ -411,8 +419,7 @@ def _set_bin_ticks(axes: Axes, location: AxisLocation, unit: float) -> None:
 def _location_text(location: AxisLocation, unit: float) -> str:
     ends = [_three_digits(unit * end) for end in (location.low, location.high) if end is not None]
     where = ends[0] if ends[0] == ends[-1] else f"{ends[0]} to {ends[-1]}"
-    chance = "p < 0.002" if location.p <= 0.001 else f"p = {location.p:.2g}"
-    return f"{100 * location.share:.0f} % in {where}, {chance}"
+    return f"{100 * location.share:.0f} % in {where}, {p_value_text(location.p)}"
 
 
 def _three_digits(value: float) -> str:

@@ -89,13 +89,28 @@ def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, 
         sizes = f"Residual (rms){runs}: {before}; {floor}."
         return sizes, "This is too close to noise and repeatability to say what share of a gap closes."
     share, interval = percent_text(shrink.closed), _closed_interval_text(shrink)
-    if shrink.closed_95ci is not None and shrink.closed_95ci[1] - shrink.closed_95ci[0] > MAX_CLOSED_WIDTH:
+    if _closed_is_vague(shrink):
         return sizes, f"What share of the gap closes these runs do not say: {share} here ({interval})."
     if shrink.closed > 1:
         details = "; ".join(detail for detail in (share, interval) if detail)
         return sizes, f"The whole gap closes ({details}): the residual is below noise and repeatability."
     closed = f"{capitalise(share)} of the gap closes" + (f" ({interval})" if interval else "")
     return sizes, f"{closed}{': it grows' if shrink.closed < 0 else ''}."
+
+
+def _closed_is_vague(shrink: GapReduction) -> bool:
+    interval = shrink.closed_95ci
+    return interval is not None and interval[1] - interval[0] > MAX_CLOSED_WIDTH
+
+
+def shape_sentence(shrink: GapReduction, held_out_improvement: float | None) -> str:
+    """Say that the shape of held-out runs is explained where their level, and so the closed share, is not known."""
+    if not _closed_is_vague(shrink) or held_out_improvement is None or held_out_improvement < MAIN_SCORE:
+        return ""
+    return (
+        f"The level of a held-out run is not known from the other runs: too few measure its condition. Of its course, "
+        f"with the level left free, {percent_text(held_out_improvement)} of the excess is explained."
+    )
 
 
 def _closed_interval_text(shrink: GapReduction) -> str:
@@ -185,13 +200,13 @@ def _law_sentences(diagnosis: Diagnosis) -> Iterator[str]:
 
 MIN_SHOWN_SHARE = 0.01
 """Smaller shares are omitted."""
-MAX_SHOWN_P = 0.05
-NOTHING_SIGNIFICANT = "not significant"
+NOT_SIGNIFICANT = " (not significant)"
+ANYWHERE = "anywhere"
 
 
 @dataclass(frozen=True, slots=True)
 class AxisText:
-    """An axis of the location: its name, where most of the excess is, and the p-value."""
+    """An axis of the location: its name, where most of the excess is, and the p-value of that place."""
 
     axis: str
     where: str
@@ -218,20 +233,22 @@ DOMAIN_NAMES: Mapping[str, str] = {
 
 
 def axis_texts(where: GapLocation) -> tuple[AxisText, ...]:
-    """Return the axes with a part of the excess; none without a gap."""
+    """Return the excess as a whole, and the axes with a part of it; nothing without a gap."""
     if not where.present:
         return ()
     alone = where.runs == 1
-    return tuple(
-        AxisText(_AXIS_UNITS.get(location.name, (location.name,))[0], text, nan if alone else _p_of_text(location))
+    whole = AxisText(ANYWHERE, excess_text(where), where.p)
+    return whole, *(
+        AxisText(_AXIS_UNITS.get(location.name, (location.name,))[0], text, nan if alone else location.p)
         for location in where.locations
-        if (text := _axis_text(location, alone=alone))
+        if (text := place_text(location, alone=alone))
     )
 
 
-def _p_of_text(location: AxisLocation) -> float:
-    """Return the p-value of what is said of an axis: of its range, or of the most significant of its named bins."""
-    return location.min_p if location.shares else location.p
+def excess_text(where: GapLocation) -> str:
+    """Return the size of the excess of all runs."""
+    size = "below 0.05" if where.rms < 0.05 else significant(2)(where.rms)
+    return f"{size} standard deviations of what is expected"
 
 
 def domain_sentence(where: GapLocation) -> str:
@@ -252,17 +269,21 @@ def domain_sentence(where: GapLocation) -> str:
     return f"The residual {'is mainly a function of' if score >= MAIN_SCORE else 'depends most on'} {name}, {share}."
 
 
-def _axis_text(location: AxisLocation, *, alone: bool) -> str:
+def place_text(location: AxisLocation, *, alone: bool = False) -> str:
+    """Return where on an axis most of the excess is; nothing where it has no part of it.
+
+    `alone`: of a single run, which has no repeats to test a place against.
+    """
+    chance = "" if alone or location.significant else NOT_SIGNIFICANT
     named = sorted(location.shares.items(), key=lambda pair: -pair[1])
     if named:
-        return ", ".join(f"{name} {100 * share:.0f} %" for name, share in named if share >= MIN_SHOWN_SHARE)
+        shown = ", ".join(f"{name} {100 * share:.0f} %" for name, share in named if share >= MIN_SHOWN_SHARE)
+        return f"{shown}{chance}" if shown else ""
     if location.low is None or location.high is None or location.share < MIN_SHOWN_SHARE:
         return ""
     if alone and location.low == location.high:
         return ""
-    if location.p > MAX_SHOWN_P and not alone:
-        return NOTHING_SIGNIFICANT
     _, unit, factor = _AXIS_UNITS.get(location.name, (location.name, "", 1.0))
     low, high = f"{location.low * factor:.3g}", f"{location.high * factor:.3g}"
     ends = f"at {low}" if low == high else f"{low} to {high}"
-    return f"{ends} {unit}".strip() + f": {100 * location.share:.0f} %"
+    return f"{ends} {unit}".strip() + f": {100 * location.share:.0f} %{chance}"
