@@ -64,11 +64,11 @@ def test_a_queue_knows_its_progress_and_the_time_left() -> None:
     first.elapsed_s = 2.0
     assert first.left_s == 18.0
     queue.run_finished(RunFinished(runs[0], 0, RunStatus.COMPLETE, "", 5000, ()))
-    assert (first.left_s, first.progress, first.run_number) == (15.0, 0.5, 2)
+    assert (first.left_s, first.progress, first.over_count) == (15.0, 0.5, 1)
     queue.run_started(RunStarted(runs[0], 1))
-    assert (first.left_s, first.run_number) == (20.0, 1)  # made again
+    assert (first.left_s, first.over_count) == (20.0, 0)  # made again
     queue.run_started(RunStarted(runs[1], 2))
-    assert (first.left_s, first.run_number) == (5.0, 2)  # whatever became of the one before
+    assert (first.left_s, first.over_count) == (5.0, 1)  # whatever became of the one before
     first.elapsed_s = 5.0
     queue.session_finished(SessionFinished(1, RunStatus.TRIPPED, "force: too much"))
     assert (first.stage, first.reason, queue.left_s) == (QueueState.TRIPPED, "force: too much", 8.0)

@@ -113,7 +113,7 @@ def test_a_run_is_shown_while_it_is_recorded(seen: Onlooker) -> None:
 def test_following_from_another_process_ends_with_the_campaign(seen: Onlooker) -> None:
     assert seen.process is not None
     assert seen.process.returncode == 0
-    assert seen.followed.splitlines()[-1] == "two: run 4 of 4, ended, complete"
+    assert seen.followed.splitlines()[-1] == "two: 4 of 4 runs, ended, complete"
 
 
 def test_an_ended_campaign_shows_its_status(seen: Onlooker, capsys: pytest.CaptureFixture[str]) -> None:
@@ -128,7 +128,7 @@ def test_an_ended_campaign_shows_its_status(seen: Onlooker, capsys: pytest.Captu
     )
     assert [row["kind"] for row in answer["finished"]] == ["blank", "return", "blank", "return"]
     assert main(["watch", str(folder)]) == 0
-    assert capsys.readouterr().out == "two: run 4 of 4, ended, complete\n"
+    assert capsys.readouterr().out == "two: 4 of 4 runs, ended, complete\n"
 
 
 def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path) -> None:

@@ -173,6 +173,26 @@ def test_campaigns_opened_at_once_are_all_loaded(page: LookPage, until: Until, t
     until(lambda: [item.childCount() for item in top_items(page.browser.tree)] == [4, 4, 4])
 
 
+def test_the_list_follows_what_is_recorded_and_keeps_what_is_selected(
+    page: LookPage, until: Until, folder: Path, tmp_path: Path
+) -> None:
+    first, *later = sorted((folder / "first").glob("*.h5"))
+    (tmp_path / "old").mkdir()
+    shutil.copy(first, tmp_path / "old")
+    page.browser.open_folder(str(tmp_path))
+    until(lambda: len(runs_of(page)) == 1)
+    choose(page, until, 0)
+    shown = page.overlay.traces[0]
+    for run in later:
+        shutil.copy(run, tmp_path / "old")
+    (tmp_path / "new").mkdir()
+    shutil.copy(first, tmp_path / "new")
+    until(lambda: len(runs_of(page)) == 4 and len(top_items(page.browser.tree)) == 2)
+    assert [item.text(0) for item in top_items(page.browser.tree)] == ["old", "new"]
+    assert [run.path for run in page.browser.selected()] == [tmp_path / "old" / first.name]
+    assert page.overlay.traces[0] is shown, "what is looked at is not read again"
+
+
 def test_a_later_export_does_not_drop_an_earlier_one(page: LookPage, until: Until, tmp_path: Path) -> None:
     choose(page, until, 0, 1)
     for name in FORMATS:

@@ -18,13 +18,24 @@ from PySide6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
 
 import dragrig
-from dragrig.engine_host.messages import GuardState, MirrorStatus, RigSelection, SessionFinished
+from dragrig.engine_host.messages import (
+    GuardState,
+    MirrorStatus,
+    QueuedRun,
+    RigSelection,
+    RunFinished,
+    RunStarted,
+    SessionFinished,
+    SessionJob,
+    SessionStarted,
+)
 from dragrig.rig.operator import Answer
 from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.views import plan_form
 from dragrig.window.main_window import MainWindow
-from dragrig.window.session_queue import QueueState
+from dragrig.window.run_page import QueueView
+from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import StoredSettings, Topic
 
 BUSY_S = 600.0
@@ -282,6 +293,32 @@ def test_queued_sessions_can_be_moved_removed_and_run(window: MainWindow, until:
     assert looked == [entries[1].folder]
     press(view.clear)
     assert window.run.queue.entries == []
+
+
+def test_the_queue_follows_the_run_and_numbers_it_as_its_file(qapp: QApplication) -> None:
+    dressed()
+    queue, runs = SessionQueue(), tuple(QueuedRun(at, "drag 5 mm/s", 0.0, 5.0) for at in range(60))
+    queue.add(QueuedSession(SessionJob(queue.next_number(), "drag"), "drag", 300.0, len(runs)))
+    view = QueueView(queue)
+    view.resize(600, 400)
+    view.show()
+    queue.entries[0].stage = QueueState.RUNNING
+    queue.session_started(SessionStarted(1, runs, real_time=True))
+    for order, at in enumerate([*range(40), 39, 40]):  # the fortieth is made again
+        queue.run_started(RunStarted(runs[at], order))
+        view.show_queue()
+        if at < 40:
+            queue.run_finished(RunFinished(runs[at], order, RunStatus.COMPLETE, "", 5000, ()))
+    session = view.tree.topLevelItem(0)
+    assert session is not None
+    running = session.child(40)
+    assert running is not None
+    assert (running.text(0), running.text(3)) == ("41  drag 5 mm/s", "running")
+    assert running.font(0).bold()
+    assert view.tree.viewport().rect().contains(view.tree.visualItemRect(running))
+    assert [session.child(at).text(0).split()[0] for at in (38, 39, 41)] == ["38", "40", "42"]
+    assert view.progress.format().startswith("drag: 40 of 60 runs over")
+    view.close()
 
 
 def test_garbage_is_collected_on_the_gui_thread_alone(window: MainWindow, until: Until) -> None:

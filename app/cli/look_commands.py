@@ -397,7 +397,7 @@ def _print_state(state: "CampaignState", as_json: bool) -> None:
 
 def state_line(state: "CampaignState") -> str:
     """Return a state as one line, which changes with each activity and not with every sample."""
-    run = "" if state.runs is None else f"run {state.run} of {state.runs}, "
+    run = "" if state.runs is None else f"{state.run} of {state.runs} runs, "
     kind = state.recording.kind if state.recording is not None else ""
     phase = f", {state.recording.phase}" if state.recording is not None and state.recording.phase else ""
     ended = f", {state.status}" if state.status else ""

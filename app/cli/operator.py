@@ -23,6 +23,7 @@ class TerminalOperator:
         self._meter = ProgressMeter("", 1.0, quiet=self._quiet)
         self._pending: Sequence[PlannedRun] = ()
         self._seen_s = 0.0
+        self._order = 0
 
     def __enter__(self) -> Self:
         return self
@@ -73,12 +74,12 @@ class TerminalOperator:
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Show which run the bar is at."""
-        del order
         self._seen_s = 0.0
         # Runs before it were made or skipped, and it may be made again.
         before = [earlier for earlier in self._pending if earlier.index < run.index]
         rest_s = run.wait_s if self._real_time else 0.0
-        label = f"run {len(before) + 1} of {len(self._pending)}, {run.protocol.summary()}"
+        self._order = order
+        label = f"{len(before) + 1} of {len(self._pending)}: run {order}, {run.protocol.summary()}"
         self._meter.to(self._duration_s(before) + rest_s, label)
 
     def reads(self, reading: Reading) -> None:
@@ -94,7 +95,7 @@ class TerminalOperator:
         if "rest_offset_mN" in checks:
             results.append(f"at rest {checks['rest_offset_mN']:+.1f} mN, noise {checks['rest_noise_mN']:.1f} mN")
         results.append(f"following error {1000 * float(checks['following_error_mm']):.1f} µm")
-        line = f"{run.index:3d}  {run.protocol.summary():22} {outcome.status.value:9} {', '.join(results)}"
+        line = f"{self._order:3d}  {run.protocol.summary():22} {outcome.status.value:9} {', '.join(results)}"
         reason = [outcome.reason] if outcome.status is not RunStatus.COMPLETE else []
         self._meter.say("; ".join((line, *reason, *(f"NOTE {warning}" for warning in outcome.checks.warnings))))
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import QFileSystemWatcher, QSignalBlocker, Qt, QTimer, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -59,10 +59,12 @@ from dragrig.window.widgets import (
 )
 
 _RUN_ROLE = int(Qt.ItemDataRole.UserRole)
+_FOLLOW_DELAY_MS = 500
+"""A file is finished in several steps; the list is read again once they are over."""
 
 
 class RunBrowser(QWidget):
-    """The campaigns and runs in a folder; `chosen` carries the selected runs."""
+    """The campaigns and runs in a folder, as they are made; `chosen` carries the selected runs."""
 
     chosen = Signal(list)
     complained = Signal(str)
@@ -86,6 +88,12 @@ class RunBrowser(QWidget):
         self._opening = FileWorker(self.complained.emit, self)
         self._campaign_to_select: Path | None = None
         self._listed_folder = ""
+        self._changes = QFileSystemWatcher(self)
+        self._again_soon = QTimer(self)
+        self._again_soon.setSingleShot(True)
+        self._again_soon.setInterval(_FOLLOW_DELAY_MS)
+        self._again_soon.timeout.connect(self._follow)
+        self._changes.directoryChanged.connect(lambda _: self._again_soon.start())
         layout = column(
             label("Runs", "title"),
             self.folder,
@@ -103,10 +111,19 @@ class RunBrowser(QWidget):
         return self._listing.busy or self._opening.busy
 
     def refresh(self) -> None:
-        """Read the folder again."""
+        """Read the folder and its open campaigns again; what is selected stays, if it is still there."""
+        if self.folder.text() != self._listed_folder:
+            self.tree.clear()
         self._listed_folder = self.folder.text()
+        self._read()
+
+    def _follow(self) -> None:
+        """Read again what has changed, which nobody has asked for: a recording under way is nothing to report."""
+        self._read(quiet=True)
+
+    def _read(self, *, quiet: bool = False) -> None:
         folder = Path(self._listed_folder)
-        self._listing.do(lambda: campaigns_below(folder), self._show_folders)
+        self._listing.do(lambda: campaigns_below(folder), lambda folders: self._show_folders(folders, quiet=quiet))
 
     def look_at(self, folder: Path) -> None:
         """Show a campaign and select its runs."""
@@ -119,9 +136,9 @@ class RunBrowser(QWidget):
         """Return the selected runs, including those of selected campaigns."""
         selected: dict[Path, ShownRun] = {}
         for item in self.tree.selectedItems():
-            children = [item.child(index) for index in range(item.childCount())]
-            runs = [run_item.data(0, _RUN_ROLE) for run_item in (item, *children)]
-            selected |= {run.path: run for run in runs if isinstance(run, ShownRun)}
+            own = item.data(0, _RUN_ROLE)
+            runs = [own] if isinstance(own, ShownRun) else [run for _, run in _runs_of(item)]
+            selected |= {run.path: run for run in runs}
         return list(selected.values())
 
     def campaign(self) -> Path | None:
@@ -134,6 +151,8 @@ class RunBrowser(QWidget):
 
     def close_down(self) -> None:
         """Finish reading."""
+        self._again_soon.stop()
+        self._changes.blockSignals(True)
         self._listing.drop()
         self._opening.drop()
 
@@ -142,39 +161,51 @@ class RunBrowser(QWidget):
         if self.folder.text() != self._listed_folder:
             self.refresh()
 
-    def _show_folders(self, folders: Sequence[Path]) -> None:
-        self.tree.clear()
+    def _show_folders(self, folders: Sequence[Path], *, quiet: bool = False) -> None:
         root = Path(self._listed_folder)
-        for folder in folders:
-            name = folder.name if folder == root else str(folder.relative_to(root))
-            item = QTreeWidgetItem([name, "", ""])
+        self._watch(root, folders)
+        shown = {item.toolTip(0): item for item in top_items(self.tree)}
+        for gone in shown.keys() - set(map(str, folders)):
+            self.tree.takeTopLevelItem(self.tree.indexOfTopLevelItem(shown[gone]))
+        for at, folder in enumerate(folders):
+            if (item := shown.get(str(folder))) is not None:
+                if item.childCount():
+                    self._read_runs(folder, quiet=quiet)
+                continue
+            item = QTreeWidgetItem([folder.name if folder == root else str(folder.relative_to(root)), "", ""])
             item.setToolTip(0, str(folder))
             item.setChildIndicatorPolicy(QTreeWidgetItem.ChildIndicatorPolicy.ShowIndicator)
-            self.tree.addTopLevelItem(item)
+            self.tree.insertTopLevelItem(at, item)
         to_select, self._campaign_to_select = self._campaign_to_select, None
         for item in top_items(self.tree):
-            if item.toolTip(0) == str(to_select) or len(folders) == 1:
+            if item.toolTip(0) == str(to_select) or (len(folders) == 1 and not shown):
                 item.setExpanded(True)
                 self.tree.setCurrentItem(item)
 
+    def _watch(self, root: Path, folders: Sequence[Path]) -> None:
+        wanted, watched = {str(folder) for folder in (root, *folders) if folder.is_dir()}, self._changes.directories()
+        if left := list(wanted.difference(watched)):
+            self._changes.addPaths(left)
+        if left := [folder for folder in watched if folder not in wanted]:
+            self._changes.removePaths(left)
+
     def _load_runs(self, item: QTreeWidgetItem) -> None:
         if item.childCount() == 0:
-            folder = Path(item.toolTip(0))
-            self._opening.do_too(lambda: shown_campaign(folder), self._show_runs)
+            self._read_runs(Path(item.toolTip(0)))
 
-    def _show_runs(self, campaign: ShownCampaign) -> None:
-        for item in top_items(self.tree):
-            if item.toolTip(0) == str(campaign.folder) and item.childCount() == 0:
-                for run in campaign.runs:
-                    # The date is in the campaign's name, and in the tooltip.
-                    started = run.start.split()[-1]
-                    child = QTreeWidgetItem([run.label, f"BAD: {run.bad}" if run.bad else run.status, started])
-                    child.setToolTip(2, run.start)
-                    child.setData(0, _RUN_ROLE, run)
-                    item.addChild(child)
-                if item.isSelected():
-                    self._selection_changed()
-        for problem in campaign.problems:
+    def _read_runs(self, folder: Path, *, quiet: bool = False) -> None:
+        self._opening.do_too(lambda: shown_campaign(folder), lambda campaign: self._show_runs(campaign, quiet=quiet))
+
+    def _show_runs(self, campaign: ShownCampaign, *, quiet: bool = False) -> None:
+        item = next((item for item in top_items(self.tree) if item.toolTip(0) == str(campaign.folder)), None)
+        if item is not None:
+            before = self.selected()
+            with QSignalBlocker(self.tree):
+                _fill_campaign(item, campaign)
+            # What is selected may be gone, or have been marked; or a selected campaign has more runs.
+            if self.selected() != before:
+                self._selection_changed()
+        for problem in campaign.problems if not quiet else ():
             self.complained.emit(problem)
 
     def _selection_changed(self) -> None:
@@ -193,6 +224,29 @@ class RunBrowser(QWidget):
         """Show another folder."""
         self.folder.setText(path)
         self.refresh()
+
+
+def _fill_campaign(item: QTreeWidgetItem, campaign: ShownCampaign) -> None:
+    """Show the runs of a campaign; the items of those shown before stay."""
+    shown = {run.path: child for child, run in _runs_of(item)}
+    for gone in shown.keys() - {run.path for run in campaign.runs}:
+        item.removeChild(shown[gone])
+    for at, run in enumerate(campaign.runs):
+        child = shown.get(run.path)
+        if child is None:
+            child = QTreeWidgetItem()
+            item.insertChild(at, child)
+        # The date is in the campaign's name, and in the tooltip.
+        started = run.start.split()[-1]
+        for column_at, text in enumerate((run.label, f"BAD: {run.bad}" if run.bad else run.status, started)):
+            child.setText(column_at, text)
+        child.setToolTip(2, run.start)
+        child.setData(0, _RUN_ROLE, run)
+
+
+def _runs_of(item: QTreeWidgetItem) -> list[tuple[QTreeWidgetItem, ShownRun]]:
+    children = map(item.child, range(item.childCount()))
+    return [(child, run) for child in children if isinstance(run := child.data(0, _RUN_ROLE), ShownRun)]
 
 
 MAX_OVERLAID = 7

@@ -62,6 +62,7 @@ from dragrig.window.widgets import (
     parent_of,
     row,
     table,
+    top_items,
 )
 
 
@@ -132,6 +133,7 @@ class QueueView(QWidget):
         super().__init__()
         self._queue = queue
         self._shown: list[tuple[object, ...]] = []
+        self._followed: tuple[int, int | None] | None = None
         self.tree = QTreeWidget()
         self.tree.setHeaderLabels(list(_QUEUE_HEADER))
         self.tree.setAccessibleName("Queue of sessions")
@@ -160,6 +162,7 @@ class QueueView(QWidget):
         if state != self._shown:
             self._shown = state
             self._rebuild()
+            self._follow()
             self.changed.emit()
         self.back.setEnabled(self._queue.can_put_back)
         self._show_progress()
@@ -167,6 +170,21 @@ class QueueView(QWidget):
     def _state(self, entry: QueuedSession) -> tuple[object, ...]:
         current = entry.current_run.index if entry.current_run is not None else -1
         return entry.job.number, entry.stage, len(entry.runs), tuple(entry.ended), current, entry.reason
+
+    def _follow(self) -> None:
+        """Bring the run in progress into view once it starts; what a person scrolls to then stays."""
+        entry = self._queue.current
+        if entry is None or entry.current_run is None:
+            return
+        now = entry.job.number, entry.number_of(entry.current_run)
+        if now == self._followed:
+            return
+        self._followed = now
+        for item in top_items(self.tree):
+            if item.data(0, _JOB_ROLE) == entry.job.number:
+                item.setExpanded(True)
+                running = next(at for at, run in enumerate(entry.runs) if run.index == entry.current_run.index)
+                self.tree.scrollToItem(item.child(running), QTreeWidget.ScrollHint.PositionAtCenter)
 
     def _show_progress(self) -> None:
         entry = self._queue.current
@@ -180,10 +198,14 @@ class QueueView(QWidget):
         more = f"; {waiting} more waiting, {duration_text(self._queue.left_s)} in all" if waiting else ""
         # Simulated time may pass faster than real time.
         left = f", {duration_text(entry.left_s)} left" if entry.real_time else ""
-        self.progress.setFormat(f"{entry.title}: run {entry.run_number} of {entry.run_count}{left}{more}")
+        self.progress.setFormat(f"{entry.title}: {entry.over_count} of {entry.run_count} runs over{left}{more}")
 
     def _rebuild(self) -> None:
         selected = self._selected()
+        closed = {
+            item.data(0, _JOB_ROLE) for item in top_items(self.tree) if item.childCount() and not item.isExpanded()
+        }
+        scrolled_to = self.tree.verticalScrollBar().value()
         self.tree.clear()
         for entry in self._queue.entries:
             state = f"{entry.stage.value}{f': {entry.reason}' if entry.reason else ''}{_mirror_text(entry)}"
@@ -192,14 +214,21 @@ class QueueView(QWidget):
             item.setToolTip(3, state)
             self.tree.addTopLevelItem(item)
             for run in entry.runs:
-                item.addChild(QTreeWidgetItem([f"{run.index}  {run.summary}", "", duration_text(run.duration_s),
-                                               _run_state_text(entry, run)]))  # fmt: skip
+                number = entry.number_of(run)
+                name = f"{'–' if number is None else number}  {run.summary}"
+                made = QTreeWidgetItem([name, "", duration_text(run.duration_s), _run_state_text(entry, run)])
+                item.addChild(made)
+                if run is entry.current_run:
+                    _embolden(made)
             missing = entry.mirror.missing if entry.mirror is not None else ()
             for name, why in missing:
                 item.addChild(QTreeWidgetItem([name, "", "", f"NOT IN THE MIRROR: {why}"]))
-            item.setExpanded(entry.stage is QueueState.RUNNING or bool(missing))
+            open_ = entry.stage is QueueState.RUNNING or bool(missing)
+            item.setExpanded(open_ and entry.job.number not in closed)
             if entry is selected:
                 self.tree.setCurrentItem(item)
+        self.tree.doItemsLayout()
+        self.tree.verticalScrollBar().setValue(scrolled_to)
 
     def _selected(self) -> QueuedSession | None:
         item = current_item(self.tree)
@@ -234,6 +263,13 @@ class QueueView(QWidget):
         entry = self._selected() or next((queued for queued in reversed(self._queue.entries) if queued.folder), None)
         if entry is not None and entry.folder:
             self.chosen_folder.emit(entry.folder)
+
+
+def _embolden(item: QTreeWidgetItem) -> None:
+    font = item.font(0)
+    font.setBold(True)
+    for place in range(item.columnCount()):
+        item.setFont(place, font)
 
 
 def _run_state_text(entry: QueuedSession, run: QueuedRun) -> str:

@@ -57,6 +57,8 @@ class QueuedSession:
     """The run in progress, `elapsed_s` after its start."""
     last_index: int = -1
     """Index of the run that started last; runs before it were made or skipped."""
+    numbers: dict[int, int] = field(default_factory=dict)
+    """Number that each run was made under, by index; a run that is made again has another."""
     elapsed_s: float = 0.0
     real_time: bool = True
     mirror: MirrorStatus | None = None
@@ -84,10 +86,17 @@ class QueuedSession:
         return max(left, 0.0)
 
     @property
-    def run_number(self) -> int:
-        """Number, from 1, of the run in progress, or else of the next."""
-        started = sum(run.index <= self.last_index for run in self.runs)
-        return min(started + (self.current_run is None), max(self.run_count, 1))
+    def over_count(self) -> int:
+        """Number of the runs that are over, made or skipped."""
+        return sum(run.index <= self.last_index for run in self.runs) - (self.current_run is not None)
+
+    def number_of(self, run: QueuedRun) -> int | None:
+        """Return the number of a run, as in the name of its file; None for a run that was skipped."""
+        if run.index in self.numbers:
+            return self.numbers[run.index]
+        if run.index <= self.last_index:
+            return None
+        return run.index + self.numbers.get(self.last_index, self.last_index) - self.last_index
 
     @property
     def progress(self) -> float:
@@ -209,6 +218,7 @@ class SessionQueue:
         """Store the run in progress."""
         if (entry := self.current) is not None:
             entry.current_run, entry.last_index, entry.elapsed_s = event.run, event.run.index, 0.0
+            entry.numbers[event.run.index] = event.order
             entry.ended.pop(event.run.index, None)
 
     def run_finished(self, event: RunFinished) -> None:
