@@ -186,6 +186,7 @@ def test_the_list_follows_what_is_recorded_and_keeps_what_is_selected(
     for run in later:
         shutil.copy(run, tmp_path / "old")
     (tmp_path / "new").mkdir()
+    until(lambda: str(tmp_path / "new") in page.browser._changes.directories())
     shutil.copy(first, tmp_path / "new")
     until(lambda: len(runs_of(page)) == 4 and len(top_items(page.browser.tree)) == 2)
     assert [item.text(0) for item in top_items(page.browser.tree)] == ["old", "new"]

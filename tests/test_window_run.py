@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -305,7 +306,7 @@ def test_the_queue_follows_the_run_and_numbers_it_as_its_file(qapp: QApplication
     queue.entries[0].stage = QueueState.RUNNING
     queue.session_started(SessionStarted(1, runs, real_time=True))
     for order, at in enumerate([*range(40), 39, 40]):  # the fortieth is made again
-        queue.run_started(RunStarted(runs[at], order))
+        queue.run_started(RunStarted(replace(runs[at]), order))  # as it comes from the engine's process
         view.show_queue()
         if at < 40:
             queue.run_finished(RunFinished(runs[at], order, RunStatus.COMPLETE, "", 5000, ()))

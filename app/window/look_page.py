@@ -183,7 +183,11 @@ class RunBrowser(QWidget):
                 self.tree.setCurrentItem(item)
 
     def _watch(self, root: Path, folders: Sequence[Path]) -> None:
-        wanted, watched = {str(folder) for folder in (root, *folders) if folder.is_dir()}, self._changes.directories()
+        # A folder becomes a campaign only with its first run, and the data root only with its first campaign.
+        around = {root, *(folder.parent for folder in folders)} if root.is_dir() else {root.parent}
+        inside = {folder for parent in around if root.is_dir() for folder in parent.iterdir()}
+        wanted = {str(folder) for folder in (*around, *inside, *folders) if folder.is_dir()}
+        watched = self._changes.directories()
         if left := list(wanted.difference(watched)):
             self._changes.addPaths(left)
         if left := [folder for folder in watched if folder not in wanted]:

@@ -218,7 +218,7 @@ class QueueView(QWidget):
                 name = f"{'–' if number is None else number}  {run.summary}"
                 made = QTreeWidgetItem([name, "", duration_text(run.duration_s), _run_state_text(entry, run)])
                 item.addChild(made)
-                if run is entry.current_run:
+                if entry.current_run is not None and entry.current_run.index == run.index:
                     _embolden(made)
             missing = entry.mirror.missing if entry.mirror is not None else ()
             for name, why in missing:
