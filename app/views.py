@@ -419,6 +419,10 @@ class ShownTrace:
     filtered: Mapping[str, npt.NDArray[np.float32]]
     units: Mapping[str, str]
 
+    def along(self, axis: str) -> npt.NDArray[np.float32] | None:
+        """Return position or speed at each sample; None where the run has none."""
+        return self.filtered.get(axis, self.channels.get(axis))
+
 
 def campaigns_below(folder: Path) -> tuple[Path, ...]:
     """Return this folder and those below that hold run files, in descending order of name."""

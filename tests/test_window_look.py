@@ -131,6 +131,34 @@ def test_the_channel_can_be_changed_and_the_raw_trace_hidden(page: LookPage, unt
     assert len(page.overlay.channel_plot._lines) == 1
 
 
+def test_drags_at_several_speeds_lie_over_each_other_along_the_way(page: LookPage, until: Until) -> None:
+    choose(page, until, 0, 2)
+    page.overlay.axis.setCurrentText("position")
+    assert page.overlay.speed_plot.shown() == pytest.approx((40.0, 50.0), abs=0.5)
+    page.overlay.raw.click()
+    for line, trace in zip(page.overlay.channel_plot._lines, page.overlay.traces, strict=True):
+        x, y = line.drawn.getData()
+        assert (x.min(), x.max()) == pytest.approx((40.0, 50.0), abs=0.05)
+        at = int(np.argmin(abs(trace.channels["position"] - 45.0)))
+        assert y[np.argmin(abs(x - 45.0))] == pytest.approx(trace.filtered["force"][at], abs=3.0)
+    page.overlay.cursors.click()
+    page.overlay.place_cursors(45.0, 60.0)
+    values = page.overlay.values
+    assert [values.item(row, 0).text().split(":")[0] for row in range(3)] == [
+        "position (mm)",
+        "0  drag 5 mm/s",
+        "2  drag 20 mm/s",
+    ]
+    assert values.item(1, 2).text() == "no sample"
+    for row, trace in enumerate(page.overlay.traces, 1):
+        passed = int(np.argmax(trace.channels["position"] >= 45.0))
+        assert float(values.item(row, 1).text()) == pytest.approx(trace.filtered["force"][passed], abs=1.0)
+    page.overlay.axis.setCurrentText("speed")
+    assert page.overlay.speed_plot.shown()[1] == pytest.approx(20.0, abs=1.5)
+    page.overlay.axis.setCurrentText("time")
+    assert page.overlay.speed_plot.shown()[1] > 2.0
+
+
 def test_steady_forces_are_those_of_the_table(page: LookPage, until: Until, folder: Path) -> None:
     choose(page, until, 0, 2)
     frame = dragrig.table(folder / "first")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.window.trace_pyramid import TracePyramid
+from dragrig.window.trace_pyramid import TracePath, TracePyramid
 
 
 @settings(deadline=None, max_examples=80)
@@ -73,3 +73,27 @@ def test_a_line_is_drawn_with_short_strokes_between_columns() -> None:
     _, line = pyramid.view(0, len(values), 300)
     across = np.abs(np.diff(line))[1::2]
     assert across.max() < np.abs(np.diff(line))[::2].min()
+
+
+def test_a_long_trace_along_the_way_keeps_its_peaks_and_its_gaps() -> None:
+    count = 3_000_000
+    x = np.linspace(0.0, 30.0, count, dtype=np.float32)
+    y = np.sin(x)
+    y[1_234_567], y[2_000_000:2_100_000] = 50.0, np.nan
+    path = TracePath(x, y)
+    assert path.ends == pytest.approx((0.0, 30.0))
+    for low, high in ((0.0, 30.0), (12.3, 12.4)):
+        shown_x, shown_y = path.view(low, high, 800)
+        assert len(shown_x) < 10_000
+        assert np.nanmax(shown_y) == 50.0
+        assert shown_x.min() == pytest.approx(low, abs=0.01)
+        assert shown_x.max() == pytest.approx(high, abs=0.01)
+    shown_x, shown_y = path.view(19.0, 22.0, 800)
+    assert np.isnan(shown_y[(shown_x > 20.01) & (shown_x < 20.99)]).all()
+
+
+def test_a_way_there_and_back_does_not_jump_across_what_is_not_shown() -> None:
+    x = np.concatenate((np.linspace(0, 10, 1000), np.linspace(10, 0, 1000)))
+    shown_x, shown_y = TracePath(x, np.arange(2000.0)).view(2.0, 4.0, 800)
+    assert np.isnan(shown_y).sum() == 1
+    assert len(shown_x) == pytest.approx(400, abs=8)

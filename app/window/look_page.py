@@ -39,7 +39,7 @@ from dragrig.views import (
 )
 from dragrig.window.background import FileWorker
 from dragrig.window.plots import PlotCursor, TimePlot
-from dragrig.window.trace_pyramid import TracePyramid
+from dragrig.window.trace_pyramid import TracePath, TracePyramid
 from dragrig.window.widgets import (
     StoredSettings,
     bare_widget,
@@ -253,15 +253,18 @@ def _runs_of(item: QTreeWidgetItem) -> list[tuple[QTreeWidgetItem, ShownRun]]:
     return [(child, run) for child in children if isinstance(run := child.data(0, _RUN_ROLE), ShownRun)]
 
 
+_AXIS_UNITS = {"time": "s", "position": "mm", "speed": "mm/s"}
 MAX_OVERLAID = 7
 """Maximum number of runs overlaid, each in its own colour."""
 
+AXES = ("time", "position", "speed")
+"""What traces can be drawn against."""
 _PAN_SHARE = 0.2
 _CURSOR_STEPS = 200
 
 
 class TraceOverlay(QWidget):
-    """Traces of several runs, filtered in front of raw."""
+    """Traces of several runs, filtered in front of raw, against time, position or speed."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -273,6 +276,10 @@ class TraceOverlay(QWidget):
         self.channel.addItems(["force"])
         self.channel.setAccessibleName("Channel")
         self.channel.currentTextChanged.connect(lambda _: self.draw())
+        self.axis = named(QComboBox(), "Horizontal axis")
+        self.axis.addItems(AXES)
+        self.axis.setToolTip("Against the position, drags at several speeds lie over each other along the way")
+        self.axis.currentTextChanged.connect(lambda _: self._change_axis())
         self.raw = QCheckBox("Ra&w data")
         self.raw.setChecked(True)
         self.raw.toggled.connect(lambda _: self.draw())
@@ -290,17 +297,25 @@ class TraceOverlay(QWidget):
         self.cursors = QCheckBox("&Cursors")
         self.cursors.toggled.connect(lambda shown: self._show_cursors(shown=shown))
         self.values = named(table(("Run", "At A", "At B", "B − A")), "Values at the cursors")
+        self.values.setMinimumHeight(72)
         self.values.setMaximumHeight(170)
         self.values.hide()
         self._pyramids: dict[tuple[int, str, bool], TracePyramid] = {}
+        self._paths: dict[tuple[int, str, bool, str], TracePath] = {}
         self._cursors = tuple(
             self.channel_plot.cursor(name, colour, lambda _: self._show_cursor_values())
             for name, colour in (("A", BLACK), ("B", VERMILLION))
         )
         filter_ = bare_widget(row(label("Filter window"), self.window_ms, label("order"), self.order))
-        controls = flow(bare_widget(row(label("Channel"), self.channel)), self.raw, filter_, self.cursors, self.fit)
+        shown = bare_widget(row(label("Channel"), self.channel, label("against"), self.axis))
+        controls = flow(shown, self.raw, filter_, self.cursors, self.fit)
         layout = column(
-            controls, self.channel_plot.widget, self.speed_plot.widget, self.values, margin=8, stretch={1: 3, 2: 2}
+            controls,
+            self.channel_plot.widget,
+            self.speed_plot.widget,
+            self.values,
+            margin=8,
+            stretch={1: 6, 2: 4, 3: 4},
         )
         self.setLayout(layout)
         self._add_shortcuts()
@@ -309,7 +324,7 @@ class TraceOverlay(QWidget):
         """Show runs; the zoom stays if they are the same runs as before."""
         same = [trace.path for trace in traces] == [trace.path for trace in self.traces]
         self.traces = list(traces)
-        self._pyramids = {}
+        self._pyramids, self._paths = {}, {}
         chosen = self.channel.currentText()
         names = list(dict.fromkeys(name for trace in traces for name in trace.channels)) or ["force"]
         self.channel.blockSignals(True)
@@ -336,13 +351,18 @@ class TraceOverlay(QWidget):
             colour = CYCLE[index % MAX_OVERLAID]
             # A channel without a filtered copy is shown raw.
             self._draw_trace(self.channel_plot, index, name, colour, 2.0, filtered=name in trace.filtered)
-            self._draw_trace(self.speed_plot, index, "speed", colour, 2.0, filtered=True)
+            below = "position" if self.axis.currentText() == "speed" else "speed"
+            self._draw_trace(self.speed_plot, index, below, colour, 2.0, filtered=below == "speed")
         self.channel_plot.title(
-            *((trace.label, CYCLE[index % MAX_OVERLAID]) for index, trace in enumerate(self.traces))
+            *((self._legend_text(trace), CYCLE[index % MAX_OVERLAID]) for index, trace in enumerate(self.traces))
         )
         for panel in (self.channel_plot, self.speed_plot):
             panel.redraw()
         self._show_cursor_values()
+
+    def _legend_text(self, trace: ShownTrace) -> str:
+        axis = self.axis.currentText()
+        return trace.label if axis == "time" or trace.along(axis) is not None else f"{trace.label} (no {axis})"
 
     def show_all(self) -> None:
         """Show all samples."""
@@ -380,11 +400,27 @@ class TraceOverlay(QWidget):
         source = trace.filtered if filtered else trace.channels
         if name not in source:
             return
-        key = (index, name, filtered)
+        key, axis = (index, name, filtered), self.axis.currentText()
+        if axis != "time":
+            along = trace.along(axis)
+            if along is None:
+                return
+            if (*key, axis) not in self._paths:
+                self._paths[*key, axis] = TracePath(along, source[name])
+            panel.line("", colour, width).path(self._paths[*key, axis])
+            return
         if key not in self._pyramids:
             self._pyramids[key] = TracePyramid()
             self._pyramids[key].append(source[name])
         panel.line("", colour, width).trace(self._pyramids[key], trace.rate_hz, trace.start_s)
+
+    def _change_axis(self) -> None:
+        axis = self.axis.currentText()
+        self.speed_plot.set_x_quantity(axis.capitalize(), _AXIS_UNITS[axis])
+        self.speed_plot.set_quantity(*(("Position", "mm") if axis == "speed" else ("Speed", "mm/s")))
+        self.draw()
+        self.show_all()
+        self._show_cursors(shown=self.cursors.isChecked())
 
     def _show_cursors(self, *, shown: bool) -> None:
         low, high = self.channel_plot.shown()
@@ -397,19 +433,30 @@ class TraceOverlay(QWidget):
             return
         name = self.channel.currentText()
         first, second = (cursor.time_s for cursor in self._cursors)
-        rows = [("time (s)", f"{first:.4f}", f"{second:.4f}", f"{second - first:.4f}")]
+        axis = self.axis.currentText()
+        rows = [(f"{axis} ({_AXIS_UNITS[axis]})", f"{first:.4f}", f"{second:.4f}", f"{second - first:.4f}")]
         for trace in self.traces:
             values = trace.filtered.get(name, trace.channels.get(name))
             if values is not None:
-                a, b = (_value_at(values, (time_s - trace.start_s) * trace.rate_hz) for time_s in (first, second))
+                a, b = (_value_at(values, _place(trace, axis, at)) for at in (first, second))
                 title = f"{trace.label}: {name} ({trace.units.get(name, '')})"
                 rows.append((title, _cursor_text(a), _cursor_text(b), _cursor_text(b - a)))
         fill_table(self.values, rows)
 
 
-def _value_at(values: npt.NDArray[np.float32], position: float) -> float:
-    index = round(position)
-    return float(values[index]) if 0 <= index < len(values) else float("nan")
+def _place(trace: ShownTrace, axis: str, at: float) -> int | None:
+    """Return the sample of a run at a time, or where it first comes to a position or a speed."""
+    if axis == "time":
+        return round((at - trace.start_s) * trace.rate_hz)
+    along = trace.along(axis)
+    if along is None:
+        return None
+    reached = np.nonzero(np.diff(np.sign(along - np.float32(at))))[0]
+    return int(reached[0]) if len(reached) else None
+
+
+def _value_at(values: npt.NDArray[np.float32], index: int | None) -> float:
+    return float(values[index]) if index is not None and 0 <= index < len(values) else float("nan")
 
 
 def _cursor_text(value: float) -> str:

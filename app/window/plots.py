@@ -1,4 +1,4 @@
-"""Plots against time with limits and cursors, and bar charts; the only module that uses pyqtgraph."""
+"""Plots against time, or another quantity, with limits and cursors; the only module that uses pyqtgraph."""
 
 import html
 from collections.abc import Callable
@@ -10,12 +10,14 @@ from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
 from dragrig.present import BLACK, GREY, GRID, PAPER
-from dragrig.window.trace_pyramid import TracePyramid
+from dragrig.window.trace_pyramid import TracePath, TracePyramid
 from dragrig.window.widgets import SMALL_PX
 
 PlotValues = npt.NDArray[np.floating]
 _MIN_COLUMNS = 200
-_LEGEND_PER_LINE = 4
+_LEAST_LEGEND_PX = 300
+_LEGEND_MARK_LETTERS = 4
+"""Room for the mark before an entry, and between entries."""
 _AXIS_Z = -1000.0
 _LABEL_STYLE = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
 _LETTER_PX = 0.62 * SMALL_PX
@@ -23,7 +25,7 @@ _LETTER_PX = 0.62 * SMALL_PX
 
 
 class TimePlot:
-    """A plot of one quantity against time; lines differ in width and dashes as well as colour."""
+    """A plot of one quantity against time, or another; lines differ in width and dashes as well as colour."""
 
     def __init__(self, quantity: str, unit: str, x_label: str = "Time (s)") -> None:
         self._plot = pyqtgraph.PlotWidget()
@@ -43,8 +45,10 @@ class TimePlot:
         item.getAxis("left").setWidth(84)
         self._plot.setMinimumSize(200, 96)
         self._item = item
+        self._legend: tuple[tuple[str, str], ...] = ()
+        self._legend_lines: list[str] = []
         self.set_quantity(quantity, unit)
-        item.getViewBox().sigResized.connect(lambda _: self._label_fits())
+        item.getViewBox().sigResized.connect(lambda _: self._fit_texts())
         self._lines: list[PlotLine] = []
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
 
@@ -64,8 +68,31 @@ class TimePlot:
 
     def title(self, *entries: tuple[str, str]) -> None:
         """Write a legend above the plot: text and colour of each line."""
-        legend = [f'<span style="color:{colour}">▬</span> {html.escape(text)}' for text, colour in entries]
-        lines = [" &nbsp; ".join(legend[i : i + _LEGEND_PER_LINE]) for i in range(0, len(legend), _LEGEND_PER_LINE)]
+        self._legend = entries
+        self._wrap_legend()
+
+    def _fit_texts(self) -> None:
+        self._label_fits()
+        if self._legend:
+            self._wrap_legend()
+
+    def _wrap_legend(self) -> None:
+        """Write as many entries on a line as there is room for."""
+        room = max(self._item.getViewBox().width(), _LEAST_LEGEND_PX)
+        lines: list[str] = []
+        left = 0.0
+        for text, colour in self._legend:
+            entry = f'<span style="color:{colour}">▬</span> {html.escape(text)}'
+            width = (len(text) + _LEGEND_MARK_LETTERS) * _LETTER_PX
+            if lines and width <= left:
+                lines[-1] += f" &nbsp; {entry}"
+            else:
+                lines.append(entry)
+                left = room
+            left -= width
+        if lines == self._legend_lines:
+            return
+        self._legend_lines = lines
         self._item.setTitle("<br>".join(lines), size=f"{SMALL_PX}px", color=BLACK)
         height = 6 + 1.6 * SMALL_PX * max(len(lines), 1)
         self._item.titleLabel.setMaximumHeight(height)
@@ -75,6 +102,10 @@ class TimePlot:
         """Change the label of the vertical axis."""
         self._quantity, self._unit = quantity, unit
         self._label_fits()
+
+    def set_x_quantity(self, quantity: str, unit: str) -> None:
+        """Change the label of the horizontal axis."""
+        self._item.setLabel("bottom", f"{quantity} ({unit})" if unit else quantity, **_LABEL_STYLE)
 
     def _label_fits(self) -> None:
         """Label the vertical axis with as much as a low plot has room for."""
@@ -180,14 +211,17 @@ class PlotLine:
     def __init__(self, drawn: "pyqtgraph.PlotDataItem") -> None:
         self.drawn = drawn
         self._trace: TracePyramid | None = None
+        self._path: TracePath | None = None
         self._rate_hz, self._start_s = 1.0, 0.0
         self._ends: tuple[float, float] | None = None
 
     @property
     def ends(self) -> tuple[float, float] | None:
-        """First and last time [s]."""
+        """First and last time [s], or lowest and highest x."""
         if self._trace is not None and self._trace.count:
             return self._start_s, self._start_s + self._trace.count / self._rate_hz
+        if self._path is not None:
+            return self._path.ends
         return self._ends
 
     def points(self, x: PlotValues, y: PlotValues) -> None:
@@ -200,8 +234,15 @@ class PlotLine:
         """Show a trace, which may grow; `TimePlot.redraw` draws it."""
         self._trace, self._rate_hz, self._start_s = values, rate_hz, start_s
 
+    def path(self, path: TracePath) -> None:
+        """Show a trace against another channel; `TimePlot.redraw` draws it."""
+        self._path = path
+
     def redraw(self, low_s: float, high_s: float, columns: int) -> None:
-        """Draw the trace between two times."""
+        """Draw the trace between two times, or two x."""
+        if self._path is not None:
+            self.drawn.setData(*self._path.view(low_s, high_s, columns))
+            return
         if self._trace is None:
             return
         begin, end = ((time_s - self._start_s) * self._rate_hz for time_s in (low_s, high_s))

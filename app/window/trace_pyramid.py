@@ -1,4 +1,4 @@
-"""A min/max pyramid: traces of any length drawn at any zoom in constant time."""
+"""Traces of any length drawn at any zoom in constant time: against time (a min/max pyramid), or against a channel."""
 
 from itertools import pairwise
 
@@ -87,6 +87,64 @@ class TracePyramid:
             starts = np.arange(0, len(low), BLOCKS_PER_LEVEL)
             above.cut(changed)
             above.extend(np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts))
+
+
+MAX_PATH_BLOCKS = 100_000
+"""So many pieces of a trace are kept at most where it is drawn against another channel."""
+
+
+class TracePath:
+    """A trace against another channel of the run; of a long one, the highest and lowest sample of each short piece.
+
+    Parameters
+    ----------
+    x, y
+        Values at the same times, shape `(N,)` each; NaN for lost samples.
+    """
+
+    def __init__(self, x: npt.NDArray[np.floating], y: npt.NDArray[np.floating]) -> None:
+        length = min(len(x), len(y))
+        kept = _extremes(np.asarray(y[:length], np.float32), MAX_PATH_BLOCKS)
+        self._x, self._y = np.asarray(x[:length], np.float32)[kept], np.asarray(y[:length], np.float32)[kept]
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """Lowest and highest x; None without a sample."""
+        known = self._x[np.isfinite(self._x)]
+        return (float(known.min()), float(known.max())) if len(known) else None
+
+    def view(self, low: float, high: float, columns: int) -> tuple[Floats, Floats]:
+        """Return the line's points between two x, NaN where it leaves that range, and no more than are seen."""
+        inside = (self._x >= low) & (self._x <= high)
+        # A sample more on either side, so that the line reaches the edges.
+        near = inside.copy()
+        near[1:] |= inside[:-1]
+        near[:-1] |= inside[1:]
+        places = np.nonzero(near)[0]
+        x, y = self._x[places], self._y[places]
+        # The line does not jump to where it comes back.
+        y[1:][np.diff(places) > 1] = np.nan
+        kept = _extremes(y, _PIECES_PER_COLUMN * columns)
+        return x[kept], y[kept]
+
+
+_PIECES_PER_COLUMN = 4
+
+
+def _extremes(values: Floats, blocks: int) -> npt.NDArray[np.intp]:
+    """Return the places of the lowest and the highest value of each of so many blocks, in order."""
+    step = -(-len(values) // max(blocks, 1))
+    if step <= 2:  # two of two are all
+        return np.arange(len(values))
+    whole = np.full(-(-len(values) // step) * step, np.nan, np.float32)
+    whole[: len(values)] = values
+    rows = whole.reshape(-1, step)
+    lost = np.isnan(rows)
+    starts = np.arange(len(rows)) * step
+    lowest = starts + np.argmin(np.where(lost, np.float32(np.inf), rows), axis=1)
+    highest = starts + np.argmax(np.where(lost, np.float32(-np.inf), rows), axis=1)
+    places = np.sort(np.stack((lowest, highest), axis=1), axis=1).ravel()
+    return np.asarray(places[places < len(values)], dtype=np.intp)
 
 
 class _PyramidLevel:
