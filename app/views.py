@@ -41,11 +41,15 @@ from dragrig.rig import (
     RunInfo,
     RunPreview,
     RunProtocol,
+    mark_bad,
     protocol_kinds,
     read_campaign,
     read_info,
     read_mark,
+    read_note,
     read_run,
+    unmark,
+    write_note,
 )
 from dragrig.setup import resolve_pace, resolve_rig
 
@@ -394,6 +398,7 @@ class ShownRun:
     label: str
     status: str
     bad: str
+    note: str
     start: str
     settings: Mapping[str, str]
 
@@ -494,6 +499,23 @@ def export_shown_runs(paths: Sequence[Path], folder: Path, kind: ExportFormatNam
     return tuple(written)
 
 
+def mark_runs(paths: Sequence[Path], reason: str | None) -> tuple[Path, ...]:
+    """Mark runs as bad for a reason, or with None remove their marks; raises `OutputError`."""
+    for path in paths:
+        if reason is None:
+            unmark(path)
+        else:
+            mark_bad(path, reason)
+    return tuple(paths)
+
+
+def note_runs(paths: Sequence[Path], text: str) -> tuple[Path, ...]:
+    """Write a note on runs, or with an empty one remove theirs; raises `OutputError`."""
+    for path in paths:
+        write_note(path, text)
+    return tuple(paths)
+
+
 def _steady_row(path: Path) -> TableRow:
     try:
         mark = read_mark(path)
@@ -503,13 +525,14 @@ def _steady_row(path: Path) -> TableRow:
 
 
 def _shown_run(info: RunInfo, bad: str) -> ShownRun:
-    header = info.header
-    settings = {"file": info.path.name, "status": info.status.value, "reason": info.reason, "backend": header.backend,
-                "samples": str(info.samples), "rate": f"{header.sample_rate_hz:g} Hz"}  # fmt: skip
+    header, note = info.header, read_note(info.path)
+    settings = {"noted": note, "file": info.path.name, "status": info.status.value, "reason": info.reason,
+                "backend": header.backend, "samples": str(info.samples),
+                "rate": f"{header.sample_rate_hz:g} Hz"}  # fmt: skip
     for group in (header.protocol, header.capsule, header.specimen, header.entry, info.checks):
         settings |= {key: f"{value:g}" if isinstance(value, float) else str(value) for key, value in group.items()}
     start = f"{header.start_time:%Y-%m-%d %H:%M:%S}"
-    return ShownRun(info.path, header.order, _run_label(info), info.status.value, bad, start, settings)
+    return ShownRun(info.path, header.order, _run_label(info), info.status.value, bad, note, start, settings)
 
 
 def _run_label(info: RunInfo) -> str:

@@ -83,10 +83,12 @@ from .runfile.campaigns import latest_session_record as latest_session_record
 from .runfile.campaigns import mark_bad as mark_bad
 from .runfile.campaigns import read_campaign as read_campaign
 from .runfile.campaigns import read_mark as read_mark
+from .runfile.campaigns import read_note as read_note
 from .runfile.campaigns import read_session_records as read_session_records
 from .runfile.campaigns import session_record_of_run as session_record_of_run
 from .runfile.campaigns import specimen_key as specimen_key
 from .runfile.campaigns import unmark as unmark
+from .runfile.campaigns import write_note as write_note
 from .runfile.campaigns import write_session_record as write_session_record
 from .runfile.filesystem import file_lock as file_lock
 from .runfile.filesystem import move_into_place as move_into_place
@@ -115,6 +117,7 @@ from .runfile.schema import RECORDING_SUFFIX as RECORDING_SUFFIX
 from .runfile.schema import SIGNALS as SIGNALS
 from .runfile.schema import is_recording as is_recording
 from .runfile.schema import mark_path as mark_path
+from .runfile.schema import note_path as note_path
 from .runfile.schema import run_file_name as run_file_name
 from .runfile.schema import run_name as run_name
 from .runfile.schema import software_version as software_version

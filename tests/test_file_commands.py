@@ -96,6 +96,19 @@ def test_a_mark_is_honoured_by_everything_later_and_can_be_taken_back(command: C
     assert read_mark(drag) is None
 
 
+def test_a_note_stays_beside_the_run_until_it_is_emptied(command: Command, practice: Path) -> None:
+    drag = practice / "010-drag.h5"
+    command("mark", "c/010-drag.h5", "--note", "wall looked dry")
+    command("mark", "c/010-drag.h5", "--bad", "slipped")
+    assert "noted" in command("info", drag).out
+    assert (command.json("info", drag)[0]["noted"], command.json("info", drag)[0]["bad"]) == (
+        "wall looked dry",
+        "slipped",
+    )
+    command("mark", "c/010-drag.h5", "--good", "--note", "")
+    assert [path.name for path in practice.iterdir() if path.suffix in {".txt", ".toml"}] == []
+
+
 def test_nothing_is_marked_when_one_of_the_names_is_no_run(command: Command, practice: Path) -> None:
     (practice / "broken.h5").write_bytes(b"x")
     assert "broken.h5" in command("mark", "c", "--bad", "no", code=2).err

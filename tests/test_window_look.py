@@ -222,6 +222,36 @@ def test_the_list_follows_what_is_recorded_and_keeps_what_is_selected(
     assert page.overlay.traces[0] is shown, "what is looked at is not read again"
 
 
+def test_runs_are_marked_bad_and_noted_in_the_list(page: LookPage, until: Until, folder: Path, tmp_path: Path) -> None:
+    for run in sorted((folder / "first").glob("*.h5")):
+        shutil.copy(run, tmp_path)
+    page.browser.open_folder(str(tmp_path))
+    until(lambda: len(runs_of(page)) == 4)
+    page.browser.tree.clearSelection()
+    assert not page.browser.bad.isEnabled()
+    choose(page, until, 0, 2)
+    said: list[str] = []
+    page.browser.complained.connect(said.append)
+    press(page.browser.bad)
+    until(lambda: bool(said))
+    assert "no reason is given" in said[0]
+    page.browser.words.setText("the capsule slipped")
+    press(page.browser.bad)
+    until(lambda: [item.text(2) for item in runs_of(page)].count("BAD: the capsule slipped") == 2)
+    until(lambda: page.steady.item(0, 7).text() == "BAD: the capsule slipped")
+    assert len(dragrig.campaign(tmp_path).good) == 2
+    choose(page, until, 0)
+    page.browser.words.setText("wall looked dry")
+    press(page.browser.note)
+    until(lambda: runs_of(page)[0].text(2) == "BAD: the capsule slipped; wall looked dry")
+    press(page.browser.good)
+    until(lambda: runs_of(page)[0].text(2) == "complete; wall looked dry")
+    assert not page.browser.good.isEnabled()
+    press(page.browser.note)
+    until(lambda: runs_of(page)[0].text(2) == "complete")
+    assert not list(tmp_path.glob("*.note.txt"))
+
+
 def test_a_later_export_does_not_drop_an_earlier_one(page: LookPage, until: Until, tmp_path: Path) -> None:
     choose(page, until, 0, 1)
     for name in FORMATS:

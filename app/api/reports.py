@@ -27,6 +27,7 @@ from dragrig.rig import (
     PlannedRun,
     Programme,
     mark_path,
+    note_path,
     read_campaign,
     read_run,
     remove_file,
@@ -317,7 +318,7 @@ def clear_paper_folder(folder: Path, *, overwrite: bool) -> None:
     # One session wrote all runs with the same settings.
     one_per_session = {run.header.settings_toml: run.path for run in own}
     beside = {folder / session_record_of_run(path).file_name() for path in one_per_session.values()}
-    beside |= {mark_path(path) for path in own_paths}
+    beside |= {beside_run(path) for path in own_paths for beside_run in (mark_path, note_path)}
     beside |= {folder / STATE_FILE} if own else set()
     try:
         for path in (*sorted(own_paths), *sorted(beside)):

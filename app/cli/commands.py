@@ -71,7 +71,9 @@ SECTIONS: Sections = {
         "identify": CommandEntry(
             "model_commands:identify_command", "Identify a specimen's parameters from its runs, with their uncertainty."
         ),
-        "mark": CommandEntry("run_file_commands:mark_command", "Mark runs as bad, or remove the mark."),
+        "mark": CommandEntry(
+            "run_file_commands:mark_command", "Mark runs as bad, remove the mark, or write a note on them."
+        ),
         "filter": CommandEntry(
             "run_file_commands:filter_command",
             "Smooth runs with a Savitzky–Golay filter, stored beside the raw trace.",

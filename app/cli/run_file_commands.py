@@ -43,14 +43,14 @@ def info_command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_j
     files, errors = [], []
     for path in with_progress(run_files(inputs), "reading"):
         try:
-            mark = runfile.read_mark(path)
+            mark, note = runfile.read_mark(path), runfile.read_note(path)
             verification = runfile.verify(path) if verify else None
             info = runfile.read_info(path)
         except RunFileError as error:
             errors.append(str(error))
             continue
         intact = None if verification is None else verification.holds
-        files.append(InspectedFile(info, mark.reason if mark is not None else None, intact))
+        files.append(InspectedFile(info, mark.reason if mark is not None else None, note, intact))
         if verification is not None and not verification.stored:
             errors.append(f"{path}: has no checksum, so its samples cannot be verified.")
         elif verification is not None and not intact:
@@ -67,16 +67,17 @@ def info_command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_j
 @options.inputs
 @click.option("--bad", metavar="REASON", help="Why the runs must not be used.")
 @click.option("--good", is_flag=True, help="Remove the mark.")
+@click.option("--note", metavar="TEXT", help="Note on the runs, in place of an earlier one; an empty one removes it.")
 @options.as_json
-def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, as_json: bool) -> None:
-    """Mark runs as bad, or remove the mark.
+def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, note: str | None, as_json: bool) -> None:
+    """Mark runs as bad, remove the mark, or write a note on them.
 
-    RUN is a run file, a pattern or a campaign's folder. The mark is stored beside the run file, which is not
+    RUN is a run file, a pattern or a campaign's folder. Mark and note are stored beside the run file, which is not
     changed; filter, export, table and all later steps leave marked runs out or report them.
     """
-    if good == (bad is not None):
-        raise click.UsageError("Give either --bad REASON or --good", click.get_current_context())
-    from dragrig.rig import mark_bad, read_info, unmark
+    if (good and bad is not None) or not (good or bad is not None or note is not None):
+        raise click.UsageError("Give either --bad REASON or --good, or --note TEXT", click.get_current_context())
+    from dragrig.rig import mark_bad, read_info, unmark, write_note
     from dragrig.run_inputs import run_files
 
     paths = run_files(inputs)
@@ -85,13 +86,17 @@ def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, as_json: 
     for path in paths:
         if bad is not None:
             mark_bad(path, bad)
-        else:
+        elif good:
             unmark(path)
+        if note is not None:
+            write_note(path, note)
     if as_json:
-        print_json([{"file": path, "bad": bad} for path in paths])
-    else:
-        for path in paths:
-            print_result(f"{path}  {f'bad: {bad}' if bad is not None else 'good'}")
+        print_json([{"file": path, "bad": bad, "noted": note} for path in paths])
+        return
+    mark = f"bad: {bad}" if bad is not None else "good" if good else ""
+    noted = "" if note is None else f"noted: {note}" if note.strip() else "no note"
+    for path in paths:
+        print_result(f"{path}  {'; '.join(filter(None, (mark, noted)))}")
 
 
 @click.command("filter")

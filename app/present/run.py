@@ -170,6 +170,8 @@ class InspectedFile:
     info: RunInfo
     bad_reason: str | None = None
     """Why the run is marked bad; None for one that is not."""
+    note: str = ""
+    """The note written on it since."""
     intact: bool | None = None
     """Whether the samples match their checksum; None where that was not tested."""
 
@@ -202,6 +204,7 @@ def _file_texts(file: InspectedFile) -> dict[str, str]:
     return {
         "run": f"{info.kind}, {info.status.value}{reason}",
         "marked bad": file.bad_reason or "",
+        "noted": file.note,
         "checksum": "" if file.intact is None else "matches" if file.intact else "missing, or the samples differ",
         "start": f"{header.start_time:{_TIME_FORMAT}}, order {header.order}, {header.backend}",
         "samples": f"{info.samples} at {GENERAL(header.sample_rate_hz)} Hz, {duration}, {size}",
@@ -220,6 +223,7 @@ def _file_json(file: InspectedFile) -> dict[str, object]:
             "status": info.status,
             "reason": info.reason,
             "bad": file.bad_reason,
+            "noted": file.note or None,
             "start_time": header.start_time,
             "end_time": info.end_time,
             "order": header.order,

@@ -33,6 +33,8 @@ from dragrig.views import (
     ShownTrace,
     campaigns_below,
     export_shown_runs,
+    mark_runs,
+    note_runs,
     shown_campaign,
     shown_trace,
     steady_rows,
@@ -77,12 +79,19 @@ class RunBrowser(QWidget):
         self.choose = button("&Folder …", self._choose_folder, help_="Open another folder")
         self.again = button("Refres&h", self.refresh, help_="Read the folder again", keys="F5")
         self.tree = QTreeWidget()
-        self.tree.setHeaderLabels(["Run", "Status", "Started"])
+        self.tree.setHeaderLabels(["Run", "Started", "Status"])
         self.tree.setAccessibleName("Campaigns and runs")
         self.tree.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.tree.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        self.tree.header().setSectionResizeMode(2, QHeaderView.ResizeMode.Stretch)
         self.tree.itemExpanded.connect(self._load_runs)
         self.tree.itemSelectionChanged.connect(self._selection_changed)
+        self.words = named(QLineEdit(), "Why the selected runs are bad, or a note on them")
+        self.words.setPlaceholderText("why bad, or a note")
+        self.bad = button("&Mark bad", self._mark_bad, help_="Evaluations leave the selected runs out, for this reason")
+        self.good = button("&Unmark", lambda: self._mark(None), help_="The selected runs are good after all")
+        self.note = button("&Note", self._note, help_="Note this on the selected runs; nothing removes their notes")
+        self._marking = FileWorker(self.complained.emit, self)
         self.settings = named(table(("Setting", "Value")), "Settings of the selected run")
         self._listing = FileWorker(self.complained.emit, self)
         self._opening = FileWorker(self.complained.emit, self)
@@ -95,15 +104,15 @@ class RunBrowser(QWidget):
         self._again_soon.timeout.connect(self._follow)
         self._changes.directoryChanged.connect(lambda _: self._again_soon.start())
         layout = column(
-            label("Runs", "title"),
-            self.folder,
-            row(self.choose, self.again, 1),
+            row(self.folder, self.choose, self.again, stretch={0: 1}),
             self.tree,
-            label("Settings of the selected run", "faint"),
+            self.words,
+            row(self.bad, self.good, self.note, 1),
             self.settings,
-            stretch={3: 3, 5: 2},
+            stretch={1: 3, 4: 2},
         )
         self.setLayout(layout)
+        self._show_what_can_be_done([])
 
     @property
     def busy(self) -> bool:
@@ -155,6 +164,28 @@ class RunBrowser(QWidget):
         self._changes.blockSignals(True)
         self._listing.drop()
         self._opening.drop()
+        self._marking.finish()
+
+    def _mark_bad(self) -> None:
+        self._mark(self.words.text())
+
+    def _mark(self, reason: str | None) -> None:
+        paths = [run.path for run in self.selected()]
+        self._marking.do_too(lambda: mark_runs(paths, reason), self._marked)
+
+    def _note(self) -> None:
+        paths, text = [run.path for run in self.selected()], self.words.text()
+        self._marking.do_too(lambda: note_runs(paths, text), self._marked)
+
+    def _marked(self, paths: Sequence[Path]) -> None:
+        self.words.clear()
+        for folder in dict.fromkeys(path.parent for path in paths):
+            self._read_runs(folder, quiet=True)
+
+    def _show_what_can_be_done(self, runs: Sequence[ShownRun]) -> None:
+        for control in (self.words, self.bad, self.note):
+            control.setEnabled(bool(runs))
+        self.good.setEnabled(any(run.bad for run in runs))
 
     def _folder_edited(self) -> None:
         # Qt emits this whenever the field loses focus; a new list would lose the selection.
@@ -214,6 +245,7 @@ class RunBrowser(QWidget):
 
     def _selection_changed(self) -> None:
         runs = self.selected()
+        self._show_what_can_be_done(runs)
         if runs:
             settings = [(key.replace("_", " "), value) for key, value in runs[-1].settings.items() if value]
             fill_table(self.settings, settings, numbers=False)
@@ -242,9 +274,11 @@ def _fill_campaign(item: QTreeWidgetItem, campaign: ShownCampaign) -> None:
             item.insertChild(at, child)
         # The date is in the campaign's name, and in the tooltip.
         started = run.start.split()[-1]
-        for column_at, text in enumerate((run.label, f"BAD: {run.bad}" if run.bad else run.status, started)):
+        state = "; ".join(filter(None, (f"BAD: {run.bad}" if run.bad else run.status, run.note)))
+        for column_at, text in enumerate((run.label, started, state)):
             child.setText(column_at, text)
-        child.setToolTip(2, run.start)
+        child.setToolTip(2, state)
+        child.setToolTip(1, run.start)
         child.setData(0, _RUN_ROLE, run)
 
 

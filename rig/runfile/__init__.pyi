@@ -4,6 +4,7 @@ from .campaigns import SessionRecord as SessionRecord
 from .campaigns import mark_bad as mark_bad
 from .campaigns import read_campaign as read_campaign
 from .campaigns import read_mark as read_mark
+from .campaigns import read_note as read_note
 from .campaigns import specimen_key as specimen_key
 from .campaigns import unmark as unmark
 from .filesystem import free_bytes as free_bytes

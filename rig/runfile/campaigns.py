@@ -77,6 +77,31 @@ def unmark(path: Path) -> bool:
     return True
 
 
+def write_note(path: Path, text: str) -> None:
+    """Write a note on a run beside its file, in place of an earlier one; an empty one removes it.
+
+    Raises `OutputError` when the folder refuses, `RunFileError` when there is no such run file.
+    """
+    target = schema.note_path(path)
+    if not schema.finished_path(path).exists():
+        raise RunFileError(f"{path}: there is no such run to write a note on; give the path of a run file (.h5)")
+    if text.strip():
+        replace_text(target, f"{text.strip()}\n")
+    else:
+        remove_file(target)
+
+
+def read_note(path: Path) -> str:
+    """Return the note on a run, "" without one; raises `RunFileError` for a note that cannot be read."""
+    target = schema.note_path(path)
+    if not target.exists():
+        return ""
+    try:
+        return target.read_text("utf-8").strip()
+    except (OSError, ValueError) as error:
+        raise RunFileError(f"{target}: cannot be read as text ({error}); write the note anew or remove it") from error
+
+
 @dataclass(frozen=True, slots=True)
 class Campaign:
     """The runs of a folder, in the order in which each specimen lived through them.

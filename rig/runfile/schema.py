@@ -167,6 +167,11 @@ def mark_path(path: Path) -> Path:
     return path.with_name(run_name(path) + ".mark.toml")
 
 
+def note_path(path: Path) -> Path:
+    """Return the path of the note on a run."""
+    return path.with_name(run_name(path) + ".note.txt")
+
+
 @cache
 def provenance() -> Mapping[str, str]:
     """Return what made a file: versions of this software, of Python and of the libraries, and the git revision."""
