@@ -196,9 +196,9 @@ def test_a_picture_that_is_there_is_not_written_over_unless_told(tmp_path: Path)
 
 def test_a_name_that_nobody_chose_gives_way(tmp_path: Path) -> None:
     figure = new_figure(2, 2)
-    made = [save_figure_in(tmp_path / "new" / "folder", "run.png", figure).name for _ in range(3)]
+    made = [save_figure_in(tmp_path / "new" / "folder", "run", figure).name for _ in range(3)]
     assert made == ["run.png", "run-2.png", "run-3.png"]
-    assert save_figure_in(tmp_path / "new" / "folder", "run.png", figure, overwrite=True).name == "run.png"
+    assert save_figure_in(tmp_path / "new" / "folder", "run", figure, overwrite=True).name == "run.png"
 
 
 @pytest.mark.parametrize("name", ["picture.gif", "picture"])
@@ -213,7 +213,7 @@ def test_a_failed_save_leaves_nothing_behind(tmp_path: Path) -> None:
         save_figure(figure, tmp_path / "missing" / "picture.png")
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="is a file"):
-        save_figure_in(tmp_path / "file", "picture.png", figure)
+        save_figure_in(tmp_path / "file", "picture", figure)
     (tmp_path / "taken.png").mkdir()
     with pytest.raises(OutputError, match="cannot be written"):
         save_figure(figure, tmp_path / "taken.png", overwrite=True)

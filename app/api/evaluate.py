@@ -346,7 +346,7 @@ def import_run(
 
 Comparable = str | Path | Run | Iterable[Run]
 """A campaign's folder, a run file, a run in memory, or several."""
-COMPARISON_TABLE, COMPARISON_OVERVIEW = "comparison.csv", "overview.png"
+COMPARISON_TABLE, COMPARISON_OVERVIEW = "comparison.csv", "overview"
 
 
 def compare(
@@ -435,7 +435,7 @@ def write_comparison(
     names = comparison.a.name, comparison.b.name
     for done, pair in enumerate(drawable, start=1):
         progress(done, total)
-        yield save_figure_in(folder, f"{Path(pair.a.file).stem}.png", present.comparison_figure(pair, names), overwrite)
+        yield save_figure_in(folder, f"{Path(pair.a.file).stem}", present.comparison_figure(pair, names), overwrite)
     progress(total, total)
 
 

@@ -225,16 +225,16 @@ def save_identification_pictures(
 
     result, selection = identified.result, identified.selection
     if result.joint is not None:
-        yield save_figure_in(folder, "joint-fit.png", present.joint_fit_figure(result.joint), overwrite)
+        yield save_figure_in(folder, "joint-fit", present.joint_fit_figure(result.joint), overwrite)
     if result.relaxation is not None and result.relaxation.fits:
         figure = present.relaxation_fit_figure(result.relaxation, selection)
-        yield save_figure_in(folder, "relaxation.png", figure, overwrite)
+        yield save_figure_in(folder, "relaxation", figure, overwrite)
     if result.coulomb is not None and result.coulomb.runs:
         first = result.coulomb.runs[0]
         runs = {experiment.file: experiment.run for experiment in selection.experiments}
-        yield save_figure_in(folder, "coulomb.png", present.coulomb_figure(runs[first.file], first), overwrite)
+        yield save_figure_in(folder, "coulomb", present.coulomb_figure(runs[first.file], first), overwrite)
     if result.drag is not None and result.drag.points:
-        yield save_figure_in(folder, "drag.png", _drag_figure(identified), overwrite)
+        yield save_figure_in(folder, "drag", _drag_figure(identified), overwrite)
 
 
 def _drag_figure(identified: IdentifiedCampaign) -> "Figure":

@@ -329,7 +329,7 @@ def clear_paper_folder(folder: Path, *, overwrite: bool) -> None:
 
 DEMO_PLAN = "demo"
 DEMO_TABLES, DEMO_PICTURES = "csv", "pictures"
-DEMO_OVERVIEW = "overview.png"
+DEMO_OVERVIEW = "overview"
 
 
 def run_demo(out: Path, person: SessionOperator) -> Made:
@@ -366,6 +366,6 @@ def evaluate_demo(made: Made, progress: Callable[[int, int], None]) -> Path:
         filter_file(path)
         export_run(path, tables, ExportFormat.CSV)
         if path in shown:
-            save_figure_in(made.folder / DEMO_PICTURES, f"{path.stem}.png", present.run_figure(read_run(path)))
+            save_figure_in(made.folder / DEMO_PICTURES, f"{path.stem}", present.run_figure(read_run(path)))
     progress(len(paths), len(paths) + 1)
     return save_figure_in(made.folder, DEMO_OVERVIEW, present.campaign_figure(map(read_run, paths), DEMO_PLAN))

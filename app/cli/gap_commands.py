@@ -38,6 +38,7 @@ FILE = click.Path(path_type=Path)
 @click.option("--calibration", metavar="FILE", help="File from gap calibrate --save (default: the shipped one).")
 @click.option("--save-model", metavar="FILE", type=FILE, help="Write the model with the effect added to this file.")
 @options.report
+@options.figures
 @options.workers("campaigns")
 @options.overwrite
 @options.as_json
@@ -51,6 +52,7 @@ def diagnose_command(
     calibration: str | None,
     save_model: Path | None,
     report: Path | None,
+    figures: Path | None,
     workers: int | None,
     scheduler: str | None,
     overwrite: bool,
@@ -67,11 +69,18 @@ def diagnose_command(
     """
     from dragrig.api import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
-    from dragrig.present import diagnosis_document, require_writable, write_text
+    from dragrig.present import (
+        FigureForm,
+        diagnosis_document,
+        figure_form,
+        require_writable,
+        save_figures,
+        write_text,
+    )
 
     worker_count(workers, scheduler)
     if len(campaigns) > 1:
-        options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
+        options.require_single_campaign(len(campaigns), save_model=save_model, report=report, figures=figures)
         from dragrig.api import diagnose_many
 
         with ProgressMeter(f"diagnosing {len(campaigns)} campaigns") as meter:
@@ -105,13 +114,18 @@ def diagnose_command(
     if report is not None:
         from dragrig.present import render_page
 
-        write_text(render_page(document), report, overwrite=overwrite)
+        # The page is for a screen, whatever form the figures beside it have.
+        with figure_form(FigureForm()):
+            write_text(render_page(document), report, overwrite=overwrite)
+    drawn = () if figures is None else tuple(save_figures(document, figures, overwrite=overwrite))
     print_document(document, as_json=as_json)
     if save_model is not None and model is None:
         print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
     for name, file in (("model", model), ("report", report)):
         if file is not None and not as_json:
             print_result(f"{name:8}{display_path(file)}")
+    for path in drawn if not as_json else ():
+        print_result(f"figure  {display_path(path)}")
 
 
 def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> None:

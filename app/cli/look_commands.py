@@ -140,6 +140,7 @@ PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 )
 @click.option("--no-filtered", "raw_only", is_flag=True, help="Leave out the filtered force.")
 @click.option("--motor-force", is_flag=True, help="Add the motor force, where it was recorded.")
+@options.picture_form
 @options.overwrite
 @options.as_json
 @options.quiet
@@ -149,7 +150,8 @@ def show_command(
     """Draw runs: force, raw and filtered, position and speed, with the phases. Prints the paths of the pictures.
 
     RUN is a run file, a pattern or a campaign's folder; a folder gets an overview of the campaign too. An existing
-    name gets a number, unless it was given with --out: then it is refused.
+    name gets a number, unless it was given with --out: then it is refused. With --column, pictures are as journals take
+    them: of the column's width, without a title, letters of 6 to 7 pt, PNG with 600 dpi.
     """
     from dragrig.run_inputs import run_files
 
@@ -204,7 +206,7 @@ def _draw_run(path: Path, target: _PictureTarget, *, filtered: bool, motor_force
     mark = read_mark(path)
     reason = None if mark is None else mark.reason
     figure = present.run_figure(read_run(path), filtered=filtered, motor_force=motor_force, bad_reason=reason)
-    return target.save(figure, f"{run_name(path)}.png", path.parent)
+    return target.save(figure, run_name(path), path.parent)
 
 
 def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
@@ -215,7 +217,7 @@ def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
     bad = [path for path in paths if read_mark(path) is not None]
     name = folder.resolve().name
     figure = present.campaign_figure((read_run(path) for path in paths), name, bad)
-    return target.save(figure, f"{name}.png", folder)
+    return target.save(figure, name, folder)
 
 
 @click.command("report")
@@ -254,6 +256,7 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
 @options.effects("Add an effect to that model, as listed by dragrig gap effects; repeatable.")
 @click.option("--specimen", metavar="NAME", help="Specimen, where a folder holds several (default: all).")
 @options.out("Folder for pictures and table (default: a new one beside A's runs; with --json: none).")
+@options.picture_form
 @options.overwrite
 @options.as_json
 @options.quiet

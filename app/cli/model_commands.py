@@ -56,6 +56,7 @@ def _parse_speeds(context: click.Context, parameter: click.Parameter, text: str)
 @click.option("--capsule", metavar="F|NAME", default="drag", show_default=True, help="Capsule.")
 @click.option("--specimen", metavar="F|NAME", default="jejunum", show_default=True, help="Specimen.")
 @options.out("Folder for the pictures (default: the working folder; with --json: none).")
+@options.picture_form
 @options.overwrite
 @options.as_json
 @options.quiet
@@ -196,6 +197,7 @@ def paper_command(
 )
 @options.workers("campaigns")
 @options.out("Folder for model and pictures (default: identified in the campaign; with --json: none).")
+@options.picture_form
 @options.overwrite
 @options.as_json
 @options.quiet

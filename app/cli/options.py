@@ -1,6 +1,7 @@
 """Options and arguments that several commands share, as decorators."""
 
 from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, ParamSpec, TypedDict, TypeVar
 
@@ -161,6 +162,53 @@ def require_all_succeeded(done: str, campaigns: int, reasons: Sequence[str]) -> 
     if reasons:
         more = f"; and {len(reasons) - 1} more" if reasons[1:] else ""
         raise AnalysisError(f"{len(reasons)} of {campaigns} campaigns were not {done}: {reasons[0].rstrip('.')}{more}.")
+
+
+def picture_form(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--column` and `--picture-format`; the command draws and writes its pictures in that form."""
+
+    @wraps(function)
+    def in_form(*arguments: P.args, **settings: P.kwargs) -> R:
+        from dragrig.present import FigureForm, JournalColumn, figure_form
+
+        meta = click.get_current_context().meta
+        column = JournalColumn(meta[_COLUMN]) if _COLUMN in meta else None
+        with figure_form(FigureForm(column, f".{meta.get(_FORMAT, 'png')}")):
+            return function(*arguments, **settings)
+
+    column = click.option(
+        "--column",
+        type=click.Choice(("single", "double")),
+        expose_value=False,
+        callback=_remember(_COLUMN),
+        help="Pictures for a journal: 85 mm wide, or 180 mm (double, and panels side by side); no title, 600 dpi.",
+    )
+    picture_format = click.option(
+        "--picture-format",
+        type=click.Choice(("png", "svg", "pdf")),
+        expose_value=False,
+        callback=_remember(_FORMAT),
+        help="Format of pictures whose names are not given (default: png).",
+    )
+    return column(picture_format(in_form))
+
+
+_COLUMN, _FORMAT = "dragrig.column", "dragrig.picture_format"
+
+
+def _remember(key: str) -> Callable[[click.Context, click.Parameter, str | None], None]:
+    def remember(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+        del parameter
+        if value is not None:
+            context.meta[key] = value
+
+    return remember
+
+
+def figures(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `--figures DIR`, as the argument `figures`, and the form of pictures."""
+    text = "Write the figures to this folder."
+    return click.option("--figures", metavar="DIR", type=click.Path(path_type=Path), help=text)(picture_form(function))
 
 
 def out(text: str, default: str | None = None) -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -39,12 +39,16 @@ from .document import Document as Document
 from .document import Facts as Facts
 from .document import Field as Field
 from .document import Figure as Figure
+from .document import FigureForm as FigureForm
 from .document import FormattedNumber as FormattedNumber
 from .document import Items as Items
+from .document import JournalColumn as JournalColumn
 from .document import Section as Section
 from .document import Table as Table
 from .document import Text as Text
 from .document import TextKind as TextKind
+from .document import current_figure_form as current_figure_form
+from .document import figure_form as figure_form
 from .document import tint as tint
 from .drawing import SMALL_PT as SMALL_PT
 from .drawing import TEXT_PT as TEXT_PT

@@ -444,7 +444,11 @@ def ranking_figure(diagnosis: Diagnosis) -> Figure:
     rows = _ranking_rows(diagnosis.ranking)
     with figure_style():
         figure = new_figure(
-            13.0, 0.42 * len(rows) + 1.5, "How probable each hypothesis is", verdict_sentences(diagnosis)[0]
+            13.0,
+            0.42 * len(rows) + 1.5,
+            "How probable each hypothesis is",
+            verdict_sentences(diagnosis)[0],
+            narrow=True,
         )
         axes = figure.add_subplot()
         names = [capitalise(display_name(ranked.hypothesis)) for ranked in rows]

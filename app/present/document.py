@@ -10,6 +10,8 @@ document need not ask. Between backticks stands what is typed or is the name of 
 import csv
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import isfinite
@@ -209,6 +211,51 @@ class Figure:
     """What a terminal shows in its place."""
 
 
+class JournalColumn(StrEnum):
+    """A column of a journal: 85 or 180 mm wide, which fits most (Elsevier 90 and 190, Springer 84 and 174 mm)."""
+
+    SINGLE = "single"
+    DOUBLE = "double"
+
+    @property
+    def width_mm(self) -> float:
+        """Its width."""
+        return 85.0 if self is JournalColumn.SINGLE else 180.0
+
+
+@dataclass(frozen=True, slots=True)
+class FigureForm:
+    """The form in which figures are drawn and written: for a screen, or for the column of a journal."""
+
+    column: JournalColumn | None = None
+    """Column that a figure fills in print. Such a figure has no title, which a journal wants in the caption, letters of
+    6 to 7 pt, and 600 dpi. None: as wide as it was designed, for a screen.
+    """
+    suffix: str = ".png"
+    """Ending of pictures whose names nobody chose."""
+    badge: str = ""
+    """Where the data come from, for figures that do not say so themselves."""
+
+
+_ON_SCREEN: Final = FigureForm()
+_FORM: ContextVar[FigureForm] = ContextVar("figure_form")
+
+
+def current_figure_form() -> FigureForm:
+    """Return the form in which figures are drawn now."""
+    return _FORM.get(_ON_SCREEN)
+
+
+@contextmanager
+def figure_form(form: FigureForm) -> Iterator[None]:
+    """Draw and write all figures of a block of code in a form."""
+    token = _FORM.set(form)
+    try:
+        yield
+    finally:
+        _FORM.reset(token)
+
+
 class TextKind(StrEnum):
     """What a paragraph is for."""
 
@@ -318,6 +365,11 @@ class Document:
     def content(self) -> tuple[Section, ...]:
         """The sections that hold something."""
         return tuple(section for section in self.sections if section)
+
+    @property
+    def figure_form(self) -> FigureForm:
+        """The form of its figures: the current one, with its badges."""
+        return replace(current_figure_form(), badge=", ".join(self.badges))
 
     def figures(self) -> Iterator[Figure]:
         """Yield every figure, in order."""

@@ -23,13 +23,27 @@ from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
-from dragrig.present.document import BLACK, BLUE, GREY, GRID, PAPER, PURPLE, VERMILLION
+from dragrig.present.document import (
+    BLACK,
+    BLUE,
+    GREY,
+    GRID,
+    PAPER,
+    PURPLE,
+    VERMILLION,
+    FigureForm,
+    JournalColumn,
+    current_figure_form,
+)
 from dragrig.rig import AnyFloatArray, FloatArray
 
 TITLE_PT: Final = 19.0
 TEXT_PT: Final = 13.5
 SMALL_PT: Final = 12.0
 DPI: Final = 120
+PRINT_SCALE: Final = 0.5
+"""Scale of figures in print: their letters, of 12 and 13.5 pt, become 6 and 6.8 pt, which journals take."""
+MM_PER_INCH: Final = 25.4
 
 _FONT: Final = "DejaVu Sans"
 """Comes with matplotlib, so that pictures are alike everywhere."""
@@ -90,6 +104,8 @@ _RC_PARAMS: Final = {
     "savefig.facecolor": PAPER,
     "svg.hashsalt": "dragrig",
     "svg.fonttype": "path",
+    # Journals refuse Type 3 fonts.
+    "pdf.fonttype": 42,
     "text.usetex": False,
     "text.parse_math": False,
 }
@@ -135,8 +151,9 @@ class LabelledLayout(ConstrainedLayoutEngine):
     equal pictures.
     """
 
-    def __init__(self, rect: tuple[float, float, float, float]) -> None:
+    def __init__(self, rect: tuple[float, float, float, float], form: FigureForm) -> None:
         super().__init__(rect=rect)
+        self.form = form
         self.rows: list[tuple[Axes, Literal["x", "y"], list[Annotation]]] = []
 
     def execute(self, fig: Figure) -> None:
@@ -150,7 +167,14 @@ class LabelledLayout(ConstrainedLayoutEngine):
 
 
 def new_figure(
-    width_in: float, height_in: float, title: str = "", subtitle: str = "", problem: str = "", backend: str = ""
+    width_in: float,
+    height_in: float,
+    title: str = "",
+    subtitle: str = "",
+    problem: str = "",
+    backend: str = "",
+    *,
+    narrow: bool = False,
 ) -> Figure:
     """Return an empty figure on an Agg canvas of its own, known to no window system, with constrained layout.
 
@@ -163,21 +187,32 @@ def new_figure(
     problem
         What is wrong with the data shown, below the subtitle.
     backend
-        Whether simulated, measured or foreign data are shown, for the figure's corner.
+        Whether simulated, measured or foreign data are shown, for the figure's corner; by default the badge of the
+        current `FigureForm`, whose column, where it has one, comes before `width_in`, and has no title.
+    narrow
+        Whether it fits a single column: it has no panels side by side.
     """
-    header_in = 0.62 + 0.32 * bool(subtitle) + 0.32 * bool(problem) if title else 0.0
+    form = current_figure_form()
+    backend = backend or form.badge
+    if form.column is not None:
+        column = form.column if narrow else JournalColumn.DOUBLE
+        width_in = column.width_mm / MM_PER_INCH / PRINT_SCALE
+        title = subtitle = ""
+    header_in = 0.32 * bool(subtitle) + 0.32 * bool(problem) + (0.62 if title else 0.5 if backend else 0.0)
     height = height_in + header_in
     figure = Figure(figsize=(width_in, height), dpi=DPI)
     FigureCanvasAgg(figure)
     edge_x, edge_y = MARGIN_IN / width_in, MARGIN_IN / height
-    figure.set_layout_engine(LabelledLayout((edge_x, edge_y, 1 - 2 * edge_x, 1 - (header_in + 0.1) / height - edge_y)))
+    figure.set_layout_engine(
+        LabelledLayout((edge_x, edge_y, 1 - 2 * edge_x, 1 - (header_in + 0.1) / height - edge_y), form)
+    )
     left, room_in, title_in = 1.4 * edge_x, width_in - 2.8 * MARGIN_IN, width_in - 2.8 * MARGIN_IN
     if backend:
         badge = {"boxstyle": "round,pad=0.45", "facecolor": _BADGES.get(backend, BLACK), "edgecolor": "none"}
         figure.text(1 - left, 1 - 0.43 / height, backend.upper(), fontsize=SMALL_PT, fontweight="bold", color="white",
                     ha="right", va="center", bbox=badge)  # fmt: skip
         title_in -= 1.15 * text_width_in(backend.upper(), SMALL_PT) + 0.4
-    y_in = 0.5
+    y_in = 0.5 if title else 0.82 if backend else 0.5
     for text, size_pt, weight, colour, room in (
         (title, TITLE_PT, "bold", BLACK, title_in),
         (subtitle, SMALL_PT, "normal", GREY, room_in),

@@ -2,6 +2,7 @@
 
 import io
 import os
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from itertools import chain, count
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from dragrig.analysis import Progress, no_progress
 from dragrig.config import OutputError
+from dragrig.present import current_figure_form, figure_form
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,6 +25,9 @@ FIGURE_FORMATS: Mapping[str, Mapping[str, str | None]] = {
     ".pdf": {"CreationDate": None, "Creator": "dragrig"},
 }
 """Endings of files that can be written, and what such a file says of itself: never when it was made."""
+PRINT_DPI = 600
+"""Resolution of pictures for print."""
+_SVG_SIZE = re.compile(rb'\b(width|height)="([0-9.]+)pt"')
 
 
 PAPER_REPORT_FILE = "report.html"
@@ -119,6 +124,8 @@ def save_figure(figure: "Figure", path: Path, overwrite: bool = False) -> Path:
 def save_figure_in(folder: Path, name: str, figure: "Figure", overwrite: bool = False) -> Path:
     """Write a picture under a name that nobody chose: where it is taken, a number is added to it.
 
+    The name is without an ending, which is that of the current `FigureForm`.
+
     The folder is made if there is none. Raises as `save_figure` does.
     """
     try:
@@ -127,15 +134,16 @@ def save_figure_in(folder: Path, name: str, figure: "Figure", overwrite: bool = 
         raise OutputError(f"{folder}: is a file; name a folder for the pictures.") from error
     except OSError as error:
         raise OutputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
-    path = folder / name
+    path = folder / f"{name}{current_figure_form().suffix}"
     return save_figure(figure, path if overwrite else unused_path(path, path.suffix), overwrite)
 
 
 def save_figures(document: "Document", folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Write every figure of a document as PNG under its name; yields each path as it is written."""
-    for figure in document.figures():
-        if not isinstance(figure.drawing, str):
-            yield save_figure_in(folder, f"{figure.name}.png", figure.drawing(), overwrite)
+    """Write every figure of a document under its name; yields each path as it is written."""
+    with figure_form(document.figure_form):
+        for figure in document.figures():
+            if not isinstance(figure.drawing, str):
+                yield save_figure_in(folder, figure.name, figure.drawing(), overwrite)
 
 
 def svg_text(figure: "DocumentFigure") -> str:
@@ -149,21 +157,52 @@ def drawn(document: "Document", progress: Progress = no_progress) -> "Document":
     """Return a document with its figures drawn, so that another process can show it."""
     figures = tuple(document.figures())
     texts = {}
-    for done, figure in enumerate(figures):
-        progress(done, len(figures))
-        texts[figure.name] = svg_text(figure)
+    with figure_form(document.figure_form):
+        for done, figure in enumerate(figures):
+            progress(done, len(figures))
+            texts[figure.name] = svg_text(figure)
     progress(len(figures), len(figures))
     return document.with_drawings(texts)
 
 
 def _figure_bytes(figure: "Figure", ending: str) -> bytes:
-    from dragrig.present.drawing import figure_style, lay_out
+    from dragrig.present.drawing import PRINT_SCALE, figure_style, lay_out, layout_of
 
+    printed = layout_of(figure).form.column is not None
     content = io.BytesIO()
     with figure_style():
         lay_out(figure)
-        figure.savefig(content, format=ending[1:], metadata=FIGURE_FORMATS[ending])
+        if printed and ending == ".png":
+            pixels = {"dpi": (PRINT_DPI, PRINT_DPI)}
+            dpi = PRINT_DPI * PRINT_SCALE
+            figure.savefig(content, format="png", dpi=dpi, metadata=FIGURE_FORMATS[ending], pil_kwargs=pixels)
+        else:
+            figure.savefig(content, format=ending[1:], metadata=FIGURE_FORMATS[ending])
+    if printed and ending != ".png":
+        return (_scaled_svg if ending == ".svg" else _scaled_pdf)(content.getvalue(), PRINT_SCALE)
     return content.getvalue()
+
+
+def _scaled_svg(content: bytes, scale: float) -> bytes:
+    """Return an SVG document that is shown smaller; its own coordinates stay."""
+
+    def smaller(size: re.Match[bytes]) -> bytes:
+        return b'%s="%.6gpt"' % (size[1], scale * float(size[2]))
+
+    head, rest = content.split(b"viewBox", 1)[0], content[content.index(b"viewBox") :]
+    tail, rest = rest.split(b">", 1)
+    return _SVG_SIZE.sub(smaller, head) + _SVG_SIZE.sub(smaller, tail) + b">" + rest
+
+
+def _scaled_pdf(content: bytes, scale: float) -> bytes:
+    """Return a PDF document of one page with page and content scaled."""
+    from pypdf import PdfReader, PdfWriter
+
+    writer = PdfWriter(clone_from=PdfReader(io.BytesIO(content)))
+    writer.pages[0].scale_by(scale)
+    scaled = io.BytesIO()
+    writer.write(scaled)
+    return scaled.getvalue()
 
 
 def _write_whole(content: bytes, path: Path) -> None:

@@ -10,7 +10,7 @@ from zlib import crc32
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from dragrig.present import Block, Document, svg_text
+from dragrig.present import Block, Document, figure_form, svg_text
 from dragrig.rig import software_version
 
 _NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<]) (?=[\d−-])|(?<=\w) (?=[=<] )")
@@ -20,7 +20,8 @@ _CODE = re.compile(r"`([^`]+)`")
 
 def render_page(document: Document) -> str:
     """Return a document as one HTML page; the letters of all its figures stand in the page once."""
-    figures = {figure.name: inline_svg(svg_text(figure), figure.shows) for figure in document.figures()}
+    with figure_form(document.figure_form):
+        figures = {figure.name: inline_svg(svg_text(figure), figure.shows) for figure in document.figures()}
     glyphs = {name: path for figure in figures.values() for name, path in figure.glyphs.items()}
     return render_template(
         "document.html",

@@ -513,7 +513,9 @@ def drag_figure(
     measured = "points: measured, 95 % intervals  ·  " if points else ""
     subtitle = f"{measured}line: {model_text(model)}"
     with figure_style():
-        figure = new_figure(12.4, 8.2, "Drag against speed, measured and by the model", subtitle, backend=backend)
+        figure = new_figure(
+            12.4, 8.2, "Drag against speed, measured and by the model", subtitle, backend=backend, narrow=True
+        )
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4.9, 2.2))
         figure.align_ylabels()
         labels = _draw_model_parts(above, speed, curve)

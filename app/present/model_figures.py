@@ -62,7 +62,7 @@ def forces_figure(
     speed = np.geomspace(low, high, 600)
     line = steady_forces(speed, model, capsule, wall_thickness_mm)
     with figure_style():
-        figure = new_figure(12.0, 6.6, "Friction against speed", model_text(model))
+        figure = new_figure(12.0, 6.6, "Friction against speed", model_text(model), narrow=True)
         axes = figure.add_subplot()
         labels = []
         for text, values, at_dots, colour, width in (

@@ -570,11 +570,12 @@ def _draw_since_ramp(axes: Axes, panel: TracePanel, end_s: float) -> None:
     write_legend(axes, [curve.pen for curve in panel.curves])
 
 
-def run_sheet(info: RunInfo, height_in: float, bad_reason: str | None = None) -> Figure:
+def run_sheet(info: RunInfo, height_in: float, bad_reason: str | None = None, *, narrow: bool = False) -> Figure:
     """Return an empty figure with a run's title, subtitle and problem as its header; call it within `figure_style`."""
     complete = "  ·  complete" if info.status is RunStatus.COMPLETE else ""
     problem = run_problem(info, bad_reason)
-    return new_figure(WIDTH_IN, height_in, run_title(info), run_subtitle(info) + complete, problem, info.header.backend)
+    subtitle, backend = run_subtitle(info) + complete, info.header.backend
+    return new_figure(WIDTH_IN, height_in, run_title(info), subtitle, problem, backend, narrow=narrow)
 
 
 def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, bad_reason: str | None = None) -> Figure:
@@ -604,7 +605,8 @@ def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, ba
         panels.append(force_panel(run, smooth, gap, "motor_force"))
     ramp = relaxation_ramp(run)
     with figure_style():
-        figure = run_sheet(run.info, 1.0 + sum(panel.height_in for panel in panels) + 0.25 * len(panels), bad_reason)
+        height_in = 1.0 + sum(panel.height_in for panel in panels) + 0.25 * len(panels)
+        figure = run_sheet(run.info, height_in, bad_reason, narrow=ramp is None)
         if ramp is not None:
             draw_relaxation(figure, run, panels, ramp)
         else:
