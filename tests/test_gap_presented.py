@@ -23,7 +23,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from dragrig.analysis import percent_text
+from dragrig.analysis import RETURN_REASON, Exclusion, percent_text
 from dragrig.analysis.gap import separation_text
 from dragrig.analysis.gap.diagnosis import Diagnosis, ModelPair, R2BeforeAfter, RankedHypothesis, display_name
 from dragrig.analysis.gap.features import DecisionInputs
@@ -477,3 +477,17 @@ def test_every_effect_has_a_name_for_a_sentence(effect: str) -> None:
     assert name
     assert "_" not in name
     assert text(replace(STRIBECK, effects=(effect,), confusable_with=()))
+
+
+def test_a_page_says_whether_its_runs_were_simulated() -> None:
+    badge = '<span class="badge simulated">simulated</span>'
+    assert badge in plain_page(replace(STRIBECK, backends=("simulated",)))
+    assert 'class="badge' not in plain_page(replace(STRIBECK, backends=()))
+    assert '<span class="badge hardware">hardware</span>' in plain_page(replace(STRIBECK, backends=("hardware",)))
+
+
+def test_ways_back_that_were_left_out_are_one_row() -> None:
+    ways_back = tuple(Exclusion(f"{number:03d}-return.h5", RETURN_REASON) for number in range(19))
+    document = diagnosis_document(replace(STRIBECK, left_out=ways_back))
+    left_out = next(table for table in document.tables() if table.name == "left-out")
+    assert len(left_out.rows) == 1

@@ -453,6 +453,7 @@ def _assembled_diagnosis(
     next_run = recommend_next_run(study, search, position, classification, judgement.on_force, options.next_runs)
     return Diagnosis(
         specimen=selection.specimen,
+        backends=tuple(sorted({experiment.run.info.header.backend for experiment in selection.experiments})),
         nominal=nominal.name,
         runs=len(selection.experiments),
         used_for_fit=files,

@@ -518,6 +518,8 @@ class Diagnosis:
         Numbers that the verdict is based on, for training.
     budget
         The gap by causes, with the probability that each effect is there.
+    backends
+        Where the runs come from: simulated, hardware, external.
     """
 
     specimen: str
@@ -545,6 +547,7 @@ class Diagnosis:
     timings_s: Mapping[str, float] = field(default_factory=dict)
     next_experiment: NextExperiment | None = None
     budget: GapBudget | None = None
+    backends: tuple[str, ...] = ()
 
 
 NAMES_WITHOUT_EFFECT = {"no_gap": "no gap", "unknown": "none of the catalogue"}

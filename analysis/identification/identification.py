@@ -317,3 +317,5 @@ class Identification:
     coulomb: CoulombResult | None
     drag: DragResult | None
     remarks: tuple[str, ...] = ()
+    backends: tuple[str, ...] = ()
+    """Where the runs come from: simulated, hardware, external."""

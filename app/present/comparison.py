@@ -24,6 +24,7 @@ from dragrig.present import (
     Table,
     decimals,
     exclusions_json,
+    listed_exclusions,
     percent_difference,
     shortest,
     to_json_object,
@@ -170,6 +171,6 @@ def _exclusions(name: str, excluded_a: Iterable[Exclusion], excluded_b: Iterable
     rows = tuple(
         (side, exclusion.item, exclusion.reason)
         for side, exclusions in (("A", excluded_a), ("B", excluded_b))
-        for exclusion in exclusions
+        for exclusion in listed_exclusions(tuple(exclusions))
     )
     return Table(name, "", columns, rows, brief_rows=MAX_UNPAIRED)

@@ -110,6 +110,7 @@ def diagnosis_document(
     answer, *lead = (*parts[:1], *verdict[:1], *parts[1:], *verdict[1:])
     return Document(
         title=f"Gap diagnosis: {diagnosis.specimen}",
+        badges=diagnosis.backends,
         answer=answer,
         lead=tuple(lead),
         sections=(

@@ -40,6 +40,7 @@ from dragrig.present import (
     estimate_text,
     exclusions_json,
     interval_text,
+    listed_exclusions,
     p_value_text,
     percent,
     range_text,
@@ -70,6 +71,7 @@ def identification_document(identification: Identification) -> Document:
     left_out = tuple((exclusion.item, exclusion.reason) for exclusion in identification.left_out)
     return Document(
         title=f"Specimen {identification.specimen}: {used} of {used + len(left_out)} runs used",
+        badges=identification.backends,
         lead=("Intervals hold 95 %; ± is a standard error.",),
         sections=(
             Section("joint", "Joint fit", (Text("None."),) if joint is None else _joint_blocks(joint)),
@@ -81,7 +83,7 @@ def identification_document(identification: Identification) -> Document:
                     Table.of(
                         "exclusions",
                         "",
-                        identification.left_out,
+                        listed_exclusions(identification.left_out),
                         Field("what", "left out", lambda exclusion: exclusion.item),
                         Field("reason", "reason", lambda exclusion: exclusion.reason),
                     ),
