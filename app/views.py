@@ -3,9 +3,9 @@
 import multiprocessing
 import re
 import signal
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,7 +14,15 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis import SavgolSettings, TableRow, default_filter_settings, filter_run, gap_starts, table_row
+from dragrig.analysis import (
+    Progress,
+    SavgolSettings,
+    TableRow,
+    default_filter_settings,
+    filter_run,
+    gap_starts,
+    table_row,
+)
 from dragrig.analysis.gap import Diagnosis
 from dragrig.api import ExportFormatName, check
 from dragrig.api import export as export_runs
@@ -32,7 +40,7 @@ from dragrig.config import (
     shipped_files,
 )
 from dragrig.engine_host import RigSelection
-from dragrig.present import Document
+from dragrig.present import Document, Figure, Section, drawn, unused_path
 from dragrig.rig import (
     AnyFloatArray,
     FloatArray,
@@ -560,12 +568,21 @@ def _on_even_grid(values: AnyFloatArray, indices: npt.NDArray[np.intp], length: 
     return even
 
 
+class CampaignWork(StrEnum):
+    """What can be made of a campaign in a process of its own."""
+
+    DIAGNOSE = "diagnose"
+    IDENTIFY = "identify"
+    REPORT = "report"
+
+
 @dataclass(frozen=True, slots=True)
 class DiagnosisTask:
-    """A campaign and its nominal model, as of `dragrig gap diagnose`."""
+    """A campaign and its nominal model, as of `dragrig gap diagnose`, `dragrig identify` or `dragrig report`."""
 
     campaign: str
     nominal: str = "capsule"
+    work: CampaignWork = CampaignWork.DIAGNOSE
 
 
 @dataclass(frozen=True, slots=True)
@@ -584,18 +601,35 @@ class CompletedDiagnosis:
     document: Document
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CompletedIdentification:
+    """An identification as a document whose figures are drawn, and the files written: model and pictures."""
+
+    document: Document
+    files: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CompletedReport:
+    """A report that was written."""
+
+    path: Path
+
+
 @dataclass(frozen=True, slots=True)
 class DiagnosisFailed:
-    """Why there is no diagnosis."""
+    """Why there is no result."""
 
     sentence: str
 
 
-DiagnosisEvent: TypeAlias = DiagnosisProgress | CompletedDiagnosis | DiagnosisFailed
+DiagnosisEvent: TypeAlias = (
+    DiagnosisProgress | CompletedDiagnosis | CompletedIdentification | CompletedReport | DiagnosisFailed
+)
 
 
 class DiagnosisProcess:
-    """A running diagnosis; belongs to one thread, which it never blocks."""
+    """A running diagnosis, identification or report; belongs to one thread, which it never blocks."""
 
     def __init__(self, task: DiagnosisTask) -> None:
         context = multiprocessing.get_context("spawn")
@@ -607,7 +641,7 @@ class DiagnosisProcess:
         child_end.close()
 
     def events(self) -> Iterator[DiagnosisEvent]:
-        """Yield new events; the last is a diagnosis or a failure."""
+        """Yield new events; the last is a result or a failure."""
         try:
             while not self._over and self._connection.poll(0):
                 event: DiagnosisEvent = self._connection.recv()
@@ -616,10 +650,10 @@ class DiagnosisProcess:
         except (EOFError, OSError):
             self._over = True
             self._process.join(1.0)
-            yield DiagnosisFailed(f"the diagnosis ended unexpectedly (exit code {self._process.exitcode}); try again")
+            yield DiagnosisFailed(f"the work ended unexpectedly (exit code {self._process.exitcode}); try again")
 
     def cancel(self) -> None:
-        """Kill the process, which only reads files."""
+        """Kill the process, which reads files, and writes what it makes whole and at its end."""
         self._over = True
         self._process.terminate()
         self._process.join(5.0)
@@ -628,15 +662,57 @@ class DiagnosisProcess:
 
 def completed(diagnosis: Diagnosis, source: str = "") -> CompletedDiagnosis:
     """Draw the figures of a diagnosis, which takes matplotlib, here and not in the window's process."""
-    from dragrig.present import diagnosis_document, drawn
+    from dragrig.present import diagnosis_document
 
     document = diagnosis_document(diagnosis, source=source).without("before-after")
     return CompletedDiagnosis(diagnosis, drawn(document))
 
 
-def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: DiagnosisTask) -> None:
+def _identified(task: DiagnosisTask, progress: Progress) -> CompletedIdentification:
+    """Identify a campaign and write model and pictures, as `dragrig identify` does."""
+    from dragrig.api import identified_folder, identify, write_identified_files
+    from dragrig.present import identification_document, joint_fit_figure
+
+    identified = identify(task.campaign, nominal=task.nominal, progress=progress)
+    result = identified.result
+    folder, why_not = identified_folder(Path(task.campaign)), identified.why_no_model
+    files = write_identified_files(identified, folder, with_model=why_not is None, overwrite=False)
+    document = identification_document(result)
+    if result.joint is not None:
+        joint = result.joint
+        figure = Figure(
+            "joint-fit", "Joint fit", "What the runs say of each parameter", lambda: joint_fit_figure(joint)
+        )
+        document = replace(document, sections=(*document.sections, Section("figure", "Picture", (figure,))))
+    lead = (*document.lead, f"Written to {folder}: {', '.join(path.name for path in files)}.")
+    return CompletedIdentification(drawn(replace(document, problem=why_not or "", lead=lead)), files)
+
+
+def _reported(task: DiagnosisTask, progress: Progress) -> CompletedReport:
+    """Write the report on a campaign beside those written before."""
+    from dragrig.api import default_report_file, report
+
+    target = unused_path(default_report_file(Path(task.campaign)), ".html")
+    return CompletedReport(report(task.campaign, target, progress=progress))
+
+
+def _diagnosed(task: DiagnosisTask, progress: Progress) -> CompletedDiagnosis:
     from dragrig.api import diagnose
 
+    return completed(diagnose(task.campaign, nominal=task.nominal, progress=progress), task.campaign)
+
+
+_WORK: Mapping[
+    CampaignWork,
+    Callable[[DiagnosisTask, Progress], CompletedDiagnosis | CompletedIdentification | CompletedReport],
+] = {
+    CampaignWork.DIAGNOSE: _diagnosed,
+    CampaignWork.IDENTIFY: _identified,
+    CampaignWork.REPORT: _reported,
+}
+
+
+def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: DiagnosisTask) -> None:
     def progress(done: int, total: int) -> None:
         connection.send(DiagnosisProgress(done, total))
 
@@ -645,7 +721,6 @@ def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: Diagn
     # The connection is closed once the window is gone.
     with suppress(OSError):
         try:
-            diagnosis = diagnose(task.campaign, nominal=task.nominal, progress=progress)
-            connection.send(completed(diagnosis, task.campaign))
+            connection.send(_WORK[task.work](task, progress))
         except DragrigError as error:
             connection.send(DiagnosisFailed(str(error)))

@@ -1,12 +1,13 @@
 """The page that diagnoses, carried to the end on a real campaign, and what its answer is good for on the run page."""
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnoses import RIPPLE_AND_AGEING, TOGETHER
+from diagnoses import RIPPLE_AND_AGEING, STRIBECK, TOGETHER
 from runfiles import PRACTICE
 from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
 
@@ -23,7 +24,8 @@ from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.diagnosis_sentences import verdict_sentences
 from dragrig.present.files import drawn
 from dragrig.present.gap_budget import budget_sentences
-from dragrig.views import CompletedDiagnosis
+from dragrig.present.terminal import document_text
+from dragrig.views import CompletedDiagnosis, completed
 from dragrig.window.diagnose_page import DiagnosisResults
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
@@ -95,6 +97,40 @@ def test_a_campaign_is_diagnosed_completely(window: MainWindow, diagnosed: Diagn
     assert 0.9 < sum(hypothesis.probability for hypothesis in ranked) <= 1.001
     figures = list(diagnosis_document(diagnosed).without("before-after").figures())
     assert len([shown for shown in results.findChildren(DrawnFigure) if shown.renderer().isValid()]) == len(figures)
+
+
+def test_a_diagnosis_shows_the_fitted_parameters_that_the_terminal_prints(qtbot: QtBot) -> None:
+    results = DiagnosisResults()
+    qtbot.addWidget(results)
+    results.show_diagnosis(completed(STRIBECK))
+    shown = next(table for table in results.findChildren(QTableWidget) if "Refitted" in table.accessibleName())
+    printed = document_text(diagnosis_document(STRIBECK))
+    rows = [[shown.item(row, at).text() for at in range(3)] for row in range(shown.rowCount())]
+    assert rows == [["ratio", "0.410", "0.312 to 0.508"], ["speed_mm_s", "2.90", "1.72 to 4.08"]]
+    assert all(text in printed for row in rows for text in row)
+
+
+def test_a_specimen_is_identified_and_reported_on(window: MainWindow, until: Until, tmp_path: Path) -> None:
+    page, campaign = window.diagnose, tmp_path / "practice"
+    shutil.copytree(PRACTICE, campaign)
+    page.offer(str(campaign))
+    press(page.identify)
+    assert not page.report.isEnabled()
+    until(lambda: not page.busy)
+    assert page.state.text() == f"Identified: {campaign}", page.state.text()
+    assert page.identification.isVisible()
+    assert not page.results.isVisible()
+    names = {cell.text() for table in page.identification.findChildren(QTableWidget) for row in range(table.rowCount())
+             if (cell := table.item(row, 0)) is not None}  # fmt: skip
+    assert "friction_coefficient" in names
+    assert (campaign / "identified" / "model.toml").is_file()
+    assert [figure.renderer().isValid() for figure in page.identification.findChildren(DrawnFigure)] == [True]
+    assert not page.open_report.isVisible()
+    press(page.report)
+    until(lambda: not page.busy)
+    assert page.report_path == campaign / "practice.html"
+    assert page.open_report.isVisible()
+    assert page.report_path.stat().st_size > 10_000
 
 
 def test_the_budget_is_the_first_page_of_a_diagnosis(qtbot: QtBot) -> None:

@@ -31,6 +31,7 @@ from .reports import DEMO_TABLES as DEMO_TABLES
 from .reports import PAPER_SEED as PAPER_SEED
 from .reports import PaperViscous as PaperViscous
 from .reports import PaperWall as PaperWall
+from .reports import default_report_file as default_report_file
 from .reports import evaluate_demo as evaluate_demo
 from .reports import paper as paper
 from .reports import report as report

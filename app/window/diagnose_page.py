@@ -1,13 +1,19 @@
-"""The page that diagnoses a campaign: verdict, ranking, where the gap is, before and after, what to run next."""
+"""The page of campaigns: diagnosis (verdict, where the gap is, before and after, next runs), identification, report."""
 
-from PySide6.QtCore import QTimer, Signal
+from pathlib import Path
+
+from PySide6.QtCore import QTimer, QUrl, Signal
+from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QSizePolicy, QWidget
 
 from dragrig.analysis.gap import Diagnosis, RunTraces, plan_of_next_runs
 from dragrig.config import DragrigError
 from dragrig.present import BLUE, PALE, VERMILLION
 from dragrig.views import (
+    CampaignWork,
     CompletedDiagnosis,
+    CompletedIdentification,
+    CompletedReport,
     DiagnosisFailed,
     DiagnosisProcess,
     DiagnosisProgress,
@@ -18,6 +24,7 @@ from dragrig.views import (
 from dragrig.window.plots import TimePlot
 from dragrig.window.widgets import (
     DocumentView,
+    ElidedLabel,
     StoredSettings,
     bare_widget,
     button,
@@ -92,6 +99,12 @@ class DiagnosisResults(QWidget):
 
 
 _POLL_MS = 100
+_LEAST_DOCUMENT_PX = 200
+_DOING = {
+    CampaignWork.DIAGNOSE: "Diagnosing",
+    CampaignWork.IDENTIFY: "Identifying",
+    CampaignWork.REPORT: "Reporting on",
+}
 
 
 class DiagnosePage(QWidget):
@@ -119,9 +132,21 @@ class DiagnosePage(QWidget):
         self.start = button(
             "Diag&nose", self.diagnose, "main", "Diagnose where, why and how far runs and model differ", "Ctrl+D"
         )
-        self.cancel = button("C&ancel", self.stop, help_="End the diagnosis; the runs are not changed")
+        self.identify = button(
+            "Identif&y",
+            lambda: self._begin(CampaignWork.IDENTIFY),
+            help_="Identify the specimen's parameters from its runs; model and pictures are written into the campaign",
+        )
+        self.report = button(
+            "Rep&ort",
+            lambda: self._begin(CampaignWork.REPORT),
+            help_="Write a report on the campaign into it, one HTML file",
+        )
+        self.open_report = button("&View the report", self._open_report, help_="Open it in the browser")
+        self.report_path: Path | None = None
+        self.cancel = button("C&ancel", self.stop, help_="End the work; the runs are not changed")
         self.progress = named(QProgressBar(), "Progress of the diagnosis")
-        self.state = label("Choose a campaign; it need not be complete.", "faint", wrap=True)
+        self.state = ElidedLabel("Choose a campaign; it need not be complete.", "faint")
         self.results = DiagnosisResults()
         self.results.next_wanted.connect(self._want_next)
         head = row(
@@ -130,15 +155,19 @@ class DiagnosePage(QWidget):
             self.choose,
             label("Nominal model"),
             self.nominal,
-            self.start,
-            self.cancel,
             stretch={1: 1},
         )
-        choice = card(head, row(self.state, self.progress))
+        self.identification = DocumentView()
+        # Its own tabs scroll, and not the page.
+        self.identification.setMinimumHeight(_LEAST_DOCUMENT_PX)
+        doing = row(self.start, self.identify, self.report, self.cancel, self.state, self.progress, self.open_report,
+                    stretch={4: 1})  # fmt: skip
+        choice = card(head, doing)
         choice.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
-        whole = column(choice, self.results, 0, margin=8, stretch={1: 1})
-        self.setLayout(whole)
+        self.setLayout(column(choice, self.results, self.identification, 0, margin=8, stretch={1: 1, 2: 1}))
         self.results.hide()
+        self.identification.hide()
+        self.open_report.hide()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._poll)
         self._show_state()
@@ -155,12 +184,14 @@ class DiagnosePage(QWidget):
 
     def diagnose(self) -> None:
         """Start the diagnosis."""
+        self._begin(CampaignWork.DIAGNOSE)
+
+    def _begin(self, work: CampaignWork) -> None:
         self.begun.emit()
-        self._process = DiagnosisProcess(
-            DiagnosisTask(self.campaign.text().strip(), self.nominal.currentText().strip())
-        )
+        campaign = self.campaign.text().strip()
+        self._process = DiagnosisProcess(DiagnosisTask(campaign, self.nominal.currentText().strip(), work))
         self.progress.setRange(0, 0)
-        self.state.setText(f"Diagnosing {self.campaign.text()} …")
+        self.state.setText(f"{_DOING[work]} {campaign} …")
         self._timer.start(_POLL_MS)
         self._show_state()
 
@@ -187,6 +218,15 @@ class DiagnosePage(QWidget):
                     self.results.show_diagnosis(event)
                     self.results.show()
                     self._finish(f"Diagnosed: {self.campaign.text()}")
+                    self.identification.hide()
+                case CompletedIdentification(document, _):
+                    self.identification.show_document(document)
+                    self.results.hide()
+                    self.identification.show()
+                    self._finish(f"Identified: {self.campaign.text()}")
+                case CompletedReport(path):
+                    self.report_path = path
+                    self._finish(f"Report: {path}")
                 case DiagnosisFailed(sentence):
                     self.complained.emit(sentence)
                     self._finish(sentence)
@@ -198,10 +238,15 @@ class DiagnosePage(QWidget):
         self._show_state()
 
     def _show_state(self) -> None:
-        self.start.setEnabled(not self.busy and bool(self.campaign.text().strip()))
+        for work in (self.start, self.identify, self.report):
+            work.setEnabled(not self.busy and bool(self.campaign.text().strip()))
+        self.open_report.setVisible(self.report_path is not None and not self.busy)
         self.cancel.setEnabled(self.busy)
         self.progress.setVisible(self.busy)
         self.campaign.setEnabled(not self.busy)
+
+    def _open_report(self) -> None:
+        QDesktopServices.openUrl(QUrl.fromLocalFile(str(self.report_path)))
 
     def _want_next(self) -> None:
         diagnosis = self.results.diagnosis
