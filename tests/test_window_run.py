@@ -322,6 +322,70 @@ def test_the_queue_follows_the_run_and_numbers_it_as_its_file(qapp: QApplication
     view.close()
 
 
+def test_the_stage_is_homed_jogged_and_touched_off_by_hand(window: MainWindow, until: Until, lab: Path) -> None:
+    hand, notices = window.run.hand, window.notices
+
+    def done(action: QWidget) -> str:
+        press(action)
+        assert hand.busy
+        assert not hand.jog.isEnabled()
+        while hand.busy:
+            until(lambda: notices.prompt.isVisible() or not hand.busy)
+            if notices.prompt.isVisible():
+                press(notices.answers[Answer.DONE])
+        return hand.state.text()
+
+    assert done(hand.home) == "The stage is at 0.000 mm."
+    hand.distance.setValue(12.5)
+    assert done(hand.jog) == "The stage is at 12.500 mm."
+    hand.distance.setValue(1000.0)
+    assert "outside its travel" in done(hand.jog)
+    assert "outside its travel" in notices.complaint_text.text()
+    hand.force.setValue(20.0)
+    assert done(hand.touch).startswith("Contact at ")
+    assert (lab / "contact.toml").is_file()
+    (lab / "contact.toml").unlink()
+
+
+def test_a_motion_by_hand_is_stopped_by_escape_and_refused_to_a_tripped_guard(
+    window: MainWindow, until: Until, qtbot: QtBot
+) -> None:
+    hand = window.run.hand
+    press(hand.home)
+    until(window.notices.prompt.isVisible)
+    qtbot.keyClick(window, Qt.Key.Key_Escape)
+    until(lambda: not hand.busy)
+    assert "Not done" in hand.state.text()
+    assert not window.notices.prompt.isVisible()
+    window.take(GuardState("for the test"))
+    window.run.take(GuardState("for the test"))
+    assert not hand.home.isEnabled()
+    window.take(GuardState(""))
+    window.run.take(GuardState(""))
+    assert hand.home.isEnabled()
+
+
+def test_escape_stops_a_jog_under_way(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:
+    window = opened(qtbot, lab, tmp_path / "window.ini", pace="real")
+    try:
+        press(window.reset)
+        until(lambda: window.guard.text() == "guard: armed")
+        hand, notices = window.run.hand, window.notices
+        hand.distance.setValue(100.0)
+        hand.speed.setValue(1.0)
+        press(hand.jog)
+        until(notices.prompt.isVisible)
+        while "The stage moves from" not in notices.prompt_text.text():
+            press(notices.answers[Answer.DONE])
+            until(notices.prompt.isVisible)
+        press(notices.answers[Answer.DONE])
+        qtbot.keyClick(window, Qt.Key.Key_Escape)
+        until(lambda: not hand.busy)
+        assert "stopped by operator (Esc)" in hand.state.text()
+    finally:
+        window.close_in_order("the test is over")
+
+
 def test_garbage_is_collected_on_the_gui_thread_alone(window: MainWindow, until: Until) -> None:
     """On another thread it would take plots apart that are being drawn, and both would wait for ever."""
     collected_by: list[threading.Thread] = []

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from math import isfinite
 from pathlib import Path
-from typing import Generic, TypeVar, Unpack
+from typing import Generic, TypeAlias, TypeVar, Unpack
 
 from dragrig.campaign_session import PromptRelay, idle_reader, run_on_worker
 from dragrig.config import AbortedError, Calibration, ContactPoint, DeviceError, SettingsError
@@ -43,6 +43,14 @@ ResultT = TypeVar("ResultT")
 PointT = TypeVar("PointT", LoadReading, TravelReading)
 
 
+Begun: TypeAlias = Callable[[Callable[[str], None]], object]
+
+
+def ignore_begun(abort: Callable[[str], None]) -> None:
+    """Leave stopping to Ctrl-C."""
+    del abort
+
+
 @dataclass(frozen=True, slots=True)
 class OpenRig:
     """An open rig and its manual control."""
@@ -65,6 +73,7 @@ def home(
     override: TravelEnd | None = None,
     pace: Pace | None = None,
     person: Operator | None = None,
+    begun: Begun = ignore_begun,
     **choices: Unpack[RigChoices],
 ) -> MoveResult:
     """Find the stage's origin.
@@ -77,6 +86,8 @@ def home(
         Of a simulated rig, or of a double.
     person
         Confirms every motion (default: nobody, which fails where hands at the rig are needed).
+    begun
+        Called before anything moves with a function that stops the stage from any thread, for a reason.
     choices
         As of `examine`.
 
@@ -91,7 +102,7 @@ def home(
             bench.manual.reset()
         return MoveResult(bench.manual.home(override), bench.manual.trip)
 
-    return run_on_bench(work, resolve_rig(**choices), pace, person)
+    return run_on_bench(work, resolve_rig(**choices), pace, person, begun)
 
 
 def jog(
@@ -101,6 +112,7 @@ def jog(
     override: TravelEnd | None = None,
     pace: Pace | None = None,
     person: Operator | None = None,
+    begun: Begun = ignore_begun,
     **choices: Unpack[RigChoices],
 ) -> MoveResult:
     """Move the stage by a signed distance; otherwise as `home` and `ManualControl.jog`."""
@@ -113,7 +125,7 @@ def jog(
     setup = resolve_rig(**choices)
     # Checked before the operator is asked for anything, here and below.
     require_jog(distance_mm, speed_mm_s, override, setup.limits)
-    return run_on_bench(work, setup, pace, person)
+    return run_on_bench(work, setup, pace, person, begun)
 
 
 def touch_off(
@@ -125,6 +137,7 @@ def touch_off(
     operator: str = "",
     pace: Pace | None = None,
     person: Operator | None = None,
+    begun: Begun = ignore_begun,
     **choices: Unpack[RigChoices],
 ) -> ContactPoint:
     """Approach slowly until the force changes, and store the contact in the lab folder; otherwise as `home`.
@@ -147,11 +160,15 @@ def touch_off(
         write_contact(folder, contact)
         return contact
 
-    return run_on_bench(work, setup, pace, person)
+    return run_on_bench(work, setup, pace, person, begun)
 
 
 def run_on_bench(
-    work: Callable[[OpenRig], ResultT], setup: RigSetup, pace: Pace | None = None, person: Operator | None = None
+    work: Callable[[OpenRig], ResultT],
+    setup: RigSetup,
+    pace: Pace | None = None,
+    person: Operator | None = None,
+    begun: Begun = ignore_begun,
 ) -> ResultT:
     """Open a rig, work on it, and switch it off; the calling thread handles Ctrl-C and prompts.
 
@@ -172,6 +189,7 @@ def run_on_bench(
         look = idle_reader(backend, timed=paced.real_time or backend.needs_hands)
         operator = PromptRelay(person or NullOperator(), look)
         bench = OpenRig(setup, backend, ManualControl(backend, guard, engine, operator))
+        begun(engine.abort)
         try:
             result = run_on_worker(lambda: work(bench), engine.abort, operator)
         except (AbortedError, DeviceError) as error:

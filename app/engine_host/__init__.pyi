@@ -7,9 +7,12 @@ from .messages import Answer as Answer
 from .messages import Event as Event
 from .messages import ExamineRig as ExamineRig
 from .messages import GuardState as GuardState
+from .messages import HandMotion as HandMotion
+from .messages import HomeStage as HomeStage
 from .messages import HostLost as HostLost
 from .messages import HostReady as HostReady
 from .messages import IdleReading as IdleReading
+from .messages import JogStage as JogStage
 from .messages import LiveSamples as LiveSamples
 from .messages import MirrorStatus as MirrorStatus
 from .messages import OperatorWarning as OperatorWarning
@@ -31,5 +34,7 @@ from .messages import SessionFinished as SessionFinished
 from .messages import SessionJob as SessionJob
 from .messages import SessionStarted as SessionStarted
 from .messages import SessionWaiting as SessionWaiting
+from .messages import StageMoved as StageMoved
 from .messages import StartSession as StartSession
+from .messages import TouchOffStage as TouchOffStage
 from .messages import WatchRig as WatchRig

@@ -106,6 +106,33 @@ class ResetGuard:
 
 
 @dataclass(frozen=True, slots=True)
+class HomeStage:
+    """Find the stage's origin, once the person confirms."""
+
+
+@dataclass(frozen=True, slots=True)
+class JogStage:
+    """Move the stage by a signed distance, once the person confirms."""
+
+    distance_mm: float
+    speed_mm_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class TouchOffStage:
+    """Approach slowly until the force changes, once the person confirms, and store the contact in the lab folder."""
+
+    most_mm: float
+    force_mN: float
+    speed_mm_s: float
+    back_mm: float
+    operator: str = ""
+
+
+HandMotion: TypeAlias = HomeStage | JogStage | TouchOffStage
+
+
+@dataclass(frozen=True, slots=True)
 class WatchRig:
     """Read force and position whenever nothing is done, or leave the rig to other programs meanwhile."""
 
@@ -123,7 +150,16 @@ class StopHost:
 
 
 Request: TypeAlias = (
-    StartSession | AbortSession | PauseSession | PromptReply | ExamineRig | ResetGuard | WatchRig | Heartbeat | StopHost
+    StartSession
+    | AbortSession
+    | PauseSession
+    | PromptReply
+    | ExamineRig
+    | ResetGuard
+    | HandMotion
+    | WatchRig
+    | Heartbeat
+    | StopHost
 )
 
 
@@ -206,6 +242,14 @@ class RigIdle:
 
 
 @dataclass(frozen=True, slots=True)
+class StageMoved:
+    """A motion by hand is over: where the stage is, or what the contact is, in a sentence; or why it failed."""
+
+    sentence: str
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class PromptShown:
     """A prompt; `hands` if it needs hands or eyes at the rig."""
 
@@ -266,6 +310,7 @@ Event: TypeAlias = (
     | RunStarted
     | RunFinished
     | RigIdle
+    | StageMoved
     | PromptShown
     | OperatorWarning
     | SessionFinished

@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Event as Signal
 from threading import Lock, Thread
 
-from dragrig.api import examine, run_on_bench
+from dragrig.api import examine, home, jog, run_on_bench, touch_off
 from dragrig.campaign_session import Made, SessionOptions, idle_reader, resume_campaign, start_campaign
 from dragrig.config import DragrigError, TrippedError, reason_of
 from dragrig.engine_host.messages import (
@@ -21,8 +21,11 @@ from dragrig.engine_host.messages import (
     Event,
     ExamineRig,
     GuardState,
+    HandMotion,
     Heartbeat,
+    HomeStage,
     HostReady,
+    JogStage,
     LiveRingWriter,
     MirrorStatus,
     OperatorWarning,
@@ -43,8 +46,10 @@ from dragrig.engine_host.messages import (
     SessionJob,
     SessionStarted,
     SessionWaiting,
+    StageMoved,
     StartSession,
     StopHost,
+    TouchOffStage,
     WatchRig,
 )
 from dragrig.rig import (
@@ -376,6 +381,8 @@ class EngineHost:
                 self._sender.say(self._examine())
             case ResetGuard():
                 self._reset()
+            case HomeStage() | JogStage() | TouchOffStage():
+                self._sender.say(self._move(request))
             case _:
                 pass
 
@@ -425,6 +432,37 @@ class EngineHost:
             self._sender.say(RequestRefused(str(error)))
         else:
             self._trip("")
+
+    def _move(self, motion: HandMotion) -> StageMoved:
+        if self._trip_reason:
+            return StageMoved("", f"the guard is tripped: {self._trip_reason}; reset it first")
+        try:
+            return StageMoved(self._moved_by(motion))
+        except TrippedError as error:
+            self._trip(str(error))
+            return StageMoved("", str(error))
+        except DragrigError as error:
+            return StageMoved("", str(error))
+        finally:
+            self._receiver.stops(None)
+
+    def _moved_by(self, motion: HandMotion) -> str:
+        """Make a motion by hand, as the command of its name does; an abort stops it as it does a session."""
+        choices, person, begun = self._rig.choices(), self._operator, self._receiver.stops
+        pace = self._rig.pace
+        match motion:
+            case HomeStage():
+                move = home(pace=pace, person=person, begun=begun, **choices)
+            case JogStage(distance_mm, speed_mm_s):
+                move = jog(distance_mm, speed_mm_s, pace=pace, person=person, begun=begun, **choices)
+            case TouchOffStage(most_mm, force_mN, speed_mm_s, back_mm, name):
+                contact = touch_off(most_mm, force_mN=force_mN, speed_mm_s=speed_mm_s, back_mm=back_mm, operator=name,
+                                    pace=pace, person=person, begun=begun, **choices)  # fmt: skip
+                return (
+                    f"Contact at {contact.position_mm:.3f} mm, where the force changed by {contact.force_mN:.1f} mN; "
+                    "stored as contact.toml in the lab folder."
+                )
+        return f"The stage is at {move.position_mm:.3f} mm."
 
     def _trip(self, reason: str) -> None:
         self._trip_reason = reason

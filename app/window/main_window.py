@@ -35,6 +35,7 @@ from dragrig.engine_host import (
     ResetGuard,
     RigSelection,
     SessionFinished,
+    StageMoved,
 )
 from dragrig.views import PlanForm, describe_rig
 from dragrig.window.background import EngineLink
@@ -286,7 +287,7 @@ class MainWindow(QMainWindow):
             case PromptShown():
                 self.notices.ask(event)
                 QApplication.alert(self)
-            case SessionFinished():
+            case SessionFinished() | StageMoved():
                 self.notices.hide_prompt()
                 self.notices.settle(Topic.CLOSING)
             case OperatorWarning(sentence):
@@ -315,7 +316,7 @@ class MainWindow(QMainWindow):
             event.ignore()
             return True
         pressed = event.type() in {QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride}
-        if pressed and isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.session_running:
+        if pressed and isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.rig_busy:
             if event.type() is QEvent.Type.KeyPress:
                 self.run.stop("stopped by operator (Esc)")
             event.accept()
@@ -332,14 +333,15 @@ class MainWindow(QMainWindow):
     def close_in_order(self, reason: str) -> None:
         """Close the window whatever is running: the stage is stopped first, and the run finished."""
         self._closing = True
-        if self.run.session_running:
+        if self.run.rig_busy:
             self.run.stop(reason)
         self.close()
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """End the engine in good order; a running session must be stopped first."""
-        if self.run.session_running and not self._closing:
-            self.notices.complain("A session is running: stop it (Esc), then close the window.", Topic.CLOSING)
+        if self.run.rig_busy and not self._closing:
+            what = "A session is running" if self.run.session_running else "The stage is being moved by hand"
+            self.notices.complain(f"{what}: stop it (Esc), then close the window.", Topic.CLOSING)
             event.ignore()
             return
         self._stored.keep("geometry", self.saveGeometry())

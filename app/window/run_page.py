@@ -7,6 +7,7 @@ from pathlib import Path
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
+    QDoubleSpinBox,
     QHeaderView,
     QPlainTextEdit,
     QProgressBar,
@@ -23,8 +24,11 @@ from dragrig.engine_host import (
     Event,
     ExamineRig,
     GuardState,
+    HandMotion,
+    HomeStage,
     HostLost,
     HostReady,
+    JogStage,
     LiveSamples,
     PauseSession,
     PromptShown,
@@ -39,7 +43,9 @@ from dragrig.engine_host import (
     SessionJob,
     SessionStarted,
     SessionWaiting,
+    StageMoved,
     StartSession,
+    TouchOffStage,
     WatchRig,
 )
 from dragrig.present import duration_text
@@ -49,10 +55,12 @@ from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import (
+    MessageText,
     StoredSettings,
     Topic,
     bare_widget,
     button,
+    card,
     column,
     current_item,
     fill_table,
@@ -116,6 +124,80 @@ class DevicesView(QWidget):
             self.status.setText("A session is running; these results are from before it.")
         else:
             self.status.setText("Checking every device …" if self._checking else self._result_text)
+
+
+_JOG_MM, _JOG_MM_S = 5.0, 10.0
+_TOUCH_MM, _TOUCH_MN, _TOUCH_MM_S = 20.0, 20.0, 1.0
+
+
+class HandView(QWidget):
+    """Motion by hand: home, jog, touch-off; each is announced and asked for first, guarded, and not recorded."""
+
+    def __init__(self, move: Callable[[HandMotion], None], operator: Callable[[], str]) -> None:
+        super().__init__()
+        self._request_move, self._operator = move, operator
+        self.busy = False
+        """Whether a motion is asked for or under way."""
+        self._allowed = False
+        self.distance = _field("Distance of the jog", _JOG_MM, "mm", signed=True)
+        self.speed = _field("Speed of the jog", _JOG_MM_S, "mm/s")
+        self.most = _field("Longest travel of the touch-off", _TOUCH_MM, "mm", signed=True)
+        self.force = _field("Change of the force that is a contact", _TOUCH_MN, "mN")
+        self.approach = _field("Speed of the touch-off", _TOUCH_MM_S, "mm/s")
+        self.back = _field("Way back after the contact", 0.0, "mm")
+        self.home = button("Ho&me", lambda: self._move(HomeStage()), help_="Find the stage's origin")
+        self.jog = button("&Jog", self._jog, help_="Move the stage by the distance")
+        self.touch = button("Touc&h off", self._touch, help_="Approach until the force changes; plans can start there")
+        self.state = MessageText()
+        self.state.setText("Each motion is announced first. Escape and STOP end it at once.")
+        jog = flow(self.jog, _titled("by", self.distance), _titled("at", self.speed))
+        touch = flow(self.touch, _titled("within", self.most), _titled("until", self.force),
+                     _titled("at", self.approach), _titled("then back by", self.back))  # fmt: skip
+        self.setLayout(column(self.state, card(row(self.home, 1)), card(jog), card(touch), 1, margin=8))
+        self.allow(on=False)
+
+    def allow(self, *, on: bool) -> None:
+        """Allow motions, or not: while a session runs or the guard is tripped."""
+        self._allowed = on
+        for starts in (self.home, self.jog, self.touch):
+            starts.setEnabled(on and not self.busy)
+
+    def end(self, sentence: str) -> None:
+        """Show how the motion ended."""
+        self.busy = False
+        self.state.setText(sentence)
+        self.allow(on=self._allowed)
+
+    def _jog(self) -> None:
+        self._move(JogStage(self.distance.value(), self.speed.value()))
+
+    def _touch(self) -> None:
+        force, speed, back = self.force.value(), self.approach.value(), self.back.value()
+        self._move(TouchOffStage(self.most.value(), force, speed, back, self._operator()))
+
+    def _move(self, motion: HandMotion) -> None:
+        self.busy = True
+        self.state.setText("The motion is being prepared …")
+        self.allow(on=self._allowed)
+        self._request_move(motion)
+
+
+def _field(name: str, value: float, unit: str, *, signed: bool = False) -> QDoubleSpinBox:
+    made = named(QDoubleSpinBox(), name)
+    made.setRange(-_MOST_BY_HAND if signed else 0.0, _MOST_BY_HAND)
+    made.setDecimals(3)
+    made.setValue(value)
+    made.setSuffix(f" {unit}")
+    made.setToolTip(name)
+    return made
+
+
+_MOST_BY_HAND = 10_000.0
+"""Beyond any stage and sensor; the rig's own limits are checked before anything moves."""
+
+
+def _titled(text: str, field: QWidget) -> QWidget:
+    return bare_widget(row(label(text), field))
 
 
 _QUEUE_HEADER = ("Session", "Runs", "Duration", "State")
@@ -326,6 +408,7 @@ class RunPage(QWidget):
         self.preview, self.live = PlanPreview(), LiveView()
         self.live.set_limits(description.lowest_mm, description.highest_mm)
         self.queue_view = QueueView(self.queue)
+        self.hand = HandView(engine.ask, self.new.operator.text)
         self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
         self.devices.watch.setChecked(stored.text("watch", "yes") == "yes")
         self.devices.watch.toggled.connect(lambda on: self._watch(on=on))
@@ -347,6 +430,7 @@ class RunPage(QWidget):
         self.tabs.addTab(self.preview, "Previe&w")
         self.tabs.addTab(self.live, "Li&ve")
         self.tabs.addTab(self.queue_view, "Q&ueue")
+        self.tabs.addTab(self.hand, "By ha&nd")
         self.tabs.addTab(self.devices, "Devi&ces")
         self.tabs.addTab(self.log, "Log (&X)")
         self._lay_out()
@@ -358,6 +442,11 @@ class RunPage(QWidget):
     def session_running(self) -> bool:
         """Whether a session is running."""
         return self.queue.current is not None
+
+    @property
+    def rig_busy(self) -> bool:
+        """Whether anything moves or may move: a session, or a motion by hand."""
+        return self.session_running or self.hand.busy
 
     def keep(self) -> None:
         """Store form and waiting sessions for the next start; nothing starts by itself then."""
@@ -398,6 +487,9 @@ class RunPage(QWidget):
         entry = self.queue.next
         if self.session_running or entry is None:
             return
+        if self.hand.busy:
+            self.complained.emit(f"{entry.title} is waiting: a motion by hand is under way.", Topic.SESSION)
+            return
         if self._engine.lost or self._trip_reason:
             self._queue_started = False
             cause = "the engine has ended; start it again" if self._engine.lost else "the guard is tripped; reset it"
@@ -426,6 +518,12 @@ class RunPage(QWidget):
                 return
             case GuardState(reason):
                 self._trip_reason = reason
+            case StageMoved(sentence, problem):
+                self.hand.end(sentence or f"Not done: {problem}")
+                if sentence:
+                    self.write_log(sentence)
+                else:
+                    self.complained.emit(problem, Topic.SESSION)
             case RigExamined():
                 self.devices.show_result(event)
                 self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
@@ -459,6 +557,7 @@ class RunPage(QWidget):
         self._queue_started, self._trip_reason = False, "the engine ended unexpectedly"
         self.queue.engine_lost(self._trip_reason)
         self.devices.engine_lost()
+        self.hand.end("The engine has ended.")
         self.tabs.setTabText(self.tabs.indexOf(self.devices), "Devi&ces")
         self.live.end_run("The engine has ended")
         self.live.readings.clear("no engine")
@@ -554,6 +653,7 @@ class RunPage(QWidget):
         if not running:
             self.pause.setChecked(False)
         self.devices.set_session_running(running=running)
+        self.hand.allow(on=not running and not self._trip_reason)
         self.running_changed.emit(running)
 
     def _show_buttons(self) -> None:
