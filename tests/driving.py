@@ -127,14 +127,21 @@ def linked(
 
 @contextmanager
 def driven(
-    kind: type[DrivePort] = ANY_PORT, pace: float = 1.0, wired: bool = False, hang_s: float = 5.0, **drive: object
+    kind: type[DrivePort] = ANY_PORT,
+    pace: float = 1.0,
+    wired: bool = False,
+    hang_s: float = 5.0,
+    stale_s: float = 5.0,
+    **drive: object,
 ) -> Iterator[Driven]:
     """A stage on a drive's double; `wired` to the bench's switches and enable, or to nothing."""
     wires = {} if wired else {"enable": ""}
     card = {"lines": wires}
     # Long waits, for on a busy machine even a double may be kept from answering for a tenth of a second.
     patient = {"homing_speed_mm_s": 50, "reply_s": 1.0, "silence_s": 5.0}
-    rig = settings(hardware={"drive": {**patient, **drive}, "card": card, "hang_s": hang_s})
+    # Nothing samples here, so that no sample can be fresh.
+    hardware = {"drive": {**patient, **drive}, "card": card, "hang_s": hang_s}
+    rig = settings(guard={"stale_data_s": stale_s}, hardware=hardware)
     bench = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
     # The gut's first samples take seconds of imports, in which no thread would answer.
     bench.begin_sampling(RATE)

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from card_bench import card_rig, indices, joined
+from card_bench import CardRig, card_rig, indices, joined
 from nidaqmx.errors import DaqError
 from simulated import NEVER, PATIENT, acquire, rest, settings, stroke
 
@@ -160,6 +160,45 @@ def test_silence_is_stale_data() -> None:
         under_test.sampler.stop()
         under_test.bench.faults.clear()
         assert indices(under_test.record(rest(0.1)))[-1] == 99
+
+
+class FreezingCard(Card):
+    """A card whose driver freezes before every read, for `freeze_s`."""
+
+    def __init__(self, bench: SimulatedBench) -> None:
+        super().__init__(bench)
+        self.freeze_s = 0.0
+        self.thawed = threading.Event()
+
+    def read_analog_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
+        self.thawed.wait(self.freeze_s)
+        return super().read_analog_f64(task, samples, timeout_s, fill, out)
+
+
+def first_fault(under_test: CardRig) -> TripCause | None:
+    try:
+        faults = (block.fault for block in under_test.blocks())
+        return next((fault.cause for fault in faults if fault is not None), None)
+    except StaleDataError:
+        return TripCause.STALE_DATA
+
+
+@pytest.mark.parametrize("freeze_s", [0.13, 0.3, 1.0])
+def test_short_freezes_of_the_driver_add_up_to_stale_data(freeze_s: float) -> None:
+    """Each read brings samples, so that none of the waits is long; and yet the guard sees an ever older stage."""
+    cards: list[FreezingCard] = []
+
+    def freezing(bench: SimulatedBench) -> Card:
+        cards.append(FreezingCard(bench))
+        return cards[0]
+
+    rig = RigSettings.model_validate({"guard": {"stale_data_s": 0.5}})
+    with card_rig(rig, card=freezing) as under_test:
+        under_test.begin(rest(4.0), moves=False)
+        assert under_test.sampler.read(NEVER) is not None
+        cards[0].freeze_s = freeze_s
+        assert first_fault(under_test) is TripCause.STALE_DATA
+        cards[0].freeze_s = 0.0
 
 
 @pytest.mark.parametrize("trouble", [{"card_unplugged": True}, {"card_gone": True}], ids=["unplugged", "gone"])

@@ -228,6 +228,18 @@ def test_a_drive_that_hears_nothing_more_stops_by_itself() -> None:
         assert state.fault.cause is TripCause.WATCHDOG
 
 
+def test_a_stage_of_which_no_fresh_sample_is_seen_is_stopped_though_the_program_looks() -> None:
+    with driven(stale_s=0.4) as rig:
+        rig.ready().sample(LONG)
+        until(lambda: rig.stage.fault is not None)
+        assert rig.stage.fault is not None
+        assert rig.stage.fault.cause is TripCause.STALE_DATA
+        assert "guard.stale_data_s" in rig.stage.fault.message
+        until(lambda: not rig.bench.moving)
+        assert rig.drive.status.halt is Halt.STOP
+        assert rig.bench.position_mm() < 90.0
+
+
 def test_a_program_that_no_longer_looks_is_stopped_and_its_drive_fed_no_more() -> None:
     with driven(hang_s=0.2) as rig:
         rig.ready().sample(LONG)

@@ -7,7 +7,7 @@ A reader thread fetches samples of both tasks, pairs them by index, scales them 
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import Empty, Full, Queue
 from threading import Event as Signal
 from threading import Lock, Thread
@@ -122,8 +122,8 @@ class SampleFetcher:
 _QUEUE_BLOCKS = 256
 """Blocks that wait for the thread that reads; beyond them, samples wait in the card's buffer."""
 _POLL_S = 0.02
-_FROZEN_S = 0.1
-"""A wait of `_POLL_S` that takes so long shows that the whole program was frozen meanwhile."""
+_CLOCK_TOLERANCE = 1e-3
+"""How much faster than this computer's clock a card's may run, as a share; the PCI-6229's is right to 50 ppm."""
 _POST_STOP_S = 0.02
 """How much is sampled after a stop once the stage is at rest."""
 
@@ -136,6 +136,13 @@ class ReadSettings:
     block_samples: int
     rate_hz: float
     stale_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _TimedBlock:
+    block: Block
+    newest_s: float
+    """When its newest sample was taken, by `time.monotonic`; not later than that."""
 
 
 class ReaderThread:
@@ -158,14 +165,16 @@ class ReaderThread:
     ) -> None:
         self._fetcher, self._scaling, self._settings, self._sync = fetcher, scaling, settings, sync
         self._card, self._close = card, close
-        self._queue: Queue[Block | Exception | None] = Queue(_QUEUE_BLOCKS)
+        self._queue: Queue[_TimedBlock | Exception | None] = Queue(_QUEUE_BLOCKS)
         self._end_requested = Signal()
         self._closing_error: Exception | None = None
         self._end_index_after_stop: int | None = None
         self._origin_counts = 0.0
         self._finished = False
         self._error: Exception | None = None
-        self._last_data_s = time.monotonic()
+        # The samples' own time, so that what is missing adds up, whether the card, the driver or this program stood
+        # still: a burst of old samples does not count as news.
+        self._newest_s = time.monotonic()
         self._thread = Thread(target=self._run, name="card reader", daemon=True)
         self._thread.start()
 
@@ -175,7 +184,8 @@ class ReaderThread:
         Raises
         ------
         StaleDataError
-            When no sample arrived for longer than `ReadSettings.stale_s`, in wall time.
+            When the newest sample is older than `ReadSettings.stale_s`, in wall time. What arrives later can still be
+            read.
         DeviceError
             What ended the thread; again at every call.
         """
@@ -185,21 +195,30 @@ class ReaderThread:
                 raise self._error
             if self._finished:
                 return None
-            wait_began_s = time.monotonic()
             try:
                 item = self._queue.get(timeout=_POLL_S)
             except Empty:
-                stale_s, now_s = self._settings.stale_s, time.monotonic()
-                if now_s - wait_began_s >= _FROZEN_S:
-                    # The program itself was held up, so that nobody knows yet whether samples are there.
-                    self._last_data_s = now_s
-                elif now_s - self._last_data_s > stale_s and self._queue.empty():
+                now_s, stale_s = time.monotonic(), self._settings.stale_s
+                if now_s - self._newest_s > stale_s and self._queue.empty():
+                    self._newest_s = now_s
                     raise no_samples_error(self._card, stale_s) from None
                 continue
-            if isinstance(item, Block):
-                return item
+            if isinstance(item, _TimedBlock):
+                return self._seen(item)
             self._finished, self._error = True, item
         return None
+
+    def _seen(self, item: _TimedBlock) -> Block:
+        """Tell the stage how new the samples are that the guard gets, and mark a block that is stale."""
+        self._sync.set_newest_seen(item.newest_s)
+        age_s = time.monotonic() - item.newest_s
+        if age_s <= self._settings.stale_s or item.block.fault is not None:
+            return item.block
+        message = (
+            f"samples reached the guard {age_s:.2f} s late (guard.stale_data_s), because card {self._card.device} or "
+            "this computer was held up: end other programs"
+        )
+        return replace(item.block, fault=Trip(TripCause.STALE_DATA, message))
 
     def end(self, timeout_s: float) -> bool:
         """Have the tasks closed; return False when the driver does not return within `timeout_s`.
@@ -221,7 +240,7 @@ class ReaderThread:
         failed = False
         try:
             while (block := self._next_block()) is not None:
-                self._put(block)
+                self._put(_TimedBlock(block, self._newest_s))
             self._put(None)
         except Exception as error:  # noqa: BLE001  # raised again in the thread that reads
             failed = True
@@ -248,7 +267,8 @@ class ReaderThread:
                 return None
             batch = self._fetcher.fetch(wanted)
             if batch.samples:
-                self._last_data_s = time.monotonic()
+                taken_s = (batch.samples + batch.lost) / self._settings.rate_hz
+                self._newest_s = min(time.monotonic(), self._newest_s + taken_s * (1 + _CLOCK_TOLERANCE))
                 return self._block(batch)
         return None
 
@@ -276,7 +296,7 @@ class ReaderThread:
     def _wrapped(self, error: Exception) -> Exception:
         return device_error(error, self._card, "it samples") if isinstance(error, driver_errors()) else error
 
-    def _put(self, item: Block | Exception | None) -> None:
+    def _put(self, item: _TimedBlock | Exception | None) -> None:
         while not self._end_requested.is_set():
             try:
                 self._queue.put(item, timeout=_POLL_S)

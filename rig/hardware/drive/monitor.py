@@ -2,7 +2,8 @@
 
 A drive that receives nothing for `hardware.drive.silence_s` stops by itself, and so does one whose heartbeat relay sees
 no edge. Both signals come from this thread, so that neither outlives the program; and both end when the program no
-longer reads its data (`Watchdog`), so that a hung program does not keep the stage moving.
+longer reads its data (`Watchdog`), or when what it reads is stale, so that neither a hung program nor a blind guard
+keeps the stage moving.
 """
 
 import threading
@@ -17,6 +18,8 @@ from dragrig.rig.hardware.drive.link import DriveLink
 
 _FAST_POLL_S = 0.005
 _POLLS_PER_SILENCE = 4
+_STALE_GRACE_S = 0.05
+"""How much later than the sampler the monitor says that samples are stale: the sampler's reason is the better one."""
 
 
 class Watchdog:
@@ -86,6 +89,7 @@ class Monitor:
         self._lines, self._sync, self._watchdog = devices.lines, devices.sync, devices.watchdog
         # How long the watchdog may go unfed while a sampled motion is in progress.
         self._hang_s = devices.settings.hardware.hang_s
+        self._stale_s = devices.settings.guard.stale_data_s + _STALE_GRACE_S
         self._interval_s = poll_interval_s(devices.settings)
         # One poll at a time; it need not be re-entrant, because no poll leads to another.
         self._polling = threading.Lock()
@@ -164,10 +168,8 @@ class Monitor:
             raise
 
     def _cycle(self) -> None:
-        if self._program_hangs():
-            self.latch(
-                Trip(TripCause.WATCHDOG, f"the program did not read its data for {self._hang_s:g} s while it moved")
-            )
+        if blind := self._guard_blind():
+            self.latch(blind)
             self._ended.wait(self._interval_s)
             return
         try:
@@ -182,14 +184,24 @@ class Monitor:
             self._fast.clear()
             self._fast.wait(self._interval_s)
 
-    def _program_hangs(self) -> bool:
+    def _guard_blind(self) -> Trip | None:
+        """Return why the guard does not see what moves: the program hangs, or the samples that it has are stale."""
         if not (self._sync.moving and self._sync.armed and self._sync.first_sample is not None):
             self._sampled_motion_since_s = None
-            return False
+            return None
         now_s = time.monotonic()
         if self._sampled_motion_since_s is None:
             self._sampled_motion_since_s = now_s
-        return min(self._watchdog.unfed_s, now_s - self._sampled_motion_since_s) > self._hang_s
+        moved_s = now_s - self._sampled_motion_since_s
+        if min(self._watchdog.unfed_s, moved_s) > self._hang_s:
+            return Trip(TripCause.WATCHDOG, f"the program did not read its data for {self._hang_s:g} s while it moved")
+        unseen_s = min(now_s - self._sync.newest_seen_s, moved_s)
+        if unseen_s > self._stale_s:
+            return Trip(
+                TripCause.STALE_DATA,
+                f"no fresh sample reached the guard for {unseen_s:.2f} s while the stage moved (guard.stale_data_s)",
+            )
+        return None
 
     def _report(self, trip: Trip | None, *, moved: bool) -> None:
         self._fault = trip
