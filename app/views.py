@@ -56,6 +56,7 @@ from dragrig.rig import (
     read_mark,
     read_note,
     read_run,
+    recover,
     unmark,
     write_note,
 )
@@ -413,11 +414,15 @@ class ShownRun:
 
 @dataclass(frozen=True, slots=True)
 class ShownCampaign:
-    """A folder of run files; `problems` lists the files that cannot be read."""
+    """A folder of run files; `problems` lists the files that cannot be read.
+
+    `recordings` are being made, or were left by a crash.
+    """
 
     folder: Path
     runs: tuple[ShownRun, ...]
     problems: tuple[str, ...]
+    recordings: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -449,10 +454,24 @@ def shown_campaign(folder: Path) -> ShownCampaign:
     runs = tuple(
         _shown_run(info, mark.reason if (mark := campaign.marks.get(info.path)) else "") for info in campaign.runs
     )
-    problems = (*(str(error) for _, error in campaign.unreadable),
-                *(f"{path}: is being recorded, or was left by a crash; dragrig recover finishes it"
-                  for path in campaign.recordings))  # fmt: skip
-    return ShownCampaign(folder, runs, problems)
+    problems = tuple(str(error) for _, error in campaign.unreadable)
+    return ShownCampaign(folder, runs, problems, campaign.recordings)
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveredRuns:
+    """Folders whose recordings were finished, how many, and why others were not."""
+
+    folders: tuple[Path, ...]
+    finished: int
+    problems: tuple[str, ...]
+
+
+def recover_runs(folders: Sequence[Path]) -> RecoveredRuns:
+    """Finish the recordings that a crash left in these folders, as `dragrig recover` does; raises `RunFileError`."""
+    recordings = [recording for folder in folders for recording in recover(folder)]
+    problems = tuple(recording.message for recording in recordings if recording.message)
+    return RecoveredRuns(tuple(folders), len(recordings) - len(problems), problems)
 
 
 def shown_trace(path: Path, window_s: float | None = None, order: int | None = None) -> ShownTrace:

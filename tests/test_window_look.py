@@ -14,8 +14,10 @@ from diagnoses import STRIBECK
 from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QApplication, QLabel, QTreeWidgetItem
 from pytestqt.qtbot import QtBot
+from runfiles import record
 
 import dragrig
+from dragrig.rig.runfile.filesystem import lock_run
 from dragrig.views import FORMATS, completed, shown_trace
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage
@@ -250,6 +252,24 @@ def test_runs_are_marked_bad_and_noted_in_the_list(page: LookPage, until: Until,
     press(page.browser.note)
     until(lambda: runs_of(page)[0].text(2) == "complete")
     assert not list(tmp_path.glob("*.note.txt"))
+
+
+def test_what_a_crash_left_is_recovered_in_the_list(page: LookPage, until: Until, tmp_path: Path) -> None:
+    recording = record(tmp_path / "run.h5", 2000)
+    page.browser.open_folder(str(tmp_path))
+    until(lambda: [item.text(2) for item in runs_of(page)] == ["being recorded, or left by a crash"])
+    press(page.browser.recover)
+    until(lambda: [item.text(2) for item in runs_of(page)] == ["complete"])
+    assert not recording.exists()
+    assert not page.browser.recover.isEnabled()
+    with lock_run(record(tmp_path / "now.h5", 2000)):  # as whoever records it does
+        said: list[str] = []
+        page.browser.complained.connect(said.append)
+        page.browser.refresh()
+        until(lambda: len(runs_of(page)) == 2)
+        press(page.browser.recover)
+        until(lambda: bool(said))
+        assert "now" in said[0]
 
 
 def test_a_later_export_does_not_drop_an_earlier_one(page: LookPage, until: Until, tmp_path: Path) -> None:

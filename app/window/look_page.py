@@ -28,6 +28,7 @@ from dragrig.analysis import TableRow
 from dragrig.present import BLACK, CYCLE, PALE, VERMILLION, tint
 from dragrig.views import (
     FORMATS,
+    RecoveredRuns,
     ShownCampaign,
     ShownRun,
     ShownTrace,
@@ -35,6 +36,7 @@ from dragrig.views import (
     export_shown_runs,
     mark_runs,
     note_runs,
+    recover_runs,
     shown_campaign,
     shown_trace,
     steady_rows,
@@ -91,6 +93,7 @@ class RunBrowser(QWidget):
         self.bad = button("&Mark bad", self._mark_bad, help_="Evaluations leave the selected runs out, for this reason")
         self.good = button("&Unmark", lambda: self._mark(None), help_="The selected runs are good after all")
         self.note = button("&Note", self._note, help_="Note this on the selected runs; nothing removes their notes")
+        self.recover = button("Reco&ver", self._recover, help_="Finish the recordings that a crash left")
         self._marking = FileWorker(self.complained.emit, self)
         self.settings = named(table(("Setting", "Value")), "Settings of the selected run")
         self._listing = FileWorker(self.complained.emit, self)
@@ -107,7 +110,7 @@ class RunBrowser(QWidget):
             row(self.folder, self.choose, self.again, stretch={0: 1}),
             self.tree,
             self.words,
-            row(self.bad, self.good, self.note, 1),
+            row(self.bad, self.good, self.note, self.recover, 1),
             self.settings,
             stretch={1: 3, 4: 2},
         )
@@ -182,10 +185,21 @@ class RunBrowser(QWidget):
         for folder in dict.fromkeys(path.parent for path in paths):
             self._read_runs(folder, quiet=True)
 
+    def _recover(self) -> None:
+        folders = [Path(item.toolTip(0)) for item in top_items(self.tree) if _has_recordings(item)]
+        self._marking.do_too(lambda: recover_runs(folders), self._recovered)
+
+    def _recovered(self, recovered: RecoveredRuns) -> None:
+        for problem in recovered.problems:
+            self.complained.emit(problem)
+        for folder in recovered.folders:
+            self._read_runs(folder, quiet=True)
+
     def _show_what_can_be_done(self, runs: Sequence[ShownRun]) -> None:
         for control in (self.words, self.bad, self.note):
             control.setEnabled(bool(runs))
         self.good.setEnabled(any(run.bad for run in runs))
+        self.recover.setEnabled(any(map(_has_recordings, top_items(self.tree))))
 
     def _folder_edited(self) -> None:
         # Qt emits this whenever the field loses focus; a new list would lose the selection.
@@ -237,6 +251,7 @@ class RunBrowser(QWidget):
             before = self.selected()
             with QSignalBlocker(self.tree):
                 _fill_campaign(item, campaign)
+            self.recover.setEnabled(any(map(_has_recordings, top_items(self.tree))))
             # What is selected may be gone, or have been marked; or a selected campaign has more runs.
             if self.selected() != before:
                 self._selection_changed()
@@ -265,6 +280,9 @@ class RunBrowser(QWidget):
 def _fill_campaign(item: QTreeWidgetItem, campaign: ShownCampaign) -> None:
     """Show the runs of a campaign; the items of those shown before stay."""
     shown = {run.path: child for child, run in _runs_of(item)}
+    for other in [item.child(at) for at in range(item.childCount())]:
+        if not isinstance(other.data(0, _RUN_ROLE), ShownRun):
+            item.removeChild(other)
     for gone in shown.keys() - {run.path for run in campaign.runs}:
         item.removeChild(shown[gone])
     for at, run in enumerate(campaign.runs):
@@ -280,6 +298,15 @@ def _fill_campaign(item: QTreeWidgetItem, campaign: ShownCampaign) -> None:
         child.setToolTip(2, state)
         child.setToolTip(1, run.start)
         child.setData(0, _RUN_ROLE, run)
+
+    for recording in campaign.recordings:
+        left = QTreeWidgetItem(["–  a recording", "", "being recorded, or left by a crash"])
+        left.setToolTip(2, f"{recording.name}: {left.text(2)}")
+        item.addChild(left)
+
+
+def _has_recordings(item: QTreeWidgetItem) -> bool:
+    return item.childCount() > len(_runs_of(item))
 
 
 def _runs_of(item: QTreeWidgetItem) -> list[tuple[QTreeWidgetItem, ShownRun]]:
