@@ -386,6 +386,24 @@ def test_escape_stops_a_jog_under_way(qtbot: QtBot, lab: Path, tmp_path: Path, u
         window.close_in_order("the test is over")
 
 
+def test_an_edited_plan_is_saved_and_opened_again(window: MainWindow, tmp_path: Path) -> None:
+    new = window.run.new
+    fill(window, speed_mm_s="3, 7")
+    assert new.save.isEnabled()
+    new.save_as(str(tmp_path / "plans" / "slow.toml"))
+    assert new.plans.currentText() == "slow"
+    assert new.editor.values()[0]["speed_mm_s"] == "3, 7"
+    again = plan_form(str(tmp_path / "plans" / "slow.toml"))
+    assert (again.plan.name, again.values()[0]["travel_mm"]) == ("slow", "10")
+    assert [line.protocol.summary() for line in (run.run for run in dragrig.check(again.plan).previews)] == [
+        "drag 3 mm/s", "drag 7 mm/s"]  # fmt: skip
+    new.editor.put("speed_mm_s", "nonsense")
+    new.save_as(str(tmp_path / "plans" / "wrong.toml"))
+    assert not (tmp_path / "plans" / "wrong.toml").exists()
+    assert "not a number" in new.problem.text() or "nonsense" in new.problem.text()
+    new.editor.put("speed_mm_s", "3, 7")
+
+
 def test_garbage_is_collected_on_the_gui_thread_alone(window: MainWindow, until: Until) -> None:
     """On another thread it would take plots apart that are being drawn, and both would wait for ever."""
     collected_by: list[threading.Thread] = []

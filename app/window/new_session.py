@@ -17,9 +17,9 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from dragrig.config import DragrigError, Plan
+from dragrig.config import DragrigError, Plan, to_toml
 from dragrig.engine_host import Pace, RigSelection
-from dragrig.present import BLUE, PURPLE, duration_text, size_text
+from dragrig.present import BLUE, PURPLE, duration_text, size_text, write_text
 from dragrig.views import (
     FieldKind,
     FieldPlace,
@@ -344,6 +344,10 @@ class NewSession(QWidget):
         for name in known_plans(None if lab is None else lab.absolute()):
             self.plans.addItem(Path(name).stem if name.endswith(".toml") else name, name)
         self.open = button("&Open …", self._choose_file, help_="Open a plan file")
+        self.save = button(
+            "Save …", self._choose_new_file, help_="Write the plan, as it is edited, to a file", keys="Ctrl+S"
+        )
+        self._plan_folder = "" if lab is None else str(lab.absolute() / "plans")
         self.editor = PlanEditor()
         self.changes = MessageText(most_lines=2)
         self.problem = MessageText("wrong", most_lines=2)
@@ -530,7 +534,7 @@ class NewSession(QWidget):
         form.addRow("Mirror folder", row(mirror, self.choose_mirror, stretch={0: 1}))
         self.plans.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.plans.setMinimumContentsLength(8)
-        header = row(label("Plan"), self.plans, self.open, stretch={1: 1})
+        header = row(label("Plan"), self.plans, self.open, self.save, stretch={1: 1})
         inside = bare_widget(column(self.editor, form, 1))
         inside.setObjectName("bare")
         fields = scrolling(inside)
@@ -550,6 +554,25 @@ class NewSession(QWidget):
     def _choose_file(self) -> None:
         start = self._stored.text("plan folder")
         choose_path(self, "Open a plan", start, self.open_file, filter_="Plans (*.toml)", folder=False)
+
+    def _choose_new_file(self) -> None:
+        folder = Path(self._stored.text("plan folder", self._plan_folder))
+        start = str((folder if folder.is_dir() else folder.parent) / f"{self.plans.currentText()}.toml")
+        choose_path(self, "Save the plan", start, self.save_as, filter_="Plans (*.toml)", folder=False, new_file="toml")
+
+    def save_as(self, path: str) -> None:
+        """Write the plan in the form to a file, and edit that from then on."""
+        try:
+            plan = self.plan().model_copy(update={"name": Path(path).stem})
+            # The dialog asks before it names a file that exists.
+            write_text(to_toml(plan), Path(path), overwrite=True, make_folder=True)
+        except DragrigError as error:
+            self._say_problem(str(error))
+            return
+        self._edited.pop(path, None)
+        if self.plans.findData(path) >= 0 and self.plans.currentData() == path:
+            self._load(path)
+        self.open_file(path)
 
     def _choose_mirror(self) -> None:
         choose_path(self, "Mirror folder", self.mirror.text(), self.mirror.setText)

@@ -499,13 +499,24 @@ def _fill_layout(
 
 
 def choose_path(
-    parent: QWidget, title: str, start: str, chosen: Callable[[str], None], *, filter_: str = "", folder: bool = True
+    parent: QWidget,
+    title: str,
+    start: str,
+    chosen: Callable[[str], None],
+    *,
+    filter_: str = "",
+    folder: bool = True,
+    new_file: str = "",
 ) -> None:
-    """Ask for a folder, or for an existing file of the types in `filter_`."""
+    """Ask for a folder, for an existing file of the types in `filter_`, or for a new file that ends in `new_file`."""
     dialog = QFileDialog(parent, title, start, filter_)
     # The system's own dialog would keep Escape from the stop.
     dialog.setOption(QFileDialog.Option.DontUseNativeDialog)
     dialog.setFileMode(QFileDialog.FileMode.Directory if folder else QFileDialog.FileMode.ExistingFile)
+    if new_file:
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setFileMode(QFileDialog.FileMode.AnyFile)
+        dialog.setDefaultSuffix(new_file)
     dialog.fileSelected.connect(chosen)
     dialog.open()
 
