@@ -213,6 +213,13 @@ class Stage(Protocol):
     def start_uncertainty_s(self) -> float:
         """Uncertainty of time 0 of the last motion against the first sample; 0 where they share a clock."""
 
+    def await_end(self, cancel: Signal) -> None:
+        """Wait until the motion begun last is over: a drive may come to its end after the last sample.
+
+        Returns early once `cancel` is set or `fault` reports something. Raises `DeviceError` when it still moves after
+        the time for which the guard may see no sample.
+        """
+
     def stop(self) -> None:
         """Brake to a standstill at once. Must be safe to call at any time, also twice."""
 

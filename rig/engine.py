@@ -160,6 +160,12 @@ class RunningAcquisition:
             self._annotate_uncertainty()
         return None if self.ended else reading
 
+    def await_end(self, cancel: Signal) -> None:
+        """Wait for a stage that is later than its last sample: a stop now would end its motion short of the end."""
+        self._stage.await_end(cancel)
+        if fault := self._fault():
+            self.trip(self._guard.latch(fault))
+
     def trip(self, trip: Trip | None) -> None:
         """Stop because of a trip; None, from a guard that was latched already, changes nothing."""
         if trip is None:
@@ -436,6 +442,8 @@ class Engine:
                     if stop_when is not None and stop_when(reading):
                         run.end(RunStatus.COMPLETE, "")
                         return
+                if not (run.ended or self._cancel.is_set()):
+                    run.await_end(self._cancel)
             if self._cancel.is_set():
                 run.end(RunStatus.ABORTED, self._abort_reason or "aborted", self._aborted_at_s)
         except (DeviceError, RecordingError) as error:

@@ -29,6 +29,9 @@ from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.runfile import Attribute, RunHeader, RunStatus, SessionRecord, software_version
 
+_MAX_START_ERROR_MM = 0.05
+"""How far from a run's start the stage may come to rest: more than the velocity loop's hold error of 0.02 mm."""
+
 
 def run_acquisition(order: int, run: PlannedRun, dwell_s: float) -> Acquisition:
     """Return the acquisition of a run whose contact is `dwell_s` old at its first sample."""
@@ -327,6 +330,11 @@ class Session:
             return
         self._acquire_unrecorded("positioning", run, positioning_profile(travel_mm, self._backend.stage.limits))
         await_standstill(self._backend)
+        if not abs(off_mm := self._travel_to(run)) <= _MAX_START_ERROR_MM:
+            raise DeviceError(
+                f"the stage stands at {run.start_mm - off_mm:.3f} mm, not at the start of {run.start_mm:g} mm: it "
+                "was held up, or its drive and encoder disagree; home it and look whether it moves freely."
+            )
         self._contact_since_s = self._backend.clock.monotonic()
 
     def _acquire_unrecorded(self, kind: str, run: PlannedRun, profile: MotionProfile) -> AcquisitionOutcome:

@@ -83,6 +83,34 @@ def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
     assert all(prompt.hands for prompt in checks)
 
 
+@pytest.mark.parametrize("late_s", [0.06, 0.4])
+def test_a_drive_that_starts_late_still_comes_to_the_end_of_its_motion(bench: Bench, late_s: float) -> None:
+    manual = bench.manual
+    manual.reset()
+    manual.home()
+    bench.faults.inject(drive_starts_late_s=late_s)
+    assert manual.jog(5.0) == pytest.approx(5.0, abs=0.01)
+    assert manual.jog(-2.0) == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_motion_that_is_not_over_long_after_its_time_is_stopped_and_said() -> None:
+    rig = RIG.model_copy(update={"guard": RIG.guard.model_copy(update={"stale_data_s": 1.0})})
+    faults = FaultInjector()
+    backend = DoubleBackend(BackendRequest(rig, FrictionModelSettings()), faults)
+    try:
+        guard = Guard(rig.guard, 0.001)
+        late = Bench(backend, faults, guard, Engine(backend, rig, guard), [])
+        late.manual.reset()
+        late.manual.home()
+        faults.inject(drive_starts_late_s=5.0)
+        with pytest.raises(DeviceError, match="had not made its motion 1 s after"):
+            late.manual.jog(5.0)
+        assert late.manual.position_mm < 1.0
+        assert not backend.stage.state().moving
+    finally:
+        backend.close()
+
+
 def test_a_person_touches_off(bench: Bench) -> None:
     bench.manual.reset()
     touch_off = bench.manual.touch_off(25.0, 2.0, 10.0, back_mm=1.0)

@@ -138,6 +138,21 @@ def test_every_run_tells_how_sure_its_start_is(monkeypatch: pytest.MonkeyPatch) 
     assert [run.info.header.entry["command_t0_uncertainty_s"] for run in store.runs] == [0.004, 0.004]
 
 
+def test_no_run_begins_elsewhere_than_its_plan_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    session, store, backend = at_the_rig(Present())
+    stage = backend.stage
+    assert isinstance(stage, SimulatedStage)
+
+    def slip_back(self: SimulatedStage, cancel: threading.Event) -> None:
+        self._axis.place(self.state().position_mm - 0.3)
+
+    monkeypatch.setattr(SimulatedStage, "await_end", slip_back)
+    result = session.run()
+    assert result.status is RunStatus.FAILED
+    assert "mm, not at the start of" in result.reason
+    assert len(store.runs) <= 1
+
+
 def test_the_watchdogs_word_is_the_reason_even_when_samples_simply_end(monkeypatch: pytest.MonkeyPatch) -> None:
     session, store, backend = at_the_rig(Present())
     watchdog = Trip(TripCause.WATCHDOG, "nobody looked at the data for 0.5 s")

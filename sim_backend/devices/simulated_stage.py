@@ -8,6 +8,7 @@ import math
 import threading
 from bisect import bisect_right
 from dataclasses import dataclass, replace
+from threading import Event as Signal
 
 import numpy as np
 
@@ -392,6 +393,9 @@ class SimulatedStage:
     def start_uncertainty_s(self) -> float:
         """0, because a motion begins with the first sample."""
         return 0.0
+
+    def await_end(self, cancel: Signal) -> None:
+        """Return at once: a motion is over with its last sample."""
 
     def stop(self) -> None:
         """Brake to a standstill now; an acquisition under way ends there. Allowed at any time, from any thread."""

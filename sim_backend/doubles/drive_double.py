@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Self
 
-from dragrig.rig import trapezoid
+from dragrig.rig import Phase, stationary_piece, trapezoid
 from dragrig.rig.hardware.dialects import Command, Dialect, FrameError, Halt, Parameter, Refusal, Reply, Request, Status
 from dragrig.sim_backend.doubles.simulated_bench import INDEX_POSITION_MM, SWITCH_OFFSET_MM, SimulatedBench
 
@@ -222,7 +222,9 @@ class DriveDouble:
 
     def _follow(self, travel_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         self._halt, self._direction = Halt.TARGET, travel_mm
-        self.bench.follow(trapezoid(travel_mm, speed_mm_s, acceleration_mm_s2))
+        late_s = self.bench.faults.active.drive_starts_late_s
+        late = [stationary_piece(late_s, Phase.REST)] if late_s else []
+        self.bench.follow([*late, *trapezoid(travel_mm, speed_mm_s, acceleration_mm_s2)])
 
     def _end(self, why: Halt) -> None:
         if self._moving() and self._halt is Halt.TARGET:

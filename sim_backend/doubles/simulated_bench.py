@@ -277,6 +277,8 @@ class ActiveFaults:
     """Text or code of an alarm that the drive raises; empty for none."""
     drive_reply_late_s: float = 0.0
     """Delay of the drive's replies, in wall time."""
+    drive_starts_late_s: float = 0.0
+    """Time from the drive's acknowledgement of a stroke to its start."""
     drive_garbled: bool = False
     """The drive's replies arrive with wrong bytes."""
     drive_silent: bool = False

@@ -7,6 +7,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from threading import Event as Signal
 
 from dragrig.config import DeviceError, RigSettings
 from dragrig.rig import (
@@ -257,6 +258,7 @@ class MonitoredStage(ABC):
         self._link, self._lines, self._sync = devices.link, devices.lines, devices.sync
         self._watchdog = devices.watchdog
         self._limits = stage_limits(settings.stage)
+        self._max_late_s = settings.guard.stale_data_s
         # One command at a time; a stop waits for none.
         self._commands = threading.RLock()
         self._override: TravelEnd | None = None
@@ -328,6 +330,18 @@ class MonitoredStage(ABC):
                 return
             origin_mm = self._origin_mm()
             self._follow(profile, origin_mm, self._checked_limits(profile, origin_mm), planned_at)
+
+    def await_end(self, cancel: Signal) -> None:
+        """Wait until the motion begun last is over, for `guard.stale_data_s` at most: no sample is taken any more.
+
+        Returns early once `cancel` is set or `fault` reports something. Raises `DeviceError` when it still moves then.
+        """
+        if self._await_standstill(self._max_late_s, cancel):
+            return
+        raise DeviceError(
+            f"the drive had not made its motion {self._max_late_s:g} s after the time for it was over, and was stopped "
+            "on its way: it begins too late, is slower than commanded, or this computer is overloaded."
+        )
 
     @abstractmethod
     def stop(self) -> None:
@@ -482,10 +496,15 @@ class MonitoredStage(ABC):
             raise DeviceError("the drive is off: enable the stage first.")
         self._refuse_moving()
 
-    def _await_standstill(self, timeout_s: float) -> bool:
-        """Wait until nothing moves, at most `timeout_s` of wall time; return whether the stage stands."""
+    def _await_standstill(self, timeout_s: float, cancel: Signal | None = None) -> bool:
+        """Wait until nothing moves, at most `timeout_s` of wall time; return whether the stage stands.
+
+        With `cancel`, also return True once that is set or something forbids motion.
+        """
         until_s = time.monotonic() + timeout_s
         while self._sync.moving:
+            if cancel is not None and (cancel.is_set() or self.fault is not None):
+                return True
             if time.monotonic() > until_s:
                 return False
             self._monitor.poll()
