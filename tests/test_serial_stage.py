@@ -17,6 +17,7 @@ from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Request
 from dragrig.rig.hardware.drive.monitor import Monitor
 from dragrig.rig.hardware.drive.position_mode import split_into_strokes
+from dragrig.rig.hardware.sync import FirstSample
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
 
 LONG = stroke(travel_mm=100.0, speed_mm_s=50.0)
@@ -109,6 +110,31 @@ def test_a_stop_from_another_thread_brakes_and_leaves_the_stage_ready(kind: type
         rig.stage.move(stroke(travel_mm=1.0))
         until(lambda: stands(rig))
         assert rig.stage.state().position_mm == pytest.approx(state.position_mm + 1.0, abs=1e-3)
+
+
+def test_a_stop_that_is_heeded_late_leaves_the_motion_after_it_alone() -> None:
+    with driven() as rig:
+        rig.ready()
+        heeding, go_on, heeded = threading.Event(), threading.Event(), threading.Event()
+
+        def hold_up() -> None:
+            heeding.set()
+            assert go_on.wait(20.0)
+
+        # Listeners are called in turn, so this holds up the stage's own as a busy machine does.
+        rig.link._stop_listeners.insert(0, hold_up)
+        rig.link.on_stop(heeded.set)
+        rig.stage.stop()
+        assert heeding.wait(20.0)
+        rig.sync.arm()
+        rig.stage.move(THERE_AND_BACK)
+        go_on.set()
+        assert heeded.wait(20.0)
+        rig.bench.begin_sampling(RATE)
+        rig.sync.set_first_sample(FirstSample(rig.bench.clock.monotonic(), 0.0))
+        rig.stage.await_end(NEVER)
+        until(lambda: stands(rig))
+        assert rig.stage.state().position_mm == pytest.approx(5.0, abs=0.01)
 
 
 def test_a_stop_before_the_first_sample_drops_the_motion() -> None:

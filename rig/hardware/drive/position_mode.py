@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from threading import Event as Signal
 
 from dragrig.config import DeviceError, reason_of
 from dragrig.rig import LIMIT_SWITCH_CAUSES, MotionProfile, Piece, StageLimits, TravelEnd, Trip, TripCause
@@ -134,6 +135,11 @@ class StrokeMovement(Movement):
         return self._first_sample_uncertainty_s + self._sending_uncertainty_s
 
     @property
+    def end_mm(self) -> float:
+        """Absolute position where the last stroke ends."""
+        return self._origin_mm + self._strokes[-1].end_mm
+
+    @property
     def direction(self) -> float:
         """Sign of the latest stroke; 0 before the first."""
         if not self._accepted:
@@ -228,6 +234,7 @@ class StrokeMovement(Movement):
 _HOMING_POLL_S = 0.1
 _SILENCE_MARGIN_S = 0.1
 _STANDSTILL_TIMEOUT_S = 1.0
+_MAX_END_ERROR_MM = 0.05
 _HOMING_OVERTRAVEL_MM = 50.0
 """How much longer than between the soft limits the way to a limit switch may be."""
 
@@ -259,6 +266,19 @@ class PositionModeStage(MonitoredStage):
         with self._commands:
             self._refuse_fault()
             self._power_on()
+
+    def await_end(self, cancel: Signal) -> None:
+        """Wait as every stage; raises `DeviceError` too when the drive then stands elsewhere than it was sent to."""
+        super().await_end(cancel)
+        strokes = self._strokes
+        if strokes is None or strokes.is_stopped or self.fault is not None or cancel.is_set():
+            return
+        position_mm = self._tracker.position_mm()
+        if not abs(position_mm - strokes.end_mm) <= _MAX_END_ERROR_MM:
+            raise DeviceError(
+                f"the drive stands at {position_mm:.3f} mm after a motion to {strokes.end_mm:.3f} mm: it was held up, "
+                "or missed commands; look whether the stage moves freely, then home it."
+            )
 
     def stop(self) -> None:
         """Brake to a standstill; the drive receives it at the latest after the reply in progress on the link."""
@@ -358,7 +378,7 @@ class PositionModeStage(MonitoredStage):
         self._link.stop()
 
     def _heed_stop(self) -> None:
-        self._tracker.cancel()
+        self._tracker.cancel_stopped()
         self._monitor.poll_fast()
 
     def _all_sent(self, strokes: StrokeMovement) -> None:

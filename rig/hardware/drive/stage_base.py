@@ -137,10 +137,11 @@ class DriveTracker:
             self._answered_s = time.monotonic()
             self._sync.set_moving(True)
 
-    def cancel(self) -> None:
-        """Have the movement in progress send nothing more."""
+    def cancel_stopped(self) -> None:
+        """Have the movement in progress send nothing more, if a stop was requested since it was planned."""
         movement = self._movement
-        if movement is not None:
+        # Whoever heeds a stop may do so late, when the motion after it has begun: that goes on.
+        if movement is not None and movement.is_stopped:
             movement.cancel()
 
     def drop_movement(self) -> None:
