@@ -28,7 +28,7 @@ MIN_DEFAULT_SAMPLES = 7
 MAX_ORDER = 8
 """Beyond this the fit at the ends of a piece is no longer well conditioned."""
 MAX_DIRECT_WINDOW = 512
-"""Longer windows are convolved by Fourier transform, and the ends are fitted without a convolution."""
+"""Longer windows are convolved by Fourier transform."""
 MIN_MOTION_WINDOWS = 4.0
 """A motion shorter than this many windows is blurred, which an event says."""
 FILTER_EVENT = "filter"
@@ -39,9 +39,8 @@ FILTER_EVENT = "filter"
 class SavgolKernel:
     """Window, order and derivative at one sample rate.
 
-    `scipy.signal` fits the ends of a piece, and convolves. The weights of the middle are computed here, because
-    `scipy.signal.savgol_coeffs` solves with unscaled powers of the sample number: at 12501 samples
-    (0.05 s at 250 kHz) and order 4 or more its result is unrelated to the data.
+    Weights and ends are computed here, because `scipy.signal` solves with unscaled powers of the sample number: at
+    12501 samples (0.05 s at 250 kHz) and order 4 or more its result is unrelated to the data.
     """
 
     window: int
@@ -78,23 +77,15 @@ class SavgolKernel:
 
     def middle(self, piece: FloatArray) -> FloatArray:
         """Filter a piece of `n >= window` samples to the `n - window + 1` that have a full window."""
-        from scipy.ndimage import convolve1d
-        from scipy.signal import oaconvolve
-
         if self.window > MAX_DIRECT_WINDOW:
+            from scipy.signal import oaconvolve
+
             return np.asarray(oaconvolve(piece, self.weights, mode="valid"), dtype=np.float64)
-        return np.asarray(convolve1d(piece, self.weights, mode="constant")[self.half : len(piece) - self.half])
+        return np.convolve(piece, self.weights, mode="valid")
 
     def ends(self, samples: FloatArray) -> FloatArray:
         """Evaluate the polynomial through exactly one window at each of its samples; the middle one is not used."""
-        from scipy.signal import savgol_filter
-
-        if self.window > MAX_DIRECT_WINDOW:
-            return np.asarray(self.derived @ (self.orthonormal.T @ samples))
-        fitted = savgol_filter(
-            samples, self.window, self.order, self.derivative, 1 / self.sample_rate_hz, mode="interp"
-        )
-        return np.asarray(fitted, dtype=np.float64)
+        return np.asarray(self.derived @ (self.orthonormal.T @ samples))
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,6 +58,17 @@ def run_page(campaign: Path) -> Path:
     return dragrig.report(campaign / "014-drag.h5", campaign.with_name("run.html"))
 
 
+def test_a_page_drawn_by_several_processes_is_the_same_page(tmp_path: Path) -> None:
+    folder = tmp_path / "twice"
+    folder.mkdir()
+    for number, source in enumerate([*CAMPAIGN.glob("*.h5")] * 2):
+        shutil.copy(source, folder / f"{number:03}-{source.name[4:]}")
+    pages = [dragrig.report(folder, tmp_path / f"{workers}.html", workers=workers) for workers in (1, 2)]
+    alone, together = (page.read_text("utf-8") for page in pages)
+    assert alone.count("<svg") >= 17
+    assert together == alone
+
+
 def words(page: Path) -> str:
     html = re.sub(r"<(style|script|svg).*?</\1>", " ", page.read_text("utf-8"), flags=re.DOTALL)
     return " ".join(unescape(re.sub(r"<[^>]+>", " ", html)).replace("\u00a0", " ").split())

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 
 from dragrig import present
 from dragrig.analysis import ExportFormat, Progress, export_run, filter_file, no_progress
-from dragrig.api.model_fit import IdentifiedCampaign, identify
 from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
 from dragrig.config import AnalysisError, OutputError, SettingsError
 from dragrig.present import (
@@ -39,6 +38,7 @@ from dragrig.setup import Setup, resolve
 if TYPE_CHECKING:
     from dragrig.analysis import Identification
     from dragrig.analysis.paper import PaperFinding
+    from dragrig.api.model_fit import IdentifiedCampaign
     from dragrig.present import CampaignReportData, PaperReportData
 
 
@@ -47,7 +47,12 @@ MEASURING_SHARE, DRAWING_SHARE = 1, 9
 
 
 def report(
-    source: str | Path, out: str | Path | None = None, *, overwrite: bool = False, progress: Progress = no_progress
+    source: str | Path,
+    out: str | Path | None = None,
+    *,
+    overwrite: bool = False,
+    workers: int | None = 1,
+    progress: Progress = no_progress,
 ) -> Path:
     """Write a report on a run or a campaign: one HTML file with embedded figures, which needs no network.
 
@@ -59,6 +64,8 @@ def report(
         The file (default: beside the run, or in the campaign, named after it).
     overwrite
         Whether an existing file may be replaced.
+    workers
+        Processes that draw the figures (None: as many as there are cores).
 
     Returns
     -------
@@ -80,7 +87,7 @@ def report(
     path = Path(source)
     target = default_report_file(path) if out is None else Path(out)
     require_writable(target, overwrite=overwrite)
-    text = _campaign_report(path, progress) if path.is_dir() else _run_report(path)
+    text = _campaign_report(path, workers, progress) if path.is_dir() else _run_report(path)
     return write_text(text, target, overwrite=overwrite)
 
 
@@ -99,7 +106,7 @@ def _run_report(path: Path) -> str:
     return render_page(run_document(run, None if mark is None else mark.reason))
 
 
-def _campaign_report(folder: Path, progress: Progress) -> str:
+def _campaign_report(folder: Path, workers: int | None, progress: Progress) -> str:
     from dragrig.present import campaign_document, render_page
 
     whole = MEASURING_SHARE + DRAWING_SHARE
@@ -108,6 +115,7 @@ def _campaign_report(folder: Path, progress: Progress) -> str:
         drawn(
             campaign_document(data),
             lambda done, total: progress(MEASURING_SHARE * total + DRAWING_SHARE * done, whole * max(total, 1)),
+            workers,
         )
     )
 
@@ -195,6 +203,8 @@ def paper(
     >>> made = dragrig.paper("paper-again", seed=1)  # doctest: +SKIP
     >>> made.report, made.identification.coulomb.mu  # doctest: +SKIP
     """
+    from dragrig.api.model_fit import identify
+
     folder, setup = Path(out), paper_setup(seed, wall, viscous)
     clear_paper_folder(folder, overwrite=overwrite)
     counter = _RunCounter(progress)
@@ -233,7 +243,7 @@ class _RunCounter(NullOperator):
 
 
 def _write_paper_files(
-    made: Made, identified: IdentifiedCampaign, data: "PaperReportData", progress: Progress
+    made: Made, identified: "IdentifiedCampaign", data: "PaperReportData", progress: Progress
 ) -> PaperReport:
     """Write model, tables and report beside the runs."""
     from dragrig.present import paper_document, paper_tables, render_page
@@ -254,7 +264,7 @@ def _write_paper_files(
     return PaperReport(folder, report_file, model, written, made.files, data.identification, data.findings)
 
 
-def _paper_data(made: Made, setup: Setup, identified: IdentifiedCampaign) -> "PaperReportData":
+def _paper_data(made: Made, setup: Setup, identified: "IdentifiedCampaign") -> "PaperReportData":
     from dragrig.analysis.paper import all_findings, element_rows
     from dragrig.config import Capsule, find_settings
     from dragrig.present import PaperReportData

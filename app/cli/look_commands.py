@@ -242,7 +242,7 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
     from dragrig.api import report
 
     with ProgressMeter("measuring and drawing") as meter:
-        written = report(source, out, overwrite=overwrite, progress=meter.at)
+        written = report(source, out, overwrite=overwrite, workers=None, progress=meter.at)
     if as_json:
         print_json({"source": source, "report": written})
         return

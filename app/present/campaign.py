@@ -4,6 +4,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
+from typing import TYPE_CHECKING
 
 from dragrig import present
 from dragrig.analysis import UNREADABLE, TableRow, mean_per_speed
@@ -27,6 +29,9 @@ from dragrig.present import (
 )
 from dragrig.present.run import run_drawing
 from dragrig.rig import Campaign, ReturnProtocol, RunInfo, RunStatus, SessionRecord, read_run, run_name, specimen_key
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MatplotlibFigure
 
 MAX_DRAWN_RUNS = 100
 """Runs that a report draws one by one; a page that is mailed must stay small."""
@@ -264,20 +269,23 @@ def _overview(data: CampaignReportData) -> Figure:
         "few speeds.",
         "Runs that are complete and not marked bad. Bars are 95 % intervals; forces are as recorded, the sensor's "
         "zero included.",
-        lambda: present.campaign_figure(
-            (read_run(info.path) for info in data.readable), data.name, list(data.campaign.marks)
-        ),
+        partial(_draw_overview, data),
     )
+
+
+def _draw_overview(data: CampaignReportData) -> "MatplotlibFigure":
+    runs = (read_run(info.path) for info in data.readable)
+    return present.campaign_figure(runs, data.name, list(data.campaign.marks))
 
 
 def _single_drawing(info: RunInfo, data: CampaignReportData) -> Figure:
     """Return the figure of a run that is read when it is drawn."""
-    bad_reason = data.bad.get(info.path.name)
-    return run_drawing(
-        info,
-        lambda: present.run_figure(read_run(info.path), bad_reason=bad_reason),
-        f"figure-{run_name(info.path)}",
-    )
+    draw = partial(_draw_run, info, data.bad.get(info.path.name))
+    return run_drawing(info, draw, f"figure-{run_name(info.path)}")
+
+
+def _draw_run(info: RunInfo, bad_reason: str | None) -> "MatplotlibFigure":
+    return present.run_figure(read_run(info.path, info), bad_reason=bad_reason)
 
 
 def _summary(data: CampaignReportData) -> str:

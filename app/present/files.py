@@ -5,18 +5,20 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dragrig.analysis import Progress, no_progress
 from dragrig.config import OutputError
+from dragrig.parallel import open_executor, parallel_map_with_progress
 from dragrig.present import current_figure_form, figure_form
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dragrig.present.document import Document
+    from dragrig.present.document import Document, FigureForm
     from dragrig.present.document import Figure as DocumentFigure
 
 FIGURE_FORMATS: Mapping[str, Mapping[str, str | None]] = {
@@ -153,16 +155,28 @@ def svg_text(figure: "DocumentFigure") -> str:
     return _figure_bytes(figure.drawing(), ".svg").decode("utf-8")
 
 
-def drawn(document: "Document", progress: Progress = no_progress) -> "Document":
-    """Return a document with its figures drawn, so that another process can show it."""
+def drawn(document: "Document", progress: Progress = no_progress, workers: int | None = 1) -> "Document":
+    """Return a document with its figures drawn, so that another process can show it.
+
+    Parameters
+    ----------
+    workers
+        Processes that draw, of figures whose drawing pickles (None: as many as there are cores).
+    """
     figures = tuple(document.figures())
-    texts = {}
-    with figure_form(document.figure_form):
-        for done, figure in enumerate(figures):
-            progress(done, len(figures))
-            texts[figure.name] = svg_text(figure)
-    progress(len(figures), len(figures))
-    return document.with_drawings(texts)
+    with open_executor(workers, tasks=len(figures) // _FIGURES_PER_WORKER) as executor:
+        draw = partial(_svg_text_in, document.figure_form)
+        texts = parallel_map_with_progress(executor, draw, figures, progress)
+    return document.with_drawings({figure.name: text for figure, text in zip(figures, texts, strict=True)})
+
+
+_FIGURES_PER_WORKER = 6
+"""Fewer are drawn in the time that a process takes to start and to load matplotlib."""
+
+
+def _svg_text_in(form: "FigureForm", figure: "DocumentFigure") -> str:
+    with figure_form(form):
+        return svg_text(figure)
 
 
 def _figure_bytes(figure: "Figure", ending: str) -> bytes:

@@ -177,6 +177,8 @@ def _prefix_id(name: str, key: str) -> str:
 
 
 def _short_path(data: str) -> str:
+    if _LINE.fullmatch(data):
+        return _relative_polyline(data)
     short = _LINE.sub(lambda line: _relative_polyline(line[0]), _NUMBER.sub(_three_decimals, data))
     return " ".join(short.split())
 
