@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from threading import Event as Signal
 from typing import Unpack
 
 from dragrig.campaign_session import (
@@ -169,6 +170,7 @@ def run(
     person: SessionOperator | None = None,
     mirror: str | Path | None = None,
     tell: Callable[[str], None] = discard_message,
+    pause: Signal | None = None,
     **choices: Unpack[SetupChoices],
 ) -> Made:
     """Carry out a plan on the rig, one run file per run.
@@ -192,6 +194,8 @@ def run(
         run; `made.mirrored` lists what was copied and what was not.
     tell
         Called with a sentence, from any thread, when a file cannot be mirrored.
+    pause
+        Set by anybody to have the session ask `person` before its next run.
     choices
         As of `check`.
 
@@ -214,7 +218,7 @@ def run(
     """
     setup = resolve(plan, **choices)
     folder = Path(out) if out is not None else None
-    return start_campaign(setup, folder, _session_options(operator, note, pace, mirror, tell), person)
+    return start_campaign(setup, folder, _session_options(operator, note, pace, mirror, tell, pause), person)
 
 
 def resume(
@@ -227,6 +231,7 @@ def resume(
     assignments: Sequence[str] = (),
     mirror: str | Path | None = None,
     tell: Callable[[str], None] = discard_message,
+    pause: Signal | None = None,
 ) -> Made:
     """Resume a campaign that ended early, with its own settings.
 
@@ -237,7 +242,7 @@ def resume(
     ----------
     assignments
         Changes to the rig, as `["rig.guard.force_limit_mN=9000"]`; nothing else can be changed.
-    mirror, tell
+    mirror, tell, pause
         As of `run`; earlier runs are copied too.
 
     Raises
@@ -251,11 +256,16 @@ def resume(
     if not folder.is_dir():
         missing = "is a file" if folder.is_file() else "there is no such campaign"
         raise OutputError(f"{folder}: {missing}; name the folder that run printed.")
-    return resume_campaign(folder, _session_options(operator, note, pace, mirror, tell), person, assignments)
+    return resume_campaign(folder, _session_options(operator, note, pace, mirror, tell, pause), person, assignments)
 
 
 def _session_options(
-    operator: str, note: str, pace: Pace | None, mirror: str | Path | None, tell: Callable[[str], None]
+    operator: str,
+    note: str,
+    pace: Pace | None,
+    mirror: str | Path | None,
+    tell: Callable[[str], None],
+    pause: Signal | None,
 ) -> SessionOptions:
     target = None if mirror is None else Path(mirror)
-    return SessionOptions(Path(), operator=operator, note=note, pace=pace, mirror=target, tell=tell)
+    return SessionOptions(Path(), operator=operator, note=note, pace=pace, mirror=target, tell=tell, pause=pause)

@@ -18,6 +18,7 @@ from dragrig.config import AbortedError, DragrigError
 from dragrig.present import duration_text, to_json_value
 
 if TYPE_CHECKING:
+    from rich.console import ConsoleRenderable, RenderableType
     from rich.progress import Progress, TaskID
 
     from dragrig.present import Document
@@ -201,8 +202,8 @@ _PACE_KNOWN_FROM = 0.1
 class ProgressMeter:
     """Progress on standard error: a bar with the time left on a terminal, else a line now and then.
 
-    Nothing is shown in the first second, nor with `quiet` (default: that of the running command). Any thread may
-    advance it, one at a time.
+    What is given as `above` stands above the bar, drawn anew with it. Nothing is shown in the first second, nor with
+    `quiet` (default: that of the running command). Any thread may advance it, one at a time.
     """
 
     def __init__(
@@ -211,6 +212,7 @@ class ProgressMeter:
         total: float = 1.0,
         *,
         quiet: bool | None = None,
+        above: "ConsoleRenderable | None" = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._label = label
@@ -219,6 +221,7 @@ class ProgressMeter:
         self._clock = clock
         self._started = clock()
         self._paused_at: float | None = None
+        self._above = above
         self._shown = not (is_quiet() if quiet is None else quiet)
         self._bar: tuple[Progress, TaskID] | None = None
         self._next_line_s = _FIRST_LINE_S
@@ -251,7 +254,7 @@ class ProgressMeter:
                 self._print_line(elapsed_s)
                 return
             if self._bar is None:
-                self._bar = _start_bar(self._total)
+                self._bar = _start_bar(self._total, self._above)
             progress, task = self._bar
             left = self._left(elapsed_s)
             progress.update(task, completed=self._done, total=self._total, description=self._label, left=left)
@@ -297,11 +300,17 @@ class ProgressMeter:
             self._shown = False
 
 
-def _start_bar(total: float) -> "tuple[Progress, TaskID]":
+def _start_bar(total: float, above: "ConsoleRenderable | None") -> "tuple[Progress, TaskID]":
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-    progress = Progress(
+    class BarBelow(Progress):
+        def get_renderables(self) -> "Iterator[RenderableType]":
+            if above is not None:
+                yield above
+            yield from super().get_renderables()
+
+    progress = BarBelow(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TaskProgressColumn(),

@@ -114,6 +114,7 @@ def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path 
     help="Write a second copy of each finished file here, verified by reading it back.",
 )
 @options.pace
+@click.option("--plot", is_flag=True, help="Show the force of the run in progress in the terminal.")
 @options.yes
 @options.as_json
 @options.quiet
@@ -125,6 +126,7 @@ def run_command(
     note: str,
     mirror: Path | None,
     pace: options.Pace | None,
+    plot: bool,
     yes: bool,
     as_json: bool,
     **settings: Unpack[options.SettingsOptions],
@@ -135,8 +137,8 @@ def run_command(
 
     Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, paper, relaxation.
 
-    Everything is checked before anything moves. Ctrl-C stops the stage first and keeps what was recorded. The
-    campaign's folder is printed at the end.
+    Everything is checked before anything moves. Ctrl-C stops the stage first and keeps what was recorded; p, typed at
+    the terminal, pauses the session after the run in progress. The campaign's folder is printed at the end.
 
     Exit codes: 0 done, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """
@@ -149,8 +151,16 @@ def run_command(
         start = partial(resume_campaign, resume, assignments=settings["assignments"])
     else:
         start = partial(run_plan, plan or "", out=out, **settings)
-    with TerminalOperator(yes=yes) as person:
-        made = start(operator=operator, note=note, pace=pace, person=person, mirror=mirror, tell=_print_warning)
+    with TerminalOperator(yes=yes, plot=plot) as person:
+        made = start(
+            operator=operator,
+            note=note,
+            pace=pace,
+            person=person,
+            mirror=mirror,
+            tell=_print_warning,
+            pause=person.pause,
+        )
     if as_json:
         print_json(_session_json(made))
     else:

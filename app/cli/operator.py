@@ -1,21 +1,47 @@
-"""The operator at the terminal: answers prompts and sees a session's progress."""
+"""The operator at the terminal: answers prompts, sees a session's progress and force, and pauses it with a key."""
 
+import os
 import sys
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from threading import Event as Signal
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import click
+import numpy as np
 
 from dragrig.cli.console import ProgressMeter, is_quiet
 from dragrig.present import duration_text
 from dragrig.rig import AcquisitionOutcome, Answer, PlannedRun, Programme, Prompt, Reading, RunStatus
 
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderResult
+
+PAUSE_KEY = "p"
+_PLOT_ROWS = 14
+_MAX_STRETCHES = 512
+"""More than a terminal has columns: beyond it, stretches of a long run are joined in pairs."""
+_KEY_POLL_S = 0.1
+
 
 class TerminalOperator:
-    """Prints a session's prompts, progress and checks on standard error, and reads answers from standard input."""
+    """Prints a session's prompts, progress and checks on standard error, and reads answers from standard input.
 
-    def __init__(self, *, yes: bool) -> None:
+    Parameters
+    ----------
+    yes
+        Answer every prompt that needs no hands with done.
+    plot
+        Show the force of the run in progress above the bar.
+    """
+
+    def __init__(self, *, yes: bool, plot: bool = False) -> None:
+        self.pause = Signal()
+        """Set by the person's key: the session waits before its next run."""
+        self._keys = KeyWatch(self._key_pressed)
+        self._plot = ForcePlot() if plot else None
+        self._pause_wanted = False
         self._yes = yes
         self._real_time = False
         # Read here: the session's own thread has no click context.
@@ -31,15 +57,25 @@ class TerminalOperator:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._keys.end()
         self._meter.__exit__(kind, error, trace)
 
     def ask(self, prompt: Prompt) -> Answer:
         """Print a prompt and read the answer; its first letter is enough, an empty line means done.
 
-        `--yes` answers every prompt that needs no hands at the rig.
+        `--yes` answers every prompt that needs no hands at the rig, but not the one after the pause key.
         """
-        if self._yes and not prompt.hands:
+        if self._yes and not prompt.hands and not self._pause_wanted:
             return Answer.DONE
+        self._pause_wanted = False
+        watched = self._keys.end()
+        try:
+            return self._answer(prompt)
+        finally:
+            if watched:
+                self._keys.begin()
+
+    def _answer(self, prompt: Prompt) -> Answer:
         self._meter.pause()
         allowed = {Answer.REDO: prompt.can_redo, Answer.SKIP: prompt.can_skip}
         choices = [answer for answer in Answer if allowed.get(answer, True)]
@@ -65,7 +101,9 @@ class TerminalOperator:
         """Start the progress bar."""
         self._real_time = real_time
         self._pending = pending
-        self._meter = ProgressMeter(programme.plan.name, self._duration_s(pending), quiet=self._quiet)
+        self._meter = ProgressMeter(programme.plan.name, self._duration_s(pending), quiet=self._quiet, above=self._plot)
+        if self._keys.begin() and real_time:
+            self._meter.say(f"  {PAUSE_KEY} pauses after the run in progress, Ctrl-C ends the session")
 
     def waits(self, duration_s: float, why: str) -> None:
         """Print what is waited for, in real time."""
@@ -79,12 +117,16 @@ class TerminalOperator:
         before = [earlier for earlier in self._pending if earlier.index < run.index]
         rest_s = run.wait_s if self._real_time else 0.0
         self._order = order
+        if self._plot is not None:
+            self._plot.clear()
         label = f"{len(before) + 1} of {len(self._pending)}: run {order}, {run.protocol.summary()}"
         self._meter.to(self._duration_s(before) + rest_s, label)
 
     def reads(self, reading: Reading) -> None:
         """Advance the bar."""
         now = float(reading.time[-1])
+        if self._plot is not None:
+            self._plot.add(reading)
         self._meter.advance(now - self._seen_s)
         self._seen_s = now
 
@@ -99,8 +141,166 @@ class TerminalOperator:
         reason = [outcome.reason] if outcome.status is not RunStatus.COMPLETE else []
         self._meter.say("; ".join((line, *reason, *(f"NOTE {warning}" for warning in outcome.checks.warnings))))
 
+    def _key_pressed(self, key: str) -> None:
+        if key.lower() != PAUSE_KEY:
+            return
+        self._pause_wanted = not self._pause_wanted
+        if self._pause_wanted:
+            self.pause.set()
+            self._meter.say(f"  Pausing after this run and its way back; {PAUSE_KEY} again goes on without")
+        else:
+            self.pause.clear()
+            self._meter.say("  No pause")
+
     def _duration_s(self, runs: Iterable[PlannedRun]) -> float:
         return sum(run.duration_s + (run.wait_s if self._real_time else 0.0) for run in runs)
+
+
+class ForcePlot:
+    """The force of the run in progress against time, in a terminal's letters. Any thread may add or draw."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stretches = np.empty((0, 3))
+        """Time, smallest and largest force of each stretch."""
+        self._joined = 1
+        """Blocks in a stretch."""
+        self._open: list[tuple[float, float, float]] = []
+        self._now = ""
+
+    def clear(self) -> None:
+        """Begin a run."""
+        with self._lock:
+            self._stretches, self._joined, self._open, self._now = np.empty((0, 3)), 1, [], ""
+
+    def add(self, reading: Reading) -> None:
+        """Add a block."""
+        force = reading.channels["force"]
+        block = float(reading.time[-1]), float(force.min()), float(force.max())
+        with self._lock:
+            self._now = (
+                f"force {float(force[-1]):+.1f} mN at {float(reading.channels['position'][-1]):+.2f} mm along the way, "
+                f"{block[0]:.1f} s"
+            )
+            self._open.append(block)
+            if len(self._open) < self._joined:
+                return
+            times, lowest, highest = zip(*self._open, strict=True)
+            self._open = []
+            self._stretches = np.vstack((self._stretches, (times[-1], min(lowest), max(highest))))
+            if len(self._stretches) == _MAX_STRETCHES:
+                pairs = self._stretches.reshape(-1, 2, 3)
+                joined = (pairs[:, 1, 0], pairs[:, :, 1].min(axis=1), pairs[:, :, 2].max(axis=1))
+                self._stretches, self._joined = np.column_stack(joined), 2 * self._joined
+
+    def __rich_console__(self, console: "Console", options: "ConsoleOptions") -> "RenderResult":
+        """Yield the plot in the width of a terminal; nothing before the first stretches."""
+        from rich.text import Text
+
+        with self._lock:
+            stretches, now = self._stretches, self._now
+        if len(stretches) < 2:  # a line
+            return
+        yield Text.from_ansi(self._drawn(stretches, options.max_width))
+        yield Text(f"  {now}")
+
+    def _drawn(self, stretches: np.ndarray[tuple[int, ...], np.dtype[np.float64]], width: int) -> str:
+        import plotext
+
+        plotext.clear_figure()
+        plotext.theme("clear")
+        plotext.plot_size(width, _PLOT_ROWS)
+        plotext.title("force (mN) against time (s)")
+        # From the smallest to the largest of each stretch: a single curve would leave peaks out.
+        plotext.plot(np.repeat(stretches[:, 0], 2).tolist(), stretches[:, 1:].ravel().tolist(), marker="braille")
+        return str(plotext.build())
+
+
+class KeyWatch:
+    """Calls a function with each key typed at the terminal, from a thread of its own.
+
+    Nothing is read while another program has the terminal, or where there is none: to touch the terminal from the
+    background would stop this program.
+    """
+
+    def __init__(self, pressed: Callable[[str], None]) -> None:
+        self._pressed = pressed
+        self._ended = Signal()
+        self._thread: threading.Thread | None = None
+
+    def begin(self) -> bool:
+        """Watch from here on; return False where no key can be seen."""
+        if self._thread is not None or not (_is_own_terminal() and sys.stderr.isatty()):
+            return self._thread is not None
+        self._ended = Signal()
+        restore = _take_single_keys()
+        self._thread = threading.Thread(target=self._watch, args=(self._ended, restore), name="keys", daemon=True)
+        self._thread.start()
+        return True
+
+    def end(self) -> bool:
+        """Watch no longer, and leave the terminal as it was; return whether it was watched. Safe to call twice."""
+        watched, self._thread = self._thread, None
+        if watched is None:
+            return False
+        self._ended.set()
+        watched.join()
+        return True
+
+    def _watch(self, ended: Signal, restore: Callable[[], None]) -> None:
+        try:
+            for key in _typed_keys(ended):
+                self._pressed(key)
+        finally:
+            restore()
+
+
+def _is_own_terminal() -> bool:
+    """Tell whether standard input is a terminal whose keys are for this program."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return False
+    return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
+
+
+def _typed_keys(ended: Signal) -> Iterator[str]:
+    """Yield each key as it is typed, without Enter, until `ended` is set."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        while not ended.wait(_KEY_POLL_S):
+            while msvcrt.kbhit():
+                yield msvcrt.getwch()
+    else:
+        from select import select
+
+        terminal = sys.stdin.fileno()
+        while not ended.is_set():
+            if not _is_own_terminal():
+                ended.wait(_KEY_POLL_S)
+            elif select([terminal], [], [], _KEY_POLL_S)[0]:
+                typed = os.read(terminal, 1)
+                if not typed:
+                    return
+                yield typed.decode("ascii", "replace")
+
+
+def _take_single_keys() -> Callable[[], None]:
+    """Have the terminal pass keys on without Enter and without showing them; return what ends that."""
+    if sys.platform == "win32":
+        return lambda: None
+    import termios
+    import tty
+
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+    # Without a flush: what was typed already is for this program too.
+    tty.setcbreak(terminal, termios.TCSADRAIN)
+
+    def restore() -> None:
+        if _is_own_terminal():
+            termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+    return restore
 
 
 def _discard_typed_input() -> None:
