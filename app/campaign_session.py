@@ -14,7 +14,15 @@ from threading import Event as Signal
 from types import FrameType
 from typing import Protocol, TypeVar
 
-from dragrig.config import Calibration, DragrigError, OutputError, reason_of, rig_file_of
+from dragrig.config import (
+    AbortedError,
+    Calibration,
+    CommissioningRecord,
+    DragrigError,
+    OutputError,
+    reason_of,
+    rig_file_of,
+)
 from dragrig.rig import (
     Answer,
     Backend,
@@ -38,13 +46,16 @@ from dragrig.rig import (
     latest_session_record,
     preflight,
     read_campaign,
+    read_commissioning,
     read_idle,
     recover,
     specimen_remark,
+    wiring_key,
+    write_commissioning,
     write_session_record,
 )
 from dragrig.session_state import SessionState, StatePublisher, session_lock
-from dragrig.setup import Pace, Setup, contact_position, open_backend, resolve_pace
+from dragrig.setup import HARDWARE_BACKEND, Pace, Setup, contact_position, open_backend, resolve_pace
 
 ResultT = TypeVar("ResultT")
 
@@ -92,7 +103,7 @@ class PromptRelay:
             return
         try:
             with _signal_handler(signal.default_int_handler):
-                pending.answer = self._operator.ask(replace(pending.prompt, look=self._look))
+                pending.answer = self._operator.ask(replace(pending.prompt, look=pending.prompt.look or self._look))
         except (KeyboardInterrupt, EOFError):
             pending.answer = Answer.ABORT
         finally:
@@ -254,6 +265,7 @@ def run_session(
         record = _session_record(setup, backend, options, calibrations)
         timed = pace.real_time or backend.needs_hands
         operator = PromptRelay(observer, idle_reader(backend, timed=timed))
+        run_on_worker(lambda: _ask_for_commissioning(setup, operator, backend.clock.now), discard_message, operator)
         with open_store(record) as store:
             session = Session(
                 backend,
@@ -268,6 +280,30 @@ def run_session(
             )
             options.begun(session.abort)
             return run_on_worker(session.run, session.abort, operator)
+
+
+def _ask_for_commissioning(setup: Setup, operator: Operator, now: Callable[[], datetime]) -> None:
+    """Ask once, on real hardware, before it moves with wires that nobody has looked at since they changed.
+
+    Raises `AbortedError` when the person wants to look first.
+    """
+    if setup.backend != HARDWARE_BACKEND or setup.double or setup.rig_folder is None:
+        return
+    record, wiring = read_commissioning(setup.rig_folder), wiring_key(setup.rig)
+    if record is not None and (record.made_on, record.wiring) == (setup.made_on, wiring):
+        if record.skipped or record.passed:
+            return
+        failed = ", ".join(signal.name for signal in record.signals if not signal.passed)
+        why = f"the look at this rig on {record.made_at:%Y-%m-%d} found faults ({failed})"
+    else:
+        why = "nobody has looked at this rig's wiring since it was set up or changed"
+    prompt = f"{why[0].upper()}{why[1:]}: end here and try dragrig check --live, or go on without"
+    if operator.ask(Prompt(prompt)) is not Answer.DONE:
+        raise AbortedError("ended before anything moved: look at the rig with dragrig check --live.")
+    write_commissioning(
+        setup.rig_folder,
+        CommissioningRecord(made_at=now(), made_on=setup.made_on, wiring=wiring, skipped=True),
+    )
 
 
 def _session_record(

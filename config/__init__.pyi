@@ -26,11 +26,14 @@ from .plan import PlanStep as PlanStep
 from .plan import ReturnMode as ReturnMode
 from .plan import RunOrder as RunOrder
 from .rig import CALIBRATION_FILE as CALIBRATION_FILE
+from .rig import COMMISSIONING_FILE as COMMISSIONING_FILE
 from .rig import CONTACT_FILE as CONTACT_FILE
 from .rig import RIG_FILE as RIG_FILE
 from .rig import AnalogInputSettings as AnalogInputSettings
 from .rig import Calibration as Calibration
 from .rig import CardSettings as CardSettings
+from .rig import CommissionedSignal as CommissionedSignal
+from .rig import CommissioningRecord as CommissioningRecord
 from .rig import ContactPoint as ContactPoint
 from .rig import DriveSettings as DriveSettings
 from .rig import EncoderSettings as EncoderSettings

@@ -1,6 +1,7 @@
 """Rig settings (stage, encoder, force sensor, guard, recording, wiring, simulated rig) and the files of a lab folder.
 
-A lab folder holds the rig file, a calibration history that is only appended to, and the contact that touch-off found.
+A lab folder holds the rig file, a calibration history that is only appended to, the contact that touch-off
+found, and the record of the guided look at the wiring.
 The wiring says which signal is on which terminal of the card, and how the drive is reached; terminals of the PCI-6229
 are named without the device (NI 622x Specifications, pinout).
 """
@@ -270,6 +271,7 @@ class HardwareSettings(Settings):
 RIG_FILE = "rig.toml"
 CALIBRATION_FILE = "calibration.jsonl"
 CONTACT_FILE = "contact.toml"
+COMMISSIONING_FILE = "commissioning.toml"
 
 
 class StageSettings(Settings):
@@ -471,6 +473,33 @@ class ContactPoint(Settings):
     force_mN: float
     """Change of the force at the contact."""
     operator: str = ""
+
+
+class CommissionedSignal(Settings):
+    """What the look at a rig found of a signal."""
+
+    name: str
+    passed: bool
+    detail: str
+
+
+class CommissioningRecord(Settings):
+    """What the latest guided look at the rig's wiring found (`dragrig check --live`)."""
+
+    made_at: AwareDatetime
+    made_on: str
+    """Backend that it was made on, which its double is not."""
+    wiring: str
+    """Key of the wiring in the settings that it is about."""
+    operator: str = ""
+    skipped: bool = False
+    """Whether a person chose to measure without a look."""
+    signals: tuple[CommissionedSignal, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every signal was as it has to be."""
+        return bool(self.signals) and all(signal.passed for signal in self.signals)
 
 
 def rig_file_of(start: Path) -> Path | None:

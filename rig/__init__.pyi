@@ -6,6 +6,13 @@ from .calibration import latest_calibration as latest_calibration
 from .calibration import read_contact as read_contact
 from .calibration import require_loads as require_loads
 from .calibration import write_contact as write_contact
+from .commissioning import SWITCH_NAMES as SWITCH_NAMES
+from .commissioning import LiveView as LiveView
+from .commissioning import SupportsLiveLook as SupportsLiveLook
+from .commissioning import look_at_rig as look_at_rig
+from .commissioning import read_commissioning as read_commissioning
+from .commissioning import wiring_key as wiring_key
+from .commissioning import write_commissioning as write_commissioning
 from .devices import MAX_BLOCK_S as MAX_BLOCK_S
 from .devices import Acquisition as Acquisition
 from .devices import Backend as Backend
@@ -46,6 +53,7 @@ from .manual import require_jog as require_jog
 from .manual import require_speed as require_speed
 from .manual import require_touch_off as require_touch_off
 from .operator import Answer as Answer
+from .operator import LiveReading as LiveReading
 from .operator import NullOperator as NullOperator
 from .operator import Operator as Operator
 from .operator import Prompt as Prompt

@@ -332,7 +332,10 @@ class SupportsBenchActions(Protocol):
         """Put a load on the force sensor, in place of the one before."""
 
     def push(self, distance_mm: float, within_s: float) -> None:
-        """Push the carriage, switched off, by a signed distance during the next measurement."""
+        """Push the carriage, switched off, by a signed distance, now or during the next measurement."""
+
+    def press(self, switch: str, *, on: bool) -> None:
+        """Press a switch, as named in `hardware.card.lines`, or release it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,6 +347,13 @@ class IdleReading:
     """Absolute; None before the stage is homed."""
     problem: str = ""
     """What forbids motion, or why nothing could be read; empty when all is well."""
+
+    @property
+    def text(self) -> str:
+        """A line for a person."""
+        force = "unknown" if self.force_mN is None else f"{self.force_mN:.1f} mN"
+        position = "unknown" if self.position_mm is None else f"{self.position_mm:.3f} mm"
+        return f"force {force}, position {position}"
 
 
 def read_idle(backend: Backend, duration_s: float) -> IdleReading:

@@ -11,9 +11,9 @@ from threading import Event as Signal
 from typing import Protocol
 
 from dragrig.config import AbortedError, TrippedError
-from dragrig.rig.devices import Backend, IdleReading, StageLimits
+from dragrig.rig.devices import Backend, StageLimits, TravelEnd
 from dragrig.rig.engine import AcquisitionOutcome, attempt
-from dragrig.rig.guard import Guard
+from dragrig.rig.guard import LIMIT_SWITCH_CAUSES, Guard
 from dragrig.rig.profile import MotionProfile, trapezoid
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.reading import Reading
@@ -37,6 +37,14 @@ class Answer(StrEnum):
     ABORT = "abort"
 
 
+class LiveReading(Protocol):
+    """What a rig shows at a moment."""
+
+    @property
+    def text(self) -> str:
+        """A line for a person."""
+
+
 @dataclass(frozen=True, slots=True)
 class Prompt:
     """A request to a person."""
@@ -48,8 +56,8 @@ class Prompt:
     can_skip: bool = False
     hands: bool = True
     """Whether a person must do or check something at the rig: no program may answer then."""
-    look: Callable[[], IdleReading] | None = field(default=None, compare=False)
-    """Reads force and position while the prompt is open, on the thread that asks; None where nobody can."""
+    look: Callable[[], LiveReading] | None = field(default=None, compare=False)
+    """Reads the rig while the prompt is open, force and position by default; only one thread at a time may call it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +143,14 @@ def reset_guard(backend: Backend, guard: Guard, operator: Operator) -> None:
         backend.stage.disable()
     still_tripped = guard.reset(backend.stage.state())
     if still_tripped is not None:
-        raise TrippedError(f"{still_tripped.message}; the guard stays tripped until the cause is removed.")
+        side = next((side for side, cause in LIMIT_SWITCH_CAUSES.items() if cause is still_tripped.cause), None)
+        if side is None:
+            raise TrippedError(f"{still_tripped.message}; the guard stays tripped until the cause is removed.")
+        distance_mm = 2 if side is TravelEnd.LOW else -2
+        raise TrippedError(
+            f"{still_tripped.message}; move it off with dragrig jog {distance_mm} --override-limit {side}, or, where "
+            f"it is not homed, with dragrig home --override-limit {side}."
+        )
 
 
 def enable_and_home(backend: Backend, operator: Operator) -> None:

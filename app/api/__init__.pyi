@@ -39,6 +39,7 @@ from .reports import run_demo as run_demo
 from .stage import MoveResult as MoveResult
 from .stage import calibrate_encoder as calibrate_encoder
 from .stage import calibrate_force as calibrate_force
+from .stage import commission as commission
 from .stage import home as home
 from .stage import jog as jog
 from .stage import run_on_bench as run_on_bench

@@ -1,4 +1,4 @@
-"""Move the stage by hand (home, jog, touch off) and calibrate force sensor and encoder."""
+"""Move the stage by hand (home, jog, touch off), look at the rig's wiring, and calibrate force sensor and encoder."""
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -6,12 +6,22 @@ from dataclasses import dataclass
 from datetime import datetime
 from math import isfinite
 from pathlib import Path
+from threading import Event as Signal
 from typing import Generic, TypeAlias, TypeVar, Unpack
 
 from dragrig.campaign_session import PromptRelay, idle_reader, run_on_worker
-from dragrig.config import AbortedError, Calibration, ContactPoint, DeviceError, SettingsError
+from dragrig.config import (
+    AbortedError,
+    Calibration,
+    CommissionedSignal,
+    CommissioningRecord,
+    ContactPoint,
+    DeviceError,
+    SettingsError,
+)
 from dragrig.rig import (
     JOG_SPEED_MM_S,
+    Answer,
     Backend,
     BackendRequest,
     CalibrationLine,
@@ -21,12 +31,16 @@ from dragrig.rig import (
     ManualControl,
     NullOperator,
     Operator,
+    Prompt,
+    RigCheck,
+    SupportsLiveLook,
     TravelEnd,
     TravelReading,
     Trip,
     append_calibration,
     fit_encoder,
     fit_force,
+    look_at_rig,
     measure_driven_travel,
     measure_loads,
     measure_pushed_travel,
@@ -35,6 +49,8 @@ from dragrig.rig import (
     require_loads,
     require_speed,
     require_touch_off,
+    wiring_key,
+    write_commissioning,
     write_contact,
 )
 from dragrig.setup import Pace, RigChoices, RigSetup, open_backend, resolve_pace, resolve_rig
@@ -161,6 +177,83 @@ def touch_off(
         return contact
 
     return run_on_bench(work, setup, pace, person, begun)
+
+
+def ignore_finding(finding: RigCheck) -> None:
+    """Take what was found of a signal, and do nothing."""
+    del finding
+
+
+def commission(
+    *,
+    operator: str = "",
+    pace: Pace | None = None,
+    person: Operator | None = None,
+    found: Callable[[RigCheck], None] = ignore_finding,
+    **choices: Unpack[RigChoices],
+) -> CommissioningRecord:
+    """Guide a person through the rig's signals: push the carriage, press the sensor, press each switch.
+
+    Nothing is driven; at the end the drive is switched on for a moment, to see whether it obeys its enable line. The
+    record is stored in the lab folder, whatever was found.
+
+    Parameters
+    ----------
+    operator
+        Stored in the record.
+    found
+        Called with each finding as it is made.
+    pace, person, choices
+        As of `home`.
+
+    Raises
+    ------
+    SettingsError
+        Outside of a lab folder, and for a rig without wires; nothing is touched then.
+    AbortedError, DeviceError
+        When the person ends it, and when the card does not answer; nothing is stored then.
+    """
+    setup = resolve_rig(**choices)
+    folder = _require_lab(setup, "check --live")
+    request = BackendRequest(
+        setup.rig,
+        setup.model,
+        calibrations=setup.calibrations(),
+        connect=False,
+        pace=resolve_pace(pace, double=setup.double).times_faster,
+    )
+    with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
+        if not isinstance(backend, SupportsLiveLook):
+            raise SettingsError(
+                f"check --live: backend {setup.backend} has no wires to look at; choose --backend hardware."
+            )
+        ended = Signal()
+        operator_here = PromptRelay(person or NullOperator())
+
+        def confirm(prompt: Prompt) -> None:
+            if operator_here.ask(prompt) is not Answer.DONE or ended.is_set():
+                raise AbortedError("the look at the rig was ended; nothing is stored.")
+
+        def work() -> tuple[RigCheck, ...]:
+            findings = []
+            for finding in look_at_rig(backend, setup.rig, confirm):
+                found(finding)
+                findings.append(finding)
+            return tuple(findings)
+
+        findings = run_on_worker(work, lambda _reason: ended.set(), operator_here)
+        record = CommissioningRecord(
+            made_at=backend.clock.now(),
+            made_on=setup.made_on,
+            wiring=wiring_key(setup.rig),
+            operator=operator,
+            signals=tuple(
+                CommissionedSignal(name=finding.name, passed=finding.passed, detail=finding.detail)
+                for finding in findings
+            ),
+        )
+    write_commissioning(folder, record)
+    return record
 
 
 def run_on_bench(

@@ -43,12 +43,20 @@ def init_command(folder: Path) -> None:
 
 @click.command("check")
 @click.argument("plan", required=False)
+@click.option("--live", is_flag=True, help="Look at the rig's wiring with a person who pushes and presses.")
+@click.option("--operator", metavar="NAME", default="", help="Operator's name, stored with the result of --live.")
 @options.settings
 @options.out("Folder whose free space is checked (default: the rig's data root).")
 @options.as_json
 @click.pass_context
 def check_command(
-    ctx: click.Context, plan: str | None, out: Path | None, as_json: bool, **settings: Unpack[options.SettingsOptions]
+    ctx: click.Context,
+    plan: str | None,
+    live: bool,
+    operator: str,
+    out: Path | None,
+    as_json: bool,
+    **settings: Unpack[options.SettingsOptions],
 ) -> None:
     """Check PLAN, a file or a shipped name; without PLAN, check the rig. Nothing moves.
 
@@ -57,10 +65,16 @@ def check_command(
     With PLAN: every run with its range, speed and duration, and each limit that it violates.
 
     Without: limits, calibrations and every device in turn, each ok or FAILED; exit code 5 when one failed.
+
+    With --live, signal by signal: push the carriage, press the sensor, press each switch; volts, counts and switches
+    are shown as they change. The result is stored as commissioning.toml in the lab folder.
     """
     from dragrig.api import check
     from dragrig.present import preflight_document
 
+    if live or (plan is None and operator):
+        _look_at_rig(ctx, plan, settings, out, operator, live=live, as_json=as_json)
+        return
     if plan is None:
         _check_rig(ctx, settings, out, as_json=as_json)
         return
@@ -75,6 +89,46 @@ def check_command(
 
 
 def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path | None, *, as_json: bool) -> None:
+    choices = _rig_choices(ctx, settings, out)
+    from dragrig.api import examine
+    from dragrig.config import DeviceError
+    from dragrig.present import rig_check_document
+
+    checks = tuple(examine(**choices))
+    print_document(rig_check_document(checks), as_json=as_json)
+    if not all(check.passed for check in checks):
+        ctx.exit(DeviceError.exit_code)
+
+
+def _look_at_rig(
+    ctx: click.Context,
+    plan: str | None,
+    settings: options.SettingsOptions,
+    out: Path | None,
+    operator: str,
+    *,
+    live: bool,
+    as_json: bool,
+) -> None:
+    if not live:
+        raise click.UsageError("--operator is stored with the result of --live; add it, or leave --operator out", ctx)
+    if plan is not None:
+        raise click.UsageError("--live looks at the rig itself, so leave the plan out", ctx)
+    choices = _rig_choices(ctx, settings, out)
+    from dragrig.api import commission
+    from dragrig.cli.operator import TerminalOperator
+    from dragrig.config import COMMISSIONING_FILE, DeviceError
+    from dragrig.present import commissioning_document
+
+    with TerminalOperator(yes=False) as person:
+        record = commission(operator=operator, person=person, found=person.show_finding, **choices)
+    print_document(commissioning_document(record), as_json=as_json)
+    print_remark(f"Stored as {COMMISSIONING_FILE} in the lab folder.")
+    if not record.passed:
+        ctx.exit(DeviceError.exit_code)
+
+
+def _rig_choices(ctx: click.Context, settings: options.SettingsOptions, out: Path | None) -> options.RigOptions:
     plan_options = {
         "specimen": settings["specimen"],
         "effect": settings["effects"],
@@ -83,22 +137,13 @@ def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path 
     }
     if unused := [name for name, value in plan_options.items() if value]:
         raise click.UsageError(f"Without a plan the rig itself is checked, so leave out --{' --'.join(unused)}", ctx)
-    from dragrig.api import examine
-    from dragrig.config import DeviceError
-    from dragrig.present import rig_check_document
-
-    checks = tuple(
-        examine(
-            rig=settings["rig"],
-            model=settings["model"],
-            backend=settings["backend"],
-            double=settings["double"],
-            assignments=settings["assignments"],
-        )
-    )
-    print_document(rig_check_document(checks), as_json=as_json)
-    if not all(check.passed for check in checks):
-        ctx.exit(DeviceError.exit_code)
+    return {
+        "rig": settings["rig"],
+        "model": settings["model"],
+        "backend": settings["backend"],
+        "double": settings["double"],
+        "assignments": settings["assignments"],
+    }
 
 
 @click.command("run")

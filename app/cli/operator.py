@@ -1,6 +1,7 @@
 """The operator at the terminal: answers prompts, sees a session's progress and force, and pauses it with a key."""
 
 import os
+import shutil
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,8 +13,19 @@ import click
 import numpy as np
 
 from dragrig.cli.console import ProgressMeter, is_quiet
+from dragrig.config import DragrigError, reason_of
 from dragrig.present import duration_text
-from dragrig.rig import AcquisitionOutcome, Answer, PlannedRun, Programme, Prompt, Reading, RunStatus
+from dragrig.rig import (
+    AcquisitionOutcome,
+    Answer,
+    LiveReading,
+    PlannedRun,
+    Programme,
+    Prompt,
+    Reading,
+    RigCheck,
+    RunStatus,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderResult
@@ -23,6 +35,7 @@ _PLOT_ROWS = 14
 _MAX_STRETCHES = 512
 """More than a terminal has columns: beyond it, stretches of a long run are joined in pairs."""
 _KEY_POLL_S = 0.1
+_LIVE_LINE_S = 0.1
 
 
 class TerminalOperator:
@@ -86,8 +99,9 @@ class TerminalOperator:
         if prompt.hands:
             _discard_typed_input()
         while True:
-            click.echo(f"  {names}: ", err=True, nl=False)
-            line = sys.stdin.readline() if sys.stdin is not None else ""  # None when it was closed before the start
+            with LiveLine(prompt.look):
+                click.echo(f"  {names}: ", err=True, nl=False)
+                line = sys.stdin.readline() if sys.stdin is not None else ""  # None when it was closed before the start
             if not line:
                 why = "this needs hands at the rig" if prompt.hands else "--yes answers every such prompt with done"
                 click.echo(f"\nNobody answers on standard input; {why}.", err=True)
@@ -96,6 +110,11 @@ class TerminalOperator:
             for answer in choices:
                 if answer.value.startswith(typed):
                     return answer
+
+    def show_finding(self, finding: RigCheck) -> None:
+        """Print what was found of a signal."""
+        if not self._quiet:
+            click.echo(f"  {'ok' if finding.passed else 'FAILED'}: {finding.name}: {finding.detail}.", err=True)
 
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Start the progress bar."""
@@ -214,6 +233,42 @@ class ForcePlot:
         # From the smallest to the largest of each stretch: a single curve would leave peaks out.
         plotext.plot(np.repeat(stretches[:, 0], 2).tolist(), stretches[:, 1:].ravel().tolist(), marker="braille")
         return str(plotext.build())
+
+
+class LiveLine:
+    """A line above an open prompt that shows the rig as it changes, from a thread of its own, in a terminal alone.
+
+    Parameters
+    ----------
+    look
+        Reads the rig; called by this thread alone until the context ends. None shows nothing.
+    """
+
+    def __init__(self, look: Callable[[], LiveReading] | None) -> None:
+        self._look = look if sys.stderr.isatty() and sys.stdin is not None and sys.stdin.isatty() else None
+        self._ended = Signal()
+        self._thread: threading.Thread | None = None
+
+    def __enter__(self) -> None:
+        if self._look is not None:
+            click.echo(err=True)  # the line's place
+            self._thread = threading.Thread(target=self._show, args=(self._look,), name="live line", daemon=True)
+            self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def _show(self, look: Callable[[], LiveReading]) -> None:
+        while not self._ended.wait(_LIVE_LINE_S):
+            try:
+                text = look().text
+            except DragrigError as error:
+                text = reason_of(error)
+            columns = shutil.get_terminal_size().columns
+            # To the line above and back to where the answer is typed.
+            click.echo(f"\x1b7\x1b[1A\r\x1b[2K  {text[: columns - 3]}\x1b8", err=True, nl=False)
 
 
 class KeyWatch:

@@ -238,7 +238,13 @@ class RemoteOperator:
         self._receiver.pause.clear()
         shown = PromptShown(number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
         look = prompt.look
-        idle = None if look is None else lambda: self._sender.say(RigIdle(look()))
+
+        def show() -> None:
+            reading = look() if look is not None else None
+            if isinstance(reading, IdleReading):
+                self._sender.say(RigIdle(reading))
+
+        idle = None if look is None else show
         return self._receiver.await_answer(number, lambda: self._sender.say(shown), idle)
 
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:

@@ -138,6 +138,7 @@ from .numbers import value_with_error as value_with_error
 from .paper import PaperReportData as PaperReportData
 from .paper import paper_document as paper_document
 from .paper import paper_tables as paper_tables
+from .rig_results import commissioning_document as commissioning_document
 from .rig_results import encoder_calibration_document as encoder_calibration_document
 from .rig_results import force_calibration_document as force_calibration_document
 from .rig_results import preflight_document as preflight_document

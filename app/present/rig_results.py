@@ -17,7 +17,7 @@ from dragrig.present import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.config import Calibration
+    from dragrig.config import Calibration, CommissioningRecord
     from dragrig.rig import CalibrationLine, LoadReading, Preflight, RigCheck, RunPreview, TravelReading
 
 PointT = TypeVar("PointT")
@@ -88,6 +88,32 @@ def rig_check_document(checks: "Sequence[RigCheck]") -> Document:
             ),
         ),
         data=[{"what": check.name, "fine": check.passed, "detail": check.detail} for check in checks],
+    )
+
+
+def commissioning_document(record: "CommissioningRecord") -> Document:
+    """Lay out what a guided look at the rig found."""
+    failed = [signal.name for signal in record.signals if not signal.passed]
+    return Document(
+        title="Look at the rig's wiring",
+        answer=f"Not as it has to be: {', '.join(failed)}." if failed else "Every signal is as it has to be.",
+        sections=(
+            Section(
+                "signals",
+                "",
+                (
+                    Table.of(
+                        "signals",
+                        "",
+                        record.signals,
+                        Field("passed", "", lambda signal: "ok" if signal.passed else "FAILED"),
+                        Field("signal", "signal", lambda signal: signal.name),
+                        Field("detail", "result", lambda signal: signal.detail),
+                    ),
+                ),
+            ),
+        ),
+        data=to_json_object(record.model_dump()),
     )
 
 

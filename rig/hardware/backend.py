@@ -7,6 +7,7 @@ import re
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -16,9 +17,22 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from dragrig.config import DeviceError, DragrigError, HardwareSettings, RigSettings, reason_of
-from dragrig.rig import Acquisition, BackendRequest, Clock, RawReading, RigCheck, Sampler, Stage, WallClock, attempt
+from dragrig.rig import (
+    SWITCH_NAMES,
+    Acquisition,
+    BackendRequest,
+    Clock,
+    FloatArray,
+    LiveView,
+    RawReading,
+    RigCheck,
+    Sampler,
+    Stage,
+    WallClock,
+    attempt,
+)
 from dragrig.rig.hardware.card import MAX_AGGREGATE_RATE_HZ, CardSampler, Connection, Scaling, driver_errors_wrapped
-from dragrig.rig.hardware.dialects import find_dialect
+from dragrig.rig.hardware.dialects import Command, Request, find_dialect
 from dragrig.rig.hardware.drive import (
     DriveLink,
     MonitoredStage,
@@ -216,6 +230,39 @@ def _garbage_frozen() -> Iterator[None]:
         gc.unfreeze()
 
 
+class CardLook:
+    """The signals of card and lines while a person works on the rig."""
+
+    def __init__(self, read: Callable[[], tuple[FloatArray, FloatArray]], lines: CardLines, scaling: Scaling) -> None:
+        self._read, self._lines, self._scaling = read, lines, scaling
+
+    @property
+    def wired_switches(self) -> tuple[str, ...]:
+        """Switches that have a line."""
+        return self._lines.wired_switches
+
+    @property
+    def count_mm(self) -> float:
+        """Length of a count in force."""
+        return abs(self._scaling.mm_per_count)
+
+    def view(self) -> LiveView:
+        """Read a block and the switches now; raises `DeviceError`."""
+        volts, counts = self._read()
+        force_V, count = float(np.mean(volts)), round(float(counts[-1]))
+        force_mN = self._scaling.mN_per_V * force_V + self._scaling.zero_mN
+        pressed = self._lines.read_switches().pressed
+        switches = ", ".join(
+            f"{SWITCH_NAMES[switch]} {'PRESSED' if switch in pressed else 'released'}" for switch in self.wired_switches
+        )
+        text = f"force {force_V:+.4f} V = {force_mN:+.1f} mN, encoder {count:+d} = {count * self.count_mm:+.3f} mm"
+        return LiveView(force_V, force_mN, count, pressed, f"{text}, {switches}" if switches else text)
+
+
+_ENABLE_OBEYED_S = 0.5
+_ENABLE_POLL_S = 0.01
+
+
 class HardwareBackend:
     """The rig that the settings describe. Nothing is touched before `connect` or `examine`.
 
@@ -313,6 +360,38 @@ class HardwareBackend:
             if self._lock is None:
                 return
 
+    @contextmanager
+    def look(self) -> Iterator["CardLook"]:
+        """Open force input, encoder and lines; the drive is opened once its enable line is looked at."""
+        self._take_rig()
+        lines = self._open_card()
+        with _connected(self._sampler).watch() as read:
+            yield CardLook(read, lines, Scaling.from_settings(self._rig, self._calibrations))
+
+    def check_enable(self) -> RigCheck:
+        """Switch the drive on for a moment, at a standstill, and look whether it obeys its enable line."""
+        lines = self._open_card()
+        if not self._rig.hardware.card.lines.enable:
+            return RigCheck(
+                "enable", True, "not wired (hardware.card.lines.enable is empty): only the serial line switches"
+            )
+        stage = self._open_drive()
+        stage.enable()
+        try:
+            lines.set_enable(False)
+            until_s = time.monotonic() + _ENABLE_OBEYED_S
+            while (still_on := stage.state().enabled) and time.monotonic() < until_s:
+                time.sleep(_ENABLE_POLL_S)
+        finally:
+            stage.disable()
+        if still_on:
+            problem = (
+                f"the drive stays on when {self._rig.hardware.card.lines.enable} goes low: check the wire, and the "
+                "drive's setting of this input; without it, nothing but the serial line switches the drive off"
+            )
+            return RigCheck("enable", False, problem)
+        return RigCheck("enable", True, "the drive goes off when its enable line does")
+
     def close(self) -> None:
         """Stop the stage and close every device, whatever happens to the others.
 
@@ -353,14 +432,18 @@ class HardwareBackend:
             )
         return self._lines
 
-    def _open_drive(self) -> MonitoredStage:
-        if self._stage is None:
+    def _open_link(self) -> DriveLink:
+        if self._link is None:
             drive = self._rig.hardware.drive
             self._link = DriveLink(drive, find_dialect(drive.dialect))
             self._open.callback(attempt, self._link.close)
-            lines = _connected(self._lines)
-            devices = StageDevices(self._rig, self._link, lines, self._sync, self._clock, self._watchdog)
-            if drive.mode == "velocity":
+        return self._link
+
+    def _open_drive(self) -> MonitoredStage:
+        if self._stage is None:
+            link, lines = self._open_link(), _connected(self._lines)
+            devices = StageDevices(self._rig, link, lines, self._sync, self._clock, self._watchdog)
+            if self._rig.hardware.drive.mode == "velocity":
                 self._stage = VelocityModeStage(devices, _connected(self._connection), self._calibrations)
             else:
                 self._stage = PositionModeStage(devices)
@@ -377,6 +460,14 @@ class HardwareBackend:
         yield from check_card(_connected(self._connection), self._rig, _connected(self._sampler), scaling, lines)
 
     def _check_drive(self) -> Iterator[RigCheck]:
+        if self._lines is None:
+            # Without the card nothing may be switched on, but whether the drive answers can be said.
+            link = self._open_link()
+            status = link.exchange(Request(Command.STATUS)).status
+            alarm = "" if status is None or not status.alarm else f"; it reports {link.dialect.alarm(status.alarm)}"
+            answers = f"answers on {link.port} within {1000 * link.round_trip_s:.1f} ms{alarm}"
+            yield RigCheck("drive", not alarm, f"{answers}; checked without the card, so its lines were not")
+            return
         stage = self._open_drive()
         yield from check_drive(stage, _connected(self._link), self._rig)
 

@@ -34,6 +34,11 @@ class SwitchStates:
     limit_low: bool = False
     limit_high: bool = False
 
+    @property
+    def pressed(self) -> frozenset[str]:
+        """Names of the switches that are pressed."""
+        return frozenset(switch for switch in _SWITCH_TRIPS if getattr(self, switch))
+
     def trip(self, *, ignoring: TripCause | None = None) -> Trip | None:
         """Return the trip of the first pressed switch, the e-stop before all; `ignoring` is passed over."""
         for switch, trip in _SWITCH_TRIPS.items():
@@ -77,6 +82,11 @@ class CardLines:
             self._enable = _line_writer(connection, stack, wired.enable, "enable")
             self._heartbeat = _line_writer(connection, stack, wired.heartbeat, "heartbeat")
             self._tasks = stack.pop_all()
+
+    @property
+    def wired_switches(self) -> tuple[str, ...]:
+        """Switches that have a line."""
+        return tuple(self._switches)
 
     def read_switches(self) -> SwitchStates:
         """Read all switches in one call of the driver."""

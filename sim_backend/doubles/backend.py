@@ -68,8 +68,12 @@ class DoubleBackend(HardwareBackend):
         self.bench.faults.inject(force_added_mN=load_mN)
 
     def push(self, distance_mm: float, within_s: float) -> None:
-        """Push the carriage during the next measurement."""
+        """Push the carriage, now or during the next measurement."""
         self.bench.push(distance_mm, within_s)
+
+    def press(self, switch: str, *, on: bool) -> None:
+        """Press a switch or release it."""
+        self.bench.faults.inject(**{f"{switch}_pressed": on})
 
 
 def open_backend(request: BackendRequest) -> DoubleBackend:

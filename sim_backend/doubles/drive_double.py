@@ -246,7 +246,9 @@ class DriveDouble:
         return direction != 0 and not self._line(switch)
 
     def _line(self, line: str) -> bool:
-        return not line or self.bench.read_line(line)
+        if not line or (line == self._lines.enable and self.bench.faults.active.enable_not_wired):
+            return True
+        return self.bench.read_line(line)
 
 
 def make_drive_double(bench: SimulatedBench, dialect: Dialect, station: int = 1) -> DriveDouble:

@@ -291,6 +291,12 @@ class ActiveFaults:
     """The force sensor's wire is broken: its amplifier is at the rail."""
     encoder_stuck: bool = False
     """The encoder repeats one count."""
+    switches_swapped: bool = False
+    """The wires of the two limit switches are swapped."""
+    switches_normally_open: bool = False
+    """The switches' normally open contacts are wired."""
+    enable_not_wired: bool = False
+    """The drive is enabled whatever the enable line says."""
     e_stop_pressed: bool = False
     limit_low_pressed: bool = False
     limit_high_pressed: bool = False
@@ -531,9 +537,11 @@ class SimulatedBench:
             self._stand(position_mm, self.clock.monotonic())
 
     def push(self, distance_mm: float, within_s: float) -> None:
-        """Let a hand push the carriage, from the next sample 0 on and for half of the time."""
+        """Let a hand push the carriage for half of the time: now, or from the next sample 0 on where none is taken."""
         with self._lock:
             self._push = push_pieces(distance_mm, 0.5 * within_s)
+            if self._sampling is not None:
+                self._begin_push()
 
     @property
     def powered(self) -> bool:
@@ -567,9 +575,12 @@ class SimulatedBench:
                 self._stand(self.position_mm(), now_s)
             counts = self._counts(np.array([self.position_mm()]))
             self._sampling = _Sampling(now_s, rate_hz, int(counts[0]), force)
-            if self._push:
-                self.follow(self._push)
-                self._push = ()
+            self._begin_push()
+
+    def _begin_push(self) -> None:
+        if self._push:
+            self.follow(self._push)
+            self._push = ()
 
     @property
     def began_s(self) -> float:
@@ -623,12 +634,18 @@ class SimulatedBench:
             position_mm = self.position_mm()
             above_low = position_mm > stage.lowest_mm - SWITCH_OFFSET_MM
             below_high = position_mm < stage.highest_mm + SWITCH_OFFSET_MM
-            levels = {
-                lines.e_stop: not faults.e_stop_pressed,
-                lines.limit_low: above_low and not faults.limit_low_pressed,
-                lines.limit_high: below_high and not faults.limit_high_pressed,
+            closed = {
+                "e_stop": not faults.e_stop_pressed,
+                "limit_low": above_low and not faults.limit_low_pressed,
+                "limit_high": below_high and not faults.limit_high_pressed,
             }
-            return levels.get(line, self._written.get(line, False))
+            low, high = (
+                (lines.limit_high, lines.limit_low) if faults.switches_swapped else (lines.limit_low, lines.limit_high)
+            )
+            wired = {lines.e_stop: "e_stop", low: "limit_low", high: "limit_high"}
+            if line not in wired:
+                return self._written.get(line, False)
+            return closed[wired[line]] is not faults.switches_normally_open
 
     def write_line(self, line: str, high: bool) -> None:
         """Set a digital line."""

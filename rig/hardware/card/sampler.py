@@ -6,7 +6,8 @@ A reader thread fetches samples of both tasks, pairs them by index, scales them 
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from queue import Empty, Full, Queue
 from threading import Event as Signal
@@ -94,6 +95,11 @@ class SampleFetcher:
         except OverwrittenError:
             self._skip_to_newest()
         return self._complete_batch()
+
+    def fetch_newest(self, samples: int) -> SampleBatch:
+        """Return the next samples from now on, as `fetch` does; those before are passed over."""
+        self._skip_to_newest()
+        return self.fetch(samples)
 
     def _complete_batch(self) -> SampleBatch:
         samples = self._volts_held if self._counts_held == self._volts_held else 0
@@ -481,6 +487,47 @@ class CardSampler:
                 tasks.close()
         mean_mN = self._scaling.mN_per_V * float(np.mean(volts, dtype=np.float64)) + self._scaling.zero_mN
         return RawReading.of(volts, -counts if self._connection.card.encoder.reversed else counts, mean_mN)
+
+    @contextmanager
+    def watch(self) -> Iterator[Callable[[], tuple[FloatArray, FloatArray]]]:
+        """Sample without moving until the end of the context.
+
+        Yields
+        ------
+        What returns the next block from now on: the force input's volts, and the encoder's counts since the
+        beginning, rising where the stage moves up, shape `(n,)` each. Nothing is counted twice or missed between two
+        calls. Raises as `measure`.
+
+        Raises
+        ------
+        DeviceError
+            When the sampler is armed, or the card fails.
+        """
+        if self._acquisition is not None:
+            raise DeviceError("the sampler is armed for an acquisition: stop it before a measurement.")
+        card = self._connection.card
+        sign = -1.0 if card.encoder.reversed else 1.0
+        tasks = self._reserved_tasks("it is watched")
+        fetcher = self._fetcher(tasks)
+
+        def read() -> tuple[FloatArray, FloatArray]:
+            with driver_errors_wrapped(card, "it is watched"):
+                batch, until_s = (
+                    fetcher.fetch_newest(self._block_samples),
+                    time.monotonic() + self._rig.guard.stale_data_s,
+                )
+                while not batch.samples:
+                    if time.monotonic() > until_s:
+                        raise no_samples_error(card, self._rig.guard.stale_data_s)
+                    batch = fetcher.fetch(self._block_samples)
+            return batch.volts[0].copy(), sign * batch.counts
+
+        with driver_errors_wrapped(card, "it is watched"):
+            try:
+                tasks.start(lambda start: start())
+                yield read
+            finally:
+                tasks.close()
 
     def _collect(self, fetcher: SampleFetcher, samples: int) -> tuple[FloatArray, FloatArray]:
         """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` each."""
