@@ -279,7 +279,20 @@ def run_session(
                 pause=options.pause,
             )
             options.begun(session.abort)
-            return run_on_worker(session.run, session.abort, operator)
+            with _kept_awake(setup):
+                return run_on_worker(session.run, session.abort, operator)
+
+
+@contextmanager
+def _kept_awake(setup: Setup) -> Iterator[None]:
+    """Keep a computer that runs a real rig from falling asleep; a desktop without such a service is left as it is."""
+    if setup.backend != HARDWARE_BACKEND or setup.double:
+        yield
+        return
+    from wakepy import keep
+
+    with keep.running(on_fail="pass"):
+        yield
 
 
 def _ask_for_commissioning(setup: Setup, operator: Operator, now: Callable[[], datetime]) -> None:

@@ -17,7 +17,7 @@ from runfiles import START, arrays, blocks, header, record
 
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
 from dragrig.rig.engine import Store
-from dragrig.rig.runfile import Recorder, finish, read_info, read_run, recover, verify
+from dragrig.rig.runfile import FolderStore, Recorder, finish, read_info, read_run, recover, verify
 from dragrig.rig.runfile.model import Run, RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import SampleRing
 
@@ -230,7 +230,7 @@ def test_a_disk_with_too_little_room_is_refused_before_anything_moves(tmp_path: 
 
 
 def test_a_session_records_into_a_folder_of_run_files(tmp_path: Path) -> None:
-    from dragrig.rig.runfile import FolderStore, read_campaign
+    from dragrig.rig.runfile import read_campaign
 
     with FolderStore(tmp_path / "data" / "campaign", reserve_mb=0) as folder:
         store: Store = folder
@@ -299,3 +299,13 @@ def test_a_full_disk_is_reported_and_what_was_recorded_is_kept(small_disk: Path,
     assert recovered.path is not None
     same(read_run(recovered.path), arrays(0, recovered.samples, 250e3))
     assert read_info(recovered.path).status is (RunStatus.RECOVERED if watch == "blind" else RunStatus.FAILED)
+
+
+def test_a_folder_whose_path_leaves_no_room_for_names_is_refused_before_a_run(tmp_path: Path) -> None:
+    longest = 4095  # PATH_MAX without its end; Windows takes 259
+    deep = tmp_path
+    while len(str(deep)) < longest - 250:
+        deep /= "d" * 200
+    deep /= "d" * (longest - 41 - len(str(deep)))
+    with pytest.raises(OutputError, match=r"path of 40\d\d characters leaves no room"):
+        FolderStore(deep)

@@ -1,6 +1,7 @@
 """Where a session's runs are stored: a folder of run files with a verified copy on another disk, or memory."""
 
 import contextlib
+import errno
 import hashlib
 import os
 import queue
@@ -25,6 +26,8 @@ from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
 from dragrig.rig.runfile.schema import FORMAT_VERSION
 
 COPY_BYTES = 1 << 20
+_LONGEST_NAME = 64
+"""A recording's name with the suffix of its lock or part has some fifty characters."""
 MAX_STALL_S = 120.0
 """How long the end of a session waits for a mirror that makes no progress."""
 
@@ -69,6 +72,7 @@ class FolderStore:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from error
+        _require_room_for_names(folder)
 
     def __enter__(self) -> Self:
         return self
@@ -105,6 +109,22 @@ class FolderStore:
         for result in results:
             if result.error is not None:
                 raise RecordingError(str(result.error)) from result.error
+
+
+def _require_room_for_names(folder: Path) -> None:
+    """Refuse a folder whose path is so long that a run's files could not be made in it, before anything moves."""
+    probe = folder / f".{'x' * (_LONGEST_NAME - 1)}"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        # Windows says of a path beyond 259 characters that it is not there; what else is wrong shows elsewhere.
+        if error.errno in {errno.ENAMETOOLONG, errno.ENOENT}:
+            length = len(str(folder.absolute()))
+            raise OutputError(
+                f"{folder}: its path of {length} characters leaves no room for the names of run files; choose a "
+                "shorter one."
+            ) from error
 
 
 class FolderSink:
