@@ -2,6 +2,8 @@
 
 import filecmp
 import json
+import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.runfile import mark_bad
-from dragrig.rig.runfile.schema import mark_path
+from dragrig.rig.runfile.schema import mark_path, part_path
 from dragrig.rig.runfile.store import Mirror, copy_verified
 
 FAST = ["rig.sampling.rate_hz=200", "speed_mm_s=40"]
@@ -156,3 +158,34 @@ def test_a_filtered_run_replaces_its_older_copy(tmp_path: Path) -> None:
     assert again.mirrored.whole
     for run in made.files:
         assert filecmp.cmp(run, tmp_path / "second" / "runs" / run.name, shallow=False)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipe can stand for a slow disk here")
+def test_a_mirror_that_is_slow_or_hangs_does_not_keep_a_session(tmp_path: Path) -> None:
+    source = tmp_path / "run.h5"
+    source.write_bytes(bytes(8 << 20))
+    for root, drained in (("hangs", False), ("slow", True)):
+        (tmp_path / root / "runs").mkdir(parents=True)
+        pipe = part_path(tmp_path / root / "runs" / source.name)
+        os.mkfifo(pipe)
+        ended = threading.Event()
+        reader = threading.Thread(target=drain, args=(pipe, ended)) if drained else None
+        if reader is not None:
+            reader.start()
+        mirror = Mirror(tmp_path / root, "runs", lambda _: None)
+        mirror.submit(source)
+        report = mirror.close(max_stall_s=0.4, max_s=1.5)
+        assert report.copied == ()
+        why = "took more than 1.5 s" if drained else "does not respond"
+        assert why in report.missing[source.name]
+        ended.set()
+        if reader is not None:
+            reader.join()
+
+
+def drain(pipe: Path, ended: threading.Event) -> None:
+    """Take 1 MB from a pipe every 0.3 s, as a slow disk would, and then all that is left."""
+    with pipe.open("rb") as taken:
+        while taken.read(1 << 20) and not ended.wait(0.3):
+            pass
+        taken.read()

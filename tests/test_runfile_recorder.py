@@ -1,6 +1,8 @@
 """The recorder: whatever the blocks, the file is the same; what flows in is on disk soon; a full disk is said."""
 
+import os
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -11,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from conftest import is_root, mounted
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from runfiles import START, arrays, blocks, header, record
@@ -18,6 +21,7 @@ from runfiles import START, arrays, blocks, header, record
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
 from dragrig.rig.engine import Store
 from dragrig.rig.runfile import FolderStore, Recorder, finish, read_info, read_run, recover, verify
+from dragrig.rig.runfile.finisher import finish_here
 from dragrig.rig.runfile.model import Run, RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import SampleRing
 
@@ -309,3 +313,48 @@ def test_a_folder_whose_path_leaves_no_room_for_names_is_refused_before_a_run(tm
     deep /= "d" * (longest - 41 - len(str(deep)))
     with pytest.raises(OutputError, match=r"path of 40\d\d characters leaves no room"):
         FolderStore(deep)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no process can be held up here")
+def test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left(tmp_path: Path) -> None:
+    def run(store: FolderStore, order: int) -> None:
+        sink = store.open(header(order=order), 1000)
+        for first, block in blocks(1000, 50):
+            sink.offer(first, block)
+        sink.close(RunStatus.COMPLETE, "as planned", START, {})
+
+    with FolderStore(tmp_path, reserve_mb=0, max_stall_s=0.3) as store:
+        run(store, 0)
+        finisher = store._finisher
+        finisher.wait()
+        worker = finisher.worker_pid
+        assert worker is not None
+        os.kill(worker, signal.SIGSTOP)
+        try:
+            run(store, 1)
+            with pytest.raises(RecordingError, match=r"no progress for 0\.3 s; 1 runs are still recordings"):
+                store.settle()
+        finally:
+            os.kill(worker, signal.SIGCONT)
+    while finisher.pending:
+        finisher.wait(1.0)
+    recover(tmp_path)
+    assert read_info(tmp_path / "20260504-093000-drag-001.h5").samples == 1000
+
+
+@pytest.mark.skipif(not is_root(), reason="only root may keep a file from being removed")
+def test_a_disk_that_refuses_to_remove_a_recording_is_said_in_a_sentence(tmp_path: Path) -> None:
+    recording = record(tmp_path / "run.h5", 1000)
+    copy = tmp_path / "copy"
+    copy.write_bytes(recording.read_bytes())
+    # A file with something mounted on it cannot be removed.
+    if not mounted("--bind", str(copy), str(recording)):
+        pytest.skip("nothing can be mounted here")
+    try:
+        result = finish_here(recording)
+    finally:
+        subprocess.run(["umount", str(recording)], check=True)
+    assert result.error is not None
+    assert "is whole and in place, but the disk refuses to remove the recording" in str(result.error)
+    assert verify(tmp_path / "run.h5").holds
+    assert finish_here(recording).path == tmp_path / "run.h5"

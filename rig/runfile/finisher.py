@@ -24,7 +24,7 @@ import h5py
 
 from dragrig.config import DragrigError, OutputError, RunFileError, errors
 from dragrig.rig.runfile import schema
-from dragrig.rig.runfile.filesystem import BusyError, free_bytes, lock_run, remove_file
+from dragrig.rig.runfile.filesystem import BusyError, brief_error, free_bytes, lock_run, remove_file
 from dragrig.rig.runfile.model import Attribute, RunEnding, RunStatus
 from dragrig.rig.runfile.reader import as_run_file_error, layout_of, open_run, read_info, valid_count
 from dragrig.rig.runfile.recorder import read_annotations
@@ -69,7 +69,13 @@ def finish(recording: Path) -> Path:
                 )
         else:
             _repack(recording, target)
-        remove_file(recording)
+        try:
+            remove_file(recording)
+        except OSError as error:
+            raise OutputError(
+                f"{recording}: its run file {target.name} is whole and in place, but the disk refuses to remove the "
+                f"recording ({brief_error(error)}); check the disk, then `dragrig recover`"
+            ) from error
     return target
 
 
@@ -175,8 +181,9 @@ def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) ->
             result = RecoveredRecording(recording, RecoveryOutcome.FINISHED, path, read_info(path).samples)
         except BusyError as error:
             result = RecoveredRecording(recording, RecoveryOutcome.IN_USE, message=str(error))
-        except DragrigError as error:
-            result = RecoveredRecording(recording, RecoveryOutcome.LEFT, message=str(error))
+        except (DragrigError, OSError) as error:
+            message = str(error) if isinstance(error, DragrigError) else f"{recording}: {brief_error(error)}"
+            result = RecoveredRecording(recording, RecoveryOutcome.LEFT, message=message)
         recovered.append(result)
     if place.is_dir():
         _remove_leftovers(place)
@@ -324,6 +331,9 @@ def finish_here(recording: Path) -> FinishResult:
         return FinishResult(recording, finish(recording))
     except DragrigError as error:
         return FinishResult(recording, None, error)
+    except OSError as error:
+        what = f"{recording}: cannot be finished ({brief_error(error)}); check the disk, then `dragrig recover`"
+        return FinishResult(recording, None, OutputError(what))
 
 
 def _start_worker() -> subprocess.Popen[str]:

@@ -46,6 +46,8 @@ EVENTS_CHUNK = 64
 VALID_COUNTS = (schema.VALID_SAMPLES, schema.VALID_EVENTS, schema.VALID_ANNOTATION_BYTES)
 VERSION_BOUNDS = ("v110", "v110")
 """The oldest layout of HDF5 that can be written while others read."""
+MAX_CLOSE_S = 120.0
+"""How long the end of a run waits for a disk that does not answer."""
 FLUSH_S = 0.1
 """Wall time between flushes: what a killed process loses at most, besides the time that a flush takes."""
 RESERVE_BYTES = 64 << 20
@@ -496,7 +498,12 @@ class Recorder:
             self._closed = True
             self._thread.annotations.append(ending_annotation(RunEnding(status, reason, end_time, checks or {})))
             self._ring.close()
-            self._thread.join()
+            self._thread.join(MAX_CLOSE_S)
+            if self._thread.is_alive():
+                raise RecordingError(
+                    f"{self.path}: the disk has not taken the last samples for {MAX_CLOSE_S:g} s; what it has taken is "
+                    "kept: check the disk, then `dragrig recover`"
+                )
             self._lock.close()
         if self._thread.failure is not None and self.failure is not None:
             raise self.failure

@@ -5,6 +5,7 @@ import errno
 import hashlib
 import os
 import queue
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -29,7 +30,9 @@ COPY_BYTES = 1 << 20
 _LONGEST_NAME = 64
 """A recording's name with the suffix of its lock or part has some fifty characters."""
 MAX_STALL_S = 120.0
-"""How long the end of a session waits for a mirror that makes no progress."""
+"""How long the end of a session waits for a disk or a mirror that makes no progress."""
+MAX_MIRROR_S = 300.0
+"""How long it waits for a mirror that does."""
 
 
 class FolderStore:
@@ -45,11 +48,13 @@ class FolderStore:
         Free space [MB] that a run must leave besides twice its own size.
     on_finished
         Called with each run file once it is in its place, on another thread; it must be quick.
+    max_stall_s
+        How long `settle` waits for a disk that makes no progress.
 
     Raises
     ------
     OutputError
-        When the folder cannot be made.
+        When the folder cannot be made, or its path leaves no room for names.
     """
 
     def __init__(
@@ -59,8 +64,9 @@ class FolderStore:
         flush_s: float = FLUSH_S,
         reserve_mb: float = RESERVE_BYTES / 2**20,
         on_finished: Callable[[Path], None] | None = None,
+        max_stall_s: float = MAX_STALL_S,
     ) -> None:
-        self._folder = folder
+        self._folder, self._max_stall_s = folder, max_stall_s
         self._flush_s = flush_s
         self._reserve_bytes = round(reserve_mb * 2**20)
         self._on_finished = on_finished
@@ -100,15 +106,30 @@ class FolderStore:
     def settle(self) -> None:
         """Wait until every closed run is in its final place, and end the finishing process.
 
-        Raises `RecordingError` when a run cannot be put there; it stays a recording that `dragrig recover` finishes.
+        Raises `RecordingError` when a run cannot be put there, or the disk makes no progress for `MAX_STALL_S`; it
+        stays a recording that `dragrig recover` finishes.
         """
         finisher, self._finisher = self._finisher, Finisher(self._on_finished)
-        results = finisher.wait()
+        results: tuple[FinishResult, ...] = ()
+        progress = (-1, -1)
+        while (now := (finisher.pending, self._part_bytes())) != progress and finisher.pending:
+            progress = now
+            results += finisher.wait(self._max_stall_s)
         finisher.close()
         self.finished.extend(results)
         for result in results:
             if result.error is not None:
                 raise RecordingError(str(result.error)) from result.error
+        if finisher.pending:
+            raise RecordingError(
+                f"{self._folder}: the disk has made no progress for {self._max_stall_s:g} s; {finisher.pending} runs are"
+                " still recordings, whole as they are: check the disk, then `dragrig recover`"
+            )
+
+    def _part_bytes(self) -> int:
+        """Return the size of the run files in the making: it grows as long as the disk takes data."""
+        parts = (schema.part_path(path) for path in self._paths.values())
+        return sum(part.stat().st_size for part in parts if part.exists())
 
 
 def _require_room_for_names(folder: Path) -> None:
@@ -201,15 +222,19 @@ class Mirror:
         self._submitted[file.name] = file
         self._jobs.put(file)
 
-    def close(self, max_stall_s: float = MAX_STALL_S) -> MirrorReport:
-        """Try once more what failed, and report what is in the mirror; a mirror that hangs is given up."""
+    def close(self, max_stall_s: float = MAX_STALL_S, max_s: float = MAX_MIRROR_S) -> MirrorReport:
+        """Try once more what failed, and report what is in the mirror.
+
+        A mirror that hangs for `max_stall_s`, or is not done after `max_s`, is given up.
+        """
         self._jobs.put(None)
-        steps_before = -1
-        while self._thread.is_alive() and steps_before != self._steps:
+        steps_before, until_s = -1, time.monotonic() + max_s
+        while self._thread.is_alive() and steps_before != self._steps and time.monotonic() < until_s:
             steps_before = self._steps
-            self._thread.join(max_stall_s)
+            self._thread.join(min(max_stall_s, max(until_s - time.monotonic(), 0.0)))
+        why = "the mirror does not respond" if steps_before == self._steps else f"the mirror took more than {max_s:g} s"
         hung = self._submitted.keys() - self._copied.keys() - self._missing.keys()
-        missing = {**self._missing, **dict.fromkeys(hung, "the mirror does not respond")}
+        missing = {**self._missing, **dict.fromkeys(hung, why)}
         return MirrorReport(self.folder, tuple(self._copied), missing)
 
     def _work(self) -> None:
