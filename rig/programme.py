@@ -95,9 +95,10 @@ class Programme:
     def pending(self, done: Collection[int]) -> tuple[PlannedRun, ...]:
         """Return the runs still to make.
 
-        A return stroke belongs to the run that it follows: it is repeated with that run, and never made alone.
+        A return stroke belongs to the run that it follows: it is repeated with that run, and made alone only where it
+        alone is missing.
         """
-        pending = {run.index for run in self.runs if run.follows < 0}.difference(done)
+        pending = {run.index for run in self.runs}.difference(done)
         return tuple(run for run in self.runs if run.index in pending or run.follows in pending)
 
 

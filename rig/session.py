@@ -236,10 +236,10 @@ class Session:
         return answer if answer is not Answer.DONE else None
 
     def _is_due(self, run: PlannedRun) -> bool:
-        """Whether a run is to be made: a return stroke only right after its run, any other unless it is done."""
-        if run.follows >= 0:
-            return bool(self._results) and self._results[-1].run.index == run.follows
-        return run.index not in self._done
+        """Whether a run is to be made: a return stroke right after its run, or where only that is done."""
+        if run.follows >= 0 and self._results and self._results[-1].run.index == run.follows:
+            return True
+        return run.index not in self._done and (run.follows < 0 or run.follows in self._done)
 
     def _discard_last_run(self) -> int:
         last = next(result for result in reversed(self._results) if result.run.follows < 0)
@@ -249,7 +249,9 @@ class Session:
         return last.run.index
 
     def _prepare(self, run: PlannedRun) -> Answer:
-        if run.follows < 0 and not run.by_hand:
+        # A return stroke begins where its run ended, unless an earlier session made that.
+        follows_at_once = run.follows >= 0 and run.follows not in self._done
+        if not (follows_at_once or run.by_hand):
             # The next prompt may ask to put the capsule into the gut, so the stage moves before.
             in_gut = bool(self._results) and self._results[-1].run.contact is not Contact.NONE
             if in_gut and abs(self._travel_to(run)) > START_TOLERANCE_MM:

@@ -14,7 +14,7 @@ from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
 from dragrig.config.settings import find_settings, parse
 from dragrig.config.specimen import Specimen
-from dragrig.rig.devices import BackendRequest
+from dragrig.rig.devices import Backend, BackendRequest
 from dragrig.rig.engine import Sink
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import PlannedRun, Programme, build_programme
@@ -252,12 +252,35 @@ def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(stubborn: tup
 def test_a_session_goes_on_where_another_ended() -> None:
     step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0, 20.0]}
     person = Scripted()
-    session, store = new_session(step, person=person, progress=CampaignProgress(done=frozenset({0}), next_order=7))
+    session, store = new_session(step, person=person, progress=CampaignProgress(done=frozenset({0, 1}), next_order=7))
     assert session.run().status is RunStatus.COMPLETE
     assert [(run.info.kind, run.info.header.order) for run in store.runs] == [
         ("drag", 7), ("return", 8), ("drag", 9), ("return", 10),
     ]  # fmt: skip
     assert person.prompts == ["fit"]
+
+
+def test_a_way_back_that_a_kill_interrupted_is_made_by_the_next_session() -> None:
+    class Looks(Scripted):
+        at_mm: float = -1.0
+        backend: Backend
+
+        def ask(self, prompt: Prompt) -> Answer:
+            self.at_mm = self.backend.stage.state().position_mm if prompt.text == "fit" else self.at_mm
+            return super().ask(prompt)
+
+    person = Looks()
+    step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0]}
+    session, store = new_session(step, person=person, progress=CampaignProgress(done=frozenset({0}), next_order=2))
+    person.backend = session._backend
+    assert session.run().status is RunStatus.COMPLETE
+    assert [(run.info.kind, run.info.header.order) for run in store.runs] == [("return", 2), ("drag", 3), ("return", 4)]
+    back = store.runs[0]
+    assert back.info.header.entry["way_back_of"] == 0
+    # The capsule is put in where the run before ended, and comes back to where that began.
+    assert person.at_mm == pytest.approx(60.0)
+    assert back.info.header.entry["origin_mm"] == pytest.approx(60.0)
+    assert back.trace.position[-1] == pytest.approx(-20.0, abs=0.01)
 
 
 def test_every_run_carries_the_settings_it_was_made_with() -> None:
@@ -348,7 +371,7 @@ class Follows(NullOperator):
         ({0, 1}, [2, 3, 4, 5]),
         ({1, 2, 3, 4, 5}, [0, 1]),
         ({0, 1, 3, 4, 5}, [2, 3]),
-        ({0, 1, 2, 4, 5}, []),
+        ({0, 1, 2, 4, 5}, [3]),
     ],
     ids=["anew", "gone on with", "first marked bad", "middle marked bad", "way back marked bad"],
 )
