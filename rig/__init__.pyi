@@ -43,6 +43,7 @@ from .engine import attempt as attempt
 from .guard import LIMIT_SWITCH_CAUSES as LIMIT_SWITCH_CAUSES
 from .guard import Guard as Guard
 from .manual import JOG_SPEED_MM_S as JOG_SPEED_MM_S
+from .manual import MAX_OVERRIDE_SPEED_MM_S as MAX_OVERRIDE_SPEED_MM_S
 from .manual import LoadReading as LoadReading
 from .manual import ManualControl as ManualControl
 from .manual import TravelReading as TravelReading

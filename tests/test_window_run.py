@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
+from windows import WAIT_MS, Until, dressed, lab_in, opened, press, require_qt
 
 require_qt()
 
-from PySide6.QtCore import QPoint, QPointF, QSettings, Qt
+from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
@@ -23,7 +23,6 @@ from dragrig.engine_host.messages import (
     GuardState,
     MirrorStatus,
     QueuedRun,
-    RigSelection,
     RunFinished,
     RunStarted,
     SessionFinished,
@@ -37,19 +36,7 @@ from dragrig.views import plan_form
 from dragrig.window.main_window import MainWindow
 from dragrig.window.run_page import QueueView
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
-from dragrig.window.widgets import StoredSettings, Topic
-
-BUSY_S = 600.0
-"""A machine that tests may hold the window up for long."""
-
-
-def opened(qtbot: QtBot, lab: Path, settings: Path, **terms: object) -> MainWindow:
-    dressed()
-    rig = RigSelection(rig=lab / "rig.toml", **terms)  # type: ignore[arg-type]
-    window = MainWindow(rig, lab, StoredSettings(QSettings(str(settings), QSettings.Format.IniFormat)), BUSY_S)
-    window.show()
-    qtbot.waitUntil(lambda: window.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
-    return window
+from dragrig.window.widgets import Topic
 
 
 @pytest.fixture(scope="module")

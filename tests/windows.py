@@ -10,6 +10,9 @@ import pytest
 
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
+    from pytestqt.qtbot import QtBot
+
+    from dragrig.window.main_window import MainWindow
 
 PACKAGES = {
     "libEGL": "libegl1", "libGL": "libgl1", "libxkbcommon": "libxkbcommon0", "libdbus": "libdbus-1-3",
@@ -17,6 +20,8 @@ PACKAGES = {
 }  # fmt: skip
 """Debian's package for each library of the system that Qt needs, even off screen."""
 WAIT_MS = 600_000
+BUSY_S = 600.0
+"""A machine that tests may hold the window up for long."""
 
 
 def lacking() -> str:
@@ -69,3 +74,19 @@ def dressed() -> "QApplication":
     from dragrig.window.main_window import qt_application
 
     return qt_application()
+
+
+def opened(qtbot: "QtBot", lab: Path, settings: Path, **terms: object) -> "MainWindow":
+    """Return a window on a lab whose engine is there, its guard not yet reset."""
+    from PySide6.QtCore import QSettings
+
+    from dragrig.engine_host.messages import RigSelection
+    from dragrig.window.main_window import MainWindow
+    from dragrig.window.widgets import StoredSettings
+
+    dressed()
+    rig = RigSelection(rig=lab / "rig.toml", **terms)  # type: ignore[arg-type]
+    window = MainWindow(rig, lab, StoredSettings(QSettings(str(settings), QSettings.Format.IniFormat)), BUSY_S)
+    window.show()
+    qtbot.waitUntil(lambda: window.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
+    return window

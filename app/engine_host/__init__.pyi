@@ -1,5 +1,6 @@
 from .client import EngineClient as EngineClient
 from .messages import HEARTBEAT_S as HEARTBEAT_S
+from .messages import MAX_OVERRIDE_SPEED_MM_S as MAX_OVERRIDE_SPEED_MM_S
 from .messages import PHASE_NAMES as PHASE_NAMES
 from .messages import SILENCE_TIMEOUT_S as SILENCE_TIMEOUT_S
 from .messages import AbortSession as AbortSession
@@ -37,4 +38,5 @@ from .messages import SessionWaiting as SessionWaiting
 from .messages import StageMoved as StageMoved
 from .messages import StartSession as StartSession
 from .messages import TouchOffStage as TouchOffStage
+from .messages import TravelEnd as TravelEnd
 from .messages import WatchRig as WatchRig

@@ -10,15 +10,26 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config import Plan
-from dragrig.rig import PHASE_NAMES, Answer, IdleReading, Reading, RigCheck, RunStatus
+from dragrig.rig import (
+    MAX_OVERRIDE_SPEED_MM_S,
+    PHASE_NAMES,
+    Answer,
+    IdleReading,
+    Reading,
+    RigCheck,
+    RunStatus,
+    TravelEnd,
+)
 from dragrig.setup import Pace, RigChoices
 
 __all__ = [
+    "MAX_OVERRIDE_SPEED_MM_S",
     "PHASE_NAMES",
     "Answer",
     "IdleReading",
     "Pace",
     "RunStatus",
+    "TravelEnd",
 ]  # types of the messages' fields, for clients that do not import the rig
 
 SILENCE_TIMEOUT_S = 20.0
@@ -109,6 +120,9 @@ class ResetGuard:
 class HomeStage:
     """Find the stage's origin, once the person confirms."""
 
+    override: TravelEnd | None = None
+    """Side whose pressed limit switch is overridden for this one motion, which the tripped guard then allows."""
+
 
 @dataclass(frozen=True, slots=True)
 class JogStage:
@@ -116,6 +130,8 @@ class JogStage:
 
     distance_mm: float
     speed_mm_s: float
+    override: TravelEnd | None = None
+    """As of `HomeStage`; the distance must lead away from the switch."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -440,7 +440,9 @@ class EngineHost:
             self._trip("")
 
     def _move(self, motion: HandMotion) -> StageMoved:
-        if self._trip_reason:
+        overrides = isinstance(motion, HomeStage | JogStage) and motion.override is not None
+        # Off a pressed switch the guard can only be reset afterwards; everything else stays guarded.
+        if self._trip_reason and not overrides:
             return StageMoved("", f"the guard is tripped: {self._trip_reason}; reset it first")
         try:
             return StageMoved(self._moved_by(motion))
@@ -457,10 +459,10 @@ class EngineHost:
         choices, person, begun = self._rig.choices(), self._operator, self._receiver.stops
         pace = self._rig.pace
         match motion:
-            case HomeStage():
-                move = home(pace=pace, person=person, begun=begun, **choices)
-            case JogStage(distance_mm, speed_mm_s):
-                move = jog(distance_mm, speed_mm_s, pace=pace, person=person, begun=begun, **choices)
+            case HomeStage(override):
+                move = home(override=override, pace=pace, person=person, begun=begun, **choices)
+            case JogStage(distance_mm, speed_mm_s, override):
+                move = jog(distance_mm, speed_mm_s, override=override, pace=pace, person=person, begun=begun, **choices)
             case TouchOffStage(most_mm, force_mN, speed_mm_s, back_mm, name):
                 contact = touch_off(most_mm, force_mN=force_mN, speed_mm_s=speed_mm_s, back_mm=back_mm, operator=name,
                                     pace=pace, person=person, begun=begun, **choices)  # fmt: skip
@@ -468,7 +470,11 @@ class EngineHost:
                     f"Contact at {contact.position_mm:.3f} mm, where the force changed by {contact.force_mN:.1f} mN; "
                     "stored as contact.toml in the lab folder."
                 )
-        return f"The stage is at {move.position_mm:.3f} mm."
+        if move.trip is not None:
+            self._trip(move.trip.message)
+            return f"The stage is at {move.position_mm:.3f} mm, and the guard stays tripped: {move.trip.message}."
+        freed = f" The {motion.override} limit switch is free: reset the guard." if motion.override is not None else ""
+        return f"The stage is at {move.position_mm:.3f} mm.{freed}"
 
     def _trip(self, reason: str) -> None:
         self._trip_reason = reason

@@ -1,12 +1,13 @@
 """The page that runs plans: new session, preview, live view, devices, queue."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
+    QComboBox,
     QDoubleSpinBox,
     QHeaderView,
     QPlainTextEdit,
@@ -20,6 +21,7 @@ from PySide6.QtWidgets import (
 
 from dragrig.config import DragrigError
 from dragrig.engine_host import (
+    MAX_OVERRIDE_SPEED_MM_S,
     AbortSession,
     Event,
     ExamineRig,
@@ -46,6 +48,7 @@ from dragrig.engine_host import (
     StageMoved,
     StartSession,
     TouchOffStage,
+    TravelEnd,
     WatchRig,
 )
 from dragrig.present import duration_text
@@ -126,6 +129,7 @@ class DevicesView(QWidget):
             self.status.setText("Checking every device …" if self._checking else self._result_text)
 
 
+_OVERRIDES: Mapping[str, TravelEnd | None] = {"none": None, "low": TravelEnd.LOW, "high": TravelEnd.HIGH}
 _JOG_MM, _JOG_MM_S = 5.0, 10.0
 _TOUCH_MM, _TOUCH_MN, _TOUCH_MM_S = 20.0, 20.0, 1.0
 
@@ -138,14 +142,22 @@ class HandView(QWidget):
         self._request_move, self._operator = move, operator
         self.busy = False
         """Whether a motion is asked for or under way."""
-        self._allowed = False
+        self._idle = self._armed = False
         self.distance = _field("Distance of the jog", _JOG_MM, "mm", signed=True)
         self.speed = _field("Speed of the jog", _JOG_MM_S, "mm/s")
         self.most = _field("Longest travel of the touch-off", _TOUCH_MM, "mm", signed=True)
         self.force = _field("Change of the force that is a contact", _TOUCH_MN, "mN")
         self.approach = _field("Speed of the touch-off", _TOUCH_MM_S, "mm/s")
         self.back = _field("Way back after the contact", 0.0, "mm")
-        self.home = button("Ho&me", lambda: self._move(HomeStage()), help_="Find the stage's origin")
+        self.override = named(QComboBox(), "Limit switch that the next motion may leave")
+        for name, side in _OVERRIDES.items():
+            self.override.addItem(name, side)
+        self.override.setToolTip(
+            "For the next homing or jog alone, away from the pressed switch and slow; everything else stays guarded"
+        )
+        self.override.currentIndexChanged.connect(lambda _: self._choose_override())
+        self._usual_mm_s = _JOG_MM_S
+        self.home = button("Ho&me", lambda: self._move(HomeStage(self._side)), help_="Find the stage's origin")
         self.jog = button("&Jog", self._jog, help_="Move the stage by the distance")
         self.touch = button("Touc&h off", self._touch, help_="Approach until the force changes; plans can start there")
         self.state = MessageText()
@@ -153,23 +165,45 @@ class HandView(QWidget):
         jog = flow(self.jog, _titled("by", self.distance), _titled("at", self.speed))
         touch = flow(self.touch, _titled("within", self.most), _titled("until", self.force),
                      _titled("at", self.approach), _titled("then back by", self.back))  # fmt: skip
-        self.setLayout(column(self.state, card(row(self.home, 1)), card(jog), card(touch), 1, margin=8))
-        self.allow(on=False)
+        home = flow(self.home, _titled("Overridden limit switch", self.override))
+        self.setLayout(column(self.state, card(home), card(jog), card(touch), 1, margin=8))
+        self._show_state()
 
-    def allow(self, *, on: bool) -> None:
-        """Allow motions, or not: while a session runs or the guard is tripped."""
-        self._allowed = on
-        for starts in (self.home, self.jog, self.touch):
-            starts.setEnabled(on and not self.busy)
+    def allow(self, *, idle: bool, armed: bool) -> None:
+        """Allow motions while nothing else is done: with the guard armed, or off a pressed limit switch."""
+        self._idle, self._armed = idle, armed
+        self._show_state()
 
     def end(self, sentence: str) -> None:
-        """Show how the motion ended."""
+        """Show how the motion ended; an override was for that motion alone."""
         self.busy = False
         self.state.setText(sentence)
-        self.allow(on=self._allowed)
+        self.override.setCurrentIndex(0)
+        self._show_state()
+
+    @property
+    def _side(self) -> TravelEnd | None:
+        return _OVERRIDES[self.override.currentText()]
+
+    def _show_state(self) -> None:
+        free, off_switch = self._idle and not self.busy, self._side is not None
+        for starts in (self.home, self.jog):
+            starts.setEnabled(free and (self._armed or off_switch))
+        self.touch.setEnabled(free and self._armed and not off_switch)
+        self.override.setEnabled(free)
+
+    def _choose_override(self) -> None:
+        """Limit the jog's speed as the rig does off a switch; the speed before comes back afterwards."""
+        if self._side is None:
+            self.speed.setMaximum(_MOST_BY_HAND)
+            self.speed.setValue(self._usual_mm_s)
+        elif self.speed.maximum() > MAX_OVERRIDE_SPEED_MM_S:
+            self._usual_mm_s = self.speed.value()
+            self.speed.setMaximum(MAX_OVERRIDE_SPEED_MM_S)
+        self._show_state()
 
     def _jog(self) -> None:
-        self._move(JogStage(self.distance.value(), self.speed.value()))
+        self._move(JogStage(self.distance.value(), self.speed.value(), self._side))
 
     def _touch(self) -> None:
         force, speed, back = self.force.value(), self.approach.value(), self.back.value()
@@ -178,7 +212,7 @@ class HandView(QWidget):
     def _move(self, motion: HandMotion) -> None:
         self.busy = True
         self.state.setText("The motion is being prepared …")
-        self.allow(on=self._allowed)
+        self._show_state()
         self._request_move(motion)
 
 
@@ -408,7 +442,7 @@ class RunPage(QWidget):
         self.preview, self.live = PlanPreview(), LiveView()
         self.live.set_limits(description.lowest_mm, description.highest_mm)
         self.queue_view = QueueView(self.queue)
-        self.hand = HandView(engine.ask, self.new.operator.text)
+        self.hand = HandView(self._move_by_hand, self.new.operator.text)
         self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
         self.devices.watch.setChecked(stored.text("watch", "yes") == "yes")
         self.devices.watch.toggled.connect(lambda on: self._watch(on=on))
@@ -523,7 +557,7 @@ class RunPage(QWidget):
                 if sentence:
                     self.write_log(sentence)
                 else:
-                    self.complained.emit(problem, Topic.SESSION)
+                    self.complained.emit(problem, Topic.HAND)
             case RigExamined():
                 self.devices.show_result(event)
                 self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
@@ -609,6 +643,10 @@ class RunPage(QWidget):
         if start:
             self.run_queue()
 
+    def _move_by_hand(self, motion: HandMotion) -> None:
+        self.settled.emit(Topic.HAND)
+        self._engine.ask(motion)
+
     def _pause(self) -> None:
         self._engine.ask(PauseSession(self.pause.isChecked()))
 
@@ -653,7 +691,7 @@ class RunPage(QWidget):
         if not running:
             self.pause.setChecked(False)
         self.devices.set_session_running(running=running)
-        self.hand.allow(on=not running and not self._trip_reason)
+        self.hand.allow(idle=not running, armed=not self._trip_reason)
         self.running_changed.emit(running)
 
     def _show_buttons(self) -> None:

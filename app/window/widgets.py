@@ -528,6 +528,8 @@ class Topic(StrEnum):
     """Until it is dismissed."""
     SESSION = "session"
     """Until the next session starts."""
+    HAND = "by hand"
+    """Until the next motion by hand or calibration starts."""
     CLOSING = "closing"
     """Until no session is running."""
     GUARD = "guard"
