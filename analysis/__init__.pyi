@@ -87,6 +87,7 @@ from .measures import empty_stretch_reason as empty_stretch_reason
 from .measures import mean_per_speed as mean_per_speed
 from .measures import measure as measure
 from .measures import minutes_since_excision as minutes_since_excision
+from .measures import set_values as set_values
 from .measures import stretch_mean as stretch_mean
 from .measures import table_row as table_row
 from .measures import table_rows as table_rows
@@ -154,5 +155,8 @@ from .wording import capitalise as capitalise
 from .wording import count_text as count_text
 from .wording import join_names as join_names
 from .wording import percent_text as percent_text
+from .wording import range_text as range_text
+from .wording import rounded_to_error as rounded_to_error
 from .wording import significant_text as significant_text
+from .wording import value_with_error as value_with_error
 from .wording import with_minus_sign as with_minus_sign

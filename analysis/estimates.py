@@ -21,6 +21,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from dragrig.analysis.wording import value_with_error
 from dragrig.rig import FloatArray
 
 NORMAL_95 = 1.959964
@@ -71,9 +72,7 @@ class Estimate:
     def __str__(self) -> str:
         if self.value is None:
             return f"- ({self.reason})"
-        if self.standard_error is None:
-            return f"{self.value:.4g}"
-        return f"{self.value:.4g} ± {self.standard_error:.2g}"
+        return value_with_error(self.value, self.standard_error)
 
 
 def missing(reason: str) -> Estimate:

@@ -1,6 +1,6 @@
 """Measures of one run, each with its standard error or the reason why it is missing, and a campaign's table of them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from math import nan, sqrt
@@ -27,6 +27,8 @@ PEAK_WINDOW_S = 0.01
 A relaxation's peak is a cusp: over the filter's default window of 0.05 s it would come out 2 to 3 % low.
 """
 STICKING_KINDS = frozenset({"relaxation"})
+SET_VALUE_TOLERANCE = 1e-3
+"""Relative difference up to which neighbouring speeds or strains are one set value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,14 +297,30 @@ def _unreadable_row(path: Path, error: RunFileError) -> TableRow:
     return TableRow(path.name, status=UNREADABLE, remark=str(error).removeprefix(f"{path}: "))
 
 
+def set_values(values: Iterable[float]) -> tuple[float, ...]:
+    """Return the set value that each of some speeds or strains belongs to: of alike ones, that with the fewest digits.
+
+    A value that is converted between units, or read back from a drive, is off by rounding: 0.49999999 was set as 0.5.
+    """
+    given = tuple(map(float, values))
+    groups: list[list[float]] = []
+    for value in sorted(set(given)):
+        if groups and value - groups[-1][-1] <= SET_VALUE_TOLERANCE * abs(value):
+            groups[-1].append(value)
+        else:
+            groups.append([value])
+    shared = {value: min(group, key=lambda alike: len(repr(alike))) for group in groups for value in group}
+    return tuple(shared[value] for value in given)
+
+
 def mean_per_speed(rows: Sequence[TableRow]) -> tuple[SpeedMean, ...]:
     """Average the steady force over repeated runs that are complete, not marked as bad, and have one."""
     groups: dict[tuple[str, str, str, float, int], list[tuple[float, float | None]]] = {}
-    for row in rows:
-        if row.counts and row.steady_force_mN is not None and row.speed_mm_s is not None:
-            direction = -1 if (row.measured_speed_mm_s or row.travel_mm or 1.0) < 0 else 1
-            key = (row.specimen, row.kind, row.capsule, row.speed_mm_s, direction)
-            groups.setdefault(key, []).append((row.steady_force_mN, row.steady_force_error_mN))
+    usable = [row for row in rows if row.counts and row.steady_force_mN is not None and row.speed_mm_s is not None]
+    for row, speed_mm_s in zip(usable, set_values(row.speed_mm_s or 0.0 for row in usable), strict=True):
+        direction = -1 if (row.measured_speed_mm_s or row.travel_mm or 1.0) < 0 else 1
+        key = (row.specimen, row.kind, row.capsule, speed_mm_s, direction)
+        groups.setdefault(key, []).append((row.steady_force_mN or 0.0, row.steady_force_error_mN))
     means = []
     for key, measured in sorted(groups.items()):
         forces, errors = zip(*measured, strict=True)

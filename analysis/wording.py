@@ -2,10 +2,16 @@
 
 from collections.abc import Sequence
 from decimal import Decimal
-from math import isfinite
+from math import floor, isfinite, log10
+from typing import TypeGuard
 
 UNKNOWN = "–"
 """Shown for a value that is missing or not finite."""
+DIGITS_WITHOUT_ERROR = 4
+EXACT, EXACT_DIGITS = 1e-6, 8
+"""An error below this share of the value is rounding: it is not written, and the value with so many digits at most."""
+MAX_DECIMALS = 9
+"""What needs more decimal places is written with an exponent."""
 
 
 def significant_text(value: float, digits: int = 3) -> str:
@@ -18,6 +24,43 @@ def significant_text(value: float, digits: int = 3) -> str:
 def with_minus_sign(text: str) -> str:
     """Return a number's text with the sign for minus in place of the hyphen."""
     return text.replace("-", "−")
+
+
+def rounded_to_error(value: float | None, error: float | None) -> str:
+    """Write a number to the second digit of its standard error; with four digits where the error is not known."""
+    if value is None or not isfinite(value):
+        return UNKNOWN
+    if not _is_known(error):
+        return with_minus_sign(f"{value:.{DIGITS_WITHOUT_ERROR}g}")
+    if error < EXACT * abs(value):
+        return with_minus_sign(f"{value:.{EXACT_DIGITS}g}")
+    return _to_places(value, error)
+
+
+def value_with_error(value: float | None, error: float | None) -> str:
+    """Write a value with its standard error, both to the error's second digit: 113.24 ± 0.21."""
+    text = rounded_to_error(value, error)
+    if value is None or not isfinite(value) or not _is_known(error) or error < EXACT * abs(value):
+        return text
+    return f"{text} ± {_to_places(error, error)}"
+
+
+def range_text(interval: tuple[float, float] | None, error: float | None) -> str:
+    """Write an interval to the second digit of the error: 3.242 to 3.290; nothing without width."""
+    if interval is None or not all(map(isfinite, interval)):
+        return ""
+    low, high = (rounded_to_error(end, error) for end in interval)
+    return "" if low == high else f"{low} to {high}"
+
+
+def _is_known(error: float | None) -> TypeGuard[float]:
+    return error is not None and isfinite(error) and error > 0
+
+
+def _to_places(value: float, error: float) -> str:
+    """Write a number with the decimal places that two digits of an error take."""
+    places = max(0, 1 - floor(log10(error)))
+    return with_minus_sign(f"{value:.1e}" if places > MAX_DECIMALS else f"{value:z.{places}f}")
 
 
 def percent_text(share: float) -> str:

@@ -18,6 +18,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 
 import dragrig
+from dragrig.analysis import value_with_error
 from dragrig.cli import main
 from dragrig.cli.commands import dragrig_group
 from dragrig.config.friction_model import FrictionModelSettings
@@ -26,7 +27,7 @@ from dragrig.config.specimen import Capsule
 from dragrig.present.campaign_figures import campaign_figure
 from dragrig.present.drawing import SMALL_PT, figure_style, new_figure, shortened_to_width
 from dragrig.present.model_figures import forces_figure, skew_figure, wall_figure
-from dragrig.present.run_figures import WIDTH_IN, run_figure, value_with_error
+from dragrig.present.run_figures import WIDTH_IN, run_figure
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile import mark_bad, read_run
 from dragrig.rig.runfile.model import FilteredTrace, Run, RunEvent, RunStatus
@@ -247,6 +248,10 @@ def test_the_steady_level_stands_where_the_runs_measure_says(drag: Run) -> None:
         (-1.404, 0.57, "−1.40 ± 0.57"),
         (40.07, None, "40.07"),
         (40.07, 0.0, "40.07"),
+        (0.49999999999, 4.9e-10, "0.5"),
+        (19.99981, 1e-7, "19.99981"),
+        (3e-13, 1.4e-14, "3.0e−13 ± 1.4e−14"),
+        (-0.001, 0.21, "0.00 ± 0.21"),
     ],
 )
 def test_a_value_has_as_many_digits_as_its_error(value: float, error: float | None, text: str) -> None:

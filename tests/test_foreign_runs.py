@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import dragrig
-from dragrig.analysis import linear_gaussian
+from dragrig.analysis import linear_gaussian, range_text
 from dragrig.analysis.estimates import Exclusion
 from dragrig.analysis.gap.diagnosis import Diagnosis, GapReduction, R2BeforeAfter, Verdict
 from dragrig.analysis.models.experiment import Experiment, fit_kinematics, insert_reversals, session_starts
@@ -18,7 +18,7 @@ from dragrig.analysis.noise import NoiseModel
 from dragrig.analysis.selection import RETURN_REASON
 from dragrig.config.errors import DragrigError
 from dragrig.present.diagnosis_sentences import shrink_sentences
-from dragrig.present.numbers import listed_exclusions, range_text
+from dragrig.present.numbers import listed_exclusions
 from dragrig.rig import FloatArray
 
 RATE_HZ = 500.0

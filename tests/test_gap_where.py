@@ -207,7 +207,9 @@ def test_what_stands_out_is_not_asked_of_the_effect() -> None:
 def test_speeds_that_differ_by_rounding_are_one_set_value() -> None:
     exact = campaign(1, stribeck)
     rounded = [replace(run, speed_mm_s=run.speed_mm_s * (1 - 2e-8 * (number % 3))) for number, run in enumerate(exact)]
-    whole, off = (localise(runs).location("speed_mm_s") for runs in (exact, rounded))
+    location_exact, location_off = map(localise, (exact, rounded))
+    assert location_off.domain_scores == pytest.approx(location_exact.domain_scores)
+    whole, off = (location.location("speed_mm_s") for location in (location_exact, location_off))
     assert [axis_bin.low for axis_bin in off.bins] == [axis_bin.low for axis_bin in whole.bins]
     assert [axis_bin.share for axis_bin in off.bins] == pytest.approx([axis_bin.share for axis_bin in whole.bins])
     assert (off.low, off.high, off.p) == (whole.low, whole.high, whole.p)

@@ -69,6 +69,14 @@ def test_repeats_are_averaged_with_the_larger_error() -> None:
     assert mean_per_speed([replace(row, status="tripped"), replace(row, steady_force_mN=None)]) == ()
 
 
+def test_speeds_that_differ_by_rounding_are_one_row() -> None:
+    row = TableRow("a.h5", "gut", 0, "drag", speed_mm_s=0.5, steady_force_mN=100.0, steady_force_error_mN=1.0,
+                   status="complete")  # fmt: skip
+    speeds = (0.49999999, 0.5, 0.50000001, 0.505, 12.345)
+    means = mean_per_speed([replace(row, speed_mm_s=speed) for speed in speeds])
+    assert [(mean.speed_mm_s, mean.runs) for mean in means] == [(0.5, 3), (0.505, 1), (12.345, 1)]
+
+
 def test_a_damaged_file_and_a_recording_get_rows_that_say_so(campaign: Path) -> None:
     (campaign / "005-blank.h5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     shutil.copy(campaign / "008-coulomb.h5", campaign / "099-drag.recording.h5")

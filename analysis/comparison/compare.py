@@ -30,6 +30,7 @@ from dragrig.analysis import (
     no_progress,
     summarise_exclusions,
     unusable_files,
+    value_with_error,
 )
 from dragrig.analysis.comparison.comparison import (
     ABOVE_REST,
@@ -626,7 +627,7 @@ def _clearest_group(groups: Sequence[GroupDifference]) -> Iterator[str]:
         group = groups[0]
         yield (
             f"Clearest: {group.condition}, {group.measure} {group.a:.1f} against {group.b:.1f} mN, "
-            f"{group.value:+.1f} ± {NORMAL_95 * group.error:.1f} mN{_percent(group.relative)}."
+            f"{_signed_difference(group.value, group.error)} mN{_percent(group.relative)}."
         )
 
 
@@ -642,7 +643,7 @@ def _measure_sentence(name: str, groups: Sequence[GroupDifference]) -> str:
         if abs(mean) > NORMAL_95 * error:
             offset = f"{abs(mean):.1f} mN {'above' if mean > 0 else 'below'} A"
             return f"{name}: no condition differs by itself, but over all of them B is {offset} on average{percent}."
-        return f"{name}: no difference beyond noise and scatter; on average {mean:+.1f} ± {NORMAL_95 * error:.1f} mN."
+        return f"{name}: no difference beyond noise and scatter; on average {_signed_difference(mean, error)} mN."
     above = [group for group in beyond if group.value > 0]
     below = [group for group in beyond if group.value < 0]
     sizes = sorted(abs(group.value) for group in beyond)
@@ -655,6 +656,11 @@ def _measure_sentence(name: str, groups: Sequence[GroupDifference]) -> str:
     span = f"{sizes[-1]:.1f}" if len(sizes) == 1 else f"{sizes[0]:.1f} to {sizes[-1]:.1f}"
     average = f"; {mean:+.1f} mN on average" if len(groups) > 1 else ""
     return f"{name}: B is {'above' if above else 'below'} A {where}, by {span} mN{average}{percent}."
+
+
+def _signed_difference(value: float, error: float) -> str:
+    """Write a difference with its sign and half the width of its 95 % interval."""
+    return f"{'+' if value > 0 else ''}{value_with_error(value, NORMAL_95 * error)}"
 
 
 def _condition_range(groups: Sequence[GroupDifference]) -> str:

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dragrig.analysis import set_values
 from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray, Phase, PhaseArray
 
 
@@ -308,19 +309,13 @@ def _no_edges(labels: tuple[str, ...]) -> FloatArray:
     return np.full((len(labels), 2), np.nan)
 
 
-SET_VALUE_TOLERANCE = 1e-3
-"""Relative difference up to which two speeds or strains are one set value."""
-
-
 def _axis_by_value(name: str, runs: CampaignResiduals, value: FloatArray, included: BoolArray) -> ExcessAxis:
-    levels = np.unique(value[included & (value > 0)])
-    # A speed that is converted between units, or read back from a drive, is off its set value by rounding: 0.49999999.
-    apart = np.diff(levels, prepend=0.0) > SET_VALUE_TOLERANCE * levels
-    level_of_value = np.searchsorted(levels[apart], value * (1 + SET_VALUE_TOLERANCE), side="right") - 1
-    groups = np.arange(np.count_nonzero(apart))
-    member = (level_of_value[:, None] == groups) & (included & (value > 0))[:, None]
-    levels = np.array([float(f"{np.median(value[group]):.4g}") for group in member.T])
-    return _whole_run_axis(name, (), np.stack((levels, levels), axis=1), runs, member)
+    included = included & (value > 0)
+    value = np.where(included, set_values(value), 0.0)
+    levels = np.unique(value[included])
+    member = included[:, None] & (value[:, None] == levels)
+    shown = np.array([float(f"{level:.4g}") for level in levels])
+    return _whole_run_axis(name, (), np.stack((shown, shown), axis=1).reshape(-1, 2), runs, member)
 
 
 def _whole_run_axis(

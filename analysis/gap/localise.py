@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dragrig.analysis import set_values
 from dragrig.analysis.gap.diagnosis import ALPHA, AxisBin, AxisLocation, GapLocation, PhaseCell
 from dragrig.analysis.gap.excess import (
     BANDS_HZ,
@@ -87,7 +88,7 @@ def domain_coordinates(blocks: Sequence[ResidualBlocks]) -> Mapping[str, tuple[D
     ones = np.ones(group.size)
     strain = np.concatenate([np.full(run.residual.size, run.strain or 1.0) for run in blocks])
     phase = np.concatenate([run.phase.astype(np.intp) for run in blocks])
-    speed = _per_block(blocks, np.unique([run.speed_mm_s for run in blocks], return_inverse=True)[1].tolist())
+    speed = _per_block(blocks, np.unique(set_values(run.speed_mm_s for run in blocks), return_inverse=True)[1].tolist())
     position = np.concatenate([_position_bins(run) for run in blocks])
     time = np.concatenate([_time_bins(run) for run in blocks])
     shifts = (0, 1) if has_session_clock(blocks) else ()

@@ -21,11 +21,13 @@ from dragrig.analysis import (
     Progress,
     RunSelection,
     acquisition_of,
+    attribute_number,
     count_text,
     no_progress,
     select_loaded_runs,
     select_runs,
     session_starts,
+    set_values,
 )
 from dragrig.config import FrictionModelSettings
 from dragrig.rig import Acquisition, Contact, FloatArray, Phase, Run, RunInfo, RunStatus, specimen_key
@@ -45,8 +47,12 @@ def spread_over_session(runs: Sequence[RunInfo], max_runs: int = MAX_RUNS) -> li
     if len(runs) <= max_runs:
         return list(runs)
     groups: dict[tuple[object, ...], list[RunInfo]] = {}
-    for info in sorted(runs, key=lambda run: run.header.start_time):
-        groups.setdefault(_condition_of(info), []).append(info)
+    in_time = sorted(runs, key=lambda run: run.header.start_time)
+    settings = [
+        set_values(attribute_number(run.header.protocol, name) or 0.0 for run in in_time) for name in CONDITION_SETTINGS
+    ]
+    for info, *condition in zip(in_time, *settings, strict=True):
+        groups.setdefault((info.kind, *condition), []).append(info)
     selected: set[int] = set()
     by_size, remaining = sorted(groups.values(), key=len), max_runs
     for done, group in enumerate(by_size):
@@ -55,10 +61,6 @@ def spread_over_session(runs: Sequence[RunInfo], max_runs: int = MAX_RUNS) -> li
         selected |= {id(group[index]) for index in indices}
         remaining -= len(indices)
     return [info for info in runs if id(info) in selected]
-
-
-def _condition_of(run: RunInfo) -> tuple[object, ...]:
-    return run.kind, *(run.header.protocol.get(name) for name in CONDITION_SETTINGS)
 
 
 def choose_runs(
@@ -218,6 +220,8 @@ class RunData:
     """Time of the first sample on the specimen's session clock; 0 without a clock."""
     has_clock: bool = True
     """Whether it is known when in the session the run was made."""
+    set_value: float | None = None
+    """Commanded speed or strain, the same in runs that differ by rounding alone; None: its own."""
 
     @property
     def experiment(self) -> Experiment:
@@ -264,11 +268,9 @@ class RunData:
 
         Without a commanded speed in the header it is the highest measured one, to two digits.
         """
-        header = self.experiment.run.info.header
-        for key in ("speed_mm_s", "shear_strain"):
-            value = header.protocol.get(key)
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                return self.experiment.kind, float(value)
+        value = _commanded_value(self.experiment) if self.set_value is None else self.set_value
+        if value is not None:
+            return self.experiment.kind, value
         if self.experiment.contact is Contact.STICKING:
             return self.experiment.kind, 0.0
         return self.experiment.kind, float(f"{self.coordinates.top_speed_mm_s[0]:.2g}")
@@ -317,9 +319,18 @@ def run_data_of(channel_blocks: Mapping[str, ChannelBlocks] | tuple[ChannelBlock
     """Return the runs whose force is predicted, on one session clock."""
     channels = tuple(channel_blocks.values()) if isinstance(channel_blocks, Mapping) else channel_blocks
     starts = session_starts([data.experiment for data in channels])
-    if starts is None:
-        return tuple(RunData(data, 0.0, has_clock=False) for data in channels)
-    return tuple(RunData(data, start) for data, start in zip(channels, starts, strict=True))
+    commanded = [_commanded_value(data.experiment) for data in channels]
+    shared = dict(zip(commanded, set_values(value or 0.0 for value in commanded), strict=True)) | {None: None}
+    return tuple(
+        RunData(data, start, has_clock=starts is not None, set_value=shared[value])
+        for data, start, value in zip(channels, starts or (0.0,) * len(channels), commanded, strict=True)
+    )
+
+
+def _commanded_value(experiment: Experiment) -> float | None:
+    protocol = experiment.run.info.header.protocol
+    speed = attribute_number(protocol, "speed_mm_s")
+    return attribute_number(protocol, "shear_strain") if speed is None else speed
 
 
 LOG_SPEED_CENTRE, LOG_SPEED_HALF_RANGE = 1.6, 2.4

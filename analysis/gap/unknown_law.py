@@ -12,6 +12,7 @@ from math import floor, log10
 import numpy as np
 import numpy.typing as npt
 
+from dragrig.analysis import set_values
 from dragrig.analysis.gap.diagnosis import GapLocation
 from dragrig.analysis.gap.excess import ResidualBlocks, has_session_clock
 from dragrig.rig import BoolArray, FloatArray, IndexArray, Phase
@@ -357,7 +358,8 @@ def fit_gap_law(region: GapRegion) -> GapLaw | None:
 
 def condition_folds(blocks: Sequence[ResidualBlocks]) -> IndexArray | None:
     """Return the fold of each run, whole conditions together and adjacent ones apart; None for too few conditions."""
-    conditions = [(run.kind, run.speed_mm_s, run.strain) for run in blocks]
+    speeds, strains = set_values(run.speed_mm_s for run in blocks), set_values(run.strain for run in blocks)
+    conditions = list(zip((run.kind for run in blocks), speeds, strains, strict=True))
     number = {condition: index for index, condition in enumerate(sorted(set(conditions)))}
     if len(number) < MIN_CONDITIONS:
         return None

@@ -121,9 +121,7 @@ from .numbers import p_value_text as p_value_text
 from .numbers import percent as percent
 from .numbers import percent_difference as percent_difference
 from .numbers import probability_text as probability_text
-from .numbers import range_text as range_text
 from .numbers import round_to_sum as round_to_sum
-from .numbers import rounded_to_error as rounded_to_error
 from .numbers import run_problem as run_problem
 from .numbers import run_subtitle as run_subtitle
 from .numbers import run_title as run_title
@@ -134,7 +132,6 @@ from .numbers import size_text as size_text
 from .numbers import to_json_object as to_json_object
 from .numbers import to_json_value as to_json_value
 from .numbers import unit_text as unit_text
-from .numbers import value_with_error as value_with_error
 from .paper import PaperReportData as PaperReportData
 from .paper import paper_document as paper_document
 from .paper import paper_tables as paper_tables

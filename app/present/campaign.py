@@ -25,7 +25,6 @@ from dragrig.present import (
     shortest,
     shortest_percent,
     to_json_object,
-    value_with_error,
 )
 from dragrig.present.run import run_drawing
 from dragrig.rig import Campaign, ReturnProtocol, RunInfo, RunStatus, SessionRecord, read_run, run_name, specimen_key
@@ -168,7 +167,7 @@ def mean_table(rows: Sequence[TableRow]) -> Table:
         Field(
             "steady_force_mN",
             "steady force, mN",
-            lambda mean: _with_error(mean.steady_force_mN, mean.standard_error_mN),
+            lambda mean: FormattedNumber.with_error(mean.steady_force_mN, mean.standard_error_mN),
         ),
     )
 
@@ -195,13 +194,13 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
         Field(
             "steady_force_mN",
             "steady force, mN",
-            lambda row: _with_error(row.steady_force_mN, row.steady_force_error_mN),
+            lambda row: FormattedNumber.with_error(row.steady_force_mN, row.steady_force_error_mN),
         ),
         Field("rest_offset_mN", "at rest, mN", lambda row: row.rest_offset_mN, decimals(1)),
         Field(
             "steady_above_rest_mN",
             "steady − rest, mN",
-            lambda row: _with_error(row.steady_above_rest_mN, row.steady_above_rest_error_mN),
+            lambda row: FormattedNumber.with_error(row.steady_above_rest_mN, row.steady_above_rest_error_mN),
         ),
         Field("peak_force_mN", "peak, mN", lambda row: row.peak_force_mN, decimals(1)),
         Field("status", "status", lambda row: row.status),
@@ -215,10 +214,6 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
         ),
         links=tuple(_anchor(row.file) if _anchor(row.file) in anchors else "" for row in rows),
     )
-
-
-def _with_error(value: float | None, error: float | None) -> FormattedNumber:
-    return FormattedNumber(value, value_with_error(value, error))
 
 
 def _session_table(data: CampaignReportData) -> Table:

@@ -21,6 +21,8 @@ from dragrig.analysis import (
     MeasureDifference,
     RunPair,
     measure,
+    set_values,
+    value_with_error,
 )
 from dragrig.present import (
     BLACK,
@@ -38,7 +40,6 @@ from dragrig.present import (
     sequential_colours,
     set_log_x,
     set_time_range,
-    value_with_error,
 )
 from dragrig.present.model_figures import spread_selection
 from dragrig.present.run_figures import (
@@ -186,7 +187,7 @@ def _draw_steady_forces(axes: Axes, digests: Sequence[RunSummary]) -> None:
     for kind, (colour, marker) in KIND_MARKERS.items():
         steady = [(run.speed_mm_s, run.steady) for run in digests if run.kind == kind and run.steady is not None]
         for points, way in _split_by_direction(kind, steady):
-            speed = np.array([_three_digit_speed(speed) for speed, _ in points])
+            speed = np.array([speed for speed, _ in points])
             force = np.array([estimate.value for _, estimate in points], dtype=float)
             force = np.abs(force) if way else force
             half = np.array([NORMAL_95 * (estimate.standard_error or 0.0) for _, estimate in points])
@@ -203,8 +204,9 @@ def _draw_points(
     hollow: bool, beside: float = 1.0,
 ) -> float:  # fmt: skip
     """Draw forces with their 95 % bars and a line through their means; return the mean at the highest speed."""
-    levels = np.unique(speed)
-    means = [float(force[speed == level].mean()) for level in levels]
+    level_of = np.array(set_values(speed))
+    levels = np.unique(level_of)
+    means = [float(force[level_of == level].mean()) for level in levels]
     axes.plot(levels, means, color=colour, linewidth=1.3, alpha=0.55, linestyle="--" if hollow else "-")
     axes.errorbar(
         speed * beside, force, yerr=half, fmt=marker, color=colour, markersize=8,
@@ -237,12 +239,13 @@ def _split_by_direction(
 
 def _draw_relaxations(axes: Axes, digests: Sequence[RunSummary]) -> None:
     rising = sorted(digests, key=lambda run: run.strain)
-    strains = sorted({run.strain for run in rising})
+    strain_of_run = set_values(run.strain for run in rising)
+    strains = sorted(set(strain_of_run))
     colours = dict(zip(strains, sequential_colours(len(strains)), strict=True))
     ends: dict[float, float] = {}
-    for run in rising:
-        axes.plot(run.x, run.force_mN, color=colours[run.strain], linewidth=1.8)
-        ends[run.strain] = float(run.force_mN[np.isfinite(run.force_mN)][-1])
+    for run, strain in zip(rising, strain_of_run, strict=True):
+        axes.plot(run.x, run.force_mN, color=colours[strain], linewidth=1.8)
+        ends[strain] = float(run.force_mN[np.isfinite(run.force_mN)][-1])
     set_log_x(axes, min(float(run.x[0]) for run in rising), max(float(run.x[-1]) for run in rising))
     fit_y_range(axes, [run.force_mN for run in rising], 1.0)
     axes.set_xlabel("Time since the end of the ramp (s)")
@@ -252,14 +255,15 @@ def _draw_relaxations(axes: Axes, digests: Sequence[RunSummary]) -> None:
 
 
 def _draw_drags(axes: Axes, digests: Sequence[RunSummary]) -> None:
-    first_of = {_three_digit_speed(run.speed_mm_s): run for run in reversed(digests)}
+    speeds_of_runs = set_values(run.speed_mm_s for run in digests)
+    first_of = dict(zip(reversed(speeds_of_runs), reversed(digests), strict=True))
     speeds = spread_selection(list(first_of))
     labels = []
     for speed, colour in zip(speeds, sequential_colours(len(speeds)), strict=True):
         run = first_of[speed]
         axes.plot(run.x, run.force_mN, color=colour, linewidth=1.8)
         middle = run.force_mN[run.force_mN.size // 2 :]
-        labels.append(CurveLabel(float(np.median(middle)), f"{speed:g} mm/s", colour))
+        labels.append(CurveLabel(float(np.median(middle)), f"{speed:.3g} mm/s", colour))
     shown = [first_of[speed] for speed in speeds]
     set_time_range(axes, min(0.0, *(float(run.x.min()) for run in shown)), max(float(run.x.max()) for run in shown))
     fit_y_range(axes, [run.force_mN for run in shown], 1.0)
@@ -275,11 +279,6 @@ def _write_panel_heading(axes: Axes, text: str, remark: str) -> None:
         remark, (1.0, 0.0), xycoords=title, xytext=(8, 0), textcoords="offset points", va="bottom", fontsize=SMALL_PT,
         color=GREY,
     )  # fmt: skip
-
-
-def _three_digit_speed(speed_mm_s: float) -> float:
-    """Where no speed was set, the measured ones of equal runs differ in the fourth digit."""
-    return float(f"{speed_mm_s:.3g}")
 
 
 def _overview_subtitle(digests: Sequence[RunSummary]) -> str:

@@ -11,6 +11,7 @@ from dragrig.analysis import (
     MeasureDifference,
     RunPair,
     comparison_rows,
+    rounded_to_error,
 )
 from dragrig.present import (
     Cell,
@@ -19,6 +20,7 @@ from dragrig.present import (
     Facts,
     Field,
     Figure,
+    FormattedNumber,
     Items,
     Section,
     Table,
@@ -32,7 +34,7 @@ from dragrig.present import (
 
 MAX_UNPAIRED = 12
 """Runs without a partner that a terminal lists."""
-ONE_DECIMAL, SIGNED = decimals(1), decimals(1, signed=True)
+ONE_DECIMAL = decimals(1)
 
 
 def comparison_document(comparison: Comparison) -> Document:
@@ -118,8 +120,8 @@ def _group_table(groups: Iterable[GroupDifference]) -> Table:
         Field("pairs", "pairs", lambda group: group.pairs, shortest()),
         Field("a_mN", "A, mN", lambda group: group.a, ONE_DECIMAL),
         Field("b_mN", "B, mN", lambda group: group.b, ONE_DECIMAL),
-        Field("difference_mN", "B − A", lambda group: group.value, SIGNED),
-        Field("half_width_mN", "± 95 %", lambda group: NORMAL_95 * group.error, ONE_DECIMAL),
+        Field("difference_mN", "B − A", lambda group: _difference_cell(group.value, NORMAL_95 * group.error)),
+        Field("half_width_mN", "± 95 %", lambda group: _half_width_cell(NORMAL_95 * group.error)),
         Field(
             "relative", "relative", lambda group: "" if group.relative is None else group.relative, percent_difference
         ),
@@ -137,8 +139,8 @@ def _pair_table(pairs: Iterable[RunPair]) -> Table:
         Column("measure", "measure"),
         Column("a_mN", "A, mN", ONE_DECIMAL),
         Column("b_mN", "B, mN", ONE_DECIMAL),
-        Column("difference_mN", "B − A", SIGNED),
-        Column("half_width_mN", "± 95 %", ONE_DECIMAL),
+        Column("difference_mN", "B − A"),
+        Column("half_width_mN", "± 95 %"),
         Column("verdict", ""),
         Column("rms_mN", "rms, mN", ONE_DECIMAL),
         Column("largest_mN", "largest, mN", ONE_DECIMAL),
@@ -163,7 +165,16 @@ def _pair_rows(pair: RunPair) -> Iterator[tuple[Cell, ...]]:
 def _difference_cells(measure: MeasureDifference) -> tuple[Cell, ...]:
     half_width = None if measure.error is None else NORMAL_95 * measure.error
     verdict = measure.reason if measure.value is None else measure.verdict.value
-    return *measure.compared, measure.value, half_width, verdict
+    return *measure.compared, _difference_cell(measure.value, half_width), _half_width_cell(half_width), verdict
+
+
+def _difference_cell(value: float | None, half_width: float | None) -> FormattedNumber:
+    """Return a difference with its sign, to the second digit of half the width of its interval."""
+    return FormattedNumber(value, ("+" if value and value > 0 else "") + rounded_to_error(value, half_width))
+
+
+def _half_width_cell(half_width: float | None) -> FormattedNumber:
+    return FormattedNumber.rounded(half_width, half_width)
 
 
 def _exclusions(name: str, excluded_a: Iterable[Exclusion], excluded_b: Iterable[Exclusion]) -> Table:

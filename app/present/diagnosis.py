@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
 
 from dragrig import present
-from dragrig.analysis import as_sentence, capitalise, percent_text
+from dragrig.analysis import as_sentence, capitalise, percent_text, rounded_to_error
 from dragrig.analysis.gap import (
     Diagnosis,
     GapReduction,
@@ -42,7 +42,6 @@ from dragrig.present import (
     percent,
     probability_text,
     round_to_sum,
-    rounded_to_error,
     shortest,
     to_json_object,
     unit_text,

@@ -17,7 +17,7 @@ from enum import StrEnum
 from math import isfinite
 from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
 
-from dragrig.analysis import UNKNOWN
+from dragrig.analysis import UNKNOWN, rounded_to_error, value_with_error
 from dragrig.present.numbers import NumberFormat, significant
 
 if TYPE_CHECKING:
@@ -52,6 +52,16 @@ class FormattedNumber:
 
     value: float | None
     text: str
+
+    @classmethod
+    def rounded(cls, value: float | None, error: float | None) -> "FormattedNumber":
+        """Return a number to the second digit of its error, for a column beside the error's."""
+        return cls(value, rounded_to_error(value, error))
+
+    @classmethod
+    def with_error(cls, value: float | None, error: float | None) -> "FormattedNumber":
+        """Return a number and its error, both to the error's second digit."""
+        return cls(value, value_with_error(value, error))
 
 
 Cell: TypeAlias = str | float | int | FormattedNumber | None

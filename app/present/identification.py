@@ -23,6 +23,9 @@ from dragrig.analysis import (
     StrainLaw,
     count_text,
     join_names,
+    range_text,
+    rounded_to_error,
+    value_with_error,
 )
 from dragrig.present import (
     Block,
@@ -43,12 +46,9 @@ from dragrig.present import (
     listed_exclusions,
     p_value_text,
     percent,
-    range_text,
-    rounded_to_error,
     shortest,
     to_json_object,
     unit_text,
-    value_with_error,
 )
 from dragrig.rig import FloatArray
 
@@ -229,7 +229,7 @@ def _residual_table(runs: Sequence[RunResidual]) -> Table:
 
 def _estimate_cell(estimate: Estimate) -> FormattedNumber:
     """Return an estimate with its error; why one is missing stands beside the result of all runs."""
-    return FormattedNumber(estimate.value, value_with_error(estimate.value, estimate.standard_error))
+    return FormattedNumber.with_error(estimate.value, estimate.standard_error)
 
 
 def _part_sections(identification: Identification) -> Iterator[Section]:

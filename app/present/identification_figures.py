@@ -32,6 +32,7 @@ from dragrig.analysis import (
     evaluate_strain_law,
     relaxation_residuals,
     steady_force_parts,
+    value_with_error,
 )
 from dragrig.config import AnalysisError, Capsule, FrictionModelSettings
 from dragrig.present import (
@@ -53,7 +54,6 @@ from dragrig.present import (
     new_figure,
     set_log_x,
     significant,
-    value_with_error,
 )
 from dragrig.present.model_figures import TABLE1_DASHES, model_text
 from dragrig.present.run_figures import (

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from datetime import date
 from functools import partial
-from math import floor, isfinite, log10
+from math import floor, isfinite
 from typing import TYPE_CHECKING, TypeAlias
 
-from dragrig.analysis import UNKNOWN, significant_text, with_minus_sign
+from dragrig.analysis import UNKNOWN, range_text, significant_text, value_with_error, with_minus_sign
 
 if TYPE_CHECKING:
     from dragrig.analysis import Estimate, EstimatedQuantity, Exclusion
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 NumberFormat: TypeAlias = Callable[[float], str]
 """Functions of modules and partials of them, which a process can send to another."""
-DIGITS_WITHOUT_ERROR = 4
-MAX_DECIMALS = 9
 
 
 def significant(digits: int) -> NumberFormat:
@@ -63,42 +61,12 @@ def round_to_sum(values: Sequence[float]) -> tuple[int, ...]:
     return tuple(steps)
 
 
-def rounded_to_error(value: float | None, error: float | None) -> str:
-    """Write a number to the second digit of its standard error; with four digits where the error is not known."""
-    if value is None or not isfinite(value):
-        return UNKNOWN
-    places = _places_of(error)
-    return with_minus_sign(f"{value:.{DIGITS_WITHOUT_ERROR}g}" if places is None else f"{value:.{places}f}")
-
-
-def error_text(error: float | None) -> str:
-    """Write a standard error with two digits; nothing where it is not known."""
-    if error is None or not isfinite(error):
-        return ""
-    places = _places_of(error)
-    return f"{error:.2g}" if places is None else f"{error:.{places}f}"
-
-
-def value_with_error(value: float | None, error: float | None) -> str:
-    """Write a value with its standard error, both to the error's second digit: 113.24 ± 0.21."""
-    text, known = rounded_to_error(value, error), _places_of(error) is not None
-    return f"{text} ± {error_text(error)}" if known and value is not None else text
-
-
 def estimate_text(estimate: "Estimate") -> str:
     """Write an estimate with its error and its 95 % interval, or why there is none."""
     if estimate.value is None:
         return f"{UNKNOWN} ({estimate.reason})" if estimate.reason else UNKNOWN
     interval = range_text(estimate.interval, estimate.standard_error)
     return value_with_error(estimate.value, estimate.standard_error) + (f" (95 %: {interval})" if interval else "")
-
-
-def range_text(interval: tuple[float, float] | None, error: float | None) -> str:
-    """Write an interval to the second digit of the error: 3.242 to 3.290; nothing without width."""
-    if interval is None or not all(map(isfinite, interval)):
-        return ""
-    low, high = (rounded_to_error(end, error) for end in interval)
-    return "" if low == high else f"{low} to {high}"
 
 
 def interval_text(quantity: "EstimatedQuantity") -> str:
@@ -157,13 +125,6 @@ def size_text(count: float) -> str:
 
 def _format_text(specification: str, value: float, *, factor: float = 1.0, unit: str = "") -> str:
     return with_minus_sign(f"{factor * value:{specification}}{unit}")
-
-
-def _places_of(error: float | None) -> int | None:
-    """Return the decimal places that two digits of an error take; None for an error that is not known."""
-    if error is None or not isfinite(error) or error <= 0:
-        return None
-    return min(max(0, 1 - floor(log10(error))), MAX_DECIMALS)
 
 
 def to_json_object(values: Mapping[str, object]) -> dict[str, object]:

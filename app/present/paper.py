@@ -22,6 +22,7 @@ from dragrig.analysis import (
     ParameterEstimate,
     identified_settings,
     steady_force_parts,
+    value_with_error,
 )
 from dragrig.analysis.paper import ELEMENT_SYMBOLS, ElementRow, PaperFinding, determination_examples, published
 from dragrig.analysis.paper import findings as paper_findings
@@ -36,6 +37,7 @@ from dragrig.present import (
     Document,
     Facts,
     Figure,
+    FormattedNumber,
     Items,
     NumberFormat,
     Section,
@@ -48,7 +50,6 @@ from dragrig.present import (
     shortest,
     shortest_percent,
     significant,
-    value_with_error,
 )
 from dragrig.present.friction_model import WALL_TEXTS
 from dragrig.rig import FloatArray, Run, software_version
@@ -135,9 +136,19 @@ def _columns(number_format: NumberFormat = FOUR_DIGITS, /, **headings: str) -> t
     return tuple(Column(name, heading, number_format) for name, heading in headings.items())
 
 
-def _determined_cells(parameter: ParameterEstimate) -> tuple[float | None, float | None, float | None]:
+def _determined_cells(parameter: ParameterEstimate) -> tuple[Cell, Cell, Cell]:
     """Return value and interval; nothing of what the runs do not determine."""
-    return (parameter.value, *parameter.interval) if parameter.determined else (None, None, None)
+    if not parameter.determined:
+        return None, None, None
+    value, low, high = (
+        FormattedNumber.rounded(number, parameter.standard_error) for number in (parameter.value, *parameter.interval)
+    )
+    return value, low, high
+
+
+def _cells_with_error(value: float | None, error: float | None) -> tuple[Cell, Cell]:
+    """Return a value and its standard error, both to the error's second digit."""
+    return FormattedNumber.rounded(value, error), FormattedNumber.rounded(error, error)
 
 
 def _joint_parameter_table(fit: JointFit | None, model: FrictionModelSettings) -> Table:
@@ -195,8 +206,8 @@ def _joint_run_table(fit: JointFit | None, results: PaperReportData) -> Table:
             # A run that does not show a factor leaves it at its prior.
             known = factor.standard_error is not None and factor.standard_error < variation.sd * (1 - MIN_LEARNT)
             factors += [factor.value, simulated[variation.name]] if known else [None, None]
-        zero = run.zero
-        rows.append((run.file, run.kind, run.chi2, run.rms_mN, zero.value, zero.standard_error, *factors))
+        zero = _cells_with_error(run.zero.value, run.zero.standard_error)
+        rows.append((run.file, run.kind, run.chi2, run.rms_mN, *zero, *factors))
     caption = "What the joint fit leaves of each run, and the run’s own zero and factors"
     return Table("joint-runs", caption, columns, tuple(rows))
 
@@ -289,7 +300,8 @@ def _coulomb_table(results: PaperReportData) -> Table:
         own = results.run_models.get(run.file, results.model).friction_coefficient
         rows.append(simulated("the same with this run’s own μ", own))
         force, mu, reduced = (
-            (estimate.value, estimate.standard_error) for estimate in (run.force, run.mu, run.mu_without_viscous)
+            _cells_with_error(estimate.value, estimate.standard_error)
+            for estimate in (run.force, run.mu, run.mu_without_viscous)
         )
         rows.append(("identified from the simulated run", *force, run.viscous_mN, *mu, *reduced))
     return Table("coulomb", "The Coulomb test at 0.5 mm/s with 50.1 g", columns, tuple(rows))
@@ -310,11 +322,15 @@ def _drag_table(results: PaperReportData) -> Table:
     speeds = np.array([point.speed_mm_s for point in points])
     rows = []
     for point, simulated in zip(points, steady_force_parts(setup, results.model, speeds).total.tolist(), strict=True):
-        measured = point.force.value
+        measured, error = point.force.value, point.force.standard_error
         fitted = None if law is None else law.intercept.value + law.slope.value * float(np.log(point.speed_mm_s))
         rows.append(
             (
-                *(point.speed_mm_s, point.runs, measured, *(point.force.interval or (None, None))),
+                *(point.speed_mm_s, point.runs),
+                *(
+                    FormattedNumber.rounded(number, error)
+                    for number in (measured, *(point.force.interval or (None, None)))
+                ),
                 *(point.f_e_mN, point.f_v_mN, point.f_c_mN, point.model_mN),
                 *(None if measured is None else measured - point.model_mN, fitted, simulated),
             )

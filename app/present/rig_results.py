@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
+from dragrig.analysis import value_with_error
 from dragrig.present import (
     Document,
     Field,
@@ -121,10 +122,8 @@ def force_calibration_document(
     entry: "Calibration", points: "Sequence[LoadReading]", line: "CalibrationLine", notes: Sequence[str]
 ) -> Document:
     """Lay out the points of a force calibration."""
-    summary = (
-        f"Gain {line.gain:.6g} ± {line.gain_error:.2g} mN/V, zero {line.zero:.2f} ± {line.zero_error:.2f} mN, residual "
-        f"{line.residual:.2f} mN"
-    )
+    gain, zero = value_with_error(line.gain, line.gain_error), value_with_error(line.zero, line.zero_error)
+    summary = f"Gain {gain} mN/V, zero {zero} mN, residual {line.residual:.2f} mN"
     return _calibration_document(
         summary,
         entry,
@@ -149,9 +148,8 @@ def encoder_calibration_document(
     entry: "Calibration", points: "Sequence[TravelReading]", line: "CalibrationLine", notes: Sequence[str]
 ) -> Document:
     """Lay out the points of an encoder calibration."""
-    summary = (
-        f"A count is {1e3 * line.gain:.6g} ± {1e3 * line.gain_error:.2g} µm, residual {1e3 * line.residual:.2g} µm"
-    )
+    count = value_with_error(1e3 * line.gain, 1e3 * line.gain_error)
+    summary = f"A count is {count} µm, residual {1e3 * line.residual:.2g} µm"
     return _calibration_document(
         summary,
         entry,

@@ -6,7 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Final
 
 from dragrig import present
-from dragrig.analysis import Estimate, RunMeasures, measure, minutes_since_excision
+from dragrig.analysis import Estimate, RunMeasures, measure, minutes_since_excision, range_text
 from dragrig.present import (
     Cell,
     Code,
@@ -20,13 +20,11 @@ from dragrig.present import (
     Table,
     decimals,
     duration_text,
-    range_text,
     run_problem,
     run_title,
     shortest,
     size_text,
     to_json_object,
-    value_with_error,
 )
 from dragrig.rig import Attribute, Run, RunEvent, RunInfo
 
@@ -275,7 +273,7 @@ def measures_table(measures: RunMeasures) -> Table:
 
 
 def _measure_row(name: str, estimate: Estimate, unit: str, how: str) -> tuple[Cell, ...]:
-    value = FormattedNumber(estimate.value, value_with_error(estimate.value, estimate.standard_error))
+    value = FormattedNumber.with_error(estimate.value, estimate.standard_error)
     interval = range_text(estimate.interval, estimate.standard_error)
     return name, value, interval, unit, estimate.reason or how
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
-from dragrig.analysis import filter_run, measure, steady_stretch
+from dragrig.analysis import filter_run, measure, steady_stretch, value_with_error
 from dragrig.config import AnalysisError
 from dragrig.present import (
     BLACK,
@@ -32,7 +32,6 @@ from dragrig.present import (
     run_title,
     set_log_x,
     set_time_range,
-    value_with_error,
     write_legend,
 )
 from dragrig.rig import (
