@@ -332,7 +332,7 @@ def test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left(
         os.kill(worker, signal.SIGSTOP)
         try:
             run(store, 1)
-            with pytest.raises(RecordingError, match=r"no progress for 0\.3 s; 1 runs are still recordings"):
+            with pytest.raises(RecordingError, match=r"no progress for 0\.3 s; still recordings"):
                 store.settle()
         finally:
             os.kill(worker, signal.SIGCONT)

@@ -122,8 +122,8 @@ class FolderStore:
                 raise RecordingError(str(result.error)) from result.error
         if finisher.pending:
             raise RecordingError(
-                f"{self._folder}: the disk has made no progress for {self._max_stall_s:g} s; {finisher.pending} runs are"
-                " still recordings, whole as they are: check the disk, then `dragrig recover`"
+                f"{self._folder}: the disk has made no progress for {self._max_stall_s:g} s; still recordings: "
+                f"{finisher.pending} runs, whole as they are; check the disk, then `dragrig recover`"
             )
 
     def _part_bytes(self) -> int:
