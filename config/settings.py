@@ -12,12 +12,13 @@ from pathlib import Path
 from types import UnionType
 from typing import TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
 from dragrig.config.errors import SettingsError
 
 _MAX_FILE_BYTES = 4 * 1024 * 1024
+_MAX_TEXT_CHARACTERS = 4096
 _EXPECTED_SHAPES = {
     "model_type": "a table of keys",
     "dict_type": "a table of keys",
@@ -39,6 +40,17 @@ class Settings(BaseModel):
         use_attribute_docstrings=True,
         validate_default=True,
     )
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _bounded_text(cls, value: object) -> object:
+        """Refuse what no run file can hold and no message can show."""
+        if isinstance(value, str):
+            if "\0" in value:
+                raise ValueError("must not hold a zero byte")
+            if len(value) > _MAX_TEXT_CHARACTERS:
+                raise ValueError(f"must not be longer than {_MAX_TEXT_CHARACTERS} characters")
+        return value
 
 
 Table = dict[str, object]

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 
 from dragrig.cli import main
@@ -47,6 +48,27 @@ def without_kind(path: Path) -> None:
         del file["entry/protocol"].attrs["kind"]
 
 
+def with_attribute(group: str, name: str, value: float | str) -> Callable[[Path], None]:
+    def spoil(path: Path) -> None:
+        shutil.copy(GOOD, path)
+        with h5py.File(path, "r+") as file:
+            file[group].attrs[name] = value
+
+    return spoil
+
+
+def with_infinite_force(path: Path) -> None:
+    shutil.copy(GOOD, path)
+    with h5py.File(path, "r+") as file:
+        file["entry/trace/force"][5] = np.inf
+
+
+def with_a_ring_of_links(path: Path) -> None:
+    shutil.copy(GOOD, path)
+    with h5py.File(path, "r+") as file:
+        file["entry/trace/ring"] = h5py.SoftLink("/entry/trace/ring")
+
+
 SPOILT: dict[str, tuple[Callable[[Path], None], str]] = {
     "truncated": (truncated, "bad.h5"),
     "empty": (empty, "bad.h5"),
@@ -55,6 +77,11 @@ SPOILT: dict[str, tuple[Callable[[Path], None], str]] = {
     "newer": (newer, "99"),
     "without force": (without_force, "force"),
     "without kind": (without_kind, "kind"),
+    "rate of 1e300": (with_attribute("entry/trace", "sample_rate_hz", 1e300), "sample_rate_hz"),
+    "speed of −2⁶³": (with_attribute("entry/protocol", "speed_mm_s", -(2**63)), "speed_mm_s"),
+    "dwell of years": (with_attribute("entry", "insertion_dwell_s", 1e9), "insertion_dwell_s"),
+    "long kind": (with_attribute("entry/protocol", "kind", "k" * 60_000), "60000 characters"),
+    "ring of links": (with_a_ring_of_links, "ring"),
 }
 COMMANDS = [
     ["info", "bad.h5"],
@@ -87,6 +114,16 @@ def test_a_file_that_is_no_run_is_reported_and_left_alone(
     assert words in output.err
     assert (tmp_path / "bad.h5").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["bad.h5"]
+
+
+@pytest.mark.parametrize("command", ["filter", "export", "show"])
+def test_samples_that_no_rig_gives_are_refused_by_whoever_computes_with_them(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with_infinite_force(tmp_path / "bad.h5")
+    assert main([command, "bad.h5"]) == 2
+    assert "force holds values beyond" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("spoilt", SPOILT)

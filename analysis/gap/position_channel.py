@@ -195,6 +195,8 @@ LAG_REFERENCE_SPEED_MM_S, MIN_LAG_SPEED_MM_S = 20.0, 0.1
 LATENCIES_S = np.concatenate((-np.geomspace(0.1, 0.0005, 24), np.geomspace(0.0005, 0.1, 24)))
 MIN_WAVENUMBER_PER_MM, MAX_WAVENUMBER_PER_MM, RIPPLE_STROKE_MM, WAVE_SPACING_PERIODS = 1 / 30, 1 / 0.6, 45.0, 0.25
 """Trial wave numbers of a ripple: adjacent ones differ by a quarter of a period over the travel."""
+MAX_TRIED_WAVES = 20_000
+"""Those of a way of three metres."""
 DOMINANT_SCALE_SHARE, LONG_WAVE_PER_MM, LONG_WAVE_HANDICAP = 0.9, 1 / 15, 0.02
 """Where a scale explains this share, a ripple with longer waves than this ranks behind it by the handicap."""
 PLAYS_MM, SHARES_TAKEN_UP = np.geomspace(0.003, 5.0, 30), (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -367,6 +369,8 @@ def _best_ripple_wavenumber(runs: Sequence[PositionErrors], known_wavenumbers: t
     places = [run.origin_mm + run.command_mm for run in runs]
     reach = max(float(array.max()) for array in places) - min(float(array.min()) for array in places)
     step = WAVE_SPACING_PERIODS / max(reach, RIPPLE_STROKE_MM)
+    # Over a longer way a ripple is looked for less finely: a damaged command would otherwise take all memory.
+    step = max(step, (MAX_WAVENUMBER_PER_MM - MIN_WAVENUMBER_PER_MM) / MAX_TRIED_WAVES)
     waves_per_mm = np.arange(MIN_WAVENUMBER_PER_MM, MAX_WAVENUMBER_PER_MM, step)
     coarse = float(waves_per_mm[int(_wave_powers(runs, errors, weights, waves_per_mm).argmax())])
     refined: list[float] = np.linspace(coarse - step, coarse + step, 9).tolist()

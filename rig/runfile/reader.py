@@ -108,7 +108,7 @@ def checked_attributes(file: h5py.File, path: str) -> dict[str, Attribute]:
         if name not in attributes:
             raise LayoutError(f"{path} lacks the attribute {name}")
         if attributes[name] != fixed:
-            raise LayoutError(f"the attribute {name} of {path} is {attributes[name]!r} instead of {fixed!r}")
+            raise LayoutError(f"the attribute {name} of {path} is {attributes[name]!r:.60} instead of {fixed!r}")
     check_attributes(path, attributes)
     return attributes
 
@@ -123,6 +123,22 @@ def check_attributes(path: str, attributes: Mapping[str, Attribute]) -> None:
             reason = "" if name in schema.REQUIRED_ATTRIBUTES[path] else f", which the kind {attributes['kind']} needs"
             raise LayoutError(f"{path} lacks the attribute {name}{reason}")
         _check_type(path, name, attributes[name], kind)
+    for name, value in attributes.items():
+        _check_magnitude(path, name, value)
+
+
+def _check_magnitude(path: str, name: str, value: Attribute) -> None:
+    """Refuse numbers that no rig has, before anything computes with them, and text that no file can hold."""
+    if isinstance(value, str):
+        if "\0" in value:
+            raise LayoutError(f"the attribute {name} of {path} holds a zero byte")
+        if (path, name) == (schema.PROTOCOL, "kind") and len(value) > schema.MAX_KIND_CHARACTERS:
+            raise LayoutError(f"the attribute kind of {path} has {len(value)} characters")
+        return
+    suffix = next((suffix for suffix in schema.MAX_MAGNITUDES if name.endswith(suffix)), "")
+    largest = schema.MAX_ORDER if name == "order" else schema.MAX_MAGNITUDES.get(suffix, math.inf)
+    if abs(value) > largest:
+        raise LayoutError(f"the attribute {name} of {path} is {value:g}, and {largest:g} is the most")
 
 
 def _check_type(path: str, name: str, value: Attribute, kind: type) -> None:
@@ -134,7 +150,7 @@ def _check_type(path: str, name: str, value: Attribute, kind: type) -> None:
         valid = isinstance(value, int | float) and not isinstance(value, bool) and not math.isinf(value)
     if not valid:
         expected = {str: "text", int: "a whole number from 0", float: "a number"}[kind]
-        raise LayoutError(f"the attribute {name} of {path} is {value!r} instead of {expected}")
+        raise LayoutError(f"the attribute {name} of {path} is {value!r:.60} instead of {expected}")
 
 
 def positive_rate(value: Attribute) -> float:
@@ -152,14 +168,16 @@ def timestamp(name: str, value: Attribute) -> datetime:
     except ValueError:
         parsed = None
     if parsed is None or parsed.tzinfo is None:
-        raise LayoutError(f"the attribute {name} of /entry is {value!r} instead of an ISO 8601 time with its offset")
+        raise LayoutError(
+            f"the attribute {name} of /entry is {value!r:.60} instead of an ISO 8601 time with its offset"
+        )
     return parsed
 
 
 def one_allowed(path: str, name: str, value: Attribute, allowed: tuple[str, ...]) -> str:
     """Return a text that must be among those allowed."""
     if value not in allowed:
-        raise LayoutError(f"the attribute {name} of {path} is {value!r} instead of one of {', '.join(allowed)}")
+        raise LayoutError(f"the attribute {name} of {path} is {value!r:.60} instead of one of {', '.join(allowed)}")
     return str(value)
 
 
@@ -168,7 +186,7 @@ def run_id_of(value: Attribute) -> str:
     try:
         UUID(str(value))
     except ValueError:
-        raise LayoutError(f"the attribute run_id of /entry is {value!r} instead of a UUID") from None
+        raise LayoutError(f"the attribute run_id of /entry is {value!r:.60} instead of a UUID") from None
     return str(value)
 
 
@@ -222,6 +240,7 @@ def read_trace_v1(file: h5py.File, info: RunInfo, last: int | None = None) -> Tr
         raise LayoutError("/entry/trace/time holds NaN or infinity")
     if not (np.diff(time) > 0).all():
         raise LayoutError("/entry/trace/time does not rise from sample to sample")
+    _check_rate(time, info.header.sample_rate_hz)
     phase = _phase(file, rows)
     for array in (time, phase):
         read_only(array)
@@ -234,6 +253,18 @@ def read_trace_v1(file: h5py.File, info: RunInfo, last: int | None = None) -> Tr
         channels={channel.name: _column(file, channel.name, rows) for channel in info.header.channels},
         units={schema.TIME: "s", schema.COMMAND: "mm"} | {c.name: c.units for c in info.header.channels},
     )
+
+
+def _check_rate(time: FloatArray, rate_hz: float) -> None:
+    """Refuse a sample rate that is not that of the samples: whoever lays time out by it would run out of memory."""
+    if len(time) < 2:
+        return
+    mismatch = float(np.median(np.diff(time))) * rate_hz
+    if not 1 / schema.MAX_RATE_MISMATCH <= mismatch <= schema.MAX_RATE_MISMATCH:
+        raise LayoutError(
+            f"the attribute sample_rate_hz of {schema.TRACE} is {rate_hz:g}, and the samples are "
+            f"{mismatch / rate_hz:g} s apart"
+        )
 
 
 def read_events_v1(file: h5py.File) -> tuple[RunEvent, ...]:
@@ -327,6 +358,10 @@ def _column(file: h5py.File, name: str, rows: slice) -> AnyFloatArray:
     dataset = file[schema.TRACE][name]
     _require_plausible_size(dataset)
     array: AnyFloatArray = dataset[rows].astype(np.float32 if dataset.dtype.itemsize == 4 else np.float64, copy=False)
+    largest = schema.MAX_TRACE_MAGNITUDES.get(str(attribute_of(dataset, "units")), math.inf)
+    # NaN, a sample that is not known, is no magnitude.
+    if array.size and max(np.fmax.reduce(array), -np.fmin.reduce(array)) > min(largest, np.finfo(array.dtype).max):
+        raise LayoutError(f"{schema.TRACE}/{name} holds values beyond {largest:g}")
     read_only(array)
     return array
 

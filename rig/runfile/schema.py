@@ -87,6 +87,26 @@ PARAMETERS_OF_KIND: Mapping[str, tuple[str, ...]] = {
 }
 """Numbers that `/entry/protocol` must hold for these kinds; the other kinds are free."""
 
+MAX_MAGNITUDES: Mapping[str, float] = {
+    "_mm_s2": 1e8,
+    "_mm_s": 1e6,
+    "_mm": 1e6,
+    "_um": 1e9,
+    "_mN": 1e9,
+    "_g": 1e7,
+    "_deg": 360.0,
+    "_degC": 1e3,
+    "_s": 1e7,
+    "_hz": 1e8,
+}
+"""Largest magnitude of a number by the unit in its name: far beyond any rig, and small enough to compute with."""
+MAX_TRACE_MAGNITUDES: Mapping[str, float] = {"s": 1e7, "mm": 1e6, "mN": 1e9}
+"""The same for the samples of a trace, by unit."""
+MAX_ORDER = 10**9
+MAX_KIND_CHARACTERS = 64
+MAX_RATE_MISMATCH = 2.0
+"""Factor by which the median time between samples may differ from the sample rate."""
+
 HEADER_ATTRIBUTES: frozenset[str] = frozenset(
     {"NX_class", "default", "status", "reason", "end_time", "raw_sha256", "run_id", "start_time", "order", "backend"}
 )
