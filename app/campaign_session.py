@@ -303,20 +303,18 @@ def _ask_for_commissioning(setup: Setup, operator: Operator, now: Callable[[], d
     if setup.backend != HARDWARE_BACKEND or setup.double or setup.rig_folder is None:
         return
     record, wiring = read_commissioning(setup.rig_folder), wiring_key(setup.rig)
-    if record is not None and (record.made_on, record.wiring) == (setup.made_on, wiring):
-        if record.skipped or record.passed:
-            return
-        failed = ", ".join(signal.name for signal in record.signals if not signal.passed)
+    if record is None or (record.made_on, record.wiring) != (setup.made_on, wiring):
+        record = CommissioningRecord(made_at=now(), made_on=setup.made_on, wiring=wiring)
+    if record.skipped or record.passed:
+        return
+    why = "nobody has looked at this rig's wiring since it was set up or changed"
+    if failed := ", ".join(signal.name for signal in record.signals if not signal.passed):
         why = f"the look at this rig on {record.made_at:%Y-%m-%d} found faults ({failed})"
-    else:
-        why = "nobody has looked at this rig's wiring since it was set up or changed"
     prompt = f"{why[0].upper()}{why[1:]}: end here and try dragrig check --live, or go on without"
     if operator.ask(Prompt(prompt)) is not Answer.DONE:
         raise AbortedError("ended before anything moved: look at the rig with dragrig check --live.")
-    write_commissioning(
-        setup.rig_folder,
-        CommissioningRecord(made_at=now(), made_on=setup.made_on, wiring=wiring, skipped=True),
-    )
+    # What a look found stays in the record.
+    write_commissioning(setup.rig_folder, record.model_copy(update={"skipped": True}))
 
 
 def _session_record(

@@ -1,9 +1,8 @@
 """Rig settings (stage, encoder, force sensor, guard, recording, wiring, simulated rig) and the files of a lab folder.
 
-A lab folder holds the rig file, a calibration history that is only appended to, the contact that touch-off
-found, and the record of the guided look at the wiring.
-The wiring says which signal is on which terminal of the card, and how the drive is reached; terminals of the PCI-6229
-are named without the device (NI 622x Specifications, pinout).
+A lab folder holds the rig file, a calibration history that is only appended to, the contact that touch-off found, and
+the record of the guided look at the wiring. The wiring says which signal is on which terminal of the card, and how the
+drive is reached; terminals of the PCI-6229 are named without the device (NI 622x Specifications, pinout).
 """
 
 import re
@@ -493,7 +492,7 @@ class CommissioningRecord(Settings):
     """Key of the wiring in the settings that it is about."""
     operator: str = ""
     skipped: bool = False
-    """Whether a person chose to measure without a look."""
+    """Whether a person chose to measure without a look, or in spite of what it found."""
     signals: tuple[CommissionedSignal, ...] = ()
 
     @property

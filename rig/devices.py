@@ -353,7 +353,7 @@ class IdleReading:
         """A line for a person."""
         force = "unknown" if self.force_mN is None else f"{self.force_mN:.1f} mN"
         position = "unknown" if self.position_mm is None else f"{self.position_mm:.3f} mm"
-        return f"force {force}, position {position}"
+        return f"force {force}, position {position}" + (f"; {self.problem}" if self.problem else "")
 
 
 def read_idle(backend: Backend, duration_s: float) -> IdleReading:

@@ -5,6 +5,7 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from dragrig import api
 from dragrig.cli import main
 from dragrig.config.errors import AbortedError, TrippedError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import CommissionedSignal, CommissioningRecord, RigSettings
 from dragrig.rig.commissioning import (
     PUSH_MM,
     LiveView,
@@ -26,11 +27,12 @@ from dragrig.rig.commissioning import (
     look_at_rig,
     read_commissioning,
     wiring_key,
+    write_commissioning,
 )
 from dragrig.rig.devices import BackendRequest, RigCheck
 from dragrig.rig.guard import Guard
 from dragrig.rig.operator import Answer, NullOperator, Prompt, reset_guard
-from dragrig.setup import create_lab
+from dragrig.setup import create_lab, resolve_rig
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 
@@ -244,6 +246,25 @@ def test_the_real_rig_asks_once_for_a_look_and_again_when_wires_change(faulty_ri
         assert asked(faulty_rig, Cautious()) == 1
         assert asked(faulty_rig, Cautious()) == 0
         assert asked(faulty_rig, Cautious(), "rig.hardware.card.encoder.z=") == 1
+
+
+def test_a_look_that_found_faults_is_asked_about_and_what_it_found_stays(faulty_rig: Bench) -> None:
+    with without_record(faulty_rig.lab):
+        found = CommissionedSignal(name="encoder", passed=False, detail="does not count")
+        record = CommissioningRecord(
+            made_at=datetime.now().astimezone(),
+            made_on="hardware",
+            wiring=wiring_key(resolve_rig(rig=str(faulty_rig.lab / "rig.toml")).rig),
+            signals=(found,),
+        )
+        write_commissioning(faulty_rig.lab, record)
+        person = Cautious()
+        assert asked(faulty_rig, person) == 1
+        assert "found faults (encoder)" in " ".join(person.asked)
+        assert asked(faulty_rig, Cautious()) == 0
+        stored = read_commissioning(faulty_rig.lab)
+        assert stored is not None
+        assert stored.signals == (found,)
 
 
 def test_another_wiring_has_another_key_and_another_speed_has_not() -> None:

@@ -358,9 +358,9 @@ def _column(file: h5py.File, name: str, rows: slice) -> AnyFloatArray:
     dataset = file[schema.TRACE][name]
     _require_plausible_size(dataset)
     array: AnyFloatArray = dataset[rows].astype(np.float32 if dataset.dtype.itemsize == 4 else np.float64, copy=False)
-    largest = schema.MAX_TRACE_MAGNITUDES.get(str(attribute_of(dataset, "units")), math.inf)
+    largest = schema.MAX_TRACE_MAGNITUDES.get(str(attribute_of(dataset, "units")), float(np.finfo(array.dtype).max))
     # NaN, a sample that is not known, is no magnitude.
-    if array.size and max(np.fmax.reduce(array), -np.fmin.reduce(array)) > min(largest, np.finfo(array.dtype).max):
+    if array.size and max(np.fmax.reduce(array), -np.fmin.reduce(array)) > largest:
         raise LayoutError(f"{schema.TRACE}/{name} holds values beyond {largest:g}")
     read_only(array)
     return array

@@ -128,8 +128,11 @@ class FolderStore:
 
     def _part_bytes(self) -> int:
         """Return the size of the run files in the making: it grows as long as the disk takes data."""
-        parts = (schema.part_path(path) for path in self._paths.values())
-        return sum(part.stat().st_size for part in parts if part.exists())
+        size = 0
+        for path in self._paths.values():
+            with contextlib.suppress(OSError):  # not begun, or in its place by now
+                size += schema.part_path(path).stat().st_size
+        return size
 
 
 def _require_room_for_names(folder: Path) -> None:
