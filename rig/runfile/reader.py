@@ -73,18 +73,26 @@ def attributes_of(holder: h5py.Group | h5py.Dataset) -> dict[str, Attribute]:
 
     Those that tie a dataset to its dimension scale are not among them.
     """
-    return {str(name): attribute_of(holder, name) for name in holder.attrs if name not in SCALE_ATTRIBUTES}
+    names: list[bytes] = []
+    h5py.h5a.iterate(holder.id, names.append)
+    wanted = sorted(name.decode("utf-8", "replace") for name in names)
+    return {name: attribute_of(holder, name) for name in wanted if name not in SCALE_ATTRIBUTES}
 
 
 def attribute_of(holder: h5py.Group | h5py.Dataset, name: str) -> Attribute:
     """Return one attribute as a plain Python value."""
-    attribute = holder.attrs.get_id(name)
+    # Some seventy of a run file are read whenever runs are listed: h5py's mapping opens each twice.
+    attribute = h5py.h5a.open(holder.id, name.encode())
     shape, kind = attribute.shape, attribute.get_type()
     if shape is not None and math.prod(shape) > MAX_ATTRIBUTE_VALUES:
         raise LayoutError(f"the attribute {name} of {holder.name} claims {math.prod(shape)} values")
     if kind.get_class() not in SCALAR_CLASSES or kind.get_size() > MAX_VALUE_BYTES:
         raise LayoutError(f"the attribute {name} of {holder.name} is neither text nor number")
-    return to_python(holder.attrs[name])
+    if attribute.get_storage_size() == 0:
+        return ""
+    value = np.zeros(shape, kind.dtype)
+    attribute.read(value)
+    return to_python(value)
 
 
 def to_python(value: object) -> Attribute:
