@@ -85,11 +85,11 @@ def _parse_moment(context: click.Context, parameter: click.Parameter, text: str 
 
     try:
         moment = None if text is None else datetime.fromisoformat(text)
-    except ValueError:
+        return moment if moment is None or moment.tzinfo is not None else moment.astimezone()
+    except (ValueError, OverflowError):  # also of a year for which the local offset is not known
         raise click.BadParameter(
             f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15", context, parameter
         ) from None
-    return moment if moment is None or moment.tzinfo is not None else moment.astimezone()
 
 
 @click.command("find")
