@@ -129,3 +129,11 @@ def test_yes_answers_every_prompt(capsys: pytest.CaptureFixture[str]) -> None:
     run = resolve("drag").programme().runs[0]
     assert TerminalOperator(yes=True).ask(Prompt("Fit a fresh specimen", run, hands=False)) is Answer.DONE
     assert capsys.readouterr().err == ""
+
+
+def test_less_than_a_second_left_is_said_so(capsys: pytest.CaptureFixture[str]) -> None:
+    clock = Clock()
+    with ProgressMeter("work", 100.0, quiet=False, clock=clock) as meter:
+        clock.now = 6.0
+        meter.advance(95.0)
+    assert capsys.readouterr().err == "work: 95 %, less than 1 s left\n"

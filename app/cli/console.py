@@ -289,7 +289,8 @@ class ProgressMeter:
         """Return the time left at the mean pace; earlier than a tenth nobody knows it."""
         if not _PACE_KNOWN_FROM * self._total <= self._done < self._total or self._done <= 0:
             return ""
-        return f"{duration_text(elapsed_s * (self._total - self._done) / self._done)} left"
+        left_s = elapsed_s * (self._total - self._done) / self._done
+        return f"{'less than 1 s' if left_s < 1 else duration_text(left_s)} left"
 
     @contextmanager
     def _silent_once_closed(self) -> Iterator[None]:
