@@ -310,7 +310,13 @@ def test_the_queue_follows_the_run_and_numbers_it_as_its_file(qapp: QApplication
 
 
 def test_the_stage_is_homed_jogged_and_touched_off_by_hand(window: MainWindow, until: Until, lab: Path) -> None:
-    hand, notices = window.run.hand, window.notices
+    hand, notices, about = window.run.hand, window.notices, window.run.live.readings.about
+    press(hand.home)
+    until(notices.prompt.isVisible)
+    until(lambda: about.text() == "live; a prompt is open")  # of a motion by hand, not of a session
+    press(notices.answers[Answer.ABORT])
+    until(lambda: not hand.busy)
+    until(lambda: about.text() == "live; idle")
 
     def done(action: QWidget) -> str:
         press(action)

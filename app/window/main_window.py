@@ -373,6 +373,7 @@ class MainWindow(QMainWindow):
         self.engine.ask(ResetGuard())
 
     def _reply(self, question: int, answer: Answer) -> None:
+        self.run.prompt_answered()
         self.engine.ask(PromptReply(question, answer))
 
     def _restart(self) -> None:

@@ -35,6 +35,7 @@ from dragrig.engine_host import (
     PauseSession,
     PromptShown,
     QueuedRun,
+    RequestRefused,
     RigExamined,
     RigIdle,
     RigSelection,
@@ -433,6 +434,7 @@ class RunPage(QWidget):
         self.setObjectName("page")
         self._engine, self._stored = engine, stored
         self._queue_started = False
+        self._asked = False
         self._progress_at = 0.0
         self._trip_reason = "the engine is starting"
         self.queue = SessionQueue()
@@ -541,11 +543,18 @@ class RunPage(QWidget):
         self._queue_started = False
         self._engine.ask(AbortSession(reason))
 
+    def prompt_answered(self) -> None:
+        """Say no longer that a prompt is open."""
+        self._asked = False
+
     def take(self, event: Event) -> None:
         """Handle an event of the engine."""
+        if not isinstance(event, RigIdle):
+            self._follow_prompt(event)
         match event:
             case RigIdle(reading):
-                self.live.show_idle(reading, "a prompt is open" if self.session_running else "idle")
+                running = "a session is running" if self.session_running else "idle"
+                self.live.show_idle(reading, "a prompt is open" if self._asked else running)
                 return
             case HostReady():
                 self._engine.ask(WatchRig(self.devices.watch.isChecked()))
@@ -566,6 +575,16 @@ class RunPage(QWidget):
             case _:
                 self._follow_session(event)
         self._show_state()
+
+    def _follow_prompt(self, event: Event) -> None:
+        """Know whether a prompt is open: of a session, of a motion by hand, or of a reset."""
+        match event:
+            case PromptShown():
+                self._asked = True
+            case GuardState() | RunStarted() | SessionFinished() | StageMoved() | RequestRefused() | HostLost():
+                self._asked = False
+            case _:
+                pass
 
     def _follow_session(self, event: Event) -> None:
         match event:
