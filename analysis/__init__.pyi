@@ -88,6 +88,7 @@ from .measures import mean_per_speed as mean_per_speed
 from .measures import measure as measure
 from .measures import minutes_since_excision as minutes_since_excision
 from .measures import set_values as set_values
+from .measures import steady_force_of as steady_force_of
 from .measures import stretch_mean as stretch_mean
 from .measures import table_row as table_row
 from .measures import table_rows as table_rows

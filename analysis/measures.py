@@ -13,7 +13,7 @@ from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Progress,
 from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
 from dragrig.config import AnalysisError, RunFileError
-from dragrig.rig import Phase, Run, RunInfo, RunStatus
+from dragrig.rig import SENTINEL_ROLE, Phase, Run, RunInfo, RunStatus, SteadyForce
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -149,6 +149,8 @@ class TableRow:
     specimen: str = ""
     order: int | None = None
     kind: str = ""
+    role: str = ""
+    """What it was made for beside the plan's own runs: `sentinel`."""
     start_time: datetime | None = None
     minutes_since_excision: float | None = None
     speed_mm_s: float | None = None
@@ -228,6 +230,7 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
         specimen=str(header.specimen.get("name", "")),
         order=header.order,
         kind=header.kind,
+        role=SENTINEL_ROLE if info.is_sentinel else "",
         start_time=header.start_time,
         minutes_since_excision=minutes_since_excision(info),
         speed_mm_s=attribute_number(protocol, "speed_mm_s", "ramp_speed_mm_s"),
@@ -258,6 +261,14 @@ def _above_rest(measured: RunMeasures) -> dict[str, float | None]:
     errors = (steady.standard_error, rest.standard_error)
     known = None if None in errors else sqrt(sum(error**2 for error in errors if error is not None))
     return {"steady_above_rest_mN": steady.value - rest.value, "steady_above_rest_error_mN": known}
+
+
+def steady_force_of(run: Run) -> SteadyForce:
+    """Return a run's steady force with its force at rest taken off, which sentinels are compared by."""
+    measured = measure(run)
+    above = _above_rest(measured)
+    order, reason = run.info.header.order, measured.steady_force.reason or measured.rest_offset.reason
+    return SteadyForce(order, above.get("steady_above_rest_mN"), above.get("steady_above_rest_error_mN"), reason)
 
 
 def minutes_since_excision(info: RunInfo) -> float | None:

@@ -37,17 +37,20 @@ from dragrig.rig import (
     Operator,
     Prompt,
     RecoveryOutcome,
+    ReturnProtocol,
     RunStatus,
     Session,
     SessionObserver,
     SessionRecord,
     SessionResult,
+    SteadyForce,
     Store,
     latest_session_record,
     preflight,
     read_campaign,
     read_commissioning,
     read_idle,
+    read_run,
     recover,
     specimen_remark,
     wiring_key,
@@ -87,6 +90,11 @@ class PromptRelay:
         self._operator, self._look = operator, look
         # Not a SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
         self._prompts: queue.Queue[_PendingPrompt] = queue.Queue()
+
+    @property
+    def attended(self) -> bool:
+        """Whether a person answers what needs no hands."""
+        return self._operator.attended
 
     def ask(self, prompt: Prompt) -> Answer:
         """Wait for the answer from the calling thread."""
@@ -240,6 +248,8 @@ def run_session(
     DragrigError
         When a record cannot be opened or finished; the stage is stopped first.
     """
+    from dragrig.analysis import steady_force_of
+
     observer: SessionOperator = person or NullOperator()
     programme = setup.programme()
     left = replace(programme, runs=programme.pending(options.progress.done))
@@ -277,6 +287,7 @@ def run_session(
                 options.progress,
                 real_time=timed,
                 pause=options.pause,
+                steady_force=steady_force_of,
             )
             options.begun(session.abort)
             with _kept_awake(setup):
@@ -502,8 +513,9 @@ def _require_mirror_in_reach(target: Path) -> None:
 
 
 def _close_mirror(mirror: Mirror, folder: Path) -> MirrorReport:
-    """Copy session records and marks too, and wait for the last copy."""
-    for file in (*sorted(folder.glob("session-*.toml")), *sorted(folder.glob("*.mark.toml"))):
+    """Copy session records, marks and notes too, and wait for the last copy."""
+    beside = ("session-*.toml", "*.mark.toml", "*.note.txt")
+    for file in (file for pattern in beside for file in sorted(folder.glob(pattern))):
         mirror.submit(file)
     return mirror.close()
 
@@ -544,7 +556,25 @@ def _setup_from_record(record: SessionRecord, folder: Path) -> Setup:
 
 def _resume_progress(before: Campaign) -> CampaignProgress:
     numbers = [run.header.entry.get("plan_run") for run in before.good if run.status is RunStatus.COMPLETE]
+    orders = [run.header.order for run in before.runs]
+    sentinels = _sentinel_forces(before)
+    made_after = [
+        run
+        for run in before.runs
+        if sentinels and run.header.order > sentinels[-1].order and run.kind != ReturnProtocol.kind
+    ]
     return CampaignProgress(
         done=frozenset(number for number in numbers if isinstance(number, int)),
-        next_order=max((run.header.order + 1 for run in before.runs), default=0),
+        next_order=max(orders, default=-1) + 1,
+        sentinels=sentinels,
+        undecided=bool(sentinels) and not made_after,
     )
+
+
+def _sentinel_forces(before: Campaign) -> tuple[SteadyForce, ...]:
+    """Measure a campaign's complete sentinels that are not marked bad, in the order in which they were made."""
+    from dragrig.analysis import steady_force_of
+
+    made = (run for run in before.good if run.is_sentinel and run.status is RunStatus.COMPLETE)
+    ordered = sorted(made, key=lambda run: run.header.order)
+    return tuple(steady_force_of(read_run(run.path)) for run in ordered)

@@ -14,6 +14,7 @@ from dragrig.config import OutputError, Settings
 from dragrig.rig import (
     AcquisitionOutcome,
     Answer,
+    Drift,
     Operator,
     PlannedRun,
     Programme,
@@ -67,6 +68,8 @@ class SessionState(Settings):
     """The same of all runs of this session."""
     busy_s: float = 0.0
     """Wall-clock time from the first run to the start of this activity, without prompts."""
+    sentinel: str = ""
+    """How far the specimen had drifted at the last sentinel, in a sentence."""
     status: str = ""
     """How the session ended."""
     reason: str = ""
@@ -133,6 +136,11 @@ class StatePublisher:
         self._runs: tuple[PlannedRun, ...] = ()
         self._started = False
 
+    @property
+    def attended(self) -> bool:
+        """Whether a person answers what needs no hands."""
+        return self._operator.attended
+
     def ask(self, prompt: Prompt) -> Answer:
         """Publish the prompt while it is open."""
         self._publish("asking", said=prompt.text)
@@ -161,7 +169,7 @@ class StatePublisher:
             "recording",
             made=len(self._runs) - len(later),
             order=order,
-            run=run.protocol.summary(),
+            run=run.summary,
             run_s=run.duration_s,
             after_s=_planned_duration_s(later, real_time=self._state.real_time),
         )
@@ -175,6 +183,11 @@ class StatePublisher:
         """Publish that no run is recorded."""
         self._publish("between")
         self._observer.run_ends(run, outcome)
+
+    def sentinel_compared(self, drift: Drift) -> None:
+        """Pass a sentinel's drift on, and publish it."""
+        self._publish(self._state.doing, sentinel=str(drift))
+        self._observer.sentinel_compared(drift)
 
     def ends(self, status: str, reason: str) -> None:
         """Publish how the session ended, if it started."""

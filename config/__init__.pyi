@@ -22,9 +22,11 @@ from .friction_model import ModelSettings as ModelSettings
 from .friction_model import WallPolynomials as WallPolynomials
 from .friction_model import parse_effects as parse_effects
 from .plan import Plan as Plan
+from .plan import PlannedKind as PlannedKind
 from .plan import PlanStep as PlanStep
 from .plan import ReturnMode as ReturnMode
 from .plan import RunOrder as RunOrder
+from .plan import SentinelSettings as SentinelSettings
 from .rig import CALIBRATION_FILE as CALIBRATION_FILE
 from .rig import COMMISSIONING_FILE as COMMISSIONING_FILE
 from .rig import CONTACT_FILE as CONTACT_FILE

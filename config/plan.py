@@ -14,6 +14,9 @@ from pydantic import Field, ModelWrapValidatorHandler, model_validator
 from dragrig.config.settings import Settings
 from dragrig.config.specimen import Fixture
 
+DEFAULT_DRIFT_PERCENT = 10.0
+"""Allowed drift of a sentinel where a plan gives none."""
+
 
 class RunOrder(StrEnum):
     """Order of a step's runs."""
@@ -35,17 +38,33 @@ class ReturnMode(StrEnum):
     """Not at all: the next run begins at the end of this one."""
 
 
-class PlanStep(Settings):
-    """One step of a plan."""
+class PlannedKind(Settings):
+    """A kind of run in a plan, with its parameters and what is mounted for it."""
 
     kind: str = Field(min_length=1)
     """Kind of run: relaxation, coulomb, drag, blank, motion, …."""
     parameters: Mapping[str, object] = {}
-    """The protocol's keys; in a file they are written beside the step's own."""
+    """The protocol's keys; in a file they are written beside the other keys."""
     capsule: str = ""
     """Name of a capsule, or its file (default: the protocol's capsule)."""
     fixture: Fixture | None = None
     """What holds the gut (default: the protocol's fixture)."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _gather_parameters(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        if not isinstance(data, Mapping):
+            return handler(data)
+        own = {key: value for key, value in data.items() if key in cls.model_fields}
+        parameters = own.get("parameters", {})
+        if len(own) < len(data) and isinstance(parameters, Mapping):
+            own["parameters"] = {**parameters, **{key: value for key, value in data.items() if key not in own}}
+        return handler(own)
+
+
+class PlanStep(PlannedKind):
+    """One step of a plan."""
+
     repeats: int = Field(default=1, ge=1, le=1000)
     """Number of times that each run of the step is made."""
     order: RunOrder = RunOrder.LISTED
@@ -67,16 +86,32 @@ class PlanStep(Settings):
     note: str = ""
     """Note stored in the run files of the step."""
 
-    @model_validator(mode="wrap")
-    @classmethod
-    def _gather_parameters(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        if not isinstance(data, Mapping):
-            return handler(data)
-        step = {key: value for key, value in data.items() if key in cls.model_fields}
-        parameters = step.get("parameters", {})
-        if len(step) < len(data) and isinstance(parameters, Mapping):
-            step["parameters"] = {**parameters, **{key: value for key, value in data.items() if key not in step}}
-        return handler(step)
+
+class SentinelSettings(PlannedKind):
+    """A run that is made again and again between the others, to see how far the specimen has drifted since the first.
+
+    It is made where its capsule and fixture are mounted: before the first such run, after the last, and between them.
+    """
+
+    kind: str = Field(default="drag", min_length=1)
+    """Kind of run, one whose capsule slides: drag or coulomb."""
+    every: int = Field(default=0, ge=0, le=10_000)
+    """Number of runs between two sentinels; 0 for none between the first and the last."""
+    drift_percent: float | None = Field(default=None, gt=0, le=1000)
+    """Drift of the steady force beyond which the operator is asked (default: 10, unless drift_errors is given)."""
+    drift_errors: float | None = Field(default=None, gt=0, le=1000)
+    """The same in standard errors of the drift; where both are given, a drift beyond both asks."""
+    wait_s: float = Field(default=60.0, ge=0, le=86_400)
+    """Rest before each sentinel, counted from the last standstill."""
+    start_mm: float | None = None
+    """Start, absolute or from the contact (default: stage.start_mm of the rig); the stage drives the capsule back."""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Allowed drift in per cent and in standard errors; 0 where a bound is not given."""
+        if self.drift_percent is None and self.drift_errors is None:
+            return DEFAULT_DRIFT_PERCENT, 0.0
+        return self.drift_percent or 0.0, self.drift_errors or 0.0
 
 
 class Plan(Settings):
@@ -86,4 +121,6 @@ class Plan(Settings):
     description: str = ""
     seed: int = Field(default=0, ge=0, lt=2**63)
     """Seed of random orders."""
+    sentinel: SentinelSettings | None = None
+    """Run that shows how far the specimen has drifted."""
     steps: tuple[PlanStep, ...] = Field(min_length=1)

@@ -136,6 +136,9 @@ from .runfile.store import Mirror as Mirror
 from .runfile.store import MirrorReport as MirrorReport
 from .runfile.writer import store_filtered as store_filtered
 from .runfile.writer import write_run as write_run
+from .sentinel import SENTINEL_ROLE as SENTINEL_ROLE
+from .sentinel import Drift as Drift
+from .sentinel import SteadyForce as SteadyForce
 from .session import CampaignProgress as CampaignProgress
 from .session import Session as Session
 from .session import SessionResult as SessionResult

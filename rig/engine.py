@@ -36,7 +36,7 @@ from dragrig.rig.devices import Acquisition, Backend, Block, Contact, Trip, Trip
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import AnyFloatArray, Phase, PhaseArray
 from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
-from dragrig.rig.runfile import Attribute, RunEvent, RunHeader, RunStatus
+from dragrig.rig.runfile import Attribute, Run, RunEvent, RunHeader, RunStatus
 
 _REST = int(Phase.REST)
 _SETTLING_S = 1.0
@@ -67,6 +67,12 @@ class Store(Protocol):
 
     def mark_bad(self, order: int, reason: str) -> None:
         """Mark a run of this session as bad."""
+
+    def write_note(self, order: int, text: str) -> None:
+        """Write a note on a finished run of this campaign."""
+
+    def read(self, order: int) -> Run:
+        """Return a run of this session, once every finished run is in its final place; raises as `settle`."""
 
     def settle(self) -> None:
         """Wait until every finished run is in its final place; raises `RecordingError` when one cannot be put there."""

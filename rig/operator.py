@@ -17,6 +17,7 @@ from dragrig.rig.guard import LIMIT_SWITCH_CAUSES, Guard
 from dragrig.rig.profile import MotionProfile, trapezoid
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.reading import Reading
+from dragrig.rig.sentinel import Drift
 
 START_TOLERANCE_MM = 0.005
 HOMING_PROMPT = "The stage moves to the end of its travel to find its origin: take the capsule out of its path"
@@ -34,6 +35,8 @@ class Answer(StrEnum):
     """Repeat the run before; its file is marked bad."""
     SKIP = "skip"
     """Skip what this prompt prepares: the runs up to the next prompt of the plan."""
+    MEASURE = "measure"
+    """Make the sentinel once more; its earlier file stays as it is."""
     ABORT = "abort"
 
 
@@ -54,10 +57,17 @@ class Prompt:
     """The run that it is about, if any."""
     can_redo: bool = False
     can_skip: bool = False
+    can_measure: bool = False
     hands: bool = True
     """Whether a person must do or check something at the rig: no program may answer then."""
     look: Callable[[], LiveReading] | None = field(default=None, compare=False)
     """Reads the rig while the prompt is open, force and position by default; only one thread at a time may call it."""
+
+    @property
+    def choices(self) -> tuple[Answer, ...]:
+        """The answers that it takes."""
+        allowed = {Answer.REDO: self.can_redo, Answer.SKIP: self.can_skip, Answer.MEASURE: self.can_measure}
+        return tuple(answer for answer in Answer if allowed.get(answer, True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +82,10 @@ class RunResult:
 
 class Operator(Protocol):
     """The person at the rig."""
+
+    @property
+    def attended(self) -> bool:
+        """Whether a person answers what needs no hands; records say so where nobody does."""
 
     def ask(self, prompt: Prompt) -> Answer:
         """Show a prompt and wait for the answer."""
@@ -95,9 +109,14 @@ class SessionObserver(Protocol):
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         """Take the end of a run, with its checks."""
 
+    def sentinel_compared(self, drift: Drift) -> None:
+        """Take a sentinel's drift, before anybody is asked about it."""
+
 
 class NullOperator:
     """An operator for programs, without hands, and an observer that does nothing."""
+
+    attended = False
 
     def ask(self, prompt: Prompt) -> Answer:
         """Answer done, or abort where hands are needed."""
@@ -116,6 +135,9 @@ class NullOperator:
         """Do nothing."""
 
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
+        """Do nothing."""
+
+    def sentinel_compared(self, drift: Drift) -> None:
         """Do nothing."""
 
 

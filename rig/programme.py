@@ -5,7 +5,7 @@ disk; the settings of the rig are checked against each other, and the calibratio
 """
 
 import random
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -17,10 +17,12 @@ from dragrig.config import (
     Fixture,
     Plan,
     PlanError,
+    PlannedKind,
     PlanStep,
     ReturnMode,
     RigSettings,
     RunOrder,
+    SentinelSettings,
     SettingsError,
     Specimen,
     find_settings,
@@ -32,6 +34,8 @@ from dragrig.rig.protocols.return_stroke import ReturnProtocol
 from dragrig.rig.runfile import free_bytes
 
 _MAX_RETURN_ACCEL_MM_S2 = 400.0
+_SENTINEL_RETURN_MM_S = 20.0
+_BY_HAND_PROMPT = "Return the capsule to its start by hand, outside the gut"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +64,13 @@ class PlannedRun:
     note: str = ""
     follows: int = -1
     """Index of the run whose return stroke this is; -1 for any other run."""
+    sentinel: bool = False
+    """Whether it shows how far the specimen has drifted."""
+
+    @property
+    def summary(self) -> str:
+        """A few words that distinguish this run from the others of its plan."""
+        return f"sentinel {self.protocol.summary()}" if self.sentinel else self.protocol.summary()
 
     @property
     def end_mm(self) -> float:
@@ -126,61 +137,145 @@ def build_programme(
         For a kind, key, value or capsule that is not allowed.
     """
     rng = random.Random(plan.seed)  # noqa: S311  # an order of runs is no secret
+    templates = [
+        template
+        for number, step in enumerate(plan.steps)
+        for template in _step_runs(step, number, specimen, f"{source}: steps[{number}]", beside, rng.random)
+    ]
+    sentinel = None
+    if plan.sentinel is not None:
+        own_start_mm = plan.sentinel.start_mm if plan.sentinel.start_mm is not None else start_mm
+        sentinel = _sentinel_run(plan.sentinel, specimen, f"{source}: sentinel", beside)
+        sentinel = replace(sentinel, start_mm=zero_mm + own_start_mm)
+    places = _sentinel_places(plan, sentinel, templates, source)
     runs: list[PlannedRun] = []
     position_mm = zero_mm + start_mm
-    for number, step in enumerate(plan.steps):
-        place = f"{source}: steps[{number}]"
-        if step.way_back is not ReturnMode.STAY or step.start_mm is not None:
+    for place, template in enumerate(templates):
+        step, run = plan.steps[template.step], template
+        if sentinel is not None and place in places:
+            mounted, run = _prepared_by(sentinel, run, runs[-1].mounting if runs else "")
+            runs += _with_return(mounted, _SENTINEL_RETURN_MM_S, len(runs))
+        opens = place == 0 or templates[place - 1].step != template.step
+        if opens and (step.way_back is not ReturnMode.STAY or step.start_mm is not None):
             position_mm = zero_mm + (step.start_mm if step.start_mm is not None else start_mm)
-        for template in _step_runs(step, number, specimen, place, beside, rng.random):
-            run = replace(template, index=len(runs), start_mm=position_mm)
-            if runs and not run.prompt and run.mounting != runs[-1].mounting:
-                run = replace(run, prompt=f"Change from {runs[-1].mounting} to {run.mounting}")
+        run = replace(run, index=len(runs), start_mm=position_mm, prompt=_whole_prompt(run, runs))
+        if step.way_back is ReturnMode.DRIVEN:
+            runs += _with_return(run, step.way_back_speed_mm_s, len(runs))
+        else:
             runs.append(run)
-            position_mm = run.end_mm
-            if step.way_back is ReturnMode.DRIVEN and position_mm != run.start_mm:
-                runs.append(_return_stroke(run, step, len(runs)))
-            if step.way_back is not ReturnMode.STAY:
-                position_mm = run.start_mm
+            position_mm = run.end_mm if step.way_back is ReturnMode.STAY else run.start_mm
+    if sentinel is not None and len(templates) in places:
+        runs += _with_return(sentinel, _SENTINEL_RETURN_MM_S, len(runs))
     return Programme(plan, tuple(runs))
 
 
 def _step_runs(
     step: PlanStep, number: int, specimen: Specimen, place: str, beside: Path | None, draw: Callable[[], float]
 ) -> Iterator[PlannedRun]:
-    if step.kind == ReturnProtocol.kind:
-        raise PlanError(f"{place}: a plan has no steps of kind return; set way_back = 'driven' in the step before.")
-    protocols = expand_sweep(step.kind, step.parameters, place, tuple(PlanStep.model_fields))
+    protocols = _protocols(step, place)
     if len(protocols) * step.repeats > MAX_RUNS:
         raise PlanError(f"{place}: makes more than {MAX_RUNS} runs; lower repeats or shorten the lists.")
     for count, protocol in enumerate(_in_order(protocols, step, draw)):
-        by_hand = step.way_back is ReturnMode.BY_HAND and count > 0
-        prompts = (
-            "Return the capsule to its start by hand, outside the gut" if by_hand else "",
-            step.prompt if count == 0 or step.prompt_each else "",
-        )
-        name = step.capsule or protocol.capsule
-        try:
-            capsule = find_settings(Capsule, "capsule", name, beside)
-        except SettingsError as error:
-            raise SettingsError(f"{place}.capsule: {error}") from error
-        yield PlannedRun(
-            index=0,
+        yield replace(
+            _planned_run(step, protocol, specimen, place, beside),
             step=number,
-            protocol=protocol,
-            profile=protocol.profile(specimen),
-            capsule=capsule,
-            specimen=specimen,
-            fixture=step.fixture or protocol.fixture,
-            contact=Contact.NONE if step.fixture is Fixture.NONE else protocol.contact,
-            start_mm=0.0,
             wait_s=step.wait_s,
             tare_s=step.tare_s,
-            prompt="; ".join(prompt for prompt in prompts if prompt),
-            by_hand=by_hand,
-            shear_strain=protocol.strain(),
+            prompt=step.prompt if count == 0 or step.prompt_each else "",
+            by_hand=step.way_back is ReturnMode.BY_HAND and count > 0,
             note=step.note,
         )
+
+
+def _sentinel_run(settings: SentinelSettings, specimen: Specimen, place: str, beside: Path | None) -> PlannedRun:
+    protocols = _protocols(settings, place)
+    if len(protocols) > 1:
+        raise PlanError(f"{place}: is {len(protocols)} runs; give each of its keys a single value.")
+    run = _planned_run(settings, protocols[0], specimen, place, beside)
+    if run.contact is not Contact.SLIDING:
+        raise PlanError(
+            f"{place}: a {settings.kind} run without sliding has no steady force; use a drag or a coulomb run."
+        )
+    return replace(run, wait_s=settings.wait_s, sentinel=True)
+
+
+def _protocols(planned: PlannedKind, place: str) -> tuple[RunProtocol, ...]:
+    if planned.kind == ReturnProtocol.kind:
+        raise PlanError(f"{place}: a plan has no steps of kind return; set way_back = 'driven' in the step before.")
+    return expand_sweep(planned.kind, planned.parameters, place, tuple(type(planned).model_fields))
+
+
+def _planned_run(
+    planned: PlannedKind, protocol: RunProtocol, specimen: Specimen, place: str, beside: Path | None
+) -> PlannedRun:
+    try:
+        capsule = find_settings(Capsule, "capsule", planned.capsule or protocol.capsule, beside)
+    except SettingsError as error:
+        raise SettingsError(f"{place}.capsule: {error}") from error
+    return PlannedRun(
+        index=0,
+        step=-1,
+        protocol=protocol,
+        profile=protocol.profile(specimen),
+        capsule=capsule,
+        specimen=specimen,
+        fixture=planned.fixture or protocol.fixture,
+        contact=Contact.NONE if planned.fixture is Fixture.NONE else protocol.contact,
+        start_mm=0.0,
+        wait_s=0.0,
+        shear_strain=protocol.strain(),
+    )
+
+
+def _sentinel_places(
+    plan: Plan, sentinel: PlannedRun | None, templates: Sequence[PlannedRun], source: str
+) -> frozenset[int]:
+    """Return before which runs a sentinel is made; the number of runs stands for the end.
+
+    Nothing comes between a run and one that begins at its end; no capsule is changed for a sentinel.
+    """
+    if plan.sentinel is None or sentinel is None:
+        return frozenset()
+    mounted = [run.mounting == sentinel.mounting for run in templates]
+    if not any(mounted):
+        raise PlanError(
+            f"{source}: sentinel: no step has {sentinel.mounting} mounted; give it the capsule and fixture of a step."
+        )
+
+    def is_possible(place: int) -> bool:
+        before, after = place > 0 and mounted[place - 1], place < len(templates) and mounted[place]
+        return (before or after) and not (before and after and _continues(plan, templates, place))
+
+    possible = [place for place in range(len(templates) + 1) if is_possible(place)]
+    places = possible[:1]
+    for place in possible[1:-1]:
+        if plan.sentinel.every and place - places[-1] >= plan.sentinel.every:
+            places.append(place)
+    return frozenset((*places, possible[-1]))
+
+
+def _continues(plan: Plan, templates: Sequence[PlannedRun], place: int) -> bool:
+    step = plan.steps[templates[place].step]
+    opens = templates[place - 1].step != templates[place].step
+    return step.way_back is ReturnMode.STAY and not (opens and step.start_mm is not None)
+
+
+def _prepared_by(sentinel: PlannedRun, run: PlannedRun, mounting: str) -> tuple[PlannedRun, PlannedRun]:
+    """Hand on to a sentinel what must be done by hand before it and the run after it; return both."""
+    if run.by_hand:
+        return replace(sentinel, by_hand=True, prompt=_BY_HAND_PROMPT), replace(run, by_hand=False)
+    if sentinel.mounting == mounting:
+        return sentinel, run
+    change = f"Change from {mounting} to {sentinel.mounting}" if mounting else ""
+    return replace(sentinel, prompt=run.prompt or change), replace(run, prompt="")
+
+
+def _whole_prompt(run: PlannedRun, earlier: Sequence[PlannedRun]) -> str:
+    prompts = (_BY_HAND_PROMPT if run.by_hand else "", run.prompt)
+    prompt = "; ".join(filter(None, prompts))
+    if prompt or not earlier or run.mounting == earlier[-1].mounting:
+        return prompt
+    return f"Change from {earlier[-1].mounting} to {run.mounting}"
 
 
 def _in_order(protocols: tuple[RunProtocol, ...], step: PlanStep, draw: Callable[[], float]) -> list[RunProtocol]:
@@ -203,14 +298,17 @@ def _shuffled(items: list[RunProtocol], draw: Callable[[], float]) -> list[RunPr
     return [items[index] for index in sorted(range(len(items)), key=draws.__getitem__)]
 
 
-def _return_stroke(run: PlannedRun, step: PlanStep, index: int) -> PlannedRun:
+def _with_return(run: PlannedRun, speed_mm_s: float, index: int) -> Iterator[PlannedRun]:
+    """Yield a run with its number and, where it does not end at its start, its return stroke."""
+    run = replace(run, index=index)
+    yield run
+    if run.end_mm == run.start_mm:
+        return
     accel_mm_s2 = min(run.profile.extremes().acceleration_mm_s2, _MAX_RETURN_ACCEL_MM_S2)
-    stroke = ReturnProtocol(
-        travel_mm=run.start_mm - run.end_mm, speed_mm_s=step.way_back_speed_mm_s, accel_mm_s2=accel_mm_s2
-    )
-    return replace(
+    stroke = ReturnProtocol(travel_mm=run.start_mm - run.end_mm, speed_mm_s=speed_mm_s, accel_mm_s2=accel_mm_s2)
+    yield replace(
         run,
-        index=index,
+        index=index + 1,
         protocol=stroke,
         profile=stroke.profile(run.specimen),
         start_mm=run.end_mm,
@@ -221,6 +319,7 @@ def _return_stroke(run: PlannedRun, step: PlanStep, index: int) -> PlannedRun:
         sheared_from=run.shear_strain,
         note="",
         follows=run.index,
+        sentinel=False,
     )
 
 
@@ -304,7 +403,7 @@ def preflight(
     findings: list[str] = []
     for run in programme.runs:
         extremes, samples = run.profile.extremes(), run.profile.samples(rig.sampling.rate_hz)
-        name = f"{source}: run {run.index} ({run.protocol.summary()})"
+        name = f"{source}: run {run.index} ({run.summary})"
         findings += [f"{name} {violation}" for violation in limit_violations(extremes, run.start_mm, limits)]
         previews.append(
             RunPreview(

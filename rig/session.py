@@ -1,13 +1,22 @@
 """A session: the runs of a programme one after another, with prompts, tares, waits and return strokes between them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from math import isfinite
 from threading import Event as Signal
 from uuid import uuid4
 
-from dragrig.config import UNSTATED, AbortedError, DeviceError, Fixture, TrippedError, reason_of, to_toml
+from dragrig.config import (
+    UNSTATED,
+    AbortedError,
+    DeviceError,
+    Fixture,
+    SentinelSettings,
+    TrippedError,
+    reason_of,
+    to_toml,
+)
 from dragrig.rig.devices import Acquisition, Backend, Contact
 from dragrig.rig.engine import AcquisitionOutcome, Engine, Store, attempt, early_end_error, require_complete
 from dragrig.rig.guard import Guard
@@ -27,7 +36,8 @@ from dragrig.rig.operator import (
 )
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.runfile import Attribute, RunHeader, RunStatus, SessionRecord, software_version
+from dragrig.rig.runfile import Attribute, Run, RunHeader, RunStatus, SessionRecord, software_version
+from dragrig.rig.sentinel import SENTINEL_ROLE, Drift, SteadyForce
 
 _MAX_START_ERROR_MM = 0.05
 """How far from a run's start the stage may come to rest: more than the velocity loop's hold error of 0.02 mm."""
@@ -80,6 +90,7 @@ def run_header(
         **({"double": record.backend} if record.double else {}),
         **({"contact_mm": record.contact_mm} if record.contact_mm is not None else {}),
         **({"way_back_of": run.follows} if run.follows >= 0 else {}),
+        **({"role": SENTINEL_ROLE} if run.sentinel else {}),
         **backend.description(),
         **facts,
     }
@@ -128,6 +139,15 @@ class CampaignProgress:
 
     done: frozenset[int] = frozenset()
     next_order: int = 0
+    sentinels: tuple[SteadyForce, ...] = ()
+    """Steady forces of its sentinels, in order."""
+    undecided: bool = False
+    """Whether nothing was made after the last sentinel."""
+
+
+def unmeasured(run: Run) -> SteadyForce:
+    """Measure nothing."""
+    return SteadyForce(run.info.header.order, None, reason="nothing measures it here")
 
 
 class Session:
@@ -137,6 +157,8 @@ class Session:
     ----------
     pause
         Set by anybody to have the session wait for a person before its next run; cleared then.
+    steady_force
+        Measures a sentinel.
     """
 
     def __init__(
@@ -151,6 +173,7 @@ class Session:
         *,
         real_time: bool = False,
         pause: Signal | None = None,
+        steady_force: Callable[[Run], SteadyForce] = unmeasured,
     ) -> None:
         self._backend, self._programme, self._record = backend, programme, record
         self._settings_toml = to_toml(record)
@@ -163,6 +186,10 @@ class Session:
         self._results: list[RunResult] = []
         self._contact_since_s = 0.0
         self._inserted_at: datetime | None = None
+        self._steady_force = steady_force
+        self._sentinels, self._undecided = list(progress.sentinels), progress.undecided
+        self._specimen_facts: Mapping[str, Attribute] = {}
+        """What the last sentinel says about the specimen, for the files of the runs after it."""
         self._mounting = ""
         """Capsule and fixture of the run before; empty at the start, when nobody has said what is mounted."""
 
@@ -200,6 +227,9 @@ class Session:
 
     def _make_all(self) -> None:
         runs, place = self._programme.runs, 0
+        if self._undecided and self._sentinels:
+            earlier = [run for run in runs if run.sentinel and run.index in self._done]
+            self._follow_sentinel(earlier[-1], self._drift_of(self._sentinels[-1]))
         while place < len(runs):
             self.engine.require_not_aborted()
             run = runs[place]
@@ -210,6 +240,9 @@ class Session:
                 case Answer.DONE:
                     self._make(run)
                     place += 1
+                    sentinel = runs[run.follows] if run.follows >= 0 else run
+                    if sentinel.sentinel and not (place < len(runs) and runs[place].follows == sentinel.index):
+                        self._follow_sentinel(sentinel, self._compare_last_run(sentinel))
                 case Answer.REDO:
                     place = self._discard_last_run()
                 case Answer.SKIP:
@@ -217,6 +250,43 @@ class Session:
                     place = next((index for index in later if runs[index].prompt), len(runs))
                 case Answer.ABORT:
                     raise AbortedError("ended at a prompt.")
+
+    def _follow_sentinel(self, sentinel: PlannedRun, drift: Drift) -> None:
+        """Go on after a sentinel; where it drifted beyond its bound, as a person decides."""
+        decision = ""
+        while drift.needs_decision and not decision:
+            text = f"{drift}. Done goes on with the plan, measure makes the sentinel once more, abort ends the session"
+            who = "decided by the operator" if self._operator.attended else "nobody was asked (--yes)"
+            answer = self._operator.ask(Prompt(text, can_measure=True, hands=False))
+            decision = {Answer.DONE: "go on", Answer.MEASURE: "measured once more"}.get(answer, "ended the session")
+            decision = f"{decision}, {who}"
+            self._store.write_note(drift.measured.order, f"{drift}; {decision}")
+            self.engine.require_not_aborted()
+            if answer is Answer.MEASURE:
+                self._make_sentinel_again(sentinel)
+                drift, decision = self._compare_last_run(sentinel), ""
+            elif answer is not Answer.DONE:
+                raise AbortedError("ended after a sentinel.")
+        self._specimen_facts = drift.attributes(decision)
+
+    def _compare_last_run(self, sentinel: PlannedRun) -> Drift:
+        order = next(result.order for result in reversed(self._results) if result.run.index == sentinel.index)
+        drift = self._drift_of(self._steady_force(self._store.read(order)))
+        self._sentinels.append(drift.measured)
+        self._observer.sentinel_compared(drift)
+        return drift
+
+    def _drift_of(self, measured: SteadyForce) -> Drift:
+        settings = self._programme.plan.sentinel or SentinelSettings()
+        earlier = (force for force in self._sentinels if force.order < measured.order and force.value_mN is not None)
+        return Drift(measured, next(earlier, None), settings)
+
+    def _make_sentinel_again(self, sentinel: PlannedRun) -> None:
+        again = replace(sentinel, prompt="", by_hand=False)
+        if self._prepare(again) is Answer.ABORT:
+            raise AbortedError("ended at a prompt.")
+        for run in (again, *(run for run in self._programme.runs if run.follows == sentinel.index)):
+            self._make(run)
 
     def _pause_before(self, run: PlannedRun) -> Answer | None:
         """Wait for a person where a pause was asked for, but not between a run and its return stroke.
@@ -230,7 +300,7 @@ class Session:
             # Its own prompt waits.
             return None
         can_redo = any(result.run.follows < 0 for result in self._results)
-        prompt = Prompt(f"Paused. Next is {run.protocol.summary()}; done continues", run, can_redo, hands=False)
+        prompt = Prompt(f"Paused. Next is {run.summary}; done continues", run, can_redo, hands=False)
         answer = self._operator.ask(prompt)
         self.engine.require_not_aborted()
         return answer if answer is not Answer.DONE else None
@@ -246,6 +316,7 @@ class Session:
         for result in self._results:
             if last.run.index in (result.run.index, result.run.follows) and result.order >= last.order:
                 self._store.mark_bad(result.order, "repeated at the operator's request")
+                self._sentinels = [force for force in self._sentinels if force.order != result.order]
         return last.run.index
 
     def _prepare(self, run: PlannedRun) -> Answer:
@@ -296,11 +367,13 @@ class Session:
         clock = self._backend.clock
         remaining_s = run.wait_s - (clock.monotonic() - self._contact_since_s)
         if remaining_s > 0:
-            self._observer.waits(remaining_s, f"rest before {run.protocol.summary()}")
+            self._observer.waits(remaining_s, f"rest before {run.summary}")
             clock.sleep(remaining_s, self.engine.cancelled)
             self.engine.require_not_aborted()
         acquisition = run_acquisition(self._order, run, clock.monotonic() - self._contact_since_s)
-        facts: dict[str, Attribute] = {} if tare_mN is None else {"tare_mN": tare_mN}
+        facts: dict[str, Attribute] = dict(self._specimen_facts)
+        if tare_mN is not None:
+            facts["tare_mN"] = tare_mN
         if self._inserted_at is not None:
             facts["inserted_at"] = self._inserted_at.isoformat()
         header = run_header(run, acquisition, self._record, self._backend, self._settings_toml, facts)

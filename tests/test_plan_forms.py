@@ -1,13 +1,14 @@
 """Plans as forms: every key with unit, range and help, and back to the same plan."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pydantic import BaseModel
 
 from dragrig.config.errors import DragrigError, SettingsError
-from dragrig.config.plan import Plan, PlanStep, ReturnMode, RunOrder
+from dragrig.config.plan import Plan
 from dragrig.config.settings import shipped_files
-from dragrig.config.specimen import Fixture
 from dragrig.engine_host.messages import RigSelection
 from dragrig.rig.protocols import protocol_kinds
 from dragrig.views import FieldKind, describe_rig, known_plans, motion_curves, plan_form, preview_session
@@ -102,9 +103,31 @@ def test_a_plan_that_is_none_is_refused() -> None:
 
 def test_the_page_on_plans_has_every_key_and_its_allowed_words() -> None:
     page = (Path(__file__).parents[1] / "docs" / "writing-a-plan.md").read_text("utf-8")
-    keys = {*Plan.model_fields, *PlanStep.model_fields} - {"parameters"}
-    for protocol in protocol_kinds().values():
-        if protocol.kind != "return":
-            keys |= {protocol.kind, *protocol.model_fields}
-    words = {*RunOrder, *ReturnMode, *Fixture, *shipped_files("plan"), *shipped_files("capsule")}
-    assert [word for word in sorted(keys | words) if f"`{word}`" not in page] == []
+    kinds = {kind: protocol for kind, protocol in protocol_kinds().items() if kind != "return"}
+    tables = [table for model in (Plan, *kinds.values()) for table in schema_tables(model)]
+    entries = [(key, entry) for table in tables for key, entry in table.get("properties", {}).items()]
+    words = {key for key, _ in entries} | {word for table in tables for word in table.get("enum", ())} | {*kinds}
+    words |= {*shipped_files("plan"), *shipped_files("capsule")}
+    assert {"sentinel", "drift_percent", "pause_s", "random_within_repeat"} < words
+    assert [word for word in sorted(words - {"parameters"}) if f"`{word}`" not in page] == []
+    rows = [line.replace(" ", "") for line in page.splitlines()]
+    unsaid = [
+        f"{key}: {bound}"
+        for key, entry in entries
+        for bound in bounds_of(entry)
+        if not any(f"`{key}`" in row and bound in row for row in rows)
+    ]
+    assert unsaid == []
+
+
+def schema_tables(model: type[BaseModel]) -> list[dict[str, Any]]:
+    schema = model.model_json_schema()
+    return [schema, *schema.get("$defs", {}).values()]
+
+
+def bounds_of(entry: dict[str, Any]) -> list[str]:
+    """Return what a number may not go beyond, as a page writes it."""
+    options = [entry, *entry.get("anyOf", ())]
+    names = ("minimum", "exclusiveMinimum", "maximum")
+    bounds = [option[name] for option in options for name in names if name in option]
+    return [format(bound, "g" if abs(bound) < 1e5 else ".0f").replace("-", "−") for bound in bounds]

@@ -18,6 +18,7 @@ from dragrig.present import duration_text
 from dragrig.rig import (
     AcquisitionOutcome,
     Answer,
+    Drift,
     LiveReading,
     PlannedRun,
     Programme,
@@ -73,6 +74,11 @@ class TerminalOperator:
         self._keys.end()
         self._meter.__exit__(kind, error, trace)
 
+    @property
+    def attended(self) -> bool:
+        """Whether a person answers what needs no hands."""
+        return not self._yes or self._pause_wanted
+
     def ask(self, prompt: Prompt) -> Answer:
         """Print a prompt and read the answer; its first letter is enough, an empty line means done.
 
@@ -90,9 +96,7 @@ class TerminalOperator:
 
     def _answer(self, prompt: Prompt) -> Answer:
         self._meter.pause()
-        allowed = {Answer.REDO: prompt.can_redo, Answer.SKIP: prompt.can_skip}
-        choices = [answer for answer in Answer if allowed.get(answer, True)]
-        names = ", ".join(f"[{answer.value[0]}]{answer.value[1:]}" for answer in choices)
+        names = ", ".join(f"[{answer.value[0]}]{answer.value[1:]}" for answer in prompt.choices)
         click.echo(f"\n{prompt.text}.", err=True)
         if prompt.run is not None and prompt.run.mounting not in prompt.text:
             click.echo(f"  Next run: {prompt.run.mounting}.", err=True)
@@ -107,7 +111,7 @@ class TerminalOperator:
                 click.echo(f"\nNobody answers on standard input; {why}.", err=True)
                 return Answer.ABORT
             typed = line.strip().lower() or Answer.DONE.value
-            for answer in choices:
+            for answer in prompt.choices:
                 if answer.value.startswith(typed):
                     return answer
 
@@ -138,7 +142,7 @@ class TerminalOperator:
         self._order = order
         if self._plot is not None:
             self._plot.clear()
-        label = f"{len(before) + 1} of {len(self._pending)}: run {order}, {run.protocol.summary()}"
+        label = f"{len(before) + 1} of {len(self._pending)}: run {order}, {run.summary}"
         self._meter.to(self._duration_s(before) + rest_s, label)
 
     def reads(self, reading: Reading) -> None:
@@ -156,9 +160,16 @@ class TerminalOperator:
         if "rest_offset_mN" in checks:
             results.append(f"at rest {checks['rest_offset_mN']:+.1f} mN, noise {checks['rest_noise_mN']:.1f} mN")
         results.append(f"following error {1000 * float(checks['following_error_mm']):.1f} µm")
-        line = f"{self._order:3d}  {run.protocol.summary():22} {outcome.status.value:9} {', '.join(results)}"
+        line = f"{self._order:3d}  {run.summary:22} {outcome.status.value:9} {', '.join(results)}"
         reason = [outcome.reason] if outcome.status is not RunStatus.COMPLETE else []
         self._meter.say("; ".join((line, *reason, *(f"NOTE {warning}" for warning in outcome.checks.warnings))))
+
+    def sentinel_compared(self, drift: Drift) -> None:
+        """Print how far the specimen has drifted, unless a prompt says it at once."""
+        if not drift.needs_decision:
+            self._meter.say(f"     {drift}")
+        elif self._yes and not self._pause_wanted:
+            self._meter.say(f"     NOTE {drift}; --yes goes on, and the run's note says so")
 
     def _key_pressed(self, key: str) -> None:
         if key.lower() != PAUSE_KEY:

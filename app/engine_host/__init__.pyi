@@ -31,6 +31,7 @@ from .messages import RigSelection as RigSelection
 from .messages import RunFinished as RunFinished
 from .messages import RunStarted as RunStarted
 from .messages import RunStatus as RunStatus
+from .messages import SentinelCompared as SentinelCompared
 from .messages import SessionFinished as SessionFinished
 from .messages import SessionJob as SessionJob
 from .messages import SessionStarted as SessionStarted

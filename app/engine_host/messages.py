@@ -251,6 +251,14 @@ class RunFinished:
 
 
 @dataclass(frozen=True, slots=True)
+class SentinelCompared:
+    """How far the specimen has drifted, in a sentence; `order` is the sentinel's."""
+
+    order: int
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True)
 class RigIdle:
     """Force and position while nothing is acquired: between sessions, and while a prompt is open."""
 
@@ -274,6 +282,7 @@ class PromptShown:
     can_redo: bool
     can_skip: bool
     hands: bool
+    can_measure: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,6 +334,7 @@ Event: TypeAlias = (
     | SessionWaiting
     | RunStarted
     | RunFinished
+    | SentinelCompared
     | RigIdle
     | StageMoved
     | PromptShown

@@ -42,6 +42,7 @@ from dragrig.engine_host.messages import (
     RingMemory,
     RunFinished,
     RunStarted,
+    SentinelCompared,
     SessionFinished,
     SessionJob,
     SessionStarted,
@@ -57,6 +58,7 @@ from dragrig.rig import (
     Answer,
     Backend,
     BackendRequest,
+    Drift,
     IdleReading,
     PlannedRun,
     Programme,
@@ -232,11 +234,13 @@ class RemoteOperator:
         self.job = 0
         """Number of the session that is reported."""
 
+    attended = True
+
     def ask(self, prompt: Prompt) -> Answer:
         """Show a prompt and wait for the answer, which is an abort if the session is aborted."""
         number = next(self._numbers)
         self._receiver.pause.clear()
-        shown = PromptShown(number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands)
+        shown = PromptShown(number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands, prompt.can_measure)
         look = prompt.look
 
         def show() -> None:
@@ -271,9 +275,13 @@ class RemoteOperator:
         queued, warnings = _queued_run(run), tuple(outcome.checks.warnings)
         self._sender.say(RunFinished(queued, self._order, outcome.status, outcome.reason, outcome.samples, warnings))
 
+    def sentinel_compared(self, drift: Drift) -> None:
+        """Report how far the specimen has drifted."""
+        self._sender.say(SentinelCompared(drift.measured.order, str(drift)))
+
 
 def _queued_run(run: PlannedRun) -> QueuedRun:
-    return QueuedRun(run.index, run.protocol.summary(), run.wait_s, run.duration_s, run.start_mm)
+    return QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm)
 
 
 NOT_YET_RESET = "not reset since the start; check: path clear, hands out, e-stop in reach"

@@ -26,8 +26,10 @@ PointT = TypeVar("PointT")
 
 def preflight_document(preflight: "Preflight") -> Document:
     """Lay out what a plan would do: each run with its range, speed and time."""
+    sentinels = sum(preview.run.sentinel for preview in preflight.previews)
+    counted = f", {sentinels} of them sentinels" if sentinels else ""
     return Document(
-        title=f"{len(preflight.previews)} runs, {duration_text(preflight.duration_s)}, "
+        title=f"{len(preflight.previews)} runs{counted}, {duration_text(preflight.duration_s)}, "
         f"{size_text(preflight.size_bytes)} of {size_text(preflight.free_bytes)} free",
         sections=(
             Section(
@@ -39,7 +41,7 @@ def preflight_document(preflight: "Preflight") -> Document:
                         "",
                         preflight.previews,
                         Field("index", "", lambda preview: str(preview.run.index)),
-                        Field("run", "run", lambda preview: preview.run.protocol.summary()),
+                        Field("run", "run", lambda preview: preview.run.summary),
                         Field("capsule", "capsule", lambda preview: preview.run.capsule.name),
                         Field("lowest_mm", "min mm", lambda preview: preview.lowest_mm, shortest()),
                         Field("highest_mm", "max mm", lambda preview: preview.highest_mm, shortest()),

@@ -121,6 +121,9 @@ class NoticeBar(QWidget):
             Answer.DONE: button("&Done", lambda: self._reply(Answer.DONE), "main", "Continue the session"),
             Answer.REDO: button("R&edo the last run", lambda: self._reply(Answer.REDO), help_="Its file is marked bad"),
             Answer.SKIP: button("Ski&p", lambda: self._reply(Answer.SKIP), help_="Skip the run being prepared"),
+            Answer.MEASURE: button(
+                "&Measure it again", lambda: self._reply(Answer.MEASURE), help_="Make the sentinel once more"
+            ),
             Answer.ABORT: button("A&bort", lambda: self._reply(Answer.ABORT), help_="End the session"),
         }
         self.hands = ElidedLabel("", "faint")
@@ -149,6 +152,7 @@ class NoticeBar(QWidget):
         self.hands.setText("This must be done by hand at the rig." if prompt.hands else "")
         self.answers[Answer.REDO].setVisible(prompt.can_redo)
         self.answers[Answer.SKIP].setVisible(prompt.can_skip)
+        self.answers[Answer.MEASURE].setVisible(prompt.can_measure)
         self.prompt.show()
 
     def hide_prompt(self) -> None:

@@ -273,7 +273,7 @@ class PlanPreview(QWidget):
         rows = [
             (
                 str(preview.run.index),
-                preview.run.protocol.summary(),
+                preview.run.summary,
                 preview.run.capsule.name,
                 preview.run.fixture.value,
                 f"{preview.lowest_mm:g} to {preview.highest_mm:g}",

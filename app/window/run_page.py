@@ -42,6 +42,7 @@ from dragrig.engine_host import (
     RunFinished,
     RunStarted,
     RunStatus,
+    SentinelCompared,
     SessionFinished,
     SessionJob,
     SessionStarted,
@@ -601,6 +602,9 @@ class RunPage(QWidget):
                 self.queue.run_finished(event)
                 self.live.end_run(f"Run {order}, {event.status.value}: {run.summary}")
                 self._show_warnings(event)
+            case SentinelCompared(_, sentence):
+                self.live.begin(sentence)
+                self.write_log(f"{sentence}.")
             case SessionFinished():
                 self._ended(event)
             case _:

@@ -18,6 +18,7 @@ from .finisher import left_recordings as left_recordings
 from .finisher import recover as recover
 from .model import Attribute as Attribute
 from .model import RecordedChannel as RecordedChannel
+from .model import Run as Run
 from .model import RunEvent as RunEvent
 from .model import RunHeader as RunHeader
 from .model import RunStatus as RunStatus

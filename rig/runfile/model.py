@@ -101,6 +101,11 @@ class RunInfo:
         """Kind of protocol: drag, relaxation, coulomb, blank, return, motion, …."""
         return self.header.kind
 
+    @property
+    def is_sentinel(self) -> bool:
+        """Whether it was made to see how far the specimen has drifted."""
+        return self.header.entry.get("role") == "sentinel"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:

@@ -19,10 +19,11 @@ import numpy.typing as npt
 from dragrig.config import OutputError, RecordingError
 from dragrig.rig import AnyFloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import schema
-from dragrig.rig.runfile.campaigns import is_same_recording, mark_bad
+from dragrig.rig.runfile.campaigns import is_same_recording, mark_bad, write_note
 from dragrig.rig.runfile.filesystem import brief_error, move_into_place, remove_quietly
 from dragrig.rig.runfile.finisher import Finisher, FinishResult
 from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.rig.runfile.reader import read_run
 from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
 from dragrig.rig.runfile.schema import FORMAT_VERSION
 
@@ -102,6 +103,16 @@ class FolderStore:
     def mark_bad(self, order: int, reason: str) -> None:
         """Mark a run of this session as bad."""
         mark_bad(self._paths[order], reason)
+
+    def write_note(self, order: int, text: str) -> None:
+        """Write a note on a finished run of this campaign."""
+        path = self._paths.get(order) or next(self._folder.glob(f"*-{order:03d}{schema.FINISHED_SUFFIX}"))
+        write_note(path, text)
+
+    def read(self, order: int) -> Run:
+        """Return a run of this session, once every closed run is in its final place; raises as `settle`."""
+        self.settle()
+        return read_run(self._paths[order])
 
     def settle(self) -> None:
         """Wait until every closed run is in its final place, and end the finishing process.
@@ -344,6 +355,7 @@ class MemoryStore:
     def __init__(self) -> None:
         self.runs: list[Run] = []
         self.bad: dict[int, str] = {}
+        self.notes: dict[int, str] = {}
 
     def open(self, header: RunHeader, expected_samples: int) -> "MemorySink":
         """Begin a record."""
@@ -353,6 +365,14 @@ class MemoryStore:
     def mark_bad(self, order: int, reason: str) -> None:
         """Mark a run as bad."""
         self.bad[order] = reason
+
+    def write_note(self, order: int, text: str) -> None:
+        """Write a note on a run."""
+        self.notes[order] = text
+
+    def read(self, order: int) -> Run:
+        """Return a run."""
+        return next(run for run in self.runs if run.info.header.order == order)
 
     def settle(self) -> None:
         """Do nothing."""
