@@ -1,9 +1,9 @@
 """Measures of one run, each with its standard error or the reason why it is missing, and a campaign's table of them."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import datetime
-from math import nan, sqrt
+from math import hypot, nan, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +12,8 @@ import numpy as np
 from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Progress, correlated_mean, missing, no_progress
 from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
-from dragrig.config import AnalysisError, RunFileError
-from dragrig.rig import SENTINEL_ROLE, Phase, Run, RunInfo, RunStatus, SteadyForce
+from dragrig.config import AnalysisError, RunFileError, SentinelSettings
+from dragrig.rig import SENTINEL_ROLE, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce, specimen_key
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +33,10 @@ SET_VALUE_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class RunMeasures:
-    """Measures of one run; forces in mN, those of the run's signal as recorded, never filtered or zeroed."""
+    """Measures of one run; forces in mN, those of the run's signal as recorded, never filtered or zeroed.
+
+    Each error is one standard error.
+    """
 
     steady_force: Estimate
     """Mean over the steady sliding (see `phases.steady_stretch`), the rest offset included."""
@@ -53,6 +56,16 @@ class RunMeasures:
     """Slope of the position over the steady phase [mm/s], positive or negative."""
     steady_from: str
     """Stretch over which the steady force was averaged, in words."""
+
+    @property
+    def steady_above_rest(self) -> Estimate:
+        """The steady force with that at rest taken off."""
+        steady, rest = self.steady_force, self.rest_offset
+        if steady.value is None or rest.value is None:
+            return missing(steady.reason or rest.reason)
+        if steady.standard_error is None or rest.standard_error is None:
+            return Estimate(steady.value - rest.value, reason=steady.reason or rest.reason)
+        return Estimate(steady.value - rest.value, hypot(steady.standard_error, rest.standard_error))
 
 
 def measure(run: Run) -> RunMeasures:
@@ -147,6 +160,7 @@ class TableRow:
 
     file: str
     specimen: str = ""
+    """Its id, or its name where it has none."""
     order: int | None = None
     kind: str = ""
     role: str = ""
@@ -164,6 +178,10 @@ class TableRow:
     steady_above_rest_mN: float | None = None
     """Steady force with the mean at rest taken off: the sensor's zero, and what the resting capsule bears."""
     steady_above_rest_error_mN: float | None = None
+    drift_percent: float | None = None
+    """Of a sentinel: change of its steady force above rest since the first of its campaign and specimen."""
+    drift_error_percent: float | None = None
+    """Standard error of the drift."""
     peak_force_mN: float | None = None
     hold_force_mN: float | None = None
     measured_speed_mm_s: float | None = None
@@ -172,6 +190,8 @@ class TableRow:
     bad: bool = False
     mark: str = ""
     remark: str = ""
+    campaign: str = ""
+    """Folder of the campaign, where the rows are of several."""
 
     @property
     def counts(self) -> bool:
@@ -181,10 +201,10 @@ class TableRow:
 
 @dataclass(frozen=True, slots=True)
 class SpeedMean:
-    """Mean over the runs of one kind, at one speed, on one specimen.
+    """Mean of the steady force, that at rest taken off, over repeats on one specimen: one kind, one speed, one way.
 
-    `standard_error_mN` is the larger of the errors by the scatter between the runs and by their own
-    errors; a single run has only its own.
+    `half_width_95_mN` is half of the 95 % interval by Student's t from the scatter of the repeats; None for a single
+    run, which shows no scatter.
     """
 
     specimen: str
@@ -193,8 +213,36 @@ class SpeedMean:
     speed_mm_s: float
     direction: int
     runs: int
-    steady_force_mN: float
-    standard_error_mN: float | None
+    steady_above_rest_mN: float
+    half_width_95_mN: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class SpecimensMean:
+    """Mean of the steady force, that at rest taken off, over specimens: each specimen's mean counts once.
+
+    `half_width_95_mN` is half of the 95 % interval by Student's t from the scatter between the specimens, however many
+    runs each has; None for a single specimen.
+    """
+
+    kind: str
+    capsule: str
+    speed_mm_s: float
+    direction: int
+    specimens: int
+    runs: int
+    steady_above_rest_mN: float
+    half_width_95_mN: float | None
+
+
+def student_mean(values: Sequence[float]) -> tuple[float, float | None]:
+    """Return the mean of independent values, and half of its 95 % interval by Student's t; None for a single value."""
+    from scipy.special import stdtrit
+
+    mean = float(np.mean(values))
+    if len(values) < 2:
+        return mean, None
+    return mean, float(stdtrit(len(values) - 1, 0.975)) * float(np.std(values, ddof=1)) / sqrt(len(values))
 
 
 def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow, ...]:
@@ -214,9 +262,37 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
         except RunFileError as error:
             rows.append(_unreadable_row(info.path, error))
     progress(len(campaign.runs), len(campaign.runs))
+    rows = _with_drifts(rows)
     rows.extend(_unreadable_row(path, error) for path, error in campaign.unreadable)
     rows.extend(TableRow(path.name, status=RunStatus.RECORDING.value) for path in campaign.recordings)
     return tuple(rows)
+
+
+def pooled_rows(folders: Sequence[Path], progress: Progress = no_progress) -> tuple[TableRow, ...]:
+    """Measure every run of several campaigns, each row with its campaign; a folder named twice counts once.
+
+    Raises `RunFileError` when one of the folders is missing.
+    """
+    distinct = tuple({folder.resolve(): folder for folder in folders}.values())
+    if len(distinct) == 1:
+        return table_rows(distinct[0], progress)
+    return tuple(replace(row, campaign=str(folder)) for folder in distinct for row in table_rows(folder, progress))
+
+
+def _with_drifts(rows: Sequence[TableRow]) -> list[TableRow]:
+    """Compare each sentinel with the first of its specimen that counts."""
+    first: dict[str, SteadyForce] = {}
+    compared: list[TableRow] = []
+    for row in rows:
+        if row.role != SENTINEL_ROLE or not row.counts or row.order is None:
+            compared.append(row)
+            continue
+        force = SteadyForce(row.order, row.steady_above_rest_mN, row.steady_above_rest_error_mN)
+        drift = Drift(force, first.get(row.specimen), SentinelSettings())
+        if force.value_mN is not None:
+            first.setdefault(row.specimen, force)
+        compared.append(replace(row, drift_percent=drift.percent, drift_error_percent=drift.error_percent))
+    return compared
 
 
 def table_row(run: Run, bad: str | None = None) -> TableRow:
@@ -227,7 +303,7 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
              "hold force": measured.hold_force, "speed": measured.speed}  # fmt: skip
     return TableRow(
         file=info.path.name,
-        specimen=str(header.specimen.get("name", "")),
+        specimen=specimen_key(info),
         order=header.order,
         kind=header.kind,
         role=SENTINEL_ROLE if info.is_sentinel else "",
@@ -241,7 +317,8 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
         steady_force_error_mN=measured.steady_force.standard_error,
         rest_offset_mN=measured.rest_offset.value,
         rest_offset_error_mN=measured.rest_offset.standard_error,
-        **_above_rest(measured),
+        steady_above_rest_mN=measured.steady_above_rest.value,
+        steady_above_rest_error_mN=measured.steady_above_rest.standard_error,
         peak_force_mN=measured.peak_force.value,
         hold_force_mN=measured.hold_force.value,
         measured_speed_mm_s=measured.speed.value,
@@ -253,22 +330,11 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
     )
 
 
-def _above_rest(measured: RunMeasures) -> dict[str, float | None]:
-    """Return the steady force less that at rest, with its standard error; nothing where either is missing."""
-    steady, rest = measured.steady_force, measured.rest_offset
-    if steady.value is None or rest.value is None:
-        return {}
-    errors = (steady.standard_error, rest.standard_error)
-    known = None if None in errors else sqrt(sum(error**2 for error in errors if error is not None))
-    return {"steady_above_rest_mN": steady.value - rest.value, "steady_above_rest_error_mN": known}
-
-
 def steady_force_of(run: Run) -> SteadyForce:
     """Return a run's steady force with its force at rest taken off, which sentinels are compared by."""
     measured = measure(run)
-    above = _above_rest(measured)
-    order, reason = run.info.header.order, measured.steady_force.reason or measured.rest_offset.reason
-    return SteadyForce(order, above.get("steady_above_rest_mN"), above.get("steady_above_rest_error_mN"), reason)
+    above = measured.steady_above_rest
+    return SteadyForce(run.info.header.order, above.value, above.standard_error, above.reason)
 
 
 def minutes_since_excision(info: RunInfo) -> float | None:
@@ -325,29 +391,42 @@ def set_values(values: Iterable[float]) -> tuple[float, ...]:
 
 
 def mean_per_speed(rows: Sequence[TableRow]) -> tuple[SpeedMean, ...]:
-    """Average the steady force over repeated runs that are complete, not marked as bad, and have one."""
-    groups: dict[tuple[str, str, str, float, int], list[tuple[float, float | None]]] = {}
-    usable = [row for row in rows if row.counts and row.steady_force_mN is not None and row.speed_mm_s is not None]
-    for row, speed_mm_s in zip(usable, set_values(row.speed_mm_s or 0.0 for row in usable), strict=True):
+    """Average the steady force above rest over repeats: complete, not marked as bad, and no sentinels.
+
+    Rows of several campaigns are pooled: what identifies a specimen is its id, or its name where it has none.
+    """
+    groups: dict[tuple[str, str, str, float, int], list[float]] = {}
+    used = [
+        (row, row.steady_above_rest_mN, row.speed_mm_s)
+        for row in rows
+        if row.counts and not row.role and row.steady_above_rest_mN is not None and row.speed_mm_s is not None
+    ]
+    for (row, force_mN, _), speed_mm_s in zip(used, set_values(speed for *_, speed in used), strict=True):
         direction = -1 if (row.measured_speed_mm_s or row.travel_mm or 1.0) < 0 else 1
         key = (row.specimen, row.kind, row.capsule, speed_mm_s, direction)
-        groups.setdefault(key, []).append((row.steady_force_mN or 0.0, row.steady_force_error_mN))
-    means = []
-    for key, measured in sorted(groups.items()):
-        forces, errors = zip(*measured, strict=True)
-        means.append(SpeedMean(*key, len(forces), float(np.mean(forces)), _error_of_mean(forces, errors)))
-    return tuple(means)
+        groups.setdefault(key, []).append(force_mN)
+    return tuple(SpeedMean(*key, len(forces), *student_mean(forces)) for key, forces in sorted(groups.items()))
 
 
-def _error_of_mean(forces: Sequence[float], errors: Sequence[float | None]) -> float | None:
-    known = [error for error in errors if error is not None]
-    from_errors = sqrt(sum(error**2 for error in known)) / len(forces) if len(known) == len(forces) else None
-    if len(forces) < 2:
-        return from_errors
-    return max(float(np.std(forces, ddof=1)) / sqrt(len(forces)), from_errors or 0.0)
+def mean_over_specimens(means: Sequence[SpeedMean]) -> tuple[SpecimensMean, ...]:
+    """Average specimens' means, each with the same weight; nothing where all are of one specimen."""
+    if len({mean.specimen for mean in means}) < 2:
+        return ()
+    groups: dict[tuple[str, str, float, int], list[SpeedMean]] = {}
+    for mean in means:
+        groups.setdefault((mean.kind, mean.capsule, mean.speed_mm_s, mean.direction), []).append(mean)
+    return tuple(
+        SpecimensMean(
+            *key,
+            len(group),
+            sum(mean.runs for mean in group),
+            *student_mean([mean.steady_above_rest_mN for mean in group]),
+        )
+        for key, group in sorted(groups.items())
+    )
 
 
-def as_frame(rows: Sequence[TableRow] | Sequence[SpeedMean]) -> "pd.DataFrame":
+def as_frame(rows: Sequence[TableRow] | Sequence[SpeedMean] | Sequence[SpecimensMean]) -> "pd.DataFrame":
     """Return rows as a data frame whose columns are the rows' fields; a missing number is NaN."""
     import pandas as pd
 

@@ -1,14 +1,34 @@
 """A campaign as a table."""
 
+import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from scipy.stats import t
 
-from dragrig.analysis.measures import TableRow, as_frame, mean_per_speed, table_row, table_rows
+import dragrig
+from dragrig.analysis.measures import (
+    TableRow,
+    as_frame,
+    mean_over_specimens,
+    mean_per_speed,
+    measure,
+    pooled_rows,
+    table_row,
+    table_rows,
+)
+from dragrig.cli.commands import dragrig_group
 from dragrig.config.errors import RunFileError
+from dragrig.present.campaign import campaign_table_document
+from dragrig.present.document import FormattedNumber
+from dragrig.present.run import measures_table
+from dragrig.present.terminal import document_text
 from dragrig.rig.runfile import mark_bad, read_run
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
@@ -53,25 +73,60 @@ def test_a_bad_run_is_shown_and_left_out_of_the_mean(campaign: Path) -> None:
     after = {(mean.kind, mean.speed_mm_s): mean for mean in mean_per_speed(rows)}
     assert after["drag", 60.0].runs == 1
     second = next(row for row in rows if row.order == 18)
-    assert after["drag", 60.0].steady_force_mN == second.steady_force_mN
-    assert after["drag", 60.0].standard_error_mN == second.steady_force_error_mN
+    assert after["drag", 60.0].steady_above_rest_mN == second.steady_above_rest_mN
+    assert after["drag", 60.0].half_width_95_mN is None
 
 
-def test_repeats_are_averaged_with_the_larger_error() -> None:
-    row = TableRow("a.h5", "gut", 0, "drag", speed_mm_s=5.0, steady_force_mN=100.0, steady_force_error_mN=1.0,
-                   status="complete")  # fmt: skip
-    (scattered,) = mean_per_speed([row, replace(row, steady_force_mN=110.0)])
-    assert scattered.steady_force_mN == 105
-    assert scattered.standard_error_mN == pytest.approx(5.0)
-    (close,) = mean_per_speed([row, replace(row, steady_force_mN=100.1)])
-    assert close.standard_error_mN == pytest.approx(np.sqrt(2) / 2)
-    assert len(mean_per_speed([row, replace(row, travel_mm=-40.0)])) == 2
-    assert mean_per_speed([replace(row, status="tripped"), replace(row, steady_force_mN=None)]) == ()
+def rows_of(specimen: str, *forces: float) -> list[TableRow]:
+    row = TableRow("a.h5", specimen=specimen, order=0, kind="drag", speed_mm_s=5.0, status="complete")
+    return [replace(row, steady_force_mN=force + 30.0, steady_above_rest_mN=force) for force in forces]
+
+
+def test_repeats_give_the_mean_above_rest_with_students_interval_and_a_single_run_none() -> None:
+    rows = rows_of("A", 100.0, 104.0, 99.0)
+    (mean,) = mean_per_speed(rows)
+    low, high = t.interval(0.95, df=2, loc=101.0, scale=np.std([100, 104, 99], ddof=1) / np.sqrt(3))
+    assert mean.steady_above_rest_mN == pytest.approx(101.0)
+    assert mean.half_width_95_mN == pytest.approx((high - low) / 2)
+    (single,) = mean_per_speed(rows[:1])
+    assert (single.runs, single.half_width_95_mN) == (1, None)
+    assert len(mean_per_speed([*rows, replace(rows[0], travel_mm=-40.0)])) == 2
+    left_out = [replace(rows[0], status="tripped"), replace(rows[0], steady_above_rest_mN=None),
+                replace(rows[0], role="sentinel")]  # fmt: skip
+    assert mean_per_speed(left_out) == ()
+
+
+def test_over_specimens_n_is_the_specimens_not_the_runs() -> None:
+    means = mean_per_speed([*rows_of("A", *[100.0] * 50), *rows_of("B", 110.0, 112.0), *rows_of("C", 90.0)])
+    (over,) = mean_over_specimens(means)
+    assert (over.specimens, over.runs) == (3, 53)
+    assert over.steady_above_rest_mN == pytest.approx((100 + 111 + 90) / 3)
+    low, high = t.interval(0.95, df=2, scale=np.std([100, 111, 90], ddof=1) / np.sqrt(3))
+    assert over.half_width_95_mN == pytest.approx((high - low) / 2)
+    assert mean_over_specimens(mean_per_speed(rows_of("A", 1.0, 2.0))) == ()
+    text = document_text(campaign_table_document([*rows_of("A", 100.0, 101.0), *rows_of("B", 90.0)]))
+    assert "n the specimens, not the runs" in text
+    assert "90.0 (one run: no interval)" in text
+
+
+def test_campaigns_are_pooled_by_the_specimens_ids(campaign: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    shutil.copytree(campaign, again)
+    with h5py.File(again / "014-drag.h5", "r+") as file:
+        file["entry/specimen"].attrs["id"] = "pig-2"
+    rows = pooled_rows([campaign, again, campaign])
+    assert len(rows) == 16
+    assert {row.campaign for row in rows} == {str(campaign), str(again)}
+    (over,) = (mean for mean in mean_over_specimens(mean_per_speed(rows)) if mean.specimens == 2)
+    assert (over.kind, over.speed_mm_s, over.runs) == ("drag", 60.0, 4)
+    shown = CliRunner().invoke(dragrig_group, ["table", str(campaign), str(again), "--json"])
+    assert shown.exit_code == 0, shown.output
+    assert [mean["specimens"] for mean in json.loads(shown.stdout)["means_over_specimens"]].count(2) == 1
+    assert len(dragrig.table([campaign, again])) == 16
 
 
 def test_speeds_that_differ_by_rounding_are_one_row() -> None:
-    row = TableRow("a.h5", "gut", 0, "drag", speed_mm_s=0.5, steady_force_mN=100.0, steady_force_error_mN=1.0,
-                   status="complete")  # fmt: skip
+    row = TableRow("a.h5", "gut", 0, "drag", speed_mm_s=0.5, steady_above_rest_mN=100.0, status="complete")  # fmt: skip
     speeds = (0.49999999, 0.5, 0.50000001, 0.505, 12.345)
     means = mean_per_speed([replace(row, speed_mm_s=speed) for speed in speeds])
     assert [(mean.speed_mm_s, mean.runs) for mean in means] == [(0.5, 3), (0.505, 1), (12.345, 1)]
@@ -109,3 +164,19 @@ def test_the_frame_has_the_fields_as_columns() -> None:
 def test_a_missing_folder_is_said(tmp_path: Path) -> None:
     with pytest.raises(RunFileError, match="no such folder"):
         table_rows(tmp_path / "nowhere")
+
+
+def test_no_column_says_plus_or_minus_without_saying_what() -> None:
+    present = Path(dragrig.present.__path__[0])
+    bare = [path.name for path in sorted(present.glob("*.py")) if re.search(r"""["']±["']""", path.read_text("utf-8"))]
+    assert bare == []
+
+
+def test_a_run_tells_its_steady_force_with_the_force_at_rest_taken_off() -> None:
+    run = read_run(CAMPAIGN / "014-drag.h5")
+    measured = measure(run)
+    rows = {row[0]: row for row in measures_table(measured).rows}
+    assert isinstance(shown := rows["steady − rest"][1], FormattedNumber)
+    assert measured.steady_force.value is not None
+    assert measured.rest_offset.value is not None
+    assert shown.value == pytest.approx(measured.steady_force.value - measured.rest_offset.value)

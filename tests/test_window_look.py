@@ -240,7 +240,7 @@ def test_runs_are_marked_bad_and_noted_in_the_list(page: LookPage, until: Until,
     page.browser.words.setText("the capsule slipped")
     press(page.browser.bad)
     until(lambda: [item.text(2) for item in runs_of(page)].count("BAD: the capsule slipped") == 2)
-    until(lambda: page.steady.item(0, 7).text() == "BAD: the capsule slipped")
+    until(lambda: page.steady.item(0, 9).text() == "BAD: the capsule slipped")
     assert len(dragrig.campaign(tmp_path).good) == 2
     choose(page, until, 0)
     page.browser.words.setText("wall looked dry")

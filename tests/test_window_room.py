@@ -41,7 +41,7 @@ def window(
 def say_everything(window: MainWindow) -> None:
     """Show every notice that there can be at once, each far too long."""
     window.take(GuardState(LONG))
-    window.take(PromptShown(1, LONG, can_redo=True, can_skip=True, hands=True))
+    window.take(PromptShown(1, LONG, can_redo=True, can_skip=True, hands=True, can_measure=True))
     for number in range(5):
         window.notices.complain(f"{number} {LONG}")
     QApplication.processEvents()

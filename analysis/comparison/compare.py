@@ -627,7 +627,7 @@ def _clearest_group(groups: Sequence[GroupDifference]) -> Iterator[str]:
         group = groups[0]
         yield (
             f"Clearest: {group.condition}, {group.measure} {group.a:.1f} against {group.b:.1f} mN, "
-            f"{_signed_difference(group.value, group.error)} mN{_percent(group.relative)}."
+            f"{_signed_difference(group.value, group.error)} mN (95 %){_percent(group.relative)}."
         )
 
 
@@ -643,7 +643,8 @@ def _measure_sentence(name: str, groups: Sequence[GroupDifference]) -> str:
         if abs(mean) > NORMAL_95 * error:
             offset = f"{abs(mean):.1f} mN {'above' if mean > 0 else 'below'} A"
             return f"{name}: no condition differs by itself, but over all of them B is {offset} on average{percent}."
-        return f"{name}: no difference beyond noise and scatter; on average {_signed_difference(mean, error)} mN."
+        average = f"{_signed_difference(mean, error)} mN (95 %)"
+        return f"{name}: no difference beyond noise and scatter; on average {average}."
     above = [group for group in beyond if group.value > 0]
     below = [group for group in beyond if group.value < 0]
     sizes = sorted(abs(group.value) for group in beyond)

@@ -28,12 +28,12 @@ from dragrig.analysis import (
     model_side,
     no_progress,
     parse_map,
+    pooled_rows,
     side_from_path,
     side_from_runs,
     table_row,
     write_export,
 )
-from dragrig.analysis import table_rows as table_of
 from dragrig.config import (
     AnalysisError,
     Capsule,
@@ -149,13 +149,16 @@ def filter(  # noqa: A001  # the word that people look for
     return read_run(path)
 
 
-def table(runs: str | Path | Iterable[Run]) -> "pd.DataFrame":
+def table(runs: str | Path | Iterable[Run] | Iterable[str | Path]) -> "pd.DataFrame":
     """Tabulate a campaign, one row per run: kind, speed, steady force and its standard error, checks, ….
+
+    `steady_force_mN` is as recorded, `steady_above_rest_mN` with the force at rest taken off; `…_error_mN` are standard
+    errors.
 
     Parameters
     ----------
     runs
-        A campaign's folder, or runs in memory.
+        A campaign's folder, the folders of several, or runs in memory.
 
     Raises
     ------
@@ -168,7 +171,10 @@ def table(runs: str | Path | Iterable[Run]) -> "pd.DataFrame":
     >>> frame = dragrig.table(dragrig.simulate("drag"))
     >>> frame[["kind", "speed_mm_s", "steady_force_mN", "steady_force_error_mN"]]  # doctest: +SKIP
     """
-    rows = table_of(Path(runs)) if isinstance(runs, str | Path) else tuple(table_row(run) for run in runs)
+    given = (runs,) if isinstance(runs, str | Path) else tuple(runs)
+    in_memory = tuple(table_row(run) for run in given if isinstance(run, Run))
+    folders = tuple(Path(folder) for folder in given if not isinstance(folder, Run))
+    rows = (*in_memory, *(pooled_rows(folders) if folders else ()))
     return as_frame(rows)
 
 

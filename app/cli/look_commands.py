@@ -34,20 +34,21 @@ if TYPE_CHECKING:
 
 
 @click.command("table")
-@click.argument("campaign", type=click.Path(path_type=Path))
+@click.argument("campaigns", nargs=-1, required=True, type=click.Path(path_type=Path))
 @options.as_json
 @options.quiet
-def table_command(campaign: Path, as_json: bool) -> None:
-    """Tabulate CAMPAIGN, a folder of run files.
+def table_command(campaigns: tuple[Path, ...], as_json: bool) -> None:
+    """Tabulate CAMPAIGNS, folders of run files, pooled where they are several.
 
     One line per run: kind, speed, steady force with its standard error, checks, and whether it is marked bad; then the
-    mean steady force of repeated runs, without bad and unfinished ones.
+    mean steady force of each specimen's repeats, and over specimens where there are several, with 95 % intervals by
+    Student's t, without bad and unfinished runs and sentinels. Specimens are told apart by their id.
     """
-    from dragrig.analysis import table_rows
+    from dragrig.analysis import pooled_rows
     from dragrig.present import campaign_table_document
 
     with ProgressMeter("measuring") as meter:
-        document = campaign_table_document(table_rows(campaign, meter.at))
+        document = campaign_table_document(pooled_rows(campaigns, meter.at))
     print_document(document, as_json=as_json)
 
 

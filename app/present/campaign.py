@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from dragrig import present
-from dragrig.analysis import UNREADABLE, TableRow, mean_per_speed
+from dragrig.analysis import UNREADABLE, TableRow, mean_over_specimens, mean_per_speed
 from dragrig.present import (
     Cell,
     Column,
@@ -32,6 +32,10 @@ from dragrig.rig import Campaign, ReturnProtocol, RunInfo, RunStatus, SessionRec
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MatplotlibFigure
 
+STEADY_FORCE = (
+    "Steady force: mean over the constant speed, of a drag after the first contact length, as recorded. Steady − rest: "
+    "the mean at rest before the motion (the sensor's zero, the relaxed wall) taken off"
+)
 MAX_DRAWN_RUNS = 100
 """Runs that a report draws one by one; a page that is mailed must stay small."""
 
@@ -82,11 +86,11 @@ def campaign_document(data: CampaignReportData) -> Document:
         title=f"Campaign {data.name}",
         source="Campaign report",
         badges=tuple(sorted({info.header.backend for info in runs})),
-        lead=(_summary(data),),
+        lead=tuple(filter(None, (_summary(data), _drift_text(data.rows)))),
         problem=problem if left_out else "",
         sections=(
             Section("overview", "Overview", (_overview(data),)),
-            Section("means", "Steady force", (mean_table(data.rows),)),
+            Section("means", "Steady force", mean_tables(data.rows)),
             Section("runs", "Runs", (run_table(data.rows, frozenset(_anchor(info.path.name) for info in drawn)),)),
             Section("left-out", "Left out", (left_out,)),
             Section("sessions", "Sessions", (_session_table(data),)),
@@ -96,11 +100,14 @@ def campaign_document(data: CampaignReportData) -> Document:
 
 
 def campaign_table_document(rows: Sequence[TableRow]) -> Document:
-    """Lay out the measures of a campaign's runs, and their means."""
+    """Lay out the measures of the runs of one or several campaigns, and their means."""
+    means = mean_per_speed(rows)
     return Document(
         title=f"{len(rows)} run{'' if len(rows) == 1 else 's'}",
-        sections=(Section("runs", "", (run_table(rows),)), Section("means", "Means", (mean_table(rows),))),
-        data=to_json_object({"runs": rows, "means": mean_per_speed(rows)}),
+        sections=(Section("runs", "", (run_table(rows),)), Section("means", "Means", mean_tables(rows))),
+        data=to_json_object(
+            {"runs": rows, "means": means, "means_over_specimens": mean_over_specimens(means)},
+        ),
     )
 
 
@@ -152,24 +159,44 @@ def _operator_of(run: RunInfo) -> str:
     return str(run.header.entry.get("operator", ""))
 
 
-def mean_table(rows: Sequence[TableRow]) -> Table:
-    """Tabulate the mean steady force of repeated runs."""
-    return Table.of(
+def mean_tables(rows: Sequence[TableRow]) -> tuple[Table, ...]:
+    """Tabulate the mean steady force of each specimen's repeats and, of several specimens, over them."""
+    means = mean_per_speed(rows)
+    of_specimens = Table.of(
         "means",
-        "Mean of repeated runs, as recorded; ± is one standard error; without bad and unfinished runs",
-        mean_per_speed(rows),
+        "Mean of steady − rest over the repeats on a specimen; ± is the 95 % interval by Student's t from their "
+        "scatter, n the runs; without bad and unfinished runs and sentinels",
+        means,
         Field("specimen", "specimen", lambda mean: mean.specimen),
         Field("kind", "kind", lambda mean: mean.kind),
         Field("capsule", "capsule", lambda mean: mean.capsule),
         Field("speed_mm_s", "mm/s", lambda mean: mean.speed_mm_s, shortest(3)),
         Field("direction", "direction", lambda mean: "forward" if mean.direction > 0 else "backward"),
-        Field("runs", "runs", lambda mean: mean.runs, shortest()),
+        Field("runs", "n, runs", lambda mean: mean.runs, shortest()),
         Field(
-            "steady_force_mN",
-            "steady force, mN",
-            lambda mean: FormattedNumber.with_error(mean.steady_force_mN, mean.standard_error_mN),
+            "steady_above_rest_mN",
+            "steady − rest, mN ± 95 %",
+            lambda mean: _with_interval(mean.steady_above_rest_mN, mean.half_width_95_mN, "one run: no interval"),
         ),
     )
+    over_specimens = Table.of(
+        "means-over-specimens",
+        "Mean over specimens, each specimen's mean counting once; ± is the 95 % interval by Student's t from their "
+        "scatter, n the specimens, not the runs",
+        mean_over_specimens(means),
+        Field("kind", "kind", lambda mean: mean.kind),
+        Field("capsule", "capsule", lambda mean: mean.capsule),
+        Field("speed_mm_s", "mm/s", lambda mean: mean.speed_mm_s, shortest(3)),
+        Field("direction", "direction", lambda mean: "forward" if mean.direction > 0 else "backward"),
+        Field("specimens", "n, specimens", lambda mean: mean.specimens, shortest()),
+        Field("runs", "runs", lambda mean: mean.runs, shortest()),
+        Field(
+            "steady_above_rest_mN",
+            "steady − rest, mN ± 95 %",
+            lambda mean: _with_interval(mean.steady_above_rest_mN, mean.half_width_95_mN, "one specimen: no interval"),
+        ),
+    )
+    return of_specimens, over_specimens
 
 
 def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -> Table:
@@ -177,13 +204,17 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
     age: Field[TableRow] = Field(
         "minutes_since_excision", "min since excision", lambda row: row.minutes_since_excision, decimals(0)
     )
+    campaign: Field[TableRow] = Field("campaign", "campaign", lambda row: row.campaign)
+    drift: Field[TableRow] = Field(
+        "drift_percent", "drift, %", lambda row: FormattedNumber.with_error(row.drift_percent, row.drift_error_percent)
+    )
     return Table.of(
         "runs",
-        "Steady force as recorded, and with the force at rest (zero of the sensor, relaxed wall) taken off; ± is one "
-        "standard error",
+        f"{STEADY_FORCE}. ± is one standard error",
         rows,
+        *((campaign,) if any(row.campaign for row in rows) else ()),
         Field("file", "run", lambda row: row.file),
-        Field("kind", "kind", lambda row: row.kind),
+        Field("kind", "kind", lambda row: " ".join(filter(None, (row.role, row.kind)))),
         Field(
             "speed_mm_s",
             "mm/s",
@@ -202,6 +233,7 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
             "steady − rest, mN",
             lambda row: FormattedNumber.with_error(row.steady_above_rest_mN, row.steady_above_rest_error_mN),
         ),
+        *((drift,) if any(row.drift_percent is not None for row in rows) else ()),
         Field("peak_force_mN", "peak, mN", lambda row: row.peak_force_mN, decimals(1)),
         Field("status", "status", lambda row: row.status),
         Field("checks", "checks", lambda row: row.checks),
@@ -214,6 +246,12 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
         ),
         links=tuple(_anchor(row.file) if _anchor(row.file) in anchors else "" for row in rows),
     )
+
+
+def _with_interval(value: float, half_width: float | None, without: str) -> FormattedNumber:
+    if half_width is None:
+        return FormattedNumber(value, f"{value:.1f} ({without})")
+    return FormattedNumber.with_error(value, half_width)
 
 
 def _session_table(data: CampaignReportData) -> Table:
@@ -262,8 +300,10 @@ def _overview(data: CampaignReportData) -> Figure:
         "overview",
         "Steady force against speed, relaxation of the force against time since the ramp, and force along the way at a "
         "few speeds.",
-        "Runs that are complete and not marked bad. Bars are 95 % intervals; forces are as recorded, the sensor's "
-        "zero included.",
+        "Runs that are complete and not marked bad, without sentinels. Steady forces have the force at rest taken off: "
+        "small markers are runs, large ones means, bars their 95 % intervals by Student's t over the repeats on a "
+        "specimen or, of several specimens, over the specimens' means; a single value has no bar. The other forces are "
+        "as recorded, the sensor's zero included.",
         partial(_draw_overview, data),
     )
 
@@ -294,6 +334,22 @@ def _summary(data: CampaignReportData) -> str:
     until = f"{last:%H:%M}" if last.date() == begun.date() else _date_text(last)
     specimen_text = f" of {' and '.join(specimens)}" if specimens else ""
     return f"{len(runs)} run{'' if len(runs) == 1 else 's'}{specimen_text} ({kinds}), {_date_text(begun)} to {until}."
+
+
+def _drift_text(rows: Sequence[TableRow]) -> str:
+    """Say how far the specimen had drifted at the last sentinel, and at most."""
+    drifted = [row for row in rows if row.drift_percent is not None]
+    if not drifted:
+        return ""
+    last, farthest = drifted[-1], max(drifted, key=lambda row: abs(row.drift_percent or 0.0))
+    text = f"Sentinels: the specimen's steady force had changed by {_drift_of(last)} at the last of them"
+    more = "" if farthest is last else f", by {_drift_of(farthest)} at most (run {farthest.order})"
+    return f"{text}{more}; ± is one standard error."
+
+
+def _drift_of(row: TableRow) -> str:
+    error = "" if row.drift_error_percent is None else f" ± {row.drift_error_percent:.1f}"
+    return f"{row.drift_percent:+.1f}{error} %"
 
 
 def _date_text(when: datetime) -> str:

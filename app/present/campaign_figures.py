@@ -22,6 +22,7 @@ from dragrig.analysis import (
     RunPair,
     measure,
     set_values,
+    student_mean,
     value_with_error,
 )
 from dragrig.present import (
@@ -52,7 +53,7 @@ from dragrig.present.run_figures import (
     gaps_after_samples,
     relaxation_ramp,
 )
-from dragrig.rig import AnyFloatArray, FloatArray, Phase, Run, RunStatus
+from dragrig.rig import AnyFloatArray, FloatArray, Phase, Run, RunStatus, specimen_key
 
 STEADY_KINDS = ("drag", "coulomb", "blank")
 """Kinds of run with a steady force that stands in a campaign's picture."""
@@ -79,7 +80,7 @@ class RunSummary:
     strain: float = 0.0
     """Shear strain of a relaxation, 1 being 100 %."""
     steady: Estimate | None = None
-    """Steady force [mN] as recorded."""
+    """Steady force with that at rest taken off [mN]."""
     x: FloatArray = field(default_factory=_empty_array)
     force_mN: FloatArray = field(default_factory=_empty_array)
     """`x`, `force_mN`: a relaxation's force against the time since its ramp [s], or a drag's mean force against
@@ -91,8 +92,8 @@ def summarise_run(run: Run, bad: Collection[Path] = ()) -> RunSummary:
     """Reduce a run; `bad` holds the files of runs that were marked bad."""
     info = run.info
     good = info.status is RunStatus.COMPLETE and info.path not in bad
-    head = (info.kind, info.header.start_time, info.header.backend, str(info.header.specimen.get("name", "")), good)
-    if not good:
+    head = (info.kind, info.header.start_time, info.header.backend, specimen_key(info), good)
+    if not good or info.is_sentinel:
         return RunSummary(*head)
     if info.kind == "relaxation":
         x, force = _force_since_ramp(run)
@@ -102,7 +103,7 @@ def summarise_run(run: Run, bad: Collection[Path] = ()) -> RunSummary:
     measures = measure(run)
     speed = _protocol_number(run, "speed_mm_s") or measures.speed.value or 0.0
     x, force = _force_against_position(run) if info.kind == "drag" else (_empty_array(), _empty_array())
-    steady = measures.steady_force if measures.steady_force.value is not None else None
+    steady = measures.steady_above_rest if measures.steady_above_rest.value is not None else None
     return RunSummary(*head, speed_mm_s=abs(speed), steady=steady, x=x, force_mN=force)
 
 
@@ -185,18 +186,41 @@ def _draw_steady_forces(axes: Axes, digests: Sequence[RunSummary]) -> None:
     labels: list[CurveLabel] = []
     shown: list[FloatArray] = [np.zeros(1)]
     for kind, (colour, marker) in KIND_MARKERS.items():
-        steady = [(run.speed_mm_s, run.steady) for run in digests if run.kind == kind and run.steady is not None]
-        for points, way in _split_by_direction(kind, steady):
-            speed = np.array([speed for speed, _ in points])
-            force = np.array([estimate.value for _, estimate in points], dtype=float)
-            force = np.abs(force) if way else force
-            half = np.array([NORMAL_95 * (estimate.standard_error or 0.0) for _, estimate in points])
-            last = _draw_points(axes, speed, force, half, colour, marker, hollow=bool(way))
-            shown += [force - half, force + half]
-            labels.append(CurveLabel(last, _kind_label(kind) + way, colour))
-    _finish_speed_panel(axes, [run.speed_mm_s for run in digests], shown, "Force (mN)")
-    _write_panel_heading(axes, "Steady force", "zero offsets included, bars 95 %")
+        for runs, way in _split_by_direction([run for run in digests if run.kind == kind]):
+            forces = _forces_at_speeds(runs)
+            every = [(speed, force) for speed, of in forces.items() for values in of.values() for force in values]
+            speed, force = (np.array(column) for column in zip(*every, strict=True))
+            axes.plot(speed, force, marker, color=colour, markersize=4.5, alpha=0.45, markeredgecolor="none")
+            means = {speed: _mean_of_repeats(of) for speed, of in sorted(forces.items())}
+            levels, half = np.array([mean for mean, _ in means.values()]), np.array([h for _, h in means.values()])
+            axes.errorbar(
+                list(means), levels, yerr=half, fmt=marker, color=colour, markersize=8,
+                linestyle="--" if way else "-", linewidth=1.3,
+                markerfacecolor="white" if way else colour, markeredgecolor=colour if way else "white",
+            )  # fmt: skip
+            shown += [force, levels - np.nan_to_num(half), levels + np.nan_to_num(half)]
+            labels.append(CurveLabel(float(levels[-1]), _kind_label(kind) + way, colour))
+    _finish_speed_panel(axes, [run.speed_mm_s for run in digests], shown, "Steady − rest (mN)")
+    over = "specimens" if len({run.specimen for run in digests}) > 1 else "repeats"
+    _write_panel_heading(axes, "Steady force", f"less that at rest; bars 95 %, Student's t over {over}")
     label_curves(axes, labels)
+
+
+def _forces_at_speeds(runs: Sequence[RunSummary]) -> dict[float, dict[str, list[float]]]:
+    """Return the sizes of the steady forces by speed and specimen."""
+    forces: dict[float, dict[str, list[float]]] = {}
+    for run, speed_mm_s in zip(runs, set_values(run.speed_mm_s for run in runs), strict=True):
+        if run.steady is not None and run.steady.value is not None:
+            value = run.steady.value if run.kind == "blank" else abs(run.steady.value)
+            forces.setdefault(speed_mm_s, {}).setdefault(run.specimen, []).append(value)
+    return forces
+
+
+def _mean_of_repeats(by_specimen: Mapping[str, Sequence[float]]) -> tuple[float, float]:
+    """Return mean and half of its 95 % interval over specimens or, of one, over its repeats; NaN for a single value."""
+    means = [float(np.mean(values)) for values in by_specimen.values()]
+    mean, half = student_mean(means if len(means) > 1 else next(iter(by_specimen.values())))
+    return mean, np.nan if half is None else half
 
 
 def _draw_points(
@@ -225,12 +249,11 @@ def _finish_speed_panel(axes: Axes, speeds: Sequence[float], shown: Sequence[Flo
     axes.set_ylabel(quantity)
 
 
-def _split_by_direction(
-    kind: str, points: Sequence[tuple[float, Estimate]]
-) -> Iterator[tuple[Sequence[tuple[float, Estimate]], str]]:
+def _split_by_direction(runs: Sequence[RunSummary]) -> Iterator[tuple[Sequence[RunSummary], str]]:
     """Separate runs forward and backward by the sign of their force."""
-    backward = [point for point in points if kind != "blank" and (point[1].value or 0.0) < 0]
-    forward = [point for point in points if point not in backward]
+    known = [(run, run.steady.value or 0.0) for run in runs if run.steady is not None]
+    backward = [run for run, force in known if run.kind != "blank" and force < 0]
+    forward = [run for run, force in known if run.kind == "blank" or force >= 0]
     if forward:
         yield forward, ""
     if backward:
@@ -402,7 +425,7 @@ def _difference_panel(pair: RunPair, overlay: AlignedRuns) -> TracePanel:
     zero_a, zero_b = main.zeros or (0.0, 0.0)
     detail = " of the filtered traces" + ("" if main.zeros is None else " less their rests")
     if main.error is not None:
-        detail += f"; grey: {main.measure} of equal runs, ± {NORMAL_95 * main.error:.3g} mN"
+        detail += f"; grey: {main.measure} of equal runs, ± {NORMAL_95 * main.error:.3g} mN (95 %)"
     apart = _filtered_curve("B − A", overlay, (overlay.force_b - zero_b) - (overlay.force_a - zero_a), BLACK, detail)
     return TracePanel("B − A (mN)", (apart,), 1.0, level=0.0, height_in=2.0)
 

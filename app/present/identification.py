@@ -146,7 +146,7 @@ def _joint_blocks(fit: JointFit) -> tuple[Block, ...]:
             Field("combination", "combination", lambda product: product.name),
             Field("value", "value", lambda product: _value_cell(product if product.determined else None)),
             Field("interval_95", "95 % interval", interval),
-            Field("half_width", "±", lambda product: _half_width_text(product) if interval(product) else ""),
+            Field("half_width", "± 95 %", lambda product: _half_width_text(product) if interval(product) else ""),
             Field("unit", "unit", lambda product: unit_text(product.unit)),
         ),
         Items((*_joint_fit_warnings(fit), *fit.remarks), remarks=True),
@@ -247,7 +247,7 @@ def _relaxation_blocks(relaxation: RelaxationResult) -> tuple[Block, ...]:
         Column("element", "element"),
         Column("value", "value"),
         Column("interval_95", "95 % interval"),
-        Column("half_width", "±"),
+        Column("half_width", "± 95 %"),
         Column("unit", "unit"),
     )
     known = [fit for fit in relaxation.fits if fit.elements]

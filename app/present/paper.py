@@ -156,7 +156,7 @@ def _joint_parameter_table(fit: JointFit | None, model: FrictionModelSettings) -
         *_columns(parameter="parameter", value="identified", low="95 % from", high="to", simulated="simulated"),
         *_columns(prior_low="before: from", prior_high="to"),
         *_columns(percent(), learnt="narrowed by"),
-        *_columns(significant(2), meaning="meaning", standard_error="±", unit="unit"),
+        *_columns(significant(2), meaning="meaning", standard_error="± standard error", unit="unit"),
     )
     rows = tuple(
         (
@@ -172,7 +172,7 @@ def _joint_parameter_table(fit: JointFit | None, model: FrictionModelSettings) -
 def _combination_table(fit: JointFit | None, model: FrictionModelSettings) -> Table:
     columns = (
         *_columns(combination="combination", value="identified", low="95 % from", high="to", simulated="simulated"),
-        *_columns(_two_digit_percent, half_width="±", meaning="meaning"),
+        *_columns(_two_digit_percent, half_width="± 95 %", meaning="meaning"),
     )
     meanings = {product.name: product.meaning for product in CAPSULE_COMBINATIONS}
     rows = tuple(
@@ -188,7 +188,7 @@ def _combination_table(fit: JointFit | None, model: FrictionModelSettings) -> Ta
 def _joint_run_table(fit: JointFit | None, results: PaperReportData) -> Table:
     columns = (
         *_columns(TWO_DECIMALS, file="run", kind="kind", chi2_per_degree="χ² per degree", rms_mN="rms, mN"),
-        *_columns(TWO_DECIMALS, zero_mN="zero, mN", zero_standard_error_mN="±"),
+        *_columns(TWO_DECIMALS, zero_mN="zero, mN", zero_standard_error_mN="± standard error"),
         *_columns(decimals(3), stiffness_factor="stiffness ×", simulated_stiffness_factor="simulated"),
         *_columns(decimals(3), friction_factor="friction ×", simulated_friction_factor="simulated"),
     )
@@ -277,11 +277,11 @@ def _model_tables(results: PaperReportData) -> tuple[Table, Table, Table]:
 def _coulomb_table(results: PaperReportData) -> Table:
     columns = (
         *_columns(source="source", force_mN="mean force, mN"),
-        *_columns(significant(2), force_standard_error_mN="±", viscous_mN="of it viscous, mN"),
+        *_columns(significant(2), force_standard_error_mN="± standard error", viscous_mN="of it viscous, mN"),
         *_columns(significant(3), mu="μ, all Coulomb"),
-        *_columns(significant(2), mu_standard_error="±"),
+        *_columns(significant(2), mu_standard_error="± standard error"),
         *_columns(significant(3), mu_without_viscous="μ without f_v"),
-        *_columns(significant(2), mu_without_viscous_standard_error="±"),
+        *_columns(significant(2), mu_without_viscous_standard_error="± standard error"),
     )
     viscous = paper_findings.coulomb_viscous_mN(results.model.viscous)
     weight = paper_findings.coulomb_weight_mN()

@@ -125,7 +125,7 @@ def force_calibration_document(
 ) -> Document:
     """Lay out the points of a force calibration."""
     gain, zero = value_with_error(line.gain, line.gain_error), value_with_error(line.zero, line.zero_error)
-    summary = f"Gain {gain} mN/V, zero {zero} mN, residual {line.residual:.2f} mN"
+    summary = f"Gain {gain} mN/V, zero {zero} mN, residual {line.residual:.2f} mN (± is one standard error)"
     return _calibration_document(
         summary,
         entry,
@@ -151,7 +151,7 @@ def encoder_calibration_document(
 ) -> Document:
     """Lay out the points of an encoder calibration."""
     count = value_with_error(1e3 * line.gain, 1e3 * line.gain_error)
-    summary = f"A count is {count} µm, residual {1e3 * line.residual:.2g} µm"
+    summary = f"A count is {count} µm, residual {1e3 * line.residual:.2g} µm (± is one standard error)"
     return _calibration_document(
         summary,
         entry,

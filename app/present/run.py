@@ -247,7 +247,7 @@ def run_drawing(info: RunInfo, draw: "Callable[[], MatplotlibFigure]", name: str
         name,
         f"{run_title(info)}: force, position and speed against time, with the phases of the motion.",
         "Force as recorded (light) and filtered, position beside its command, and speed; the phases of the motion are "
-        "shaded.",
+        "shaded. A dashed line is the steady force as recorded, its ± one standard error.",
         draw,
     )
 
@@ -264,6 +264,7 @@ def measures_table(measures: RunMeasures) -> Table:
     peak = "" if measures.peak_time_s is None else f"at {measures.peak_time_s:.3f} s"
     rows = (
         _measure_row("steady force", measures.steady_force, "mN", f"mean over {measures.steady_from}, as recorded"),
+        _measure_row("steady − rest", measures.steady_above_rest, "mN", "the steady force, that at rest taken off"),
         _measure_row("force at rest", measures.rest_offset, "mN", "mean before the motion"),
         _measure_row("peak force", measures.peak_force, "mN", peak),
         _measure_row("force at the end of the hold", measures.hold_force, "mN", "mean"),

@@ -524,8 +524,19 @@ def _cursor_text(value: float) -> str:
     return f"{value:.3f}" if np.isfinite(value) else "no sample"
 
 
-_STEADY_HEADER = ("Run", "Speed (mm/s)", "Steady force (mN)", "Error (mN)", "At rest (mN)", "Peak (mN)", "Hold (mN)",
-                  "Status", "Remark")  # fmt: skip
+_STEADY_HEADER = (
+    "Run",
+    "Speed (mm/s)",
+    "Steady force, as recorded (mN)",
+    "± standard error (mN)",
+    "At rest (mN)",
+    "Steady − rest (mN)",
+    "± standard error (mN)",
+    "Peak (mN)",
+    "Hold (mN)",
+    "Status",
+    "Remark",
+)
 
 
 class LookPage(QWidget):
@@ -635,9 +646,10 @@ class LookPage(QWidget):
 
 
 def _steady_cells(run: TableRow) -> tuple[str, ...]:
-    forces = (run.steady_force_mN, run.steady_force_error_mN, run.rest_offset_mN, run.peak_force_mN, run.hold_force_mN)
+    forces = (run.steady_force_mN, run.steady_force_error_mN, run.rest_offset_mN, run.steady_above_rest_mN,
+              run.steady_above_rest_error_mN, run.peak_force_mN, run.hold_force_mN)  # fmt: skip
     status = f"BAD: {run.mark}" if run.bad else run.status
-    return (f"{run.order}  {run.kind}", _decimal_text(run.speed_mm_s, 1),
+    return (" ".join(filter(None, (f"{run.order} ", run.role, run.kind))), _decimal_text(run.speed_mm_s, 1),
             *(_decimal_text(force, 2) for force in forces), status, run.remark)  # fmt: skip
 
 

@@ -167,7 +167,7 @@ def is_same_recording(file: Path, copy: Path) -> bool:
 def specimen_key(info: RunInfo) -> str:
     """Return what identifies a specimen: its id, or its name where it has none."""
     identity = info.header.specimen.get("id") or UNSTATED
-    return str(info.header.specimen["name"] if identity == UNSTATED else identity)
+    return str(info.header.specimen.get("name", "") if identity == UNSTATED else identity)
 
 
 class SessionRecord(Settings):
