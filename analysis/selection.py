@@ -45,6 +45,11 @@ class RunSelection:
     left_out: tuple[Exclusion, ...] = ()
     remarks: tuple[str, ...] = field(default=())
 
+    @property
+    def backends(self) -> tuple[str, ...]:
+        """Where the runs come from: `simulated`, `hardware`, `external`."""
+        return tuple(sorted({experiment.run.info.header.backend for experiment in self.experiments}))
+
     def of_kind(self, *kinds: str) -> tuple[Experiment, ...]:
         """Return the runs of these kinds."""
         return tuple(experiment for experiment in self.experiments if experiment.kind in kinds)

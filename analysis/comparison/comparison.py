@@ -582,6 +582,13 @@ class Comparison:
     remarks: tuple[str, ...] = ()
     sentences: tuple[str, ...] = field(default=())
 
+    @property
+    def backends(self) -> tuple[str, ...]:
+        """Where the paired runs come from, A's first; `model` for runs that the friction model repeats."""
+        of_a = [pair.a.info.header.backend for pair in self.pairs]
+        of_b = ["model" if pair.b_is_model else pair.b.info.header.backend for pair in self.pairs]
+        return tuple(dict.fromkeys((*of_a, *of_b)))
+
 
 def comparison_rows(comparison: Comparison) -> Iterator[dict[str, str | float | bool]]:
     """Yield a row for each measure of each pair, all with the same keys; a missing number is NaN."""

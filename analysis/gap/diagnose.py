@@ -66,6 +66,7 @@ from dragrig.analysis.gap.gap_reduction import (
     position_residual_blocks,
     predict_held_out,
     reduction_over_runs,
+    traces_of_run,
 )
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, converged
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
@@ -228,23 +229,6 @@ def _quantities(candidate: Candidate, errors: Sequence[float], several: bool) ->
 def _quantity(name: str, unit: str, value: float, error: float) -> EstimatedQuantity:
     half = NORMAL_95 * error
     return EstimatedQuantity(name, unit, value, error, (value - half, value + half))
-
-
-def _traces_of_run(gap: RunGap) -> RunTraces:
-    run, at = gap.run, gap.run.coordinates
-    measured = run.block_data.blocks.mean
-    return RunTraces(
-        file=run.file,
-        kind=run.experiment.kind,
-        label=run.label,
-        channel=run.block_data.channel,
-        unit="mN",
-        time_s=at.time_s,
-        position_mm=at.position_mm,
-        measured=measured,
-        before=measured - gap.before,
-        after=measured - gap.after,
-    )
 
 
 PARAMETER_DIGITS = 6
@@ -453,7 +437,7 @@ def _assembled_diagnosis(
     next_run = recommend_next_run(study, search, position, classification, judgement.on_force, options.next_runs)
     return Diagnosis(
         specimen=selection.specimen,
-        backends=tuple(sorted({experiment.run.info.header.backend for experiment in selection.experiments})),
+        backends=selection.backends,
         nominal=nominal.name,
         runs=len(selection.experiments),
         used_for_fit=files,
@@ -560,7 +544,7 @@ def _held_out_reduction(
     reduction = reduction_over_runs(gaps)
     if position.candidate is not None and position.candidate.effect.id in classification.effects and fit is None:
         reduction = position_gap_reduction(position, reduction)
-    return reduction, tuple(map(_traces_of_run, gaps))
+    return reduction, tuple(map(traces_of_run, gaps))
 
 
 def _ranked_hypotheses(

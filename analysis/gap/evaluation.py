@@ -15,8 +15,15 @@ import numpy as np
 
 from dragrig.analysis import NORMAL_95, RunSelection, nominal_model, session_starts, single_blas_thread
 from dragrig.analysis.gap.design import Candidate, Design, Study, added_force, linearise
-from dragrig.analysis.gap.diagnosis import GapReduction
-from dragrig.analysis.gap.gap_reduction import MIN_GAP_OVER_FLOOR, RunGap, gap_of_run, reduction_over_runs
+from dragrig.analysis.gap.diagnosis import GapReduction, RunTraces
+from dragrig.analysis.gap.gap_reduction import (
+    MAX_OWN_SIGMAS,
+    MIN_GAP_OVER_FLOOR,
+    RunGap,
+    gap_of_run,
+    reduction_over_runs,
+    traces_of_run,
+)
 from dragrig.analysis.gap.position_channel import (
     PositionErrors,
     position_errors,
@@ -27,7 +34,7 @@ from dragrig.analysis.gap.run_data import run_data_of
 from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude, find_spectral_lines, without_hum
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.config import AnalysisError, EffectSettings, ModelSettings
-from dragrig.rig import FloatArray
+from dragrig.rig import Contact, FloatArray
 from dragrig.sim_backend.effects import (
     ActiveEffect,
     Channel,
@@ -118,8 +125,12 @@ class ModelEvaluation:
         Share of chi-square beyond noise that the effects explain, the specimen's parameters and each run's own factors
         fitted under their priors without the effects and with them; None where chi-square shows no gap that matters.
     unfitted_rms_mN
-        Residuals as predicted, no parameter fitted to these runs: of the model that was fitted without effects, and of
-        the amended model.
+        Residuals as predicted, nothing fitted to these runs but zeros and the scale of relaxations: of the model that
+        was fitted without effects, and of the amended model.
+    traces
+        Each run beside what these two models predict.
+    backends
+        Where the runs come from.
     """
 
     reduction: GapReduction
@@ -130,6 +141,8 @@ class ModelEvaluation:
     explained: float | None
     sizes: tuple[RelativeEffectSize, ...]
     unfitted_rms_mN: tuple[float, float]
+    traces: tuple[RunTraces, ...] = ()
+    backends: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> PromiseVerdict:
@@ -164,7 +177,7 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
         unseen = []
     forces = _ForceEvaluation.of(selection, model)
     sizes = [*forces.sizes(), *map(_unseen, unseen)]
-    gaps = forces.refitted_gaps()
+    gaps, predicted = forces.refitted_gaps(), forces.predicted_gaps()
     reduction = reduction_over_runs(gaps)
     achieved: float | None
     interval: tuple[float, float] | None
@@ -183,8 +196,21 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
                 achieved, interval = None, None
     promise = (model.diagnosed.promised, model.diagnosed.promised_95ci) if model.diagnosed else (None, None)
     return ModelEvaluation(
-        reduction, *promise, achieved, interval, forces.explained_share(), tuple(sizes), forces.predicted_rms_mN()
+        reduction,
+        *promise,
+        achieved,
+        interval,
+        forces.explained_share(),
+        tuple(sizes),
+        _rms_before_after(predicted),
+        tuple(map(traces_of_run, predicted)),
+        selection.backends,
     )
+
+
+def _rms_before_after(gaps: Sequence[RunGap]) -> tuple[float, float]:
+    duration, before, after, _ = np.sum([gap.sums for gap in gaps], axis=0).tolist()
+    return float(np.sqrt(before / duration)), float(np.sqrt(after / duration))
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,11 +358,14 @@ class _ForceEvaluation:
         blocks = sum(design.residual.size for design in self.amended.runs)
         return (before - after) / (before - blocks) if before > MIN_GAP_OVER_FLOOR**2 * blocks else None
 
-    def _gaps(self, before: Sequence[FloatArray], after: Sequence[FloatArray]) -> list[RunGap]:
+    def _gaps(
+        self, before: Sequence[FloatArray], after: Sequence[FloatArray], max_own_sigmas: float = MAX_OWN_SIGMAS
+    ) -> list[RunGap]:
         """Compare residuals of each run.
 
-        The run's own factors are limited by their prior alone, as in the fit: relaxations of some newtons that are off
-        by more than a firm limit would outweigh what all other runs say.
+        The own factors of a sliding run are limited as where the promise was made, or a run at constant speed would
+        take the whole effect for its own scatter. Those of a relaxation are limited by their prior alone, as in the
+        fit: relaxations of some newtons that are off by more than a firm limit would outweigh all other runs.
         """
         return [
             gap_of_run(
@@ -347,7 +376,7 @@ class _ForceEvaluation:
                 (after[number], design.whitening),
                 self.study.problem.zero_sds[number],
                 self.study.informative_blocks(number, design.motion_sd),
-                np.inf,
+                np.inf if run.experiment.contact is Contact.STICKING else max_own_sigmas,
             )
             for number, (run, design) in enumerate(zip(self.study.runs, self.amended.runs, strict=True))
         ]
@@ -356,11 +385,11 @@ class _ForceEvaluation:
         """Return residuals without and with the effects, the specimen's parameters fitted to these runs for each."""
         return self._gaps(self._refitted(with_effects=False), self._refitted(with_effects=True))
 
-    def predicted_rms_mN(self) -> tuple[float, float]:
+    def predicted_gaps(self) -> list[RunGap]:
         """Return residuals as predicted by the model fitted without effects and the amended one; nothing is fitted."""
-        gaps = self._gaps([run.residual for run in self.before.runs], [run.residual for run in self.amended.runs])
-        duration, before, after, _ = np.sum([gap.sums for gap in gaps], axis=0).tolist()
-        return float(np.sqrt(before / duration)), float(np.sqrt(after / duration))
+        return self._gaps(
+            [run.residual for run in self.before.runs], [run.residual for run in self.amended.runs], max_own_sigmas=0.0
+        )
 
 
 def _is_allowed(active: ActiveEffect, relative: float) -> bool:

@@ -23,7 +23,7 @@ from dragrig.analysis.gap.design import (
     project_dictionary,
     rank_effects,
 )
-from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter
+from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter, RunTraces
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit
@@ -379,3 +379,21 @@ def _fit_with_variants(design: Design, runs: Sequence[int], ranked: RankedEffect
     precision, mean = design.prior_precision[columns], design.prior_mean[columns]
     precision_matrix = total[np.ix_(rows, rows)] + np.diag(precision + 1e-10 * np.diag(total)[rows])
     return columns, np.linalg.solve(precision_matrix, total[rows, 0] + precision * mean)
+
+
+def traces_of_run(gap: RunGap) -> RunTraces:
+    """Return what a figure shows of a run: the measurement, and what the model says before and after."""
+    run, at = gap.run, gap.run.coordinates
+    measured = run.block_data.blocks.mean
+    return RunTraces(
+        file=run.file,
+        kind=run.experiment.kind,
+        label=run.label,
+        channel=run.block_data.channel,
+        unit="mN",
+        time_s=at.time_s,
+        position_mm=at.position_mm,
+        measured=measured,
+        before=measured - gap.before,
+        after=measured - gap.after,
+    )

@@ -293,6 +293,8 @@ class Isolability:
         All pairs within a channel, the most similar first.
     remarks
         What was not analysed, a sentence each.
+    backends
+        Where the runs come from; those of a plan are simulated.
     """
 
     source: str
@@ -302,6 +304,7 @@ class Isolability:
     effects: tuple[Visibility, ...]
     pairs: tuple[EffectPair, ...]
     remarks: tuple[str, ...] = ()
+    backends: tuple[str, ...] = ()
 
     def visible_in(self, channel: str) -> tuple[Visibility, ...]:
         """Return the visible effects of a channel, in order."""
@@ -486,6 +489,7 @@ def isolate(
         effects=(*visible.values(), *invisible, *lines, *in_position),
         pairs=tuple(sorted((*pairs, *position_pairs), key=lambda effect_pair: effect_pair.sin2)),
         remarks=tuple(_isolability_remarks(selection, planned=planned)),
+        backends=selection.backends,
     )
 
 

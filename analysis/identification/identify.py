@@ -278,7 +278,7 @@ def identify_specimen(
         drag = attempt(lambda: identify_drag(selection, model, zeros), "drag")
     progress(PROGRESS_STEPS, PROGRESS_STEPS)
     return Identification(
-        backends=tuple(sorted({experiment.run.info.header.backend for experiment in selection.experiments})),
+        backends=selection.backends,
         specimen=selection.specimen,
         used=tuple(experiment.file for experiment in selection.experiments),
         left_out=selection.left_out,

@@ -51,6 +51,16 @@ def print_document(document: "Document", *, as_json: bool) -> None:
         terminal.print_document(document)
 
 
+def write_report(document: "Document", path: Path | None, *, overwrite: bool) -> None:
+    """Write a result's page, where one is wanted; it is for a screen, whatever form figures beside it have."""
+    if path is None:
+        return
+    from dragrig.present import FigureForm, figure_form, render_page, write_text
+
+    with figure_form(FigureForm()):
+        write_text(render_page(document), path, overwrite=overwrite)
+
+
 def print_json_line(value: object) -> None:
     """Print a result as one line of JSON."""
     click.echo(json.dumps(to_json_value(value), allow_nan=False))

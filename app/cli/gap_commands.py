@@ -15,6 +15,7 @@ from dragrig.cli.console import (
     print_json_line,
     print_remark,
     print_result,
+    write_report,
 )
 
 if TYPE_CHECKING:
@@ -70,12 +71,9 @@ def diagnose_command(
     from dragrig.api import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
     from dragrig.present import (
-        FigureForm,
         diagnosis_document,
-        figure_form,
         require_writable,
         save_figures,
-        write_text,
     )
 
     worker_count(workers, scheduler)
@@ -111,12 +109,7 @@ def diagnose_command(
     model_name = None if model is None else str(model)
     document = diagnosis_document(diagnosis, source=diagnosed.source, model=model_name, run_ids=diagnosed.run_ids)
     # Written before anything is printed: a reader such as head ends the command.
-    if report is not None:
-        from dragrig.present import render_page
-
-        # The page is for a screen, whatever form the figures beside it have.
-        with figure_form(FigureForm()):
-            write_text(render_page(document), report, overwrite=overwrite)
+    write_report(document, report, overwrite=overwrite)
     drawn = () if figures is None else tuple(save_figures(document, figures, overwrite=overwrite))
     print_document(document, as_json=as_json)
     if save_model is not None and model is None:
@@ -152,9 +145,13 @@ def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> 
 @click.argument("model", type=FILE)
 @click.argument("campaign", type=FILE)
 @options.measured_specimen
+@options.report
+@options.overwrite
 @options.as_json
 @options.quiet
-def evaluate_command(model: Path, campaign: Path, specimen: str | None, as_json: bool) -> None:
+def evaluate_command(
+    model: Path, campaign: Path, specimen: str | None, report: Path | None, overwrite: bool, as_json: bool
+) -> None:
     """Evaluate on fresh runs of the same specimen whether an amended model keeps its promise.
 
     MODEL is written by dragrig gap diagnose --save-model; CAMPAIGN is a folder of runs that took no part in the
@@ -162,10 +159,16 @@ def evaluate_command(model: Path, campaign: Path, specimen: str | None, as_json:
     """
     from dragrig.analysis.gap import PromiseVerdict
     from dragrig.api import gap_evaluate
-    from dragrig.present import evaluation_document
+    from dragrig.present import evaluation_document, require_writable
 
+    if report is not None:
+        require_writable(report, overwrite=overwrite)
     evaluation = gap_evaluate(model, campaign, specimen=specimen)
-    print_document(evaluation_document(evaluation), as_json=as_json)
+    document = evaluation_document(evaluation)
+    write_report(document, report, overwrite=overwrite)
+    print_document(document, as_json=as_json)
+    if report is not None and not as_json:
+        print_result(f"report  {display_path(report)}")
     if evaluation.verdict is PromiseVerdict.NOT_KEPT:
         click.get_current_context().exit(1)
 
@@ -235,16 +238,13 @@ def isolability_command(
     their distance in standard deviations of the noise, at their default sizes.
     """
     from dragrig.api import isolability
-    from dragrig.present import isolability_document, require_writable, write_text
+    from dragrig.present import isolability_document, require_writable
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
     with ProgressMeter("computing") as meter:
         document = isolability_document(isolability(source, without=without, progress=meter.at, **settings))
-    if report is not None:
-        from dragrig.present import render_page
-
-        write_text(render_page(document), report, overwrite=overwrite)
+    write_report(document, report, overwrite=overwrite)
     print_document(document, as_json=as_json)
     if report is not None and not as_json:
         print_result(f"report  {display_path(report)}")

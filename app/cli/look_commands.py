@@ -21,6 +21,7 @@ from dragrig.cli.console import (
     print_json_line,
     print_remark,
     print_result,
+    write_report,
 )
 from dragrig.present import duration_text, shortest
 
@@ -257,6 +258,7 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
 @options.effects("Add an effect to that model, as listed by dragrig gap effects; repeatable.")
 @click.option("--specimen", metavar="NAME", help="Specimen, where a folder holds several (default: all).")
 @options.out("Folder for pictures and table (default: a new one beside A's runs; with --json: none).")
+@options.report
 @options.picture_form
 @options.overwrite
 @options.as_json
@@ -268,6 +270,7 @@ def compare_command(
     effects: tuple[str, ...],
     specimen: str | None,
     out: Path | None,
+    report: Path | None,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -281,12 +284,16 @@ def compare_command(
     if (b is None) == (model is None):
         raise click.UsageError("name either a second campaign or run, or a --model", click.get_current_context())
     from dragrig.api import compare, comparison_folder, write_comparison
-    from dragrig.present import comparison_document, comparison_json, unused_path
+    from dragrig.present import comparison_document, comparison_json, require_writable, unused_path
 
+    if report is not None:
+        require_writable(report, overwrite=overwrite)
     with ProgressMeter("comparing") as meter:
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
+    document = comparison_document(comparison)
+    write_report(document, report, overwrite=overwrite)
     if as_json and out is None:
-        print_document(comparison_document(comparison), as_json=True)
+        print_document(document, as_json=True)
         return
     default = comparison_folder(comparison, a)
     # Measured data are often read-only.
@@ -297,8 +304,10 @@ def compare_command(
     if as_json:
         print_json({**comparison_json(comparison), "files": written})
         return
-    print_document(comparison_document(comparison), as_json=False)
+    print_document(document, as_json=False)
     print_result(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
+    if report is not None:
+        print_result(f"report    {display_path(report)}")
     print_result(f"pictures  {len(written) - 2} in {display_path(folder)}")
 
 

@@ -16,6 +16,7 @@ from dragrig.cli.console import (
     print_json_line,
     print_remark,
     print_result,
+    write_report,
 )
 from dragrig.config import AnalysisError, SettingsError
 
@@ -197,6 +198,7 @@ def paper_command(
 )
 @options.workers("campaigns")
 @options.out("Folder for model and pictures (default: identified in the campaign; with --json: none).")
+@options.report
 @options.picture_form
 @options.overwrite
 @options.as_json
@@ -211,6 +213,7 @@ def identify_command(
     workers: int | None,
     scheduler: str | None,
     out: Path | None,
+    report: Path | None,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -226,11 +229,13 @@ def identify_command(
     """
     from dragrig.api import identified_folder, identify, identify_many, save_identified_model, write_identified_files
     from dragrig.parallel import worker_count
-    from dragrig.present import identification_document, identification_json
+    from dragrig.present import identification_document, identification_json, require_writable
 
     worker_count(workers, scheduler)
+    if report is not None:
+        require_writable(report, overwrite=overwrite)
     if len(campaigns) > 1:
-        options.require_single_campaign(len(campaigns), save_model=save_model)
+        options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
         with ProgressMeter(f"identifying {len(campaigns)} campaigns") as meter:
             folders = identify_many(
                 campaigns,
@@ -254,7 +259,9 @@ def identify_command(
         identified = identify(campaign, nominal=nominal, model=model, wall=wall, specimen=specimen, progress=meter.at)
     result = identified.result
     # Written before anything is printed: a reader such as head ends the command.
-    written: list[Path] = []
+    document = identification_document(result)
+    write_report(document, report, overwrite=overwrite)
+    written: list[Path] = [] if report is None else [report]
     if save_model is not None:
         written.append(save_identified_model(identified, save_model, overwrite=overwrite))
     if out is not None or not as_json:
@@ -264,7 +271,7 @@ def identify_command(
     if as_json:
         print_json({**identification_json(result), "files": written})
     else:
-        print_document(identification_document(result), as_json=False)
+        print_document(document, as_json=False)
         for path in written:
             print_result(display_path(path))
     if result.joint is not None and not result.joint.converged:

@@ -115,6 +115,7 @@ from .numbers import duration_text as duration_text
 from .numbers import estimate_text as estimate_text
 from .numbers import exclusions_json as exclusions_json
 from .numbers import force_text as force_text
+from .numbers import grouped_files as grouped_files
 from .numbers import interval_text as interval_text
 from .numbers import listed_exclusions as listed_exclusions
 from .numbers import p_value_text as p_value_text

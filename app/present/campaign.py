@@ -5,21 +5,31 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
+from math import hypot
 from typing import TYPE_CHECKING
 
 from dragrig import present
-from dragrig.analysis import UNREADABLE, TableRow, mean_over_specimens, mean_per_speed
+from dragrig.analysis import (
+    UNREADABLE,
+    SpecimensMean,
+    SpeedMean,
+    TableRow,
+    mean_over_specimens,
+    mean_per_speed,
+    value_with_error,
+)
 from dragrig.present import (
-    Cell,
     Column,
     Document,
     Field,
     Figure,
     FormattedNumber,
+    Items,
     Section,
     Table,
     Text,
     decimals,
+    grouped_files,
     run_problem,
     run_title,
     shortest,
@@ -81,17 +91,26 @@ def campaign_document(data: CampaignReportData) -> Document:
         for info in drawn
     )
     not_drawn = _not_drawn_text(data, len(drawn))
-    problem = f"{len(left_out.rows)} left out: bad, aborted and unreadable runs are in no mean and no figure."
+    count = sum(1 for _ in _left_out_runs(data))
+    problem = f"{count} left out: bad, aborted and unreadable runs are in no mean and no figure."
     return Document(
         title=f"Campaign {data.name}",
-        source="Campaign report",
+        source=f"Campaign {data.name}",
         badges=tuple(sorted({info.header.backend for info in runs})),
+        answer=_answer(data.rows),
         lead=tuple(filter(None, (_summary(data), _drift_text(data.rows)))),
         problem=problem if left_out else "",
         sections=(
             Section("overview", "Overview", (_overview(data),)),
             Section("means", "Steady force", mean_tables(data.rows)),
-            Section("runs", "Runs", (run_table(data.rows, frozenset(_anchor(info.path.name) for info in drawn)),)),
+            Section(
+                "runs",
+                "Runs",
+                (
+                    run_table(data.rows, frozenset(_anchor(info.path.name) for info in drawn)),
+                    run_remarks(data.rows),
+                ),
+            ),
             Section("left-out", "Left out", (left_out,)),
             Section("sessions", "Sessions", (_session_table(data),)),
             Section("one-by-one", "Individual runs", (Text(not_drawn), *singles) if singles else ()),
@@ -104,7 +123,10 @@ def campaign_table_document(rows: Sequence[TableRow]) -> Document:
     means = mean_per_speed(rows)
     return Document(
         title=f"{len(rows)} run{'' if len(rows) == 1 else 's'}",
-        sections=(Section("runs", "", (run_table(rows),)), Section("means", "Means", mean_tables(rows))),
+        sections=(
+            Section("runs", "", (run_table(rows), run_remarks(rows))),
+            Section("means", "Means", mean_tables(rows)),
+        ),
         data=to_json_object(
             {"runs": rows, "means": means, "means_over_specimens": mean_over_specimens(means)},
         ),
@@ -208,6 +230,7 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
     drift: Field[TableRow] = Field(
         "drift_percent", "drift, %", lambda row: FormattedNumber.with_error(row.drift_percent, row.drift_error_percent)
     )
+    mark: Field[TableRow] = Field("mark", "marked bad", lambda row: row.mark)
     return Table.of(
         "runs",
         f"{STEADY_FORCE}. ± is one standard error",
@@ -239,11 +262,7 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
         Field("checks", "checks", lambda row: row.checks),
         Field("began", "began", lambda row: "" if row.start_time is None else f"{row.start_time:%H:%M:%S}"),
         *((age,) if any(row.minutes_since_excision is not None for row in rows) else ()),
-        Field(
-            "remark",
-            "remark",
-            lambda row: "; ".join(filter(None, (f"marked bad: {row.mark}" if row.bad else "", row.remark))),
-        ),
+        *((mark,) if any(row.bad for row in rows) else ()),
         links=tuple(_anchor(row.file) if _anchor(row.file) in anchors else "" for row in rows),
     )
 
@@ -252,6 +271,15 @@ def _with_interval(value: float, half_width: float | None, without: str) -> Form
     if half_width is None:
         return FormattedNumber(value, f"{value:.1f} ({without})")
     return FormattedNumber.with_error(value, half_width)
+
+
+def run_remarks(rows: Sequence[TableRow]) -> Items:
+    """List why measures are missing, each reason once with its runs."""
+    files: dict[str, list[str]] = {}
+    for row in rows:
+        for remark in filter(None, row.remark.split("; ")):
+            files.setdefault(remark, []).append(row.file)
+    return Items(tuple(f"{remark}: {grouped_files(names)}" for remark, names in files.items()), remarks=True)
 
 
 def _session_table(data: CampaignReportData) -> Table:
@@ -278,10 +306,14 @@ def _session_table(data: CampaignReportData) -> Table:
 
 def _left_out_table(data: CampaignReportData) -> Table:
     columns = (Column("file", "file"), Column("kind", "kind"), Column("reason", "reason"))
-    return Table("left-out", "In no mean and no figure of the campaign", columns, tuple(_left_out_rows(data)))
+    runs: dict[tuple[str, str], list[str]] = {}
+    for file, kind, reason in _left_out_runs(data):
+        runs.setdefault((kind, reason), []).append(file)
+    rows = tuple((grouped_files(files), kind, reason) for (kind, reason), files in runs.items())
+    return Table("left-out", "In no mean and no figure of the campaign", columns, rows)
 
 
-def _left_out_rows(data: CampaignReportData) -> Iterator[tuple[Cell, ...]]:
+def _left_out_runs(data: CampaignReportData) -> Iterator[tuple[str, str, str]]:
     for info in data.readable:
         problem = run_problem(info, data.bad.get(info.path.name))
         if problem:
@@ -350,6 +382,36 @@ def _drift_text(rows: Sequence[TableRow]) -> str:
 def _drift_of(row: TableRow) -> str:
     error = "" if row.drift_error_percent is None else f" ± {row.drift_error_percent:.1f}"
     return f"{row.drift_percent:+.1f}{error} %"
+
+
+def _answer(rows: Sequence[TableRow]) -> str:
+    """Say how the steady force of the kind with the most speeds changes with speed; "" where no run slides.
+
+    Specimens are pooled where there are several.
+    """
+    of_specimens = [mean for mean in mean_per_speed(rows) if mean.kind != ReturnProtocol.kind]
+    means: dict[tuple[str, ...], list[SpeedMean | SpecimensMean]] = {}
+    for mean in mean_over_specimens(of_specimens) or of_specimens:
+        specimen = mean.specimen if isinstance(mean, SpeedMean) else ""
+        means.setdefault((specimen, mean.kind, mean.capsule, str(mean.direction)), []).append(mean)
+    if not means:
+        return ""
+    slow, *_, fast = max(means.values(), key=len) * 2
+    subject = f"The steady {_KIND_NAMES.get(slow.kind, slow.kind)} force above that at rest"
+    force_slow, force_fast = (value_with_error(end.steady_above_rest_mN, end.half_width_95_mN) for end in (slow, fast))
+    at_slow, at_fast = (f"{shortest(3)(end.speed_mm_s)} mm/s" for end in (slow, fast))
+    if slow.half_width_95_mN is None or fast.half_width_95_mN is None:
+        between = "" if slow is fast else f" and {force_fast} mN at {at_fast}"
+        return f"{subject} is {force_slow} mN at {at_slow}{between}; without repeats nothing tells how sure that is."
+    if slow is fast:
+        return f"{subject} is {force_slow} mN at {at_slow} (± 95 %)."
+    change = abs(fast.steady_above_rest_mN) - abs(slow.steady_above_rest_mN)
+    clear = abs(change) > hypot(slow.half_width_95_mN, fast.half_width_95_mN)
+    verb = ("rises" if change > 0 else "falls") if clear else "does not change clearly with speed,"
+    return f"{subject} {verb} from {force_slow} mN at {at_slow} to {force_fast} mN at {at_fast} (± 95 %)."
+
+
+_KIND_NAMES = {"coulomb": "Coulomb"}
 
 
 def _date_text(when: datetime) -> str:

@@ -487,7 +487,7 @@ def comparison_overview_figure(comparison: Comparison) -> Figure:
     title = f"A: {comparison.a.name}  ·  B: {comparison.b.name}"
     with figure_style():
         figure = _overview_sheet(
-            title, _differences_subtitle(comparison), _differences_problem(comparison), _backends_text(comparison)
+            title, _differences_subtitle(comparison), _differences_problem(comparison), " / ".join(comparison.backends)
         )
         if not drawn:
             figure.text(0.5, 0.45, "no steady, peak or hold force to be compared", ha="center", color=GREY)
@@ -608,9 +608,3 @@ def _differences_problem(comparison: Comparison) -> str:
     problems = [f"{alone} runs have no partner"] if alone else []
     problems += [f"{left_out} runs are left out"] if left_out else []
     return "; ".join((*problems, *comparison.remarks))
-
-
-def _backends_text(comparison: Comparison) -> str:
-    backends = [pair.a.info.header.backend for pair in comparison.pairs]
-    backends += ["model" if pair.b_is_model else pair.b.info.header.backend for pair in comparison.pairs]
-    return " / ".join(dict.fromkeys(backends))

@@ -10,6 +10,7 @@ from dragrig.analysis import (
     GroupDifference,
     MeasureDifference,
     RunPair,
+    capitalise,
     comparison_rows,
     rounded_to_error,
 )
@@ -39,7 +40,8 @@ ONE_DECIMAL = decimals(1)
 
 def comparison_document(comparison: Comparison) -> Document:
     """Lay out a comparison; differences are B − A, forces in mN."""
-    answer, *lead = comparison.sentences
+    pairing, *findings = comparison.sentences
+    answer, *lead = (*map(capitalise, findings), pairing)
     overview = Figure(
         "overview",
         "Steady force against speed of both sides, and the differences by kind, speed and strain.",
@@ -50,6 +52,7 @@ def comparison_document(comparison: Comparison) -> Document:
     left_out = _exclusions("left-out", comparison.a.left_out, comparison.b.left_out)
     return Document(
         title=f"{comparison.a.name} and {comparison.b.name}",
+        badges=comparison.backends,
         answer=answer,
         lead=tuple(lead),
         sections=(

@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 
+from dragrig import present
 from dragrig.analysis import as_sentence, capitalise, percent_text
 from dragrig.analysis.gap import ModelEvaluation, PromiseVerdict, RelativeEffectSize, display_name
-from dragrig.present import Document, Field, Section, Table, decimals, force_text, significant, to_json_object
+from dragrig.present import Document, Field, Figure, Section, Table, decimals, force_text, significant, to_json_object
 from dragrig.present.diagnosis import FORMAT, r2_table, shrink_json
 
 VERSION = 2
@@ -22,9 +23,11 @@ def evaluation_document(evaluation: ModelEvaluation) -> Document:
     shrink = evaluation.reduction
     return Document(
         title="The amended model on fresh runs",
+        badges=evaluation.backends,
         answer=f"{VERDICT_WORDS[evaluation.verdict]}: {_reason(evaluation)}.",
         lead=tuple(as_sentence(text) for text in (_closed_text(evaluation), _residual_text(evaluation))),
         sections=(
+            Section("runs", "The fresh runs", _runs_figure(evaluation)),
             Section("sizes", "Effects in these runs", (_size_table(evaluation),)),
             Section("r2", "", (r2_table(shrink, named=True),)),
         ),
@@ -108,6 +111,21 @@ def _residual_text(evaluation: ModelEvaluation) -> str:
         f"noise alone: {force_text(shrink.noise_floor_mN)}. As predicted, no parameter fitted: {before} by the "
         f"model without effects that the diagnosis fitted, {after} by the amended one"
     )
+
+
+def _runs_figure(evaluation: ModelEvaluation) -> tuple[Figure, ...]:
+    if not evaluation.traces:
+        return ()
+    floor_mN = evaluation.reduction.noise_floor_mN
+    figure = Figure(
+        "before-after",
+        "A row for each run: left, the measurement and what the model says without and with the effects; right, the "
+        "residual.",
+        "Fresh drags at the lowest, a middle and the highest speed, and of each other kind the run that the model "
+        "without the effects explains worst. The grey band is noise.",
+        lambda: present.before_after_figure(present.representative_runs(evaluation.traces), floor_mN),
+    )
+    return (figure,)
 
 
 def _size_table(evaluation: ModelEvaluation) -> Table:

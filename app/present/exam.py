@@ -5,7 +5,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from dragrig import present
-from dragrig.analysis import UNKNOWN
+from dragrig.analysis import UNKNOWN, percent_text
 from dragrig.present import (
     Column,
     Document,
@@ -21,7 +21,7 @@ from dragrig.present import (
     shortest,
     to_json_object,
 )
-from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate
+from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate, wilson_rate
 
 if TYPE_CHECKING:
     from dragrig.analysis.gap import VerdictCalibration
@@ -35,21 +35,22 @@ def exam_document(score: ExamScore, cases: int, seed: int, answers_sha256: str) 
     answer, *procedure = _exam_sentences(score, cases, seed, answers_sha256)
     return Document(
         title=f"Exam of the gap diagnosis: {cases} campaigns",
+        badges=("simulated",),
         answer=answer,
         sections=(
-            Section(
-                "procedure",
-                "Procedure",
-                (
-                    Text(" ".join(procedure), TextKind.CAUTION),
-                    Facts({"Campaigns": str(cases), "Seed": str(seed), "SHA-256 of the answers": answers_sha256}),
-                ),
-            ),
             _rates_section(score),
             _confusion_section(score),
             _detection_section(score),
             _calibration_section(score),
             _promises_section(score),
+            Section(
+                "procedure",
+                "6. How it was held",
+                (
+                    Text(" ".join(procedure), TextKind.CAUTION),
+                    Facts({"Campaigns": str(cases), "Seed": str(seed), "SHA-256 of the answers": answers_sha256}),
+                ),
+            ),
         ),
         data=score_json(score),
     )
@@ -109,7 +110,9 @@ def _exam_sentences(score: ExamScore, cases: int, seed: int, answers_sha256: str
     count = sum(map(sum, score.confusion.counts))
     confident = score["all, wrong above 0.8"].held
     wrong = f"{confident or 'no'} wrong verdict{'' if confident == 1 else 's'} above probability 0.8"
-    yield f"{count - len(score.missed)} of {count} verdicts are right; {wrong}."
+    right = wilson_rate("right", [case < count - len(score.missed) for case in range(count)])
+    interval = f" (95 % interval {percent_text(right.low)} to {percent_text(right.high)})" if count else ""
+    yield f"{right.held} of {count} verdicts are right{interval}; {wrong}."
     yield (
         f"{cases} campaigns of the blind plant, seed {seed}. Their answers were sealed before any was diagnosed, with "
         f"SHA-256 {answers_sha256[:16]}…, and each was diagnosed by a process that had access to its runs alone."

@@ -6,6 +6,7 @@ from dataclasses import fields
 from math import isnan
 from typing import TYPE_CHECKING
 
+from dragrig import present
 from dragrig.analysis import (
     UNKNOWN,
     CoulombResult,
@@ -34,6 +35,7 @@ from dragrig.present import (
     Document,
     Facts,
     Field,
+    Figure,
     FormattedNumber,
     Items,
     Section,
@@ -57,6 +59,8 @@ if TYPE_CHECKING:
 
 MAX_RELATIVE_WIDTH = 10.0
 """A half-width of more than ten times the value says nothing and is not shown."""
+MAX_IN_ANSWER = 2
+"""Parameters that the first sentence names."""
 STRONG_CORRELATION = 0.9
 """Correlation from which two elements are called hard to distinguish."""
 
@@ -68,12 +72,15 @@ def identification_document(identification: Identification) -> Document:
     # A nominal model such as the drive alone has none of the parts of the friction model.
     sections = () if joint is not None and not any(parts) else tuple(_part_sections(identification))
 
-    left_out = tuple((exclusion.item, exclusion.reason) for exclusion in identification.left_out)
+    runs = f"{used} of {used + len(identification.left_out)} runs are used"
+    figures = () if joint is None else (_joint_figure(joint),)
     return Document(
-        title=f"Specimen {identification.specimen}: {used} of {used + len(left_out)} runs used",
+        title=f"Identification of specimen {identification.specimen}",
         badges=identification.backends,
-        lead=("Intervals hold 95 %; ± is a standard error.",),
+        answer=_answer(identification),
+        lead=(f"{runs}; intervals hold 95 %, ± is a standard error.",),
         sections=(
+            Section("joint-figure", "", figures),
             Section("joint", "Joint fit", (Text("None."),) if joint is None else _joint_blocks(joint)),
             *sections,
             Section(
@@ -92,6 +99,38 @@ def identification_document(identification: Identification) -> Document:
             Section("remarks", "", (Items(identification.remarks, remarks=True),)),
         ),
         data=identification_json(identification),
+    )
+
+
+def _answer(identification: Identification) -> str:
+    """Say what the runs determine, the best known parameters with their intervals."""
+    name, joint = identification.specimen, identification.joint
+    if joint is None:
+        return f"The runs of specimen {name} do not support a joint fit."
+    if not joint.converged:
+        return f"The joint fit of specimen {name} did NOT converge: no interval holds."
+    known = sorted((entry for entry in joint.parameters if entry.determined), key=lambda entry: entry.half_width)
+    if not known:
+        return f"The runs of specimen {name} determine none of the {joint.nominal} model's parameters."
+    best = "; ".join(
+        f"{entry.name} {value_with_error(entry.value, entry.standard_error)} {unit_text(entry.unit)}".rstrip()
+        for entry in known[:MAX_IN_ANSWER]
+    )
+    holds = "" if joint.holds else ", and the residuals exceed noise"
+    return (
+        f"Specimen {name}: the runs determine {len(known)} of {len(joint.parameters)} parameters{holds}. "
+        f"Best known: {best}."
+    )
+
+
+def _joint_figure(joint: JointFit) -> Figure:
+    return Figure(
+        "joint-fit",
+        "Left, the 95 % interval of each parameter before and after the runs, and of their combinations; right, χ² per "
+        "degree of freedom of each run.",
+        "Left, on a scale on which all parameters were known equally well before; right, 1 where only noise and the "
+        "variation between runs remain.",
+        lambda: present.joint_fit_figure(joint),
     )
 
 

@@ -53,6 +53,7 @@ def isolability_document(isolability: Isolability) -> Document:
     )
     return Document(
         title=f"Effects that {Path(isolability.source).absolute().name} can distinguish",
+        badges=isolability.backends,
         answer=answer,
         lead=tuple(lead),
         sections=(

@@ -159,17 +159,26 @@ def _scalar(value: object) -> str | float | bool | None:
             return str(value)
 
 
+def grouped_files(files: Sequence[str]) -> str:
+    """Name the first of some files, and how many more there are."""
+    return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"
+
+
 def listed_exclusions(left_out: "Sequence[Exclusion]") -> "tuple[Exclusion, ...]":
-    """Return what was left out as listed for a reader: each by itself, and all ways back in one line."""
+    """Return what was left out as listed for a reader: a line for each reason, ways back last."""
     from dragrig.analysis import RETURN_REASON
 
-    returns = [exclusion for exclusion in left_out if exclusion.reason == RETURN_REASON]
-    others = [exclusion for exclusion in left_out if exclusion.reason != RETURN_REASON]
-    if len(returns) < 2:
-        return (*others, *returns)
-    item, reason = f"{returns[0].item} and {len(returns) - 1} more", RETURN_REASON.replace("it is a", "each is a")
-    ways_back = replace(returns[0], item=item, reason=reason)
-    return (*others, ways_back)
+    items: dict[str, list[Exclusion]] = {}
+    for exclusion in sorted(left_out, key=lambda exclusion: exclusion.reason == RETURN_REASON):
+        items.setdefault(exclusion.reason, []).append(exclusion)
+    return tuple(
+        replace(
+            alike[0],
+            item=grouped_files([exclusion.item for exclusion in alike]),
+            reason=reason if len(alike) == 1 else reason.replace("it is", "each is", 1),
+        )
+        for reason, alike in items.items()
+    )
 
 
 def exclusions_json(left_out: "Iterable[Exclusion]") -> list[dict[str, object]]:

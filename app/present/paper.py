@@ -20,6 +20,7 @@ from dragrig.analysis import (
     Identification,
     JointFit,
     ParameterEstimate,
+    count_text,
     identified_settings,
     steady_force_parts,
     value_with_error,
@@ -376,6 +377,9 @@ def paper_document(results: PaperReportData, tables: Mapping[str, Table], model:
     """Lay out the report; `tables` are from `paper_tables`, `model` names the file of the identified model."""
     return Document(
         title=PAPER_TITLE,
+        source=PAPER_TITLE,
+        badges=("simulated",),
+        answer=_paper_answer(results),
         lead=(
             "What the friction model of “Modeling of Velocity-dependent Frictional Resistance of a Capsule Robot "
             "Inside an Intestine” (2012) predicts, what comes back when its tests are simulated and identified, and "
@@ -383,6 +387,7 @@ def paper_document(results: PaperReportData, tables: Mapping[str, Table], model:
             "paper's own data are not in its text.",
         ),
         sections=(
+            Section("conclusion", "What comes back", _joint_figure(results)),
             _settings_section(results),
             _wall_section(results, tables),
             _skew_section(results, tables),
@@ -408,6 +413,34 @@ def paper_document(results: PaperReportData, tables: Mapping[str, Table], model:
             _files_section(tables, model),
         ),
     )
+
+
+def _paper_answer(results: PaperReportData) -> str:
+    """Say how the identification does on runs whose parameters are known, and how much of the paper does not fit."""
+    inconsistent = f"{count_text(len(results.findings), 'inconsistency')} of the paper".replace("ys of", "ies of")
+    fit = results.identification.joint
+    if fit is None or not fit.converged:
+        return f"The simulated programme was not identified; {inconsistent} are listed."
+    inside, known = intervals_holding_truth(fit.parameters, results.model)
+    return (
+        f"{inside} of the {known} parameters that the simulated programme determines have their true value in the 95 % "
+        f"interval; {inconsistent} are listed."
+    )
+
+
+def _joint_figure(results: PaperReportData) -> tuple[Figure, ...]:
+    fit = results.identification.joint
+    if fit is None:
+        return ()
+    figure = Figure(
+        "joint-fit",
+        "Left, the 95 % interval of each parameter before and after the runs, and of their combinations; right, χ² per "
+        "degree of freedom of each run.",
+        "The joint fit of all runs. Left, on a scale on which all parameters were known equally well before; right, 1 "
+        "where only noise and the variation between runs remain.",
+        lambda: present.joint_fit_figure(fit),
+    )
+    return (figure,)
 
 
 def _settings_section(results: PaperReportData) -> Section:
@@ -553,17 +586,9 @@ def _joint_section(results: PaperReportData, tables: Mapping[str, Table], model:
     if fit is None:
         return Section("joint", heading, (Text("There was no joint fit."),))
 
-    drawing = Figure(
-        "joint-fit",
-        "Left, the 95 % interval of each parameter before and after the runs, and of their combinations; right, χ² per "
-        "degree of freedom of each run.",
-        "The joint fit. Left, on a scale on which all parameters were known equally well before; right, 1 where only "
-        "noise and the variation between runs remain.",
-        lambda: present.joint_fit_figure(fit),
-    )
     if not fit.converged:
         failed = Text("The joint fit did not converge, so that none of its numbers is reported.")
-        return Section("joint", heading, (failed, drawing, Items(fit.remarks, remarks=True)))
+        return Section("joint", heading, (failed, Items(fit.remarks, remarks=True)))
     rest = "noise and the variation between runs"
     remainder = f"only {rest} remain (p = {fit.p_value:.2f})" if fit.holds else f"more than {rest} remains"
     parameters = intervals_holding_truth(fit.parameters, results.model)
@@ -588,7 +613,6 @@ def _joint_section(results: PaperReportData, tables: Mapping[str, Table], model:
                 f"of {parameters[0]} of the {parameters[1]} parameters that the runs determine, and of "
                 f"{combinations[0]} of {combinations[1]} combinations, contain the simulated value."
             ),
-            drawing,
             _with_file(tables["parameters"]).select(
                 "parameter", "value", "low", "high", "simulated", "prior_low", "prior_high", "learnt", "meaning"
             ),

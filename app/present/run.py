@@ -6,7 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Final
 
 from dragrig import present
-from dragrig.analysis import Estimate, RunMeasures, measure, minutes_since_excision, range_text
+from dragrig.analysis import Estimate, RunMeasures, measure, minutes_since_excision, range_text, value_with_error
 from dragrig.present import (
     Cell,
     Code,
@@ -131,13 +131,15 @@ def run_document(run: Run, bad_reason: str | None = None) -> Document:
     info, header = run.info, run.info.header
     problem = run_problem(info, bad_reason)
     drawing = run_drawing(info, lambda: present.run_figure(run, bad_reason=bad_reason))
+    measures = measure(run)
     return Document(
         title=run_title(info),
+        answer=f"{run_title(info)}: {_main_force_text(measures)}.",
         source=info.path.name,
         badges=(header.backend,),
         problem=f"Not a good run: {problem}" if problem else "",
         sections=(
-            Section("measures", "Measures", (drawing, measures_table(measure(run)))),
+            Section("measures", "Measures", (drawing, measures_table(measures))),
             Section("checks", "Checked right after the run", (Facts(check_texts(info.checks)),)),
             Section("events", "Events", (_event_table(run.events),)),
             Section(
@@ -159,6 +161,18 @@ def run_document(run: Run, bad_reason: str | None = None) -> Document:
             ),
         ),
     )
+
+
+def _main_force_text(measures: RunMeasures) -> str:
+    """Return the steady force with its interval; of a run without one, its peak and where it ends."""
+    steady = measures.steady_force
+    if steady.value is not None:
+        interval = range_text(steady.interval, steady.standard_error)
+        force = value_with_error(steady.value, steady.standard_error)
+        return f"steady force {force} mN" + (f" (95 %: {interval} mN)" if interval else "")
+    ends = {"peak": measures.peak_force, "at the end of the hold": measures.hold_force}
+    known = [f"{name} {value_with_error(end.value, end.standard_error)} mN" for name, end in ends.items() if end.value]
+    return f"no steady force; {', '.join(known)}" if known else f"no steady force, for {steady.reason}"
 
 
 @dataclass(frozen=True, slots=True)

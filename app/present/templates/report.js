@@ -31,6 +31,27 @@ for (const table of document.querySelectorAll("table.sortable")) {
     button.addEventListener("click", () => sort(head, column));
   });
 }
+// A table that is wider than the text takes the width of the window; where that is too little as well, it is stacked: a
+// row is its cells one after the other, each with its heading. On paper it is a table again, in small print.
+const asTables = () => {
+  for (const box of document.querySelectorAll(".broad, .stacked")) box.classList.remove("broad", "stacked");
+};
+const fit = () => {
+  asTables();
+  for (const step of ["broad", "stacked"]) {
+    const wide = [...document.querySelectorAll(".scroll:has(> table.sortable)")].filter(
+      (box) => box.scrollWidth > box.clientWidth + 1);
+    for (const box of wide) {
+      box.classList.remove("broad");
+      box.classList.add(step);
+    }
+  }
+};
+addEventListener("resize", fit);
+addEventListener("beforeprint", asTables);
+addEventListener("afterprint", fit);
+document.addEventListener("toggle", fit, true);
+fit();
 // A link into what is folded opens it.
 const unfold = () => {
   const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
