@@ -10,6 +10,8 @@ from pathlib import Path
 
 import click
 import pytest
+from browsing import opened
+from playwright.sync_api import Browser
 
 from dragrig.cli import main
 from dragrig.cli.commands import dragrig_group
@@ -63,6 +65,25 @@ def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> No
     assert not (site / "hooks").exists()
 
 
+def test_no_code_of_the_site_is_clipped(site: Path, browser: Browser) -> None:
+    clipped = {}
+    with opened(browser, (site / "index.html").as_uri(), 1280) as (page, _):
+        for path in sorted(site.rglob("*.html")):
+            page.goto(path.as_uri())
+            if found := page.evaluate(
+                "[...document.querySelectorAll('.md-content pre, .md-content pre code')]"
+                ".filter((code) => code.scrollWidth > code.clientWidth + 1).map((code) => code.textContent)"
+            ):
+                clipped[path.name] = found
+    assert not clipped
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    navigation = (ROOT / "mkdocs.yml").read_text("utf-8").split("\nnav:\n")[1]
+    pages = {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
+    assert not [page for page in pages if page not in navigation]
+
+
 def test_the_reference_is_that_of_the_code(site: Path) -> None:
     commands = (site / "reference" / "commands.html").read_text("utf-8")
     for name in dragrig_group.list_commands(click.Context(dragrig_group)):
@@ -81,8 +102,8 @@ def test_every_command_of_the_tutorial_runs(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     text = (DOCS / "tutorial.md").read_text("utf-8")
-    [plan] = re.findall(r"```toml\n(.*?)```", text, re.DOTALL)
-    Path("first.toml").write_text(plan, "utf-8")
+    for name, plan in zip(("first", "fresh"), re.findall(r"```toml\n(.*?)```", text, re.DOTALL), strict=True):
+        Path(f"{name}.toml").write_text(plan, "utf-8")
     lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL) for line in block.strip().splitlines()]
     assert len(lines) > 7
     answer = {}
@@ -93,6 +114,12 @@ def test_every_command_of_the_tutorial_runs(
         answer[line] = capsys.readouterr().out
     diagnosis = next(text for line, text in answer.items() if "gap diagnose" in line)
     assert "stribeck" in diagnosis.lower()
+    evaluation = next(text for line, text in answer.items() if "gap evaluate" in line)
+    assert "The promise is KEPT" in evaluation
+    [before, after] = re.search(
+        r"no parameter fitted: ([\d.]+) mN .*?, ([\d.]+) mN by the amended", evaluation
+    ).groups()
+    assert float(before) > 4 * float(after), "the gap does not visibly close"
     assert Path("gap.html").stat().st_size > 10_000
     assert Path("first.html").stat().st_size > 10_000
 
