@@ -334,6 +334,8 @@ def test_all_ways_back_are_one_line_and_runs_marked_bad_are_named() -> None:
     listed = listed_exclusions(left_out)
     assert [exclusion.item for exclusion in listed] == ["007-drag.h5", "000-return.h5 and 2 more"]
     assert listed[0].reason == "it is marked bad: slipped"
+    clipped = [Exclusion(f"01{number}-drag.h5", "it is clipped") for number in range(2)]
+    assert listed_exclusions(clipped) == (Exclusion("010-drag.h5 and 1 more", "each is clipped"),)
 
 
 def test_an_interval_without_width_is_not_written() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from dragrig.analysis.gap import GapReduction, ModelEvaluation, PromiseVerdict, 
 from dragrig.analysis.gap.evaluation import _run_weights
 from dragrig.api import diagnose, gap_evaluate
 from dragrig.cli import main
+from dragrig.present import evaluation_document, render_page
 from dragrig.sim_backend.blind.blind_campaign import draw_campaign
 from dragrig.sim_backend.blind.plant import write_campaign
 
@@ -146,6 +148,12 @@ def test_an_effect_of_the_right_size_explains_what_is_wrong(
     explained: float | None, achieved: float, verdict: PromiseVerdict
 ) -> None:
     assert evaluation_with(explained, achieved).verdict is verdict
+
+
+def test_the_page_says_that_its_runs_are_simulated() -> None:
+    page = render_page(evaluation_document(replace(evaluation_with(0.9, 0.9), backends=("simulated",))))
+    assert '<span class="badge simulated">simulated</span>' in page
+    assert "KEPT" in page.split("<h1>")[1].split("</h1>")[0]
 
 
 def test_no_bootstrap_sample_leaves_out_the_one_run_that_shows_an_effect() -> None:

@@ -72,7 +72,7 @@ def identification_document(identification: Identification) -> Document:
     # A nominal model such as the drive alone has none of the parts of the friction model.
     sections = () if joint is not None and not any(parts) else tuple(_part_sections(identification))
 
-    runs = f"{used} of {used + len(identification.left_out)} runs are used"
+    runs = f"{used} of {used + len(identification.left_out)} runs used"
     figures = () if joint is None else (_joint_figure(joint),)
     return Document(
         title=f"Identification of specimen {identification.specimen}",
@@ -116,9 +116,9 @@ def _answer(identification: Identification) -> str:
         f"{entry.name} {value_with_error(entry.value, entry.standard_error)} {unit_text(entry.unit)}".rstrip()
         for entry in known[:MAX_IN_ANSWER]
     )
-    holds = "" if joint.holds else ", and the residuals exceed noise"
+    doubt = "" if joint.holds else "the residuals exceed noise, and "
     return (
-        f"Specimen {name}: the runs determine {len(known)} of {len(joint.parameters)} parameters{holds}. "
+        f"Specimen {name}: {doubt}the runs determine {len(known)} of {len(joint.parameters)} parameters. "
         f"Best known: {best}."
     )
 
