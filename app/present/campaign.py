@@ -230,7 +230,7 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
     drift: Field[TableRow] = Field(
         "drift_percent", "drift, %", lambda row: FormattedNumber.with_error(row.drift_percent, row.drift_error_percent)
     )
-    mark: Field[TableRow] = Field("mark", "marked bad", lambda row: row.mark)
+    mark: Field[TableRow] = Field("mark", "mark", lambda row: f"marked bad: {row.mark}" if row.bad else "")
     return Table.of(
         "runs",
         f"{STEADY_FORCE}. ± is one standard error",
