@@ -65,6 +65,8 @@ class DrivePort(ABC):
         """Send to the program; nothing when it is not connected."""
 
     def _receive(self, received: bytes) -> None:
+        if self._drive.bench.faults.active.drive_cut_off:
+            return
         self._received += received
         while length := self._drive.dialect.frame_length(self._received):
             frame, self._received = self._received[:length], self._received[length:]

@@ -55,6 +55,7 @@ class BenchLines:
 
     def toggle_heartbeat(self) -> None:
         self.beats += 1
+        self.bench.write_line(self.names.heartbeat, bool(self.beats % 2))
 
 
 class NoDigitalLines:
@@ -130,12 +131,14 @@ def driven(
     kind: type[DrivePort] = ANY_PORT,
     pace: float = 1.0,
     wired: bool = False,
+    lines: dict[str, object] | None = None,
     hang_s: float = 5.0,
     stale_s: float = 5.0,
     **drive: object,
 ) -> Iterator[Driven]:
-    """A stage on a drive's double; `wired` to the bench's switches and enable, or to nothing."""
-    wires = {} if wired else {"enable": ""}
+    """A stage on a drive's double; `wired` to the bench's switches and enable, by other `lines`, or to nothing."""
+    wired = wired or lines is not None
+    wires = (lines or {}) if wired else {"enable": ""}
     card = {"lines": wires}
     # Long waits, for on a busy machine even a double may be kept from answering for a tenth of a second.
     patient = {"homing_speed_mm_s": 50, "reply_s": 1.0, "silence_s": 5.0}
@@ -152,8 +155,8 @@ def driven(
         port = stack.enter_context(kind(double))
         link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), dialect)
         stack.callback(link.close)
-        lines = BenchLines(bench) if wired else NoDigitalLines()
-        devices = StageDevices(rig, link, lines, MotionSamplingSync(), bench.clock, Watchdog())
+        wiring = BenchLines(bench) if wired else NoDigitalLines()
+        devices = StageDevices(rig, link, wiring, MotionSamplingSync(), bench.clock, Watchdog())
         stage = PositionModeStage(devices)
         stack.callback(stage.close)
         yield Driven(bench, double, stage, devices, port)

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from rig_faults import (
     FAR_MM,
+    SOON_CUT_OFF,
     SOON_SILENT,
     SOON_UNANSWERED,
     TRAVEL_MM,
@@ -32,7 +33,8 @@ from dragrig.rig.runfile.model import RunStatus
     [
         ("serial replies late", {"drive_reply_late_s": 8.0}, Halt.STOP, SOON_UNANSWERED, assert_goes_on),
         ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, SOON_UNANSWERED, None),
-        ("serial unplugged in motion", {"drive_unplugged": True}, Halt.SILENCE, SOON_SILENT, assert_goes_on),
+        ("serial adapter gone in motion", {"drive_unplugged": True}, Halt.SILENCE, SOON_SILENT, assert_goes_on),
+        ("serial plug pulled in motion", {"drive_cut_off": True}, Halt.SILENCE, SOON_CUT_OFF, assert_goes_on),
         ("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, (), assert_goes_on),
         ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, (), assert_goes_on),
         ("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, (), None),

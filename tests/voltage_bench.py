@@ -96,10 +96,21 @@ class VoltageRig(HardwareBackend):
 
 
 def velocity_rig(
-    encoder: dict[str, object] | None = None, heartbeat_s: float = 0.5, hang_s: float = 5.0, **voltage: object
+    encoder: dict[str, object] | None = None,
+    heartbeat_s: float = 0.5,
+    hang_s: float = 5.0,
+    silence_s: float = 5.0,
+    reply_s: float = 2.0,
+    **voltage: object,
 ) -> RigSettings:
     velocity = {"update_s": UPDATE_S, "ahead": AHEAD, "lag_s": LAG_S, "gain_per_s": 4.0, **voltage}
-    drive = {"mode": "velocity", "homing_speed_mm_s": 50.0, "silence_s": 5.0, "reply_s": 2.0, "velocity": velocity}
+    drive = {
+        "mode": "velocity",
+        "homing_speed_mm_s": 50.0,
+        "silence_s": silence_s,
+        "reply_s": reply_s,
+        "velocity": velocity,
+    }
     lines = {"heartbeat": "port1/line4", "heartbeat_s": heartbeat_s}
     return settings(
         RATE,

@@ -1,7 +1,8 @@
 """The drive's double: decodes frames of any dialect, moves the bench's carriage and refuses what a drive refuses.
 
 It observes what a drive observes by itself, whatever the program does: soft limits, thrust limit, limit switches,
-e-stop, enable line, and the silence timeout, which runs in wall time. It remembers why its last motion ended.
+e-stop, enable line, and the silence timeout, which runs in wall time. It remembers why its last motion ended. Without
+enable line or power, which the heartbeat relay takes, the motor has no current, and friction stops the carriage.
 """
 
 import math
@@ -100,7 +101,7 @@ class DriveDouble:
         with self._lock:
             if (text := self.bench.faults.active.drive_alarm) and not self._alarm:
                 self._raise_alarm(text)
-            if self._enabled and not self._line(self._lines.enable):
+            if self._enabled and not (self.bench.powered and self._line(self._lines.enable)):
                 self._end(Halt.DISABLED)
                 self._enabled = False
             if not self.bench.moving:
@@ -113,7 +114,7 @@ class DriveDouble:
                     self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
                 else:
                     self._end(Halt.LIMIT_SWITCH)
-            elif 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._received_s:
+            elif self._hears_nothing():
                 self._end(Halt.SILENCE)
 
     def _watch(self) -> None:
@@ -156,7 +157,7 @@ class DriveDouble:
     def _enable(self) -> Refusal | None:
         if self._alarm:
             return Refusal.ALARM
-        if not self._line(self._lines.enable):
+        if not (self.bench.powered and self._line(self._lines.enable)):
             return Refusal.DISABLED
         self._enabled = True
         return None
@@ -230,7 +231,18 @@ class DriveDouble:
         if self._moving() and self._halt is Halt.TARGET:
             self._halt = why
             self._homing = self._seeks_switch = False
-            self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
+            self.bench.brake(self._deceleration_mm_s2(why))
+
+    def _deceleration_mm_s2(self, why: Halt) -> float:
+        """Without current, friction alone stops the carriage."""
+        if why is not Halt.DISABLED:
+            return self._parameters[Parameter.STOP_ACCELERATION_MM_S2]
+        motor = self.bench.rig.simulated.motor
+        return 1000.0 * motor.coulomb_mN / motor.moving_mass_g
+
+    def _hears_nothing(self) -> bool:
+        unwatched, limit_s = self.bench.faults.active.drive_unwatched, self._parameters[Parameter.SILENCE_S]
+        return not unwatched and 0 < limit_s < time.monotonic() - self._received_s
 
     def _raise_alarm(self, text: str) -> None:
         codes = [code for code in range(1, 256) if self.dialect.alarm(code) == text]
@@ -260,8 +272,7 @@ def make_drive_double(bench: SimulatedBench, dialect: Dialect, station: int = 1)
 class VelocityDriveDouble(DriveDouble):
     """A drive whose speed is its voltage; it knows neither position commands nor a stop.
 
-    Without its enable line or its power, which the heartbeat relay takes, the motor has no current and friction stops
-    the carriage; e-stop, alarm and silence brake it and switch the drive off.
+    E-stop, alarm and silence brake it and switch it off.
     """
 
     def poll(self) -> None:
@@ -275,13 +286,11 @@ class VelocityDriveDouble(DriveDouble):
                 self._end(Halt.DISABLED)
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)
-            elif self.bench.moving and 0 < self._parameters[Parameter.SILENCE_S] < time.monotonic() - self._received_s:
+            elif self.bench.moving and self._hears_nothing():
                 self._end(Halt.SILENCE)
 
     def _enable(self) -> Refusal | None:
         refused = super()._enable()
-        if refused is None and not self.bench.powered:
-            refused, self._enabled = Refusal.DISABLED, False
         self.bench.obey_voltage(self._enabled)
         return refused
 
@@ -299,7 +308,4 @@ class VelocityDriveDouble(DriveDouble):
         self._halt = why if self.bench.moving else self._halt
         self._enabled = False
         self.bench.obey_voltage(False)
-        motor = self.bench.rig.simulated.motor
-        friction_mm_s2 = 1000.0 * motor.coulomb_mN / motor.moving_mass_g
-        brakes = self._parameters[Parameter.STOP_ACCELERATION_MM_S2]
-        self.bench.brake(friction_mm_s2 if why is Halt.DISABLED else brakes)
+        self.bench.brake(self._deceleration_mm_s2(why))

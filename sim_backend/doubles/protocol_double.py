@@ -81,6 +81,8 @@ class Serial:
     def write(self, data: bytes) -> int:
         """Send to the drive, which carries out every whole frame at once."""
         drive = self._plugged_in()
+        if drive.bench.faults.active.drive_cut_off:
+            return len(data)
         self._sent += data
         while length := drive.dialect.frame_length(self._sent):
             frame, self._sent = self._sent[:length], self._sent[length:]

@@ -284,7 +284,11 @@ class ActiveFaults:
     drive_silent: bool = False
     """The drive carries out requests, but does not reply."""
     drive_unplugged: bool = False
-    """The serial cable was pulled."""
+    """The serial adapter was pulled: the port fails."""
+    drive_cut_off: bool = False
+    """The plug was pulled at the drive: nothing arrives at either side, and the port does not fail."""
+    drive_unwatched: bool = False
+    """The drive has no silence timeout, whatever it holds as one: it goes on with its last motion."""
     force_added_mN: float = 0.0
     """Force on the sensor in addition to the specimen's."""
     sensor_open: bool = False

@@ -67,6 +67,7 @@ class DriveLink:
         self._failure = ""
         self._closed = False
         self._round_trips_s: deque[float] = deque(maxlen=_ROUND_TRIPS_KEPT)
+        self._unheard_since_s: float | None = None
         # A counter and a SimpleQueue may be used by a signal handler that interrupts their own user; an Event may not.
         self._counter = itertools.count(1)
         self._stop_count = self._acknowledged_stops = 0
@@ -84,6 +85,15 @@ class DriveLink:
     def round_trip_s(self) -> float:
         """Median of the latest times between a request and its reply, in wall time; 0 before the first."""
         return median(self._round_trips_s) if self._round_trips_s else 0.0
+
+    @property
+    def unheard_s(self) -> float:
+        """Time since the first request that has no reply, in wall time; 0 while the latest one was answered.
+
+        Never blocks. It goes on when the port has failed.
+        """
+        since_s = self._unheard_since_s
+        return 0.0 if since_s is None else time.monotonic() - since_s
 
     @property
     def stop_count(self) -> int:
@@ -227,6 +237,8 @@ class DriveLink:
         return reply
 
     def _transceive(self, frame: bytes, request: Request) -> Reply:
+        if self._unheard_since_s is None:
+            self._unheard_since_s = time.monotonic()
         # A reply that came too late for its own request would be taken for the reply to this one.
         self._serial.reset_input_buffer()
         began_s = time.perf_counter()
@@ -245,6 +257,7 @@ class DriveLink:
                     problem = str(error)
                     continue
                 if reply.answers(request):
+                    self._unheard_since_s = None
                     self._round_trips_s.append(time.perf_counter() - began_s)
                     return reply
                 problem = f"it answered '{reply.command}' instead"

@@ -1,14 +1,18 @@
-"""The monitor thread: polls drive and switches, and keeps drive and heartbeat relay alive while the program is well.
+"""The monitor: polls drive and switches, and keeps drive and heartbeat relay alive while the program is well.
 
 A drive that receives nothing for `hardware.drive.silence_s` stops by itself, and so does one whose heartbeat relay sees
-no edge. Both signals come from this thread, so that neither outlives the program; and both end when the program no
-longer reads its data (`Watchdog`), or when what it reads is stale, so that neither a hung program nor a blind guard
-keeps the stage moving.
+no edge. Both signals come from the monitor's threads, so that neither outlives the program; and both end when the
+program no longer reads its data (`Watchdog`), or when what it reads is stale, so that neither a hung program nor a
+blind guard keeps the stage moving.
+
+A drive that answers nothing for `silence_s` may have a silence timeout or not: then the heartbeat ends and the enable
+line is cleared. What decides that is a thread of its own, because the one that polls waits for the serial line.
 """
 
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from dragrig.config import DeviceError, RigSettings, reason_of
@@ -17,6 +21,9 @@ from dragrig.rig.hardware import DigitalLines, MotionSamplingSync
 from dragrig.rig.hardware.drive.link import DriveLink
 
 _FAST_POLL_S = 0.005
+_MAX_POWER_CHECK_S = 0.01
+_UNHEARD_GRACE_S = 0.03
+"""After a computer stood still, the thread that polls has so long to take the replies that came meanwhile."""
 _POLLS_PER_SILENCE = 4
 _STALE_GRACE_S = 0.05
 """How much later than the sampler the monitor says that samples are stale: the sampler's reason is the better one."""
@@ -42,12 +49,9 @@ class Watchdog:
 
 
 def poll_interval_s(settings: RigSettings) -> float:
-    """Return the time between two polls: half a block's, or less where silence timeout or heartbeat are shorter."""
+    """Return the time between two polls: half a block's, or less where the silence timeout is shorter."""
     # Half, so that a poll with its requests over the link is done within a block.
-    half_block_s = settings.sampling.block_s / 2
-    wired = settings.hardware.card.lines
-    heartbeat_s = wired.heartbeat_s if wired.heartbeat else half_block_s
-    return min(half_block_s, settings.hardware.drive.silence_s / _POLLS_PER_SILENCE, heartbeat_s)
+    return min(settings.sampling.block_s / 2, settings.hardware.drive.silence_s / _POLLS_PER_SILENCE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +90,10 @@ class Monitor:
         may_beat: Callable[[], bool],
     ) -> None:
         self._poll_drive_status, self._stop, self._may_beat = poll_drive, stop, may_beat
-        self._lines, self._sync, self._watchdog = devices.lines, devices.sync, devices.watchdog
+        self._link, self._lines = devices.link, devices.lines
+        self._sync, self._watchdog = devices.sync, devices.watchdog
+        self._silence_s = devices.settings.hardware.drive.silence_s
+        self._beat_s = devices.settings.hardware.card.lines.heartbeat_s
         # How long the watchdog may go unfed while a sampled motion is in progress.
         self._hang_s = devices.settings.hardware.hang_s
         self._stale_s = devices.settings.guard.stale_data_s + _STALE_GRACE_S
@@ -99,9 +106,15 @@ class Monitor:
         self._fault: Trip | None = None
         self._stop_sent = False
         self._drive_on = False
+        self._guard_is_blind = self._power_released = False
+        self._polled_s = self._beaten_s = float("-inf")
+        self._unheard_seen_s: float | None = None
         self._ended = threading.Event()
         self._fast = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="drive monitor", daemon=True)
+        self._threads = (
+            threading.Thread(target=self._run, args=(self._cycle,), name="drive monitor", daemon=True),
+            threading.Thread(target=self._run, args=(self._check_power,), name="drive power", daemon=True),
+        )
 
     @property
     def fault(self) -> Trip | None:
@@ -109,9 +122,11 @@ class Monitor:
         return self._fault
 
     def start(self) -> None:
-        """Poll once, then go on polling from the monitor's own thread."""
+        """Poll once, then go on polling from the monitor's own threads."""
         self.poll()
-        self._thread.start()
+        self._polled_s = time.monotonic()
+        for thread in self._threads:
+            thread.start()
 
     def poll(self) -> Trip | None:
         """Read switches and drive now, and return what forbids motion."""
@@ -144,6 +159,7 @@ class Monitor:
     def clear(self) -> None:
         """Drop what was latched; what is still wrong comes back at the next poll."""
         self._latched = None
+        self._power_released = False
 
     def tolerate(self, cause: TripCause | None) -> None:
         """Let one limit switch forbid nothing, and drop it if latched; None ends that."""
@@ -152,37 +168,72 @@ class Monitor:
             self._latched = None
 
     def close(self) -> None:
-        """End the thread. Safe to call twice."""
+        """End the threads. Safe to call twice."""
         self._ended.set()
         self._fast.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
 
-    def _run(self) -> None:
+    def _run(self, cycle: Callable[[], None]) -> None:
         try:
             while not self._ended.is_set():
-                self._cycle()
+                cycle()
         except Exception as error:
             # Nothing is monitored any more: stop, and let the drive's own silence timeout end the rest.
             self.latch(Trip(TripCause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
             raise
 
     def _cycle(self) -> None:
-        if blind := self._guard_blind():
-            self.latch(blind)
+        self._polled_s = time.monotonic()
+        if self._guard_is_blind:
             self._ended.wait(self._interval_s)
             return
-        try:
-            if self._may_beat():
-                self._lines.toggle_heartbeat()
-        except DeviceError as error:
-            self.latch(Trip(TripCause.CARD_FAULT, reason_of(error)))
         self.poll()
         if self._fast.is_set() and self._sync.moving:
             self._ended.wait(_FAST_POLL_S)
         else:
             self._fast.clear()
             self._fast.wait(self._interval_s)
+
+    def _check_power(self) -> None:
+        """Beat while the guard sees, the drive is heard and is polled; release the drive's power when it is not."""
+        blind = self._guard_blind()
+        self._guard_is_blind = blind is not None
+        if blind is not None:
+            self.latch(blind)
+        now_s = time.monotonic()
+        unheard = max(self._link.unheard_s, now_s - self._polled_s) > self._silence_s
+        if not unheard:
+            self._unheard_seen_s = None
+            self._power_released = self._power_released and self._drive_on
+        elif self._unheard_seen_s is None:
+            self._unheard_seen_s = now_s
+        elif now_s - self._unheard_seen_s >= _UNHEARD_GRACE_S:
+            self._release_power()
+        if not (blind or unheard or self._power_released):
+            self._beat(now_s)
+        self._ended.wait(min(_MAX_POWER_CHECK_S, self._beat_s / 2))
+
+    def _release_power(self) -> None:
+        if self._power_released:
+            return
+        self._power_released = True
+        # With a card that does not answer there is no heartbeat either.
+        with suppress(DeviceError):
+            self._lines.set_enable(False)
+        if self._drive_on:
+            silence = f"the drive on {self._link.port} was not heard for {self._silence_s:g} s"
+            self.latch(Trip(TripCause.DRIVE_FAULT, f"{silence}, so that its enable and the heartbeat were taken away"))
+
+    def _beat(self, now_s: float) -> None:
+        if now_s - self._beaten_s < self._beat_s / 2 or not self._may_beat():
+            return
+        self._beaten_s = now_s
+        try:
+            self._lines.toggle_heartbeat()
+        except DeviceError as error:
+            self.latch(Trip(TripCause.CARD_FAULT, reason_of(error)))
 
     def _guard_blind(self) -> Trip | None:
         """Return why the guard does not see what moves: the program hangs, or the samples that it has are stale."""

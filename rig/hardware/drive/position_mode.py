@@ -232,7 +232,8 @@ class StrokeMovement(Movement):
 
 
 _HOMING_POLL_S = 0.1
-_SILENCE_MARGIN_S = 0.1
+_SILENCE_MARGIN_S = 0.2
+"""For a drive without a silence timeout, whose enable line is cleared within 0.1 s after it."""
 _STANDSTILL_TIMEOUT_S = 1.0
 _MAX_END_ERROR_MM = 0.05
 _HOMING_OVERTRAVEL_MM = 50.0

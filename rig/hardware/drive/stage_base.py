@@ -425,19 +425,26 @@ class MonitoredStage(ABC):
     def _power_on(self) -> None:
         """Set the enable line and switch the drive on; raises `DeviceError`."""
         self._lines.set_enable(True)
+        try:
+            self._exchange_enable()
+        except DeviceError:
+            self._lines.set_enable(False)
+            raise
+        self._set_switched_on(on=True)
+        self._monitor.poll()
+
+    def _exchange_enable(self) -> None:
         until_s = time.monotonic() + _ENABLE_TIMEOUT_S
         while True:
             try:
                 self._link.exchange(Request(Command.ENABLE))
             except RefusedError as error:
-                # A drive takes a while to see its enable line.
+                # A drive takes a while to see its enable line, and a relay to see its first edges.
                 if error.refusal is not Refusal.DISABLED or time.monotonic() > until_s:
                     raise
                 time.sleep(_ENABLE_RETRY_S)
             else:
-                break
-        self._set_switched_on(on=True)
-        self._monitor.poll()
+                return
 
     def _power_off(self) -> None:
         """Switch the drive off, clear its alarm, and clear the enable line even when the drive does not answer."""
