@@ -129,6 +129,9 @@ class EncoderInputSettings(Settings):
     b: InputTerminal = "PFI10"
     z: OptionalInputTerminal = "PFI9"
     """Index pulse; empty when it is not wired."""
+    z_phase: Literal["a_high_b_high", "a_high_b_low", "a_low_b_high", "a_low_b_low"] = "a_high_b_high"
+    """Levels of A and B at which a high Z sets the position: one count in four. It must be one at which the encoder's Z
+    is high, or the index is never found; the first is the card's default."""
     filter_ns: Literal[0, 125, 6425, 2_560_000] = 125
     """Shortest pulse that is counted; 6425 limits the speed to about 0.3 m/s."""
     reversed: bool = False

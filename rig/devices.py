@@ -241,6 +241,18 @@ class Stage(Protocol):
         """What drive and switches report, or None; read at every block, so it must not block."""
 
 
+@runtime_checkable
+class SupportsMotionTrial(Protocol):
+    """A stage whose first motion has to show that command, drive and encoder agree."""
+
+    @property
+    def trial_due(self) -> bool:
+        """Whether that is still to come."""
+
+    def prove_motion(self) -> None:
+        """Move by a millimetre and compare, if it is due; raises `DeviceError` when the three do not agree."""
+
+
 class Sampler(Protocol):
     """Hardware-timed acquisition of force, position and further channels."""
 

@@ -11,7 +11,7 @@ from threading import Event as Signal
 from typing import Protocol
 
 from dragrig.config import AbortedError, TrippedError
-from dragrig.rig.devices import Backend, StageLimits, TravelEnd
+from dragrig.rig.devices import Backend, StageLimits, SupportsMotionTrial, TravelEnd
 from dragrig.rig.engine import AcquisitionOutcome, attempt
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES, Guard
 from dragrig.rig.profile import MotionProfile, trapezoid
@@ -159,6 +159,8 @@ def reset_guard(backend: Backend, guard: Guard, operator: Operator) -> None:
     """
     if backend.needs_hands:
         text = "Check the rig: path clear, hands out, e-stop in reach. The guard is then reset"
+        if isinstance(stage := backend.stage, SupportsMotionTrial) and stage.trial_due:
+            text += ", and before anything else the stage moves by 1 mm, to show that drive and encoder agree"
         confirm(operator, Prompt(text))
     if backend.stage.state().fault is not None:
         # Switched off, a drive forgets an alarm whose cause was removed meanwhile; any other comes back.
@@ -180,11 +182,16 @@ def enable_and_home(backend: Backend, operator: Operator) -> None:
 
     Raises `AbortedError` when the person aborts, `DeviceError` when the drive refuses.
     """
-    backend.stage.enable()
-    if not backend.stage.state().homed:
+    stage = backend.stage
+    stage.enable()
+    if stage.state().homed:
+        # Now, before a capsule is put in, which a pulse would shear.
+        if isinstance(stage, SupportsMotionTrial):
+            stage.prove_motion()
+    else:
         if backend.needs_hands:
             confirm(operator, Prompt(HOMING_PROMPT))
-        backend.stage.home()
+        stage.home()
 
 
 def park(backend: Backend, ended_for: str = "") -> list[str]:

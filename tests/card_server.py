@@ -197,6 +197,7 @@ class ServiceCalls:
             request.name_to_assign_to_channel,
             request.zidx_enable,
             request.zidx_val,
+            request.zidx_phase_raw or request.zidx_phase,
             request.dist_per_pulse,
             request.initial_pos,
         )

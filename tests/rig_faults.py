@@ -27,6 +27,7 @@ from dragrig.campaign_session import Made
 from dragrig.config.errors import DragrigError
 from dragrig.config.settings import to_toml
 from dragrig.rig.hardware.dialects.base import Halt
+from dragrig.rig.hardware.drive.trial import PULSE_MM
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.reading import Reading
@@ -49,7 +50,7 @@ wait_s = 0.0
 way_back = "stay"
 """
 MOVED_MM = 0.1
-STRUCK_FROM_MM = START_MM + 0.5
+STRUCK_FROM_MM = START_MM + PULSE_MM + 0.5
 PATIENCE_S = 600.0
 _LOOK_S = 0.005
 DOCS = Path(__file__).parents[1] / "docs" / "faults.md"
@@ -148,7 +149,8 @@ class Bench:
     def until_under_way(
         self, while_: Callable[[], bool] = lambda: True, from_mm: float = STRUCK_FROM_MM
     ) -> StageStatus:
-        """Wait until the stage is in the middle of the drag."""
+        """Wait until the stage is in the middle of the drag: come from its start, and beyond the trial's pulse."""
+        self.until(lambda look: look.position_mm < STRUCK_FROM_MM, while_)
         return self.until(lambda look: look.speed_mm_s > 0 and look.position_mm >= from_mm, while_)
 
 

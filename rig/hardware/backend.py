@@ -31,7 +31,14 @@ from dragrig.rig import (
     WallClock,
     attempt,
 )
-from dragrig.rig.hardware.card import MAX_AGGREGATE_RATE_HZ, CardSampler, Connection, Scaling, driver_errors_wrapped
+from dragrig.rig.hardware.card import (
+    MAX_AGGREGATE_RATE_HZ,
+    CardSampler,
+    Connection,
+    PositionCounter,
+    Scaling,
+    driver_errors_wrapped,
+)
 from dragrig.rig.hardware.dialects import Command, Request, find_dialect
 from dragrig.rig.hardware.drive import (
     DriveLink,
@@ -465,9 +472,15 @@ class HardwareBackend:
             if self._rig.hardware.drive.mode == "velocity":
                 self._stage = VelocityModeStage(devices, _connected(self._connection), self._calibrations)
             else:
-                self._stage = PositionModeStage(devices)
+                self._stage = PositionModeStage(devices, self._spare_counter())
             self._open.callback(attempt, self._stage.close)
         return self._stage
+
+    def _spare_counter(self) -> PositionCounter:
+        """Return the counter that samples nothing, on the encoder as well."""
+        spare = "ctr1" if self._rig.hardware.card.encoder.counter == "ctr0" else "ctr0"
+        mm_per_count = Scaling.from_settings(self._rig, self._calibrations).mm_per_count
+        return PositionCounter(_connected(self._connection), spare, mm_per_count)
 
     def _check_owner(self) -> Iterator[RigCheck]:
         self._take_rig()

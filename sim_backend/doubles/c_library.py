@@ -128,7 +128,7 @@ def _task_functions(card: Card) -> Mapping[str, CFunction]:
 
     named = (c_char_p, c_char_p)
     unused_number, unused_text = _Unused(c_int32), _Unused(c_char_p)
-    encoder = (unused_number, c_uint32, c_double, unused_number, unused_number, c_double, c_double, unused_text)
+    encoder = (unused_number, c_uint32, c_double, c_int32, unused_number, c_double, c_double, unused_text)
     volts = (c_double, c_double, unused_number, unused_text)
     return {
         "CreateTask": ((c_char_p, POINTER(c_void_p)), create),

@@ -105,7 +105,8 @@ class DriveDouble:
                 self._end(Halt.DISABLED)
                 self._enabled = False
             if not self.bench.moving:
-                self._continue_homing()
+                if not self.bench.faults.active.carriage_blocked:
+                    self._continue_homing()
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)
             elif self._is_blocked(self._direction):

@@ -117,12 +117,16 @@ class VelocityInput:
     ----------
     may_go
         Whether the carriage may go in a direction, −1 or +1: a pressed limit switch forbids one.
+    sense
+        Sign of the speed at a positive voltage.
     """
 
-    def __init__(self, settings: VelocityOutputSettings, may_go: Callable[[float], bool]) -> None:
+    def __init__(
+        self, settings: VelocityOutputSettings, may_go: Callable[[float], bool], sense: Callable[[], float]
+    ) -> None:
         self._channel = settings.channel
         self._step_mm_s = INPUT_RESOLUTION_V * settings.per_V
-        self._may_go = may_go
+        self._may_go, self._sense = may_go, sense
         self.on = False
         """Whether the drive is switched on; when off, the voltage has no effect."""
         self.busy = False
@@ -145,7 +149,7 @@ class VelocityInput:
         self.busy = rate_hz > 0
         if not self.on:
             return None
-        targets = np.rint(volts / INPUT_RESOLUTION_V) * self._step_mm_s
+        targets = self._sense() * np.rint(volts / INPUT_RESOLUTION_V) * self._step_mm_s
         speed = carriage.speed(at_s)
         if abs(speed) <= _SPEED_TOLERANCE_MM_S and not targets.any() and not carriage.moving(at_s):
             return None
@@ -301,6 +305,16 @@ class ActiveFaults:
     """The switches' normally open contacts are wired."""
     enable_not_wired: bool = False
     """The drive is enabled whatever the enable line says."""
+    encoder_swapped: bool = False
+    """A and B of the encoder are exchanged, so that it counts the other way."""
+    encoder_scale: float = 1.0
+    """Counts of the encoder over those of the settings' resolution."""
+    index_phase: str = "a_high_b_high"
+    """State of A and B in which the index pulse is high, as `z_phase` of the settings."""
+    velocity_swapped: bool = False
+    """The two wires of the velocity command are exchanged."""
+    carriage_blocked: bool = False
+    """Nothing moves the carriage."""
     e_stop_pressed: bool = False
     limit_low_pressed: bool = False
     limit_high_pressed: bool = False
@@ -494,7 +508,9 @@ class SimulatedBench:
         self._since_s = clock.monotonic()
         self._carriage = self._felt = Carriage.standing(rig.stage.start_mm)
         lines = rig.hardware.card.lines
-        self._velocity_input = VelocityInput(rig.hardware.drive.velocity, self._may_go)
+        self._velocity_input = VelocityInput(
+            rig.hardware.drive.velocity, self._may_go, lambda: -1.0 if self.faults.active.velocity_swapped else 1.0
+        )
         self._relay = HeartbeatRelay(lines.heartbeat, lines.heartbeat_s)
         self._next_force = self._sensor_force(no_contact(), rig.sampling.rate_hz)
         self._sampling: _Sampling | None = None
@@ -526,7 +542,8 @@ class SimulatedBench:
     def follow(self, pieces: Sequence[Piece]) -> None:
         """Continue with `pieces` from the present position and speed."""
         with self._lock:
-            self._carriage = self._felt = self._carriage.followed(self._elapsed_s(), pieces)
+            if not self.faults.active.carriage_blocked:
+                self._carriage = self._felt = self._carriage.followed(self._elapsed_s(), pieces)
 
     def brake(self, deceleration_mm_s2: float) -> None:
         """Come to a standstill."""
@@ -562,7 +579,7 @@ class SimulatedBench:
         with self._lock:
             at_s -= self._since_s
             carriage = self._velocity_input.respond(self._carriage, at_s, output, volts, rate_hz)
-            if carriage is not None:
+            if carriage is not None and not self.faults.active.carriage_blocked:
                 duration_s = len(volts) / rate_hz if rate_hz else SETTLING_S
                 self._felt = simplified(self._felt, carriage, at_s, at_s + duration_s)
                 self._carriage = carriage
@@ -577,7 +594,7 @@ class SimulatedBench:
             held = self._velocity_input.on and abs(self.speed_mm_s()) < _MAX_HOLD_SPEED_MM_S
             if not self.moving or held:
                 self._stand(self.position_mm(), now_s)
-            counts = self._counts(np.array([self.position_mm()]))
+            counts = self.counts(np.array([self.position_mm()]))
             self._sampling = _Sampling(now_s, rate_hz, int(counts[0]), force)
             self._begin_push()
 
@@ -686,7 +703,7 @@ class SimulatedBench:
         if faults.sensor_open:
             volts[:] = 10.0 * np.sign(card.force.per_V)
         positions = self._carriage.positions(np.arange(first, end) / sampling.rate_hz + began_s)
-        counts = self._counts(positions) - sampling.origin_counts
+        counts = self.counts(positions) - sampling.origin_counts
         if faults.encoder_stuck:
             counts[:] = sampling.chunks[-1][1]["encoder_counts"][-1] if sampling.chunks else 0.0
         chunk = {"force_V": volts, "encoder_counts": counts}
@@ -700,6 +717,8 @@ class SimulatedBench:
         while len(sampling.chunks) > 1 and sampling.chunks[1][0] <= oldest:
             del sampling.chunks[0]
 
-    def _counts(self, position_mm: FloatArray) -> FloatArray:
-        counts = np.rint(position_mm * (1000.0 / self.rig.encoder.resolution_um))
-        return -counts if self.rig.hardware.card.encoder.reversed else counts
+    def counts(self, position_mm: FloatArray) -> FloatArray:
+        """Return the encoder's counts at positions, 0 at the index pulse."""
+        faults = self.faults.active
+        counts = np.rint(position_mm * (1000.0 * faults.encoder_scale / self.rig.encoder.resolution_um))
+        return -counts if self.rig.hardware.card.encoder.reversed is not faults.encoder_swapped else counts

@@ -16,6 +16,7 @@ import numpy as np
 from nidaqmx.constants import (
     AcquisitionType,
     EncoderType,
+    EncoderZIndexPhase,
     LengthUnits,
     OverwriteMode,
     ReadRelativeTo,
@@ -37,6 +38,13 @@ PULSES_PER_PERIOD = 4
 
 DAQmx takes the distance of a whole period (`CI.LinEncoder.DistPerPulse`) and divides it by the decoding itself.
 """
+
+_INDEX_PHASES = {
+    "a_high_b_high": EncoderZIndexPhase.AHIGH_BHIGH,
+    "a_high_b_low": EncoderZIndexPhase.AHIGH_BLOW,
+    "a_low_b_high": EncoderZIndexPhase.ALOW_BHIGH,
+    "a_low_b_low": EncoderZIndexPhase.ALOW_BLOW,
+}
 
 StreamRead = Callable[[FloatArray, int, float], int]
 """Reads samples of each channel: array, number of samples, longest wait [s]; returns how many arrived."""
@@ -206,6 +214,7 @@ def add_encoder_channel(
         f"{card.device}/{counter or encoder.counter}",
         decoding_type=EncoderType.X_4,
         zidx_enable=index,
+        zidx_phase=_INDEX_PHASES[encoder.z_phase],
         units=LengthUnits.METERS,
         dist_per_pulse=PULSES_PER_PERIOD * metres_a_count,
         initial_pos=start_m,

@@ -8,11 +8,21 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import nan
 from threading import Event as Signal
 
 from dragrig.config import DeviceError, reason_of
-from dragrig.rig import LIMIT_SWITCH_CAUSES, MotionProfile, Piece, StageLimits, TravelEnd, Trip, TripCause
-from dragrig.rig.hardware.dialects import Command, Parameter, Refusal, Request
+from dragrig.rig import (
+    LIMIT_SWITCH_CAUSES,
+    MotionProfile,
+    Piece,
+    StageLimits,
+    TravelEnd,
+    Trip,
+    TripCause,
+    limits_with_override,
+)
+from dragrig.rig.hardware.dialects import Command, Halt, Parameter, Refusal, Request, Status
 from dragrig.rig.hardware.drive.link import CancelledByStopError, RefusedError
 from dragrig.rig.hardware.drive.monitor import StageDevices
 from dragrig.rig.hardware.drive.stage_base import (
@@ -20,6 +30,13 @@ from dragrig.rig.hardware.drive.stage_base import (
     Movement,
     write_safeguards,
     write_travel,
+)
+from dragrig.rig.hardware.drive.trial import (
+    PULSE_ACCELERATION_MM_S2,
+    PULSE_MM,
+    PULSE_SPEED_MM_S,
+    PositionReader,
+    Pulse,
 )
 
 _STANDSTILL_MM_S = 1e-6
@@ -231,6 +248,15 @@ class StrokeMovement(Movement):
             raise CancelledByStopError("the stage was stopped before the motion was over.")
 
 
+class _PulseMovement(Movement):
+    """A motion that the program ends by a stop of its own, which is no fault."""
+
+    def stop_trip(self, status: Status, requested_s: float) -> Trip | None:
+        return None if status.halt is Halt.STOP else super().stop_trip(status, requested_s)
+
+
+_PULSE_TIMEOUT_S = 1.0
+_PULSE_POLL_S = 0.005
 _HOMING_POLL_S = 0.1
 _SILENCE_MARGIN_S = 0.2
 """For a drive without a silence timeout, whose enable line is cleared within 0.1 s after it."""
@@ -243,14 +269,22 @@ _HOMING_OVERTRAVEL_MM = 50.0
 class PositionModeStage(MonitoredStage):
     """One axis in position mode. It monitors drive and switches from its construction until `close`.
 
-    Raises `DeviceError` when the drive does not answer.
+    Parameters
+    ----------
+    counter
+        A counter of the card that nothing else uses, to compare drive and encoder; None on a bench without a card.
+
+    Raises
+    ------
+    DeviceError
+        When the drive does not answer.
     """
 
-    def __init__(self, devices: StageDevices) -> None:
+    def __init__(self, devices: StageDevices, counter: PositionReader | None = None) -> None:
         settings = devices.settings
         braking_s = settings.stage.max_speed_mm_s / settings.stage.stop_accel_mm_s2
         super().__init__(devices, settings.hardware.drive.silence_s + braking_s + _SILENCE_MARGIN_S)
-        self._devices = devices
+        self._devices, self._counter = devices, counter
         self._strokes: StrokeMovement | None = None
         self._link.on_stop(self._heed_stop)
         if self._tracker.status.moving:
@@ -306,6 +340,75 @@ class PositionModeStage(MonitoredStage):
 
     def _position_mm(self) -> float:
         return self._tracker.position_mm()
+
+    def _make_pulse(self, planned_at: int) -> Pulse | None:
+        counter = self._counter
+        if counter is None:
+            return None
+        try:
+            pulse = None if self._is_homed else self._measured(counter, self._pulse_homing, planned_at)
+            # A drive that came to its index meanwhile has another zero now.
+            return self._measured(counter, self._pulse_to, planned_at) if self._is_homed else pulse
+        finally:
+            counter.close()
+
+    def _measured(self, counter: PositionReader, pulse: Callable[[float, int], float], planned_at: int) -> Pulse:
+        comes_back = self._is_homed and self._override is None
+        counter.begin(0.0)
+        begin_mm = self._position_mm()
+        commanded_mm = pulse(begin_mm, planned_at)
+        measured = Pulse(commanded_mm, self._position_mm() - begin_mm, counter.read())
+        if comes_back and self._stop_count == planned_at and self.fault is None:
+            self._go(begin_mm, planned_at)
+        return measured
+
+    def _pulse_to(self, begin_mm: float, planned_at: int) -> float:
+        """Move by a pulse away from an overridden switch, or to where there is room; return its travel [mm]."""
+        limits = limits_with_override(self._limits, self._override, begin_mm)
+        upward = self._override is TravelEnd.LOW or (
+            self._override is None and begin_mm + PULSE_MM <= limits.highest_mm
+        )
+        travel_mm = PULSE_MM if upward else -PULSE_MM
+        write_travel(self._link, limits)
+        self._link.set(Parameter.SPEED_MM_S, min(PULSE_SPEED_MM_S, limits.speed_mm_s))
+        self._link.set(Parameter.ACCELERATION_MM_S2, min(PULSE_ACCELERATION_MM_S2, limits.acceleration_mm_s2))
+        self._go(begin_mm + travel_mm, planned_at)
+        return travel_mm
+
+    def _go(self, target_mm: float, planned_at: int) -> None:
+        movement = _PulseMovement(self._link, planned_at)
+        self._tracker.begin(movement)
+        try:
+            self._link.exchange(Request(Command.GO, value=target_mm), planned_at)
+        finally:
+            movement.mark_started()
+            movement.mark_complete()
+            self._await_standstill(self._drive.silence_s + _PULSE_TIMEOUT_S)
+
+    def _pulse_homing(self, begin_mm: float, planned_at: int) -> float:
+        """Begin to home and stop after a pulse's travel: a drive that is not homed may take no other command."""
+        side = TravelEnd(self._drive.homing_direction)
+        self._link.set(Parameter.HOMING_SPEED_MM_S, min(PULSE_SPEED_MM_S, self._drive.homing_speed_mm_s))
+        movement = _PulseMovement(self._link, planned_at)
+        self._monitor.tolerate(LIMIT_SWITCH_CAUSES[side])
+        self._tracker.begin(movement)
+        try:
+            self._link.exchange(Request(Command.HOME, value=-1.0 if side is TravelEnd.LOW else 1.0), planned_at)
+            movement.mark_started()
+            until_s = time.monotonic() + _PULSE_TIMEOUT_S
+            while abs(self._position_mm() - begin_mm) < PULSE_MM and time.monotonic() < until_s:
+                if movement.is_stopped or self.fault is not None:
+                    break
+                time.sleep(_PULSE_POLL_S)
+            self._link.exchange(Request(Command.STOP))
+        except DeviceError:
+            self._link.stop()
+            raise
+        finally:
+            movement.mark_started()
+            movement.mark_complete()
+            self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S)
+        return nan
 
     def _find_index(self, side: TravelEnd, planned_at: int) -> None:
         speed_mm_s, key = self._drive.homing_speed_mm_s, "hardware.drive.homing_speed_mm_s"

@@ -26,6 +26,7 @@ from dragrig.rig import (
 from dragrig.rig.hardware.dialects import Command, Halt, Parameter, Refusal, Request, Status
 from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError, RefusedError
 from dragrig.rig.hardware.drive.monitor import Monitor, StageDevices
+from dragrig.rig.hardware.drive.trial import Pulse
 
 POSITION_TOLERANCE_MM = 2e-3
 """A stage that stands a count or two beyond its limit is not refused."""
@@ -263,6 +264,7 @@ class MonitoredStage(ABC):
         # One command at a time; a stop waits for none.
         self._commands = threading.RLock()
         self._override: TravelEnd | None = None
+        self._trial_due = True
         self._tracker = DriveTracker(devices, self_stop_s, self._end_override)
         self._monitor = Monitor(devices, self._tracker.poll, self.stop, self._may_beat)
 
@@ -298,6 +300,22 @@ class MonitoredStage(ABC):
         refuse or are silent.
         """
 
+    @property
+    def trial_due(self) -> bool:
+        """Whether the first motion has yet to show that command, drive and encoder agree."""
+        return self._trial_due
+
+    def prove_motion(self) -> None:
+        """Move by a short pulse, if none has been made since connecting, and compare command, drive and encoder.
+
+        Homing and moves do so by themselves. Raises `DeviceError` as they do, and when the three do not agree.
+        """
+        planned_at = self._stop_count
+        with self._commands:
+            self._refuse_not_ready()
+            write_safeguards(self._link, self._settings)
+            self._prove_motion(planned_at)
+
     def home(self) -> None:
         """Find the index pulse, which becomes 0; return when the stage stands there, or at the soft limit next to it.
 
@@ -313,6 +331,7 @@ class MonitoredStage(ABC):
             side = TravelEnd(self._drive.homing_direction)
             self._refuse_not_ready(ignoring=LIMIT_SWITCH_CAUSES[side])
             write_safeguards(self._link, self._settings)
+            self._prove_motion(planned_at, ignoring=LIMIT_SWITCH_CAUSES[side])
             self._find_index(side, planned_at)
 
     def move(self, profile: MotionProfile) -> None:
@@ -329,8 +348,9 @@ class MonitoredStage(ABC):
                 raise DeviceError("the stage does not know its position: home it before it moves.")
             if profile.duration_s <= 0:
                 return
-            origin_mm = self._origin_mm()
-            self._follow(profile, origin_mm, self._checked_limits(profile, origin_mm), planned_at)
+            limits = self._checked_limits(profile, self._origin_mm())
+            self._prove_motion(planned_at)
+            self._follow(profile, self._origin_mm(), limits, planned_at)
 
     def await_end(self, cancel: Signal) -> None:
         """Wait until the motion begun last is over, for `guard.stale_data_s` at most: no sample is taken any more.
@@ -374,6 +394,26 @@ class MonitoredStage(ABC):
     def _origin_mm(self) -> float:
         """Return the position from which a motion starts."""
         return self._position_mm()
+
+    def _prove_motion(self, planned_at: int, ignoring: TripCause | None = None) -> None:
+        if not self._trial_due:
+            return
+        override = self._override
+        pulse = self._make_pulse(planned_at)
+        if override is not None:
+            # It holds for one motion, and that is still to come.
+            self.override_limit(override)
+            ignoring = LIMIT_SWITCH_CAUSES[override]
+        self._refuse_fault(ignoring)
+        if self._stop_count != planned_at:
+            raise DeviceError("the stage was stopped while a short motion was to show that it moves as told.")
+        if pulse is not None and (problem := pulse.problem(self._settings)):
+            raise DeviceError(f"the first motion was not as commanded, and nothing else moves: {problem}.")
+        self._trial_due = False
+
+    @abstractmethod
+    def _make_pulse(self, planned_at: int) -> Pulse | None:
+        """Move by a pulse and return it; None where there is no encoder to compare with."""
 
     @abstractmethod
     def _find_index(self, side: TravelEnd, planned_at: int) -> None:

@@ -326,12 +326,12 @@ class VelocityLoop:
         """Number of stops requested so far: `follow` drops what was planned at a lower count."""
         return self._stop_count
 
-    def start(self) -> None:
-        """Hold the stage where it is; raises `DeviceError` when the card refuses."""
+    def start(self, *, closed: bool = True) -> None:
+        """Hold the stage where it is, or put out 0 V unless `closed`; raises `DeviceError` when the card refuses."""
         with self._busy:
             self._ended.clear()
             self._handled_stops = self._stop_count
-            self._streamer.begin(MotionCommand.hold(self._counter.read()))
+            self._streamer.begin(MotionCommand.hold(self._counter.read()) if closed else MotionCommand.rest())
         self._thread = threading.Thread(target=self._run, name="velocity loop", daemon=True)
         self._thread.start()
 
@@ -358,6 +358,11 @@ class VelocityLoop:
             self._sync.set_moving(True)
         while not self._sync.armed and self._sync.moving and self._streamer.generated <= first:
             self._clock.sleep(1.0 / self._velocity.rate_hz, self._ended)
+
+    def hold(self) -> None:
+        """Hold the stage where it is from here on; raises `DeviceError` when the position cannot be read."""
+        with self._busy:
+            self._controller.follow(MotionCommand.hold(self._counter.read()))
 
     def brake(self) -> int:
         """Come to a standstill, beginning once what is written is put out; return the new `stop_count`.

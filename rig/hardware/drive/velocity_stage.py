@@ -14,6 +14,7 @@ from dragrig.rig import LIMIT_SWITCH_CAUSES, MotionProfile, StageLimits, TravelE
 from dragrig.rig.hardware.card import AO_RANGE_V, Connection, PositionCounter, Scaling, VoltageOutput
 from dragrig.rig.hardware.drive.monitor import StageDevices
 from dragrig.rig.hardware.drive.stage_base import MonitoredStage, write_safeguards, write_travel
+from dragrig.rig.hardware.drive.trial import PULSE_ACCELERATION_MM_S2, PULSE_MM, PULSE_SPEED_MM_S, Pulse
 from dragrig.rig.hardware.drive.velocity_loop import VelocityLoop, first_motion_s
 
 _UNREFERENCED_MM = 10_000.0
@@ -58,12 +59,22 @@ class IndexSearch:
                 f"hardware.card.lines.limit_{side} and hardware.card.encoder.z."
             )
         direction = -1.0 if side is TravelEnd.LOW else 1.0
+        travel_mm = self._stage.highest_mm - self._stage.lowest_mm
         if not self._is_pressed(side):
-            switch = f"the {side} limit switch"
-            planned_at = self._creep(direction, lambda: self._is_pressed(side), switch, planned_at)
+            planned_at = self._creep(
+                direction * (travel_mm + _HOMING_OVERTRAVEL_MM),
+                lambda: self._is_pressed(side),
+                f"the {side} limit switch was found: see what stopped the stage",
+                planned_at,
+            )
+        # Passed from the switch alone, because the place of an index pulse is repeatable from one side only.
         self._loop.reset_counter(_UNREFERENCED_MM, index=True)
         planned_at = self._creep(
-            -direction, lambda: abs(self._loop.position_mm()) < _UNREFERENCED_MM / 2, "the index pulse", planned_at
+            -direction * travel_mm,
+            lambda: abs(self._loop.position_mm()) < _UNREFERENCED_MM / 2,
+            "the index pulse was found: see what stopped the stage; if nothing did, check z and z_phase of "
+            "hardware.card.encoder",
+            planned_at,
         )
         position_mm = self._loop.position_mm()
         self._loop.reset_counter(position_mm, index=False)
@@ -78,10 +89,9 @@ class IndexSearch:
         if self._loop.stop_count != planned_at:
             raise DeviceError("homing was stopped: home again.")
 
-    def _creep(self, direction: float, is_there: Callable[[], bool], target: str, planned_at: int) -> int:
-        """Move slowly until `is_there`, then brake; return the loop's new `stop_count`."""
-        travel_mm = self._stage.highest_mm - self._stage.lowest_mm + _HOMING_OVERTRAVEL_MM
-        self._loop.follow(self._travel(direction * travel_mm), self._loop.position_mm(), planned_at, closed=False)
+    def _creep(self, travel_mm: float, is_there: Callable[[], bool], aim: str, planned_at: int) -> int:
+        """Move slowly by `travel_mm` at most, until `is_there`, then brake; return the loop's new `stop_count`."""
+        self._loop.follow(self._travel(travel_mm), self._loop.position_mm(), planned_at, closed=False)
         reached = False
         while self._sync.moving:
             if not reached and is_there():
@@ -93,7 +103,7 @@ class IndexSearch:
             self._loop.position_mm()
             self._clock.sleep(_POLL_S, threading.Event())
         if not reached or self._loop.stop_count != planned_at:
-            raise DeviceError(f"homing ended before {target} was found: see what stopped the stage, then home again.")
+            raise DeviceError(f"homing ended before {aim}, then home again.")
         return planned_at
 
     def _poll_while(self, condition: Callable[[], bool]) -> None:
@@ -111,6 +121,8 @@ class IndexSearch:
 
 
 _STANDSTILL_TIMEOUT_S = 1.0
+_PULSE_SETTLING_S = 0.05
+"""Added to the drive's lag, after which it stands at 0 V."""
 _MAX_HOLD_ERROR_MM = 0.02
 
 
@@ -165,7 +177,8 @@ class VelocityModeStage(MonitoredStage):
                 return
             self._output.zero()
             self._power_on()
-            self._loop.start()
+            # A loop whose sense is unknown may run away.
+            self._loop.start(closed=not self.trial_due)
 
     def stop(self) -> None:
         """Brake to a standstill; the voltage goes down as soon as what is written is put out."""
@@ -204,6 +217,24 @@ class VelocityModeStage(MonitoredStage):
         hold_mm = self._loop.hold_position_mm()
         inside_mm = min(max(hold_mm, self._limits.lowest_mm), self._limits.highest_mm)
         return inside_mm if abs(inside_mm - hold_mm) <= _MAX_HOLD_ERROR_MM else hold_mm
+
+    def _make_pulse(self, planned_at: int) -> Pulse:
+        switches, low_first = self._lines.read_switches(), self._drive.homing_direction == "low"
+        upward = switches.limit_low or (not low_first and not switches.limit_high)
+        travel_mm = PULSE_MM if upward else -PULSE_MM
+        speed_mm_s = min(PULSE_SPEED_MM_S, self._limits.speed_mm_s)
+        acceleration = min(PULSE_ACCELERATION_MM_S2, self._limits.acceleration_mm_s2)
+        profile = MotionProfile.from_pieces(trapezoid(travel_mm, speed_mm_s, acceleration))
+        driven_from_mm, counted_from_mm = self._tracker.position_mm(), self._loop.position_mm()
+        self._loop.follow(profile, counted_from_mm, planned_at, closed=False)
+        self._await_standstill(_STANDSTILL_TIMEOUT_S)
+        self._clock.sleep(_PULSE_SETTLING_S + self._drive.velocity.lag_s, threading.Event())
+        pulse = Pulse(
+            travel_mm, self._tracker.position_mm() - driven_from_mm, self._loop.position_mm() - counted_from_mm
+        )
+        if not pulse.problem(self._settings):
+            self._loop.hold()
+        return pulse
 
     def _find_index(self, side: TravelEnd, planned_at: int) -> None:
         self._homed, self._homing = False, True

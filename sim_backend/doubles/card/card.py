@@ -11,6 +11,7 @@ import time
 import numpy as np
 from nidaqmx.constants import (
     ChannelType,
+    EncoderZIndexPhase,
     FillMode,
     OverwriteMode,
     ReadRelativeTo,
@@ -110,6 +111,7 @@ class Card:
         name: str,
         z_enable: bool,
         z_value_m: float,
+        z_phase: int,
         distance_per_pulse_m: float,
         initial_position_m: float,
     ) -> None:
@@ -117,7 +119,9 @@ class Card:
         with self._changed:
             added = self._engine.add(task, [pci6229.encoder_counter(self._device, counter, name)])
             count_m = distance_per_pulse_m / _PULSES_PER_PERIOD
-            added.encoder = EncoderChannel(count_m, initial_position_m, bool(z_enable), z_value_m)
+            added.encoder = EncoderChannel(
+                count_m, initial_position_m, bool(z_enable), z_value_m, EncoderZIndexPhase(z_phase)
+            )
 
     def create_di_chan(self, task: int, lines: str, name: str, grouping: int) -> None:
         """Add digital inputs."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
-from nidaqmx.constants import ChannelType, LineGrouping, TerminalConfiguration, UsageTypeCI
+from nidaqmx.constants import ChannelType, EncoderZIndexPhase, LineGrouping, TerminalConfiguration, UsageTypeCI
 from nidaqmx.error_codes import DAQmxErrors as Status
 from nidaqmx.errors import DaqError
 from nidaqmx.utils import unflatten_channel_string
@@ -117,6 +117,12 @@ TERMINALS = (*(f"PFI{number}" for number in range(16)), AI_SAMPLE_CLOCK, AI_STAR
 _HALF_CODES = 2.0**15
 
 _TERMINAL_ATTRIBUTES = (Attribute.CI_A_TERMINAL, Attribute.CI_B_TERMINAL, Attribute.CI_Z_TERMINAL)
+INDEX_PHASES = {
+    "a_high_b_high": EncoderZIndexPhase.AHIGH_BHIGH,
+    "a_high_b_low": EncoderZIndexPhase.AHIGH_BLOW,
+    "a_low_b_high": EncoderZIndexPhase.ALOW_BHIGH,
+    "a_low_b_low": EncoderZIndexPhase.ALOW_BLOW,
+}
 _FILTER_ATTRIBUTES = (Attribute.CI_A_FILTER, Attribute.CI_B_FILTER, Attribute.CI_Z_FILTER)
 _FILTER_WIDTH_ATTRIBUTES = (Attribute.CI_A_FILTER_S, Attribute.CI_B_FILTER_S, Attribute.CI_Z_FILTER_S)
 
@@ -146,6 +152,8 @@ class EncoderChannel:
     index: bool
     index_m: float
     """`index`, `index_m`: whether the index pulse sets the position, and to what."""
+    index_phase: EncoderZIndexPhase
+    """State of A and B in which it does."""
 
 
 def analog_channels(

@@ -20,6 +20,8 @@ from dragrig.sim_backend.doubles.card.pci6229 import CardError, EncoderChannel, 
 from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 
 _MIN_WAIT_S = 2e-4
+INDEX_HYSTERESIS_COUNTS = -20
+"""Where the index pulse is when it is passed downwards: its place is repeatable from one side only."""
 
 
 class SampleSource(Protocol):
@@ -85,7 +87,13 @@ class EncoderCounter:
         terminals = (wired.a.lower(), wired.b.lower())
         # Swapped terminals count backwards; other terminals carry no signal.
         self._sense = {terminals: 1, terminals[::-1]: -1}.get((a, b), 0)
-        self._index = encoder.index and bool(wired.z) and z == wired.z.lower()
+        self._index = (
+            encoder.index
+            and bool(wired.z)
+            and z == wired.z.lower()
+            and encoder.index_phase is pci6229.INDEX_PHASES[bench.faults.active.index_phase]
+        )
+        self._index_count = 0
         self._start_count = self._last_count = count_now(bench)
         self._indexed = False
         self._indexed_from: int | None = None
@@ -147,12 +155,13 @@ class EncoderCounter:
         before = encoder.start_m + self._sense * (counts - self._start_count) * encoder.count_m
         if indexed_from >= len(counts):
             return np.asarray(before)
-        after = encoder.index_m + self._sense * counts * encoder.count_m
+        after = encoder.index_m + self._sense * (counts - self._index_count) * encoder.count_m
         return np.where(np.arange(len(counts)) < indexed_from, before, after)
 
     def _pass_over(self, count: int) -> None:
         if self._index and (self._last_count < 0) != (count < 0):
             self._indexed = True
+            self._index_count = INDEX_HYSTERESIS_COUNTS if count < 0 else 0
         self._last_count = count
 
     def _search_index(self, end: int) -> None:
@@ -167,8 +176,7 @@ class EncoderCounter:
 
 def count_now(bench: SimulatedBench) -> int:
     """Return the encoder's present count."""
-    count = round(bench.position_mm() * (1000.0 / bench.rig.encoder.resolution_um))
-    return -count if bench.rig.hardware.card.encoder.reversed else count
+    return int(bench.counts(np.array([bench.position_mm()]))[0])
 
 
 class InputBuffer:
