@@ -269,7 +269,15 @@ def run_session(
     )
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         further = len(backend.sampler.channels) - 2
-        preflight(left, setup.rig, backend.stage.limits, options.folder, setup.plan_source, further).require()
+        preflight(
+            left,
+            setup.rig,
+            backend.stage.limits,
+            options.folder,
+            setup.plan_source,
+            further,
+            has_drive=backend.needs_hands,
+        ).require()
         if backend.needs_hands and (remark := specimen_remark(setup.specimen)):
             options.tell(f"{remark}.")
         record = _session_record(setup, backend, options, calibrations)

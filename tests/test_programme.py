@@ -1,5 +1,6 @@
 """Plans become runs: orders, ways back, prompts, and what is refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -157,6 +158,36 @@ def test_impossible_plans_are_found_before_anything_moves(step: dict[str, object
     assert any(words in finding for finding in report.findings)
     with pytest.raises(PlanError, match=r"p\.toml"):
         report.require()
+
+
+def test_the_way_that_a_stage_goes_on_without_its_program_is_told(tmp_path: Path) -> None:
+    step = {"kind": "drag", "speed_mm_s": 20, "travel_mm": 60, "way_back": "stay"}
+    rig = parse(RigSettings, {"hardware": {"drive": {"silence_s": 0.5}}}, "rig.toml")
+    assert preflight(made(step), rig, LIMITS, tmp_path, "p.toml").remarks == ()
+    report = preflight(made(step), rig, LIMITS, tmp_path, "p.toml", has_drive=True)
+    (remark,) = report.remarks
+    # 20 mm/s for 0.5 s, and 0.07 mm to brake.
+    assert "at up to 20 mm/s by up to 10.1 mm, never beyond the end of its stroke" in remark
+    assert report.findings == ()
+    short = preflight(made({**step, "travel_mm": 4}), rig, LIMITS, tmp_path, "p.toml", has_drive=True)
+    assert "by up to 3.9 mm" in short.remarks[0]
+
+
+@pytest.mark.parametrize(("travel_mm", "reached"), [(95, 144.6), (-38, -7.6)])
+def test_a_voltage_that_stays_on_must_not_carry_the_stage_to_an_end(
+    travel_mm: float, reached: float, tmp_path: Path
+) -> None:
+    velocity = {"drive": {"mode": "velocity", "silence_s": 0.5}, "card": {"lines": {"heartbeat": "port1/line4"}}}
+    rig = parse(RigSettings, {"hardware": velocity}, "rig.toml")
+    step = {"kind": "drag", "speed_mm_s": 20, "travel_mm": travel_mm, "way_back": "stay"}
+    limits = replace(LIMITS, highest_mm=140.0)
+    assert preflight(made(step), rig, limits, tmp_path, "p.toml").findings == ()
+    report = preflight(made(step), rig, limits, tmp_path, "p.toml", has_drive=True)
+    (finding,) = report.findings
+    # From 0.5 mm before its end on, it brakes.
+    assert f"would go on to {reached} mm, beyond the limit" in finding
+    shorter = preflight(made({**step, "travel_mm": 0.7 * travel_mm}), rig, limits, tmp_path, "p.toml", has_drive=True)
+    assert shorter.findings == ()
 
 
 def test_a_full_disk_is_found_before_anything_moves(tmp_path: Path) -> None:

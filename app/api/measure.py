@@ -112,10 +112,13 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
     setup = resolve(plan, **choices)
     find_backend(setup.backend, double=setup.double)
     folder = Path(out) if out is not None else setup.data_root
-    further = len(setup.rig.hardware.card.inputs) if setup.backend == "hardware" else None
-    checked = preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further)
-    remark = specimen_remark(setup.specimen) if setup.backend == HARDWARE_BACKEND else ""
-    return replace(checked, remarks=(remark,) if remark else ())
+    is_real = setup.backend == HARDWARE_BACKEND
+    further = len(setup.rig.hardware.card.inputs) if is_real else None
+    checked = preflight(
+        setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further, has_drive=is_real
+    )
+    remark = specimen_remark(setup.specimen) if is_real else ""
+    return replace(checked, remarks=(remark, *checked.remarks) if remark else checked.remarks)
 
 
 def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[SetupChoices]) -> tuple[Run, ...]:
