@@ -116,7 +116,9 @@ class RunningAcquisition:
         )
         self._expected = acquisition.profile.samples(self._rate_hz)
         self._began_s = self._clock.monotonic()
-        self._settle_until_s = 0.0
+        self._settle_until_s = self._braking_from_s = 0.0
+        self._stopped_at_mm: float | None = None
+        self._position_mm = 0.0
         self._samples = 0
         self._end_index = 0
         self._force_sum = 0.0
@@ -210,7 +212,7 @@ class RunningAcquisition:
             self.ended, self._status, self._reason = True, status, reason
             braking_from = max(self._end_index / self._rate_hz, now_s - self._began_s)
             stopped = self._acquisition.profile.stopped(braking_from, self._stop_accel, _SETTLING_S)
-            self._settle_until_s = stopped.duration_s
+            self._settle_until_s, self._braking_from_s = stopped.duration_s, braking_from
             self._setpoints.replace(stopped)
             with suppress(RecordingError):
                 self._note("trip" if status is RunStatus.TRIPPED else "stop", reason or "aim reached", braking_from)
@@ -231,6 +233,9 @@ class RunningAcquisition:
     def finish(self) -> AcquisitionOutcome:
         """Stop sampling, close the record and return the outcome; every step is made even if others fail."""
         failures = [text for step in (self._stage.stop, self._sampler.stop) if (text := attempt(step))]
+        if self._stopped_at_mm is not None:
+            travel_mm = abs(self._position_mm - self._stopped_at_mm)
+            attempt(lambda: self._note("stopped", f"{travel_mm:.2f} mm after the stop, at {self._position_mm:.2f} mm"))
         if failures and self._status is RunStatus.COMPLETE:
             self._status = RunStatus.FAILED
         report = self._checks.report()
@@ -268,6 +273,7 @@ class RunningAcquisition:
         self._checks.add(reading, extremes, raw, commanded=not self.ended)
         self._samples += block.samples
         self._end_index = block.end_index
+        self._follow_stop(reading)
         self._force_sum += float(np.add.reduce(raw, dtype=np.float64))
         self._mark_phases(reading)
         if self._view is not None:
@@ -278,6 +284,14 @@ class RunningAcquisition:
                 self._note("view", f"the viewer failed and gets no more data: {error}")
         if self._sink is not None:
             self._sink.offer(reading.first_index, reading.arrays())
+
+    def _follow_stop(self, reading: Reading) -> None:
+        """Remember where the stage was when it was stopped, and where it is."""
+        position = reading.channels["position"]
+        self._position_mm = float(position[-1])
+        into = round(self._braking_from_s * self._rate_hz) - reading.first_index
+        if self.ended and self._stopped_at_mm is None and into < len(position):
+            self._stopped_at_mm = float(position[max(into, 0)])
 
     def _mark_phases(self, reading: Reading) -> None:
         phase = reading.phase

@@ -198,8 +198,13 @@ def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> Non
     assert run.info.status is RunStatus.TRIPPED
     assert run.info.reason.startswith(cause)
     assert len(run.trace.time) >= 1400
-    assert "trip" in {event.kind for event in run.events}
+    events = {event.kind: event for event in run.events}
+    assert "trip" in events
     if cause == "force":
+        stopped_at_mm = float(np.interp(events["trip"].time_s, run.trace.time, run.trace.position))
+        went_on_mm = float(events["stopped"].message.split()[0])
+        assert went_on_mm == pytest.approx(abs(run.trace.position[-1] - stopped_at_mm), abs=0.03)
+        assert went_on_mm > 0.05
         np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.003)
     with pytest.raises(TrippedError, match="reset"):
         session.engine.acquire(run_acquisition(0, session._programme.runs[0], 0.0))

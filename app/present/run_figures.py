@@ -249,7 +249,7 @@ def _longest_phases(parts: Sequence[PhaseInterval], limits: tuple[float, float])
     return sorted(longest.values(), key=lambda part: part.start_s)
 
 
-ORDINARY_EVENTS = frozenset({"start", "phase", "end", "import", "filter"})
+ORDINARY_EVENTS = frozenset({"start", "phase", "stopped", "end", "import", "filter"})
 """Kinds of events that are no alarm: phases are shaded, remarks of an import or the filter are listed by `info`."""
 
 GAP = "gap"

@@ -11,7 +11,7 @@ from typing import Protocol
 from dragrig.config import RigSettings
 
 PULSE_MM = 1.0
-PULSE_SPEED_MM_S = 10.0
+PULSE_SPEED_MM_S = 5.0
 PULSE_ACCELERATION_MM_S2 = 500.0
 _MIN_DRIVEN_MM = 0.1
 _MIN_COUNTS = 5
