@@ -231,15 +231,20 @@ class DriveSettings(Settings):
     port: str = Field(default="COM1", min_length=1)
     """Serial port, or socket://host:port."""
     dialect: str = "nikki"
-    """Protocol of the drive: a module of dragrig.rig.hardware.dialects, or any other that Python can import."""
+    """Protocol of the drive: nikki, copley, modbus, or any module that Python can import."""
     baud: int = Field(default=38_400, ge=1200, le=4_000_000)
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: Literal[1, 2] = 1
-    station: int = Field(default=1, ge=0, le=99)
+    station: int = Field(default=1, ge=0, le=247)
+    """Number of the drive on its line; copley: 0 for the drive that the cable is plugged into."""
+    counts_per_mm: float = Field(default=0.0, ge=0)
+    """Counts of the drive's own encoder in a millimetre; 0 for a dialect that does without."""
+    thrust_N_per_A: float = Field(default=0.0, ge=0)
+    """Thrust of the motor per ampere of the drive's current; 0 for a dialect that does without."""
     reply_s: float = Field(default=0.1, gt=0, le=2)
     """Longest time for a reply."""
     silence_s: float = Field(default=0.5, ge=0.05, le=5)
-    """Time without a command after which the drive stops by itself."""
+    """Time without a command after which the drive stops by itself, if its dialect has such a timeout."""
     thrust_limit_N: float = Field(default=20.0, gt=0)
     """Written to the drive and read back before every run."""
     homing_speed_mm_s: float = Field(default=5.0, gt=0, le=50)

@@ -68,7 +68,7 @@ class DrivePort(ABC):
         if self._drive.bench.faults.active.drive_cut_off:
             return
         self._received += received
-        while length := self._drive.dialect.frame_length(self._received):
+        while length := self._drive.frame_length(self._received):
             frame, self._received = self._received[:length], self._received[length:]
             if reply := self._drive.answer(frame):
                 self._answer(reply)

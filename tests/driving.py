@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
@@ -12,7 +12,6 @@ from simulated import settings
 
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.rig.hardware.dialects.base import find_dialect
-from dragrig.rig.hardware.dialects.nikki import DIALECT
 from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.monitor import StageDevices, Watchdog
 from dragrig.rig.hardware.drive.position_mode import PositionModeStage
@@ -113,13 +112,14 @@ class Driven:
 
 @contextmanager
 def linked(
-    kind: type[DrivePort] = ANY_PORT, pace: float = 1.0, **drive: object
+    kind: type[DrivePort] = ANY_PORT, pace: float = 1.0, program: Mapping[str, object] | None = None, **drive: object
 ) -> Iterator[tuple[DriveDouble, DriveLink]]:
-    """A drive's double whose enable line is not wired, and a link to it."""
+    """A drive's double whose enable line is not wired, and a link to it, with other settings if `program` says so."""
     rig = settings(hardware={"drive": {"reply_s": 0.5, **drive}, "card": {"lines": {"enable": ""}}})
     bench = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
-    with DriveDouble(bench, DIALECT) as double, kind(double) as port:
-        link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), DIALECT)
+    with DriveDouble(bench) as double, kind(double) as port:
+        reached = rig.hardware.drive.model_copy(update={"port": port.address, **(program or {})})
+        link = DriveLink(reached, find_dialect(reached.dialect))
         try:
             yield double, link
         finally:
@@ -151,7 +151,7 @@ def driven(
     bench.end_sampling()
     with ExitStack() as stack:
         dialect = find_dialect(rig.hardware.drive.dialect)
-        double = stack.enter_context(DriveDouble(bench, dialect))
+        double = stack.enter_context(DriveDouble(bench))
         port = stack.enter_context(kind(double))
         link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), dialect)
         stack.callback(link.close)

@@ -38,7 +38,6 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.settings import find_settings, read_settings_file, suggestion
 from dragrig.rig.devices import Acquisition
-from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.drive_double import make_drive_double
 from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults, DoubleClock, FaultInjector, SimulatedBench
@@ -146,7 +145,6 @@ class _ControlHandler(socketserver.StreamRequestHandler):
 def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
     """Let the doubles live until standard input ends or the control socket says so; raises `DragrigError`."""
     end = Signal()
-    wired = rig.hardware
     bench = SimulatedBench(rig, model, DoubleClock(pace))
 
     def look() -> StageStatus:
@@ -162,7 +160,7 @@ def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
 
     with ExitStack() as opened:
         card = opened.enter_context(CardServer(Card(bench, bench.put_out)))
-        drive = opened.enter_context(make_drive_double(bench, find_dialect(wired.drive.dialect), wired.drive.station))
+        drive = opened.enter_context(make_drive_double(bench))
         port = opened.enter_context(SocketPort(drive))
         control = opened.enter_context(ControlServer(bench.faults, bench.present, look, end))
         threading.Thread(target=_end_with_parent, args=(end,), name="parent", daemon=True).start()

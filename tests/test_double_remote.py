@@ -304,16 +304,18 @@ class Caller:
 
     def __init__(self, doubles: RemoteDoubles) -> None:
         drive = doubles.rig().hardware.drive
-        self._dialect = find_dialect(drive.dialect)
-        self._station = drive.station
+        self._dialect, self._drive = find_dialect(drive.dialect), drive
         self._serial = serial.serial_for_url(drive.port, timeout=10.0)
 
     def ask(self, command: Command, parameter: Parameter | None = None, value: float | None = None) -> Reply:
-        self._serial.write(self._dialect.encode(Request(command, parameter, value), self._station))
+        request = Request(command, parameter, value)
+        [frame] = self._dialect.encode(request, self._drive)
+        self._serial.write(frame)
         received = b""
         while not self._dialect.frame_length(received):
             received += self._serial.read(1)
-        reply = self._dialect.decode(received, self._station)
+        reply = self._dialect.decode(request, (received,), self._drive)
+        assert reply is not None
         assert reply.refusal is None, reply
         return reply
 

@@ -3,22 +3,27 @@
 import os
 import re
 import signal
+import socket
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 
 import pytest
 from drive_ports import DrivePort, PtyPort, SocketPort
-from driving import PORTS, linked, until
+from driving import ANY_PORT, PORTS, linked, until
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import DriveSettings
-from dragrig.rig.hardware.dialects.base import Command, Parameter, Request
+from dragrig.rig.hardware.dialects.base import Command, Parameter, Request, find_dialect
 from dragrig.rig.hardware.dialects.nikki import DIALECT
 from dragrig.rig.hardware.drive.link import CancelledByStopError, DriveLink, NoReplyError, RefusedError
 
 STATUS, POSITION, STOP = Request(Command.STATUS), Request(Command.POSITION), Request(Command.STOP)
 GO = Request(Command.GO, value=10.0)
 REPLY_S = 0.8
+COPLEY = {"dialect": "copley", "station": 0, "counts_per_mm": 1000.0, "thrust_N_per_A": 8.0}
+MODBUS = {"dialect": "modbus"}
 
 
 @pytest.mark.parametrize("kind", PORTS)
@@ -39,20 +44,119 @@ def test_a_refusal_says_why() -> None:
         link.exchange(GO)
 
 
-@pytest.mark.parametrize("kind", PORTS)
-def test_a_late_reply_answers_no_later_request(kind: type[DrivePort]) -> None:
-    with linked(kind, reply_s=REPLY_S) as (drive, link):
+@pytest.mark.parametrize(
+    ("kind", "spoken"),
+    [pytest.param(*port.values, {}, id=str(port.id), marks=port.marks) for port in PORTS]
+    + [(ANY_PORT, COPLEY), (SocketPort, COPLEY), (ANY_PORT, MODBUS)],
+)
+def test_a_late_reply_answers_no_later_request(kind: type[DrivePort], spoken: dict[str, object]) -> None:
+    reply_s = REPLY_S / 2 if spoken else REPLY_S
+    with linked(kind, reply_s=reply_s, **spoken) as (drive, link):
         link.set(Parameter.THRUST_LIMIT_N, 7.0)
         link.set(Parameter.SPEED_MM_S, 9.0)
-        drive.bench.faults.inject(drive_reply_late_s=1.4 * REPLY_S)
+        drive.bench.faults.inject(drive_reply_late_s=1.4 * reply_s)
         for _ in range(2):
-            # Answered, if at all, by the reply to the try before.
-            link.exchange(Request(Command.READ, Parameter.THRUST_LIMIT_N))
+            # Where replies repeat the command, the one to the try before answers; where not, none is believed.
+            with nullcontext() if not spoken else pytest.raises(NoReplyError):
+                link.exchange(Request(Command.READ, Parameter.THRUST_LIMIT_N))
         drive.bench.faults.clear()
-        late_until_s = time.monotonic() + 2 * REPLY_S
+        late_until_s = time.monotonic() + 2 * reply_s
         while time.monotonic() < late_until_s:
-            reply = link.exchange(Request(Command.READ, Parameter.SPEED_MM_S))
-            assert (reply.parameter, reply.value) == (Parameter.SPEED_MM_S, 9.0)
+            assert link.exchange(Request(Command.READ, Parameter.SPEED_MM_S)).value == pytest.approx(9.0)
+
+
+def test_a_stop_goes_out_at_once_although_no_reply_can_be_told_from_a_late_one() -> None:
+    with linked(reply_s=REPLY_S, **COPLEY) as (drive, link):
+        drive.bench.faults.inject(drive_silent=True)
+        with pytest.raises(NoReplyError):
+            link.exchange(GO)
+        link.stop()
+        assert until(lambda: STOP in drive.requests) < REPLY_S / 2
+        drive.bench.faults.clear()
+        # Only one that is sent on a quiet line is known to be heard.
+        link.exchange(POSITION)
+        assert drive.requests.count(STOP) >= 2
+        before = drive.requests.count(STOP)
+        link.exchange(POSITION)
+        assert drive.requests.count(STOP) == before
+
+
+def test_a_stop_between_two_frames_of_a_move_drops_it() -> None:
+    with linked(reply_s=REPLY_S, **COPLEY) as (drive, link):
+        link.exchange(Request(Command.ENABLE))
+        planned = link.stop_count
+        errors: list[DeviceError] = []
+        drive.bench.faults.inject(drive_reply_late_s=REPLY_S / 4)
+
+        def go() -> None:
+            try:
+                link.exchange(GO, planned)
+            except DeviceError as error:
+                errors.append(error)
+
+        sender = threading.Thread(target=go)
+        sender.start()
+        until(lambda: drive.answer(b"g r0xca\r") == b"v 10000\r")
+        link.stop()
+        sender.join()
+        assert [type(error) for error in errors] == [CancelledByStopError]
+        assert STOP in drive.requests
+        assert GO not in drive.requests
+
+
+@contextmanager
+def talker(says: bytes, unasked: bool = False) -> Iterator[str]:
+    """The far end of a line that says what no dialect knows: when it is asked, or all the time; its port."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def talk() -> None:
+        client, _ = listener.accept()
+        with suppress(OSError), client:
+            while unasked or client.recv(100):
+                client.sendall(says)
+                time.sleep(0.01)
+
+    thread = threading.Thread(target=talk)
+    with listener:
+        thread.start()
+        yield f"socket://127.0.0.1:{listener.getsockname()[1]}"
+        thread.join()
+
+
+@pytest.mark.parametrize("dialect", ["nikki", "copley", "modbus"])
+def test_bytes_that_cannot_be_read_lead_to_the_settings_in_their_order(dialect: str) -> None:
+    # What a frame at twice the rate may look like.
+    with talker(b"\xf8\x80\x1e\x00\xe6\x98\r\x03\xf80000") as port:
+        drive = DriveSettings(port=port, reply_s=0.2, dialect=dialect, baud=19_200, parity="even", station=3)
+        link = DriveLink(drive, find_dialect(dialect))
+        with pytest.raises(NoReplyError) as refused:
+            link.exchange(STATUS)
+        link.close()
+    assert re.search(
+        r"13 bytes came.*in this order, hardware\.drive\.baud = 19200, parity = 'even', station = 3 and "
+        rf"dialect = '{dialect}'",
+        str(refused.value),
+    )
+
+
+def test_a_drive_that_goes_on_sending_unasked_is_told() -> None:
+    with talker(b"v 1\r", unasked=True) as port:
+        link = DriveLink(DriveSettings(port=port, reply_s=0.05, dialect="copley"), find_dialect("copley"))
+        with pytest.raises(NoReplyError, match="goes on sending without being asked"):
+            link.exchange(STATUS)
+        link.close()
+
+
+@pytest.mark.parametrize(
+    ("spoken", "message"),
+    [({}, "nothing came.*station"), (MODBUS, "nothing came.*station"), (COPLEY, "station, which did not answer.*baud")],
+)
+def test_a_wrong_station_is_not_taken_for_the_drive(spoken: dict[str, object], message: str) -> None:
+    with linked(reply_s=0.15, program={"station": 5}, **spoken) as (drive, link):
+        for request in (STATUS, GO, STOP):
+            with pytest.raises(NoReplyError, match=message):
+                link.exchange(request)
+        assert not drive.requests
 
 
 @pytest.mark.parametrize("kind", PORTS)
@@ -70,12 +174,15 @@ def test_a_reply_left_lying_is_not_taken_for_a_new_one(kind: type[DrivePort]) ->
 def test_a_garbled_reply_is_never_believed_and_a_question_is_put_again() -> None:
     with linked(reply_s=1.0) as (drive, link):
         drive.bench.faults.inject(drive_garbled=True)
-        with pytest.raises(NoReplyError, match=r"checksum.*hardware\.drive\.reply_s"):
+        with pytest.raises(NoReplyError, match=r"checksum.*hardware\.drive\.baud"):
             link.exchange(POSITION)
         repairer = threading.Timer(0.05, drive.bench.faults.clear)
         repairer.start()
         assert link.exchange(POSITION).value == pytest.approx(0.0)
         repairer.join()
+        drive.bench.faults.inject(drive_garbled=True)
+        with pytest.raises(NoReplyError, match=r"checksum.*shield and ground, for it was understood before"):
+            link.exchange(POSITION)
 
 
 def test_a_move_is_sent_once_and_a_stop_until_it_is_answered() -> None:

@@ -362,20 +362,18 @@ def test_the_enable_line_taken_away_brakes_and_is_told() -> None:
 
 def test_the_drive_refuses_what_a_drive_refuses() -> None:
     def go(rig: Driven, to_mm: float) -> Refusal | None:
-        frame = rig.drive.dialect.encode(Request(Command.GO, value=to_mm), 1)
-        return rig.drive.dialect.decode(rig.drive.answer(frame), 1).refusal
+        return rig.drive.act(Request(Command.GO, value=to_mm)).refusal
 
     with driven() as rig:
         assert go(rig, 1.0) is Refusal.DISABLED
         rig.stage.enable()
         assert go(rig, 1.0) is Refusal.NOT_HOMED
         rig.ready().stage.move(stroke(travel_mm=20.0))
-        assert rig.drive.dialect.decode_request(rig.drive.dialect.encode(Request(Command.STOP), 1), 1)
         until(lambda: is_under_way(rig))
         assert go(rig, 1.0) is Refusal.MOVING
         until(lambda: stands(rig))
         assert go(rig, 151.0) is Refusal.SOFT_LIMIT
-        frame = rig.drive.dialect.encode(Request(Command.STATUS), 1)
+        [frame] = rig.link.dialect.encode(Request(Command.STATUS), rig.devices.settings.hardware.drive)
         assert rig.drive.answer(frame[:-1] + b"?") == b""
 
 

@@ -15,7 +15,6 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.hardware.backend import HardwareBackend
-from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card.card import Card
@@ -129,7 +128,7 @@ def open_voltage_rig(rig: RigSettings) -> VoltageRig:
         bench.put_out(output, volts, rate_hz, at_s)
 
     with ExitStack() as opened:
-        drive = opened.enter_context(make_drive_double(bench, find_dialect(rig.hardware.drive.dialect)))
+        drive = opened.enter_context(make_drive_double(bench))
         port = opened.enter_context(SocketPort(drive))
         opened.enter_context(installed(Card(bench, put_out)))
         reached = rig.hardware.drive.model_copy(update={"port": port.address})

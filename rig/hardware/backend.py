@@ -39,7 +39,7 @@ from dragrig.rig.hardware.card import (
     Scaling,
     driver_errors_wrapped,
 )
-from dragrig.rig.hardware.dialects import Command, Request, find_dialect
+from dragrig.rig.hardware.dialects import Command, Lack, Request, fitting_dialect
 from dragrig.rig.hardware.drive import (
     DriveLink,
     MonitoredStage,
@@ -218,7 +218,10 @@ def check_drive(stage: Stage, link: DriveLink, rig: RigSettings) -> Iterator[Rig
         yield RigCheck("drive's limits", False, reason_of(error))
         return
     travel = f"{limits.lowest_mm:g} to {limits.highest_mm:g} mm" if state.homed else "travel is set once it is homed"
-    detail = f"holds {drive.thrust_limit_N:g} N, {travel}, and stops after {drive.silence_s:g} s of silence"
+    silent = f"stops after {drive.silence_s:g} s of silence"
+    if Lack.SILENCE_TIMEOUT in link.dialect.lacks:
+        silent = "is stopped by its heartbeat relay alone when the program falls silent"
+    detail = f"holds {drive.thrust_limit_N:g} N, {travel}, and {silent}"
     yield RigCheck("drive's limits", True, detail)
 
 
@@ -297,6 +300,11 @@ class HardwareBackend:
         The rig's time; default: the wall clock.
     on_arm
         Called with each acquisition before the sampler prepares it.
+
+    Raises
+    ------
+    SettingsError
+        When the drive's dialect is not known, or lacks what nothing on the rig stands in for.
     """
 
     def __init__(
@@ -306,6 +314,7 @@ class HardwareBackend:
         on_arm: Callable[[Acquisition], None] = lambda _: None,
     ) -> None:
         self._rig: RigSettings = request.rig
+        self._dialect = fitting_dialect(request.rig.hardware)
         self._calibrations = request.calibrations
         self._clock = clock or WallClock(request.origin)
         self._on_arm = on_arm
@@ -461,7 +470,7 @@ class HardwareBackend:
     def _open_link(self) -> DriveLink:
         if self._link is None:
             drive = self._rig.hardware.drive
-            self._link = DriveLink(drive, find_dialect(drive.dialect))
+            self._link = DriveLink(drive, self._dialect)
             self._open.callback(attempt, self._link.close)
         return self._link
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from dragrig.rig import BackendRequest
 from dragrig.rig.hardware import HardwareBackend
-from dragrig.rig.hardware.dialects import find_dialect
+from dragrig.rig.hardware.dialects import fitting_dialect
 from dragrig.sim_backend.devices import draw_specimen_model
 from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card import Card
@@ -28,6 +28,7 @@ class DoubleBackend(HardwareBackend):
 
     def __init__(self, request: BackendRequest, faults: FaultInjector | None = None) -> None:
         rig = request.rig
+        fitting_dialect(rig.hardware)
         simulated = rig.simulated
         drawn = draw_specimen_model(request.model, simulated.seed) if simulated.variation.specimen else request.model
         self._facts: dict[str, str | float | int | bool] = {
@@ -40,7 +41,7 @@ class DoubleBackend(HardwareBackend):
         self.bench = SimulatedBench(rig, drawn, clock, faults)
         """The bench, for whoever wants to look behind the wires."""
         with ExitStack() as stack:
-            self.drive = stack.enter_context(make_drive_double(self.bench, find_dialect(rig.hardware.drive.dialect)))
+            self.drive = stack.enter_context(make_drive_double(self.bench))
             """The drive, as its maker sees it."""
             port = stack.enter_context(DoublePort(self.drive))
             stack.enter_context(installed(Card(self.bench, self.bench.put_out)))

@@ -1,4 +1,4 @@
-"""The drive's double: decodes frames of any dialect, moves the bench's carriage and refuses what a drive refuses.
+"""The drive's double: understands frames of any dialect, moves the bench's carriage and refuses what a drive refuses.
 
 It observes what a drive observes by itself, whatever the program does: soft limits, thrust limit, limit switches,
 e-stop, enable line, and the silence timeout, which runs in wall time. It remembers why its last motion ended. Without
@@ -13,7 +13,17 @@ from collections.abc import Mapping
 from typing import Self
 
 from dragrig.rig import Phase, stationary_piece, trapezoid
-from dragrig.rig.hardware.dialects import Command, Dialect, FrameError, Halt, Parameter, Refusal, Reply, Request, Status
+from dragrig.rig.hardware.dialects import (
+    Command,
+    Halt,
+    Parameter,
+    Refusal,
+    Reply,
+    Request,
+    Status,
+    find_dialect,
+)
+from dragrig.sim_backend.doubles.drive_sides import find_drive_side
 from dragrig.sim_backend.doubles.simulated_bench import INDEX_POSITION_MM, SWITCH_OFFSET_MM, SimulatedBench
 
 SWITCH_OVERTRAVEL_MM = 1.0
@@ -38,12 +48,17 @@ _G_MM_S2_PER_N = 1e6
 
 
 class DriveDouble:
-    """A drive with its stage. Any thread may call any method; as a context manager it polls its inputs by itself."""
+    """A drive with its stage. Any thread may call any method; as a context manager it polls its inputs by itself.
 
-    def __init__(self, bench: SimulatedBench, dialect: Dialect, station: int = 1) -> None:
+    It speaks the dialect that the rig's settings name, in their units and as their station. Raises `SettingsError` when
+    that dialect is not known, or brings no drive's side.
+    """
+
+    def __init__(self, bench: SimulatedBench) -> None:
         self.bench = bench
-        self.dialect = dialect
-        self._station = station
+        drive = bench.rig.hardware.drive
+        self._dialect = find_dialect(drive.dialect)
+        self._side = find_drive_side(self._dialect, drive)
         self._lines = bench.rig.hardware.card.lines
         self._lock = threading.RLock()
         self._ended = threading.Event()
@@ -84,17 +99,21 @@ class DriveDouble:
         """Return what is set."""
         return self._parameters[parameter]
 
+    def frame_length(self, received: bytes) -> int:
+        """Length of the first whole frame in what was received so far; 0 while there is none."""
+        return self._side.frame_length(received)
+
     def answer(self, frame: bytes) -> bytes:
-        """Carry out a frame's request and return the reply; nothing for a damaged frame or another station's."""
-        try:
-            request = self.dialect.decode_request(frame, self._station)
-        except FrameError:
-            return b""
+        """Carry out a frame and return the reply; nothing for a damaged frame or another station's."""
+        with self._lock:
+            return self._side.answer(frame, self.act)
+
+    def act(self, request: Request) -> Reply:
+        """Carry out a request, which feeds the silence timeout."""
         with self._lock:
             self._received_s = time.monotonic()
             self.poll()
-            reply = self._carry_out(request)
-        return self.dialect.encode_reply(reply, self._station)
+            return self._carry_out(request)
 
     def poll(self) -> None:
         """Read lines, alarm and silence once, and continue homing."""
@@ -125,13 +144,13 @@ class DriveDouble:
     def _carry_out(self, request: Request) -> Reply:
         command, parameter, value = request.command, request.parameter, request.value
         if command is Command.STATUS:
-            return Reply(command, status=self.status)
+            return Reply(status=self.status)
         if command is Command.POSITION:
-            return Reply(command, value=self.bench.position_mm() - self._zero_mm)
+            return Reply(value=self.bench.position_mm() - self._zero_mm)
         if command is Command.READ and parameter is not None:
-            return Reply(command, parameter, self._parameters[parameter])
+            return Reply(self._parameters[parameter])
         self._requests.append(request)
-        return Reply(command, parameter, refusal=self._change(command, parameter, value or 0.0))
+        return Reply(refusal=self._change(command, parameter, value or 0.0))
 
     def _change(self, command: Command, parameter: Parameter | None, value: float) -> Refusal | None:
         if command is Command.SET and parameter is not None:
@@ -246,7 +265,7 @@ class DriveDouble:
         return not unwatched and 0 < limit_s < time.monotonic() - self._received_s
 
     def _raise_alarm(self, text: str) -> None:
-        codes = [code for code in range(1, 256) if self.dialect.alarm(code) == text]
+        codes = [code for code in range(1, 256) if self._dialect.alarm(code) == text]
         self._alarm = codes[0] if codes else _DEFAULT_ALARM
         self._end(Halt.ALARM)
         self._enabled = False
@@ -264,10 +283,10 @@ class DriveDouble:
         return self.bench.read_line(line)
 
 
-def make_drive_double(bench: SimulatedBench, dialect: Dialect, station: int = 1) -> DriveDouble:
+def make_drive_double(bench: SimulatedBench) -> DriveDouble:
     """Return the double of the drive in the mode that the rig's settings name."""
     kind = VelocityDriveDouble if bench.rig.hardware.drive.mode == "velocity" else DriveDouble
-    return kind(bench, dialect, station)
+    return kind(bench)
 
 
 class VelocityDriveDouble(DriveDouble):

@@ -84,7 +84,7 @@ class Serial:
         if drive.bench.faults.active.drive_cut_off:
             return len(data)
         self._sent += data
-        while length := drive.dialect.frame_length(self._sent):
+        while length := drive.frame_length(self._sent):
             frame, self._sent = self._sent[:length], self._sent[length:]
             if reply := drive.answer(frame):
                 self._reply(drive, reply)

@@ -2,9 +2,15 @@ from .base import Command as Command
 from .base import Dialect as Dialect
 from .base import FrameError as FrameError
 from .base import Halt as Halt
+from .base import Lack as Lack
 from .base import Parameter as Parameter
 from .base import Refusal as Refusal
 from .base import Reply as Reply
 from .base import Request as Request
 from .base import Status as Status
 from .base import find_dialect as find_dialect
+from .base import fitting_dialect as fitting_dialect
+from .copley import CopleyDialect as CopleyDialect
+from .modbus import ModbusDialect as ModbusDialect
+from .modbus import RegisterMap as RegisterMap
+from .nikki import NikkiDialect as NikkiDialect

@@ -1,17 +1,19 @@
 """What is said between program and drive, and what a dialect has to do: turn it into bytes and back.
 
-A dialect is a value with pure functions; it knows no port, no time and no thread. The emulator of the drive speaks
-through the same dialect from the other side. How to fit another one: docs/drive-dialect.md.
+A dialect is a value with pure functions; it knows no port, no time and no thread. What its drive lacks it declares, and
+the settings are refused when nothing on the rig stands in for it. How to fit another one: docs/drive-dialect.md.
 """
 
 import importlib
 import importlib.util
 import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol, runtime_checkable
+from types import MappingProxyType
 
-from dragrig.config import SettingsError
+from dragrig.config import DriveSettings, HardwareSettings, SettingsError
 
 
 class Command(StrEnum):
@@ -113,10 +115,8 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The answer to one request, whose command and parameter it repeats."""
+    """The answer to one request."""
 
-    command: Command
-    parameter: Parameter | None = None
     value: float | None = None
     """With POSITION [mm] and READ."""
     status: Status | None = None
@@ -124,51 +124,74 @@ class Reply:
     refusal: Refusal | None = None
     """Why the request was not carried out; then there is neither value nor status."""
 
-    def answers(self, request: Request) -> bool:
-        """Whether it belongs to a request; a late reply to the request before does not."""
-        return (self.command, self.parameter) == (request.command, request.parameter)
-
 
 class FrameError(Exception):
     """Bytes that are no frame of this dialect, or a value that a frame cannot hold."""
 
 
-@runtime_checkable
-class Dialect(Protocol):
-    """How one make of drive is spoken to. Every method raises `FrameError` and nothing else."""
+class Lack(StrEnum):
+    """What a drive or its protocol does not have, in words that go on after "the drive"."""
+
+    SILENCE_TIMEOUT = "does not stop by itself when it hears nothing"
+    """`Parameter.SILENCE_S` is then neither written nor read."""
+    CHECKSUM = "cannot tell a damaged command from another one, because its frames have no checksum"
+    REPEATED_COMMAND = "does not say in its reply which request it answers"
+    """After a missing reply, the link waits until the line is quiet before it asks for anything else."""
+
+
+_STAND_IN_LINES: Mapping[Lack, tuple[str, ...]] = MappingProxyType(
+    {Lack.SILENCE_TIMEOUT: ("heartbeat", "enable"), Lack.CHECKSUM: ("heartbeat", "enable")}
+)
+"""Digital lines of the card that have to be wired where a drive lacks something: a way to stop it past its link."""
+
+
+class Dialect(ABC):
+    """How one make of drive is spoken to. A method raises `FrameError` and nothing else."""
+
+    verified: bool = False
+    """Whether it was ever used with a real drive."""
+    required_settings: tuple[str, ...] = ()
+    """Keys of `DriveSettings` that it cannot do without, and whose default is 0: the drive's units."""
 
     @property
-    def verified(self) -> bool:
-        """Whether it was ever used with a real drive."""
-        ...
+    @abstractmethod
+    def lacks(self) -> frozenset[Lack]:
+        """What the drive does not have."""
 
+    @abstractmethod
     def frame_length(self, received: bytes) -> int:
-        """Length of the first whole frame in what was received so far; 0 while there is none."""
-        ...
+        """Length of the drive's first whole frame in what was received so far; 0 while there is none."""
 
-    def encode(self, request: Request, station: int) -> bytes:
-        """Return the frame of a request."""
-        ...
+    @abstractmethod
+    def encode(self, request: Request, drive: DriveSettings) -> tuple[bytes, ...]:
+        """Return the frames of a request, of which each is sent once the one before is answered.
 
-    def decode(self, frame: bytes, station: int) -> Reply:
-        """Return what a frame of the drive says; damaged ones and those of other stations are refused."""
-        ...
+        The frame that starts a motion is the last.
+        """
 
-    def decode_request(self, frame: bytes, station: int) -> Request:
-        """Return what a frame of the program says: the drive's side, for the emulator."""
-        ...
+    @abstractmethod
+    def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | None:
+        """Return what the drive's replies to a request's frames, so far, say; None when the next frame is due.
 
-    def encode_reply(self, reply: Reply, station: int) -> bytes:
-        """Return the frame of a reply: the drive's side, for the emulator."""
-        ...
+        The last of `replies` may be anything that came over the line: what is damaged, comes from another station or
+        answers something else is refused.
+        """
 
-    def resolution(self, parameter: Parameter) -> float:
+    @abstractmethod
+    def resolution(self, parameter: Parameter, drive: DriveSettings) -> float:
         """Smallest step of a parameter, in its unit: what is read back may differ by so much from what was set."""
-        ...
 
+    @abstractmethod
     def alarm(self, code: int) -> str:
         """Put an alarm into words."""
-        ...
+
+    def pause_s(self, drive: DriveSettings) -> float:
+        """Shortest time of a quiet line before a frame; most drives need none."""
+        del drive
+        return 0.0
+
+
+SHIPPED = "nikki, copley or modbus"
 
 
 def find_dialect(name: str) -> Dialect:
@@ -177,15 +200,40 @@ def find_dialect(name: str) -> Dialect:
     Raises `SettingsError` when there is no such module, or it holds no dialect.
     """
     if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", name):
-        raise SettingsError(f"drive.dialect = '{name}' is no module's name: use nikki, or a module of your own.")
+        raise SettingsError(
+            f"hardware.drive.dialect = '{name}' is no module's name: use {SHIPPED}, or a module of your own."
+        )
     beside = f"{__package__}.{name}"
     try:
         module = importlib.import_module(beside if "." not in name and importlib.util.find_spec(beside) else name)
     except ModuleNotFoundError as error:
         raise SettingsError(
-            f"drive.dialect = '{name}' is not known ({error}): use nikki, or put your own where Python finds it."
+            f"hardware.drive.dialect = '{name}' is not known ({error}): use {SHIPPED}, or put your own where "
+            "Python finds it."
         ) from error
     dialect = getattr(module, "DIALECT", None)
     if not isinstance(dialect, Dialect):
-        raise SettingsError(f"drive.dialect = '{name}' names a module without a DIALECT that can do all of `Dialect`.")
+        raise SettingsError(f"hardware.drive.dialect = '{name}' names a module whose DIALECT is no `Dialect`.")
+    return dialect
+
+
+def fitting_dialect(hardware: HardwareSettings) -> Dialect:
+    """Return the dialect that the settings name.
+
+    Raises `SettingsError` when there is none, when it needs a setting that is not made, or when the drive lacks
+    something and the rig has nothing that stands in for it.
+    """
+    drive = hardware.drive
+    dialect = find_dialect(drive.dialect)
+    for key in dialect.required_settings:
+        if not getattr(drive, key):
+            raise SettingsError(f"hardware.drive.{key} is not set: the dialect {drive.dialect} cannot do without it.")
+    for lack in sorted(dialect.lacks):
+        missing = [name for name in _STAND_IN_LINES.get(lack, ()) if not getattr(hardware.card.lines, name)]
+        if missing:
+            keys = " and ".join(f"hardware.card.lines.{name}" for name in missing)
+            raise SettingsError(
+                f"{keys} must be wired and set, because a drive of the dialect {drive.dialect} {lack}: only a "
+                "heartbeat relay and its enable line can then stop it when the link or the program fails."
+            )
     return dialect

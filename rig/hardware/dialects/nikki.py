@@ -17,9 +17,20 @@ the steps in `_STEPS`. A status is flags(2) alarm(2) halt(1), hexadecimal.
 import re
 from binascii import crc_hqx
 from math import isfinite
-from typing import ClassVar
 
-from dragrig.rig.hardware.dialects.base import Command, FrameError, Halt, Parameter, Refusal, Reply, Request, Status
+from dragrig.config import DriveSettings
+from dragrig.rig.hardware.dialects.base import (
+    Command,
+    Dialect,
+    FrameError,
+    Halt,
+    Lack,
+    Parameter,
+    Refusal,
+    Reply,
+    Request,
+    Status,
+)
 
 _STX, _ETX = b"\x02", b"\x03"
 _CRC_LENGTH = 4
@@ -82,8 +93,6 @@ _HALTS = dict(enumerate(Halt))
 
 _COMMAND_NAMES = {command: name for name, command in _COMMANDS.items()}
 _PARAMETER_NAMES = {parameter: name for name, parameter in _PARAMETERS.items()}
-_REFUSAL_CODES = {refusal: code for code, refusal in _REFUSALS.items()}
-_HALT_CODES = {halt: code for code, halt in _HALTS.items()}
 _ENABLED, _HOMED, _MOVING = 1, 2, 4
 
 _BODY = re.compile(
@@ -93,10 +102,13 @@ _BODY = re.compile(
 )
 
 
-class NikkiDialect:
+class NikkiDialect(Dialect):
     """The codec; see the module. It holds nothing."""
 
-    verified: ClassVar[bool] = False
+    @property
+    def lacks(self) -> frozenset[Lack]:
+        """Nothing: the drive is taken to stop by itself, and its replies repeat the command under a checksum."""
+        return frozenset()
 
     def frame_length(self, received: bytes) -> int:
         """Length up to and with the checksum; what never ends is given up after 64 bytes."""
@@ -106,54 +118,35 @@ class NikkiDialect:
         length = end + 1 + _CRC_LENGTH
         return length if len(received) >= length else 0
 
-    def encode(self, request: Request, station: int) -> bytes:
-        """Return the frame of a request."""
+    def encode(self, request: Request, drive: DriveSettings) -> tuple[bytes, ...]:
+        """Return the one frame of a request."""
         text = ""
         if request.value is not None:
             text = _encode_value(request.value, _steps_per_unit(request.command, request.parameter))
-        return _build_frame(station, request.command, request.parameter, text)
+        return (_build_frame(drive.station, request.command, request.parameter, text),)
 
-    def decode(self, frame: bytes, station: int) -> Reply:
+    def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply:
         """Return what the drive says."""
-        part, command, parameter = _parse_frame(frame, station)
+        part, command, parameter = _parse_frame(replies[-1], drive.station)
+        if (command, parameter) != (request.command, request.parameter):
+            raise FrameError(f"it answered '{command}' instead")
         if part["refusal"] is not None:
             if part["refusal"] not in _REFUSALS:
                 raise FrameError(f"refusal {part['refusal']} is not known")
-            return Reply(command, parameter, refusal=_REFUSALS[part["refusal"]])
+            return Reply(refusal=_REFUSALS[part["refusal"]])
         if part["mark"] is None:
             raise FrameError("a request where a reply was due")
-        value = _decode_value(part["answer"], command, parameter)
+        value = None if part["answer"] is None else int(part["answer"]) / _steps_per_unit(command, parameter)
         status = None if part["status"] is None else _decode_status(part["status"])
         if (status is not None) != (command is Command.STATUS):
             raise FrameError("a status where none was due, or none where one was")
         if (value is not None) != (command in {Command.POSITION, Command.READ}):
             raise FrameError("a value where none was due, or none where one was")
-        return Reply(command, parameter, value, status)
+        return Reply(value, status)
 
-    def decode_request(self, frame: bytes, station: int) -> Request:
-        """Return what the program says."""
-        part, command, parameter = _parse_frame(frame, station)
-        if part["mark"] is not None or part["refusal"] is not None:
-            raise FrameError("a reply where a request was due")
-        try:
-            return Request(command, parameter, _decode_value(part["value"], command, parameter))
-        except ValueError as error:
-            raise FrameError(str(error)) from error
-
-    def encode_reply(self, reply: Reply, station: int) -> bytes:
-        """Return the frame of a reply."""
-        if reply.refusal is not None:
-            text = f"!{_REFUSAL_CODES[reply.refusal]}"
-        elif reply.status is not None:
-            text = f"={_encode_status(reply.status)}"
-        elif reply.value is not None:
-            text = f"={_encode_value(reply.value, _steps_per_unit(reply.command, reply.parameter))}"
-        else:
-            text = "="
-        return _build_frame(station, reply.command, reply.parameter, text)
-
-    def resolution(self, parameter: Parameter) -> float:
+    def resolution(self, parameter: Parameter, drive: DriveSettings) -> float:
         """One step of the parameter's whole numbers."""
+        del drive
         return 1.0 / _STEPS[parameter]
 
     def alarm(self, code: int) -> str:
@@ -197,17 +190,6 @@ def _encode_value(value: float, steps: int) -> str:
     if not isfinite(value) or abs(number := round(value * steps)) >= 10**10:
         raise FrameError(f"{value:g} does not fit into a frame")
     return f"{number:+d}"
-
-
-def _decode_value(digits: str | None, command: Command, parameter: Parameter | None) -> float | None:
-    return None if digits is None else int(digits) / _steps_per_unit(command, parameter)
-
-
-def _encode_status(status: Status) -> str:
-    flags = _ENABLED * status.enabled | _HOMED * status.homed | _MOVING * status.moving
-    if not 0 <= status.alarm <= 0xFF:
-        raise FrameError(f"alarm {status.alarm} does not fit into a frame")
-    return f"{flags:02X}{status.alarm:02X}{_HALT_CODES[status.halt]:X}"
 
 
 def _decode_status(text: str) -> Status:

@@ -1,6 +1,8 @@
 """The serial link to the drive: one request and its reply at a time, and a stop before all other requests.
 
-The port is opened with pyserial; a pulled cable raises errors of several kinds, which are all caught here.
+The port is opened with pyserial; a pulled cable raises errors of several kinds, which are all caught here. A reply that
+comes too late must not be taken for the next one's: where replies do not repeat the request, the link is silent after a
+missing one until nothing more comes.
 """
 
 import itertools
@@ -17,7 +19,7 @@ from statistics import median
 import serial
 
 from dragrig.config import DeviceError, DriveSettings
-from dragrig.rig.hardware.dialects import Command, Dialect, FrameError, Parameter, Refusal, Reply, Request
+from dragrig.rig.hardware.dialects import Command, Dialect, FrameError, Lack, Parameter, Refusal, Reply, Request
 
 if sys.platform != "win32":
     import termios
@@ -33,6 +35,8 @@ _STOP_BITS = {1: serial.STOPBITS_ONE, 2: serial.STOPBITS_TWO}
 _READS_PER_REPLY = 5
 """Read timeouts within one reply timeout, so that a reply timeout is noticed about when it ends."""
 _ROUND_TRIPS_KEPT = 15
+_MAX_QUIET_REPLIES = 10
+"""Reply timeouts for which a drive that goes on sending is waited for."""
 _STOP = Request(Command.STOP)
 
 
@@ -50,6 +54,10 @@ class CancelledByStopError(DeviceError):
 
 class NoReplyError(DeviceError):
     """The drive did not answer in time, or not in its dialect."""
+
+
+class _StopFirstError(Exception):
+    """A stop was requested between two frames of a request."""
 
 
 class DriveLink:
@@ -70,6 +78,9 @@ class DriveLink:
         self._unheard_since_s: float | None = None
         # A counter and a SimpleQueue may be used by a signal handler that interrupts their own user; an Event may not.
         self._counter = itertools.count(1)
+        # Replies of an earlier program's requests may still come.
+        self._out_of_step = Lack.REPEATED_COMMAND in dialect.lacks
+        self._used_s = 0.0
         self._stop_count = self._acknowledged_stops = 0
         self._wake_queue: SimpleQueue[bool] = SimpleQueue()
         self._stop_listeners: list[Callable[[], None]] = []
@@ -128,21 +139,24 @@ class DriveLink:
         CancelledByStopError
             When a stop came first.
         NoReplyError
-            When no complete and matching reply came; a request is sent once more, unless it must not be repeated.
+            When no readable and matching reply came; a request is sent once more, unless it must not be repeated.
         DeviceError
             When the port fails.
         """
         with self._lock:
-            self._send_stop_if_due()
-            if planned_at is not None and planned_at != self._stop_count:
-                raise CancelledByStopError(f"'{request.command}' was dropped, because the stage was stopped first.")
-            try:
-                return self._exchange_once(request)
-            except NoReplyError:
-                if not request.repeatable:
-                    raise
-            self._send_stop_if_due()
-            return self._exchange_once(request)
+            repeated = False
+            while True:
+                self._send_stop_if_due()
+                if planned_at is not None and planned_at != self._stop_count:
+                    raise CancelledByStopError(f"'{request.command}' was dropped, because the stage was stopped first.")
+                try:
+                    return self._exchange_once(request)
+                except _StopFirstError:
+                    continue
+                except NoReplyError:
+                    if repeated or not request.repeatable:
+                        raise
+                    repeated = True
 
     def set(self, parameter: Parameter, value: float) -> None:
         """Set a parameter; raises what `exchange` raises."""
@@ -163,7 +177,7 @@ class DriveLink:
         """
         self.set(parameter, value)
         held = self.exchange(Request(Command.READ, parameter)).value
-        if held is None or not abs(held - value) <= self.dialect.resolution(parameter):
+        if held is None or not abs(held - value) <= self.dialect.resolution(parameter, self._settings):
             raise DeviceError(
                 f"the drive on {self.port} holds {held} as its {parameter} ({parameter.name}) where {value:g} was "
                 f"written: nothing moves until it takes {key}."
@@ -221,7 +235,11 @@ class DriveLink:
         if self._failure:
             raise DeviceError(self._failure)
         try:
-            reply = self._transceive(self.dialect.encode(request, self._settings.station), request)
+            self._get_in_step(request)
+            reply = self._converse(request)
+        except NoReplyError:
+            self._out_of_step = Lack.REPEATED_COMMAND in self.dialect.lacks
+            raise
         except FrameError as error:
             raise DeviceError(f"'{request.command}' cannot be sent to the drive: {error}.") from error
         except _CABLE_ERRORS as error:
@@ -236,35 +254,95 @@ class DriveLink:
             )
         return reply
 
-    def _transceive(self, frame: bytes, request: Request) -> Reply:
+    def _converse(self, request: Request) -> Reply:
+        began_s = time.perf_counter()
+        replies: tuple[bytes, ...] = ()
+        for frame in self.dialect.encode(request, self._settings):
+            if replies and request != _STOP and self._stop_count != self._acknowledged_stops:
+                raise _StopFirstError
+            replies, reply = self._transceive(frame, request, replies)
+            if reply is not None:
+                self._round_trips_s.append(time.perf_counter() - began_s)
+                return reply
+        raise DeviceError(f"the dialect of the drive on {self.port} found no end of '{request.command}': correct it.")
+
+    def _transceive(
+        self, frame: bytes, request: Request, replies: tuple[bytes, ...]
+    ) -> tuple[tuple[bytes, ...], Reply | None]:
+        """Send a frame; return the replies with the one to it, and what they say."""
         if self._unheard_since_s is None:
             self._unheard_since_s = time.monotonic()
         # A reply that came too late for its own request would be taken for the reply to this one.
         self._serial.reset_input_buffer()
+        self._write(frame)
         began_s = time.perf_counter()
-        # To a socket, a write may time out although all of it was sent; the reply shows whether it arrived.
-        with suppress(serial.SerialTimeoutException):
-            self._serial.write(frame)
-        received, problem, timed_out = b"", "nothing came", False
+        received, count, problem, timed_out = b"", 0, "no whole frame among them", False
         while not timed_out:
             timed_out = time.perf_counter() - began_s >= self._settings.reply_s
-            received += self._read_available() if timed_out else self._serial.read(max(self._serial.in_waiting, 1))
+            arrived = self._read_available() if timed_out else self._serial.read(max(self._serial.in_waiting, 1))
+            received, count = received + arrived, count + len(arrived)
             while length := self.dialect.frame_length(received):
                 frame, received = received[:length], received[length:]
                 try:
-                    reply = self.dialect.decode(frame, self._settings.station)
+                    reply = self.dialect.decode(request, (*replies, frame), self._settings)
                 except FrameError as error:
                     problem = str(error)
                     continue
-                if reply.answers(request):
-                    self._unheard_since_s = None
-                    self._round_trips_s.append(time.perf_counter() - began_s)
-                    return reply
-                problem = f"it answered '{reply.command}' instead"
+                self._unheard_since_s = None
+                self._used_s = time.perf_counter()
+                return (*replies, frame), reply
         raise NoReplyError(
             f"the drive on {self.port} did not answer '{request.command}' within {self._settings.reply_s:g} s "
-            f"({problem}): check its power, cable and settings (hardware.drive.reply_s of the rig file)."
+            f"({self._describe_failure(count, problem)}"
         )
+
+    def _describe_failure(self, count: int, problem: str) -> str:
+        """Return what came in place of a reply, and what to check in which order."""
+        drive, understood_before = self._settings, bool(self._round_trips_s)
+        if not count and understood_before:
+            return "nothing came): check its power, cable and settings (hardware.drive.reply_s of the rig file)."
+        if not count:
+            return (
+                "nothing came): check its power and cable, then hardware.drive.port, baud, station and dialect of the "
+                "rig file."
+            )
+        came = f"{count} byte{'s' * (count > 1)} came, but no answer could be read: {problem})"
+        if understood_before:
+            return f"{came}: check cable, shield and ground, for it was understood before."
+        return (
+            f"{came}: check, in this order, hardware.drive.baud = {drive.baud}, parity = '{drive.parity}', station = "
+            f"{drive.station} and dialect = '{drive.dialect}' of the rig file against the drive's own settings."
+        )
+
+    def _write(self, frame: bytes) -> None:
+        if (pause_s := self.dialect.pause_s(self._settings)) > 0:
+            time.sleep(max(self._used_s + pause_s - time.perf_counter(), 0.0))
+        # To a socket, a write may time out although all of it was sent; the reply shows whether it arrived.
+        with suppress(serial.SerialTimeoutException):
+            self._serial.write(frame)
+        self._used_s = time.perf_counter()
+
+    def _get_in_step(self, request: Request) -> None:
+        """Let the replies that are still due pass by; a stop goes out at once all the same, though none confirms it."""
+        if not self._out_of_step:
+            return
+        sent_stops = self._acknowledged_stops
+        began_s = quiet_s = time.perf_counter()
+        while time.perf_counter() - quiet_s < self._settings.reply_s:
+            if self._stop_count != sent_stops:
+                sent_stops = self._stop_count
+                self._write(self.dialect.encode(_STOP, self._settings)[0])
+                quiet_s = time.perf_counter()
+            if self._serial.read(max(self._serial.in_waiting, 1)):
+                quiet_s = time.perf_counter()
+            if quiet_s - began_s > _MAX_QUIET_REPLIES * self._settings.reply_s:
+                raise NoReplyError(
+                    f"the drive on {self.port} goes on sending without being asked, so that no answer of it can be "
+                    "told from the rest: switch that off in the drive, and end other programs on its line."
+                )
+        self._out_of_step = False
+        if request != _STOP and sent_stops != self._acknowledged_stops:
+            raise _StopFirstError
 
     def _read_available(self) -> bytes:
         # On a busy computer this thread may look late at bytes that came in time.

@@ -23,7 +23,7 @@ from dragrig.rig import (
     require_within_limits,
     stage_limits,
 )
-from dragrig.rig.hardware.dialects import Command, Halt, Parameter, Refusal, Request, Status
+from dragrig.rig.hardware.dialects import Command, Halt, Lack, Parameter, Refusal, Request, Status
 from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError, RefusedError
 from dragrig.rig.hardware.drive.monitor import Monitor, StageDevices
 from dragrig.rig.hardware.drive.trial import Pulse
@@ -221,7 +221,7 @@ class DriveTracker:
 
 
 def write_safeguards(link: DriveLink, settings: RigSettings) -> None:
-    """Write thrust limit, silence timeout and the deceleration of a stop to the drive, and read each back.
+    """Write thrust limit, silence timeout (if it has one) and the deceleration of a stop, and read each back.
 
     Raises `DeviceError` when the drive holds another value than the one that was written, refuses, or does not answer.
     """
@@ -231,7 +231,8 @@ def write_safeguards(link: DriveLink, settings: RigSettings) -> None:
         (Parameter.SILENCE_S, drive.silence_s, "hardware.drive.silence_s"),
         (Parameter.STOP_ACCELERATION_MM_S2, settings.stage.stop_accel_mm_s2, "stage.stop_accel_mm_s2"),
     ):
-        link.set_and_verify(parameter, value, key)
+        if parameter is not Parameter.SILENCE_S or Lack.SILENCE_TIMEOUT not in link.dialect.lacks:
+            link.set_and_verify(parameter, value, key)
 
 
 def write_travel(link: DriveLink, limits: StageLimits) -> None:
