@@ -56,13 +56,20 @@ class RigUnderTest:
         assert (position <= np.max(bounds, axis=0) + self.position_tolerance_mm).all()
 
 
-def on_doubles(rig: RigSettings) -> Backend:
-    swift = rig.hardware.drive.model_copy(update={"homing_speed_mm_s": 50.0})
-    hardware = rig.hardware.model_copy(update={"drive": swift})
-    wired = rig.model_copy(update={"hardware": hardware})
-    backend = open_double(BackendRequest(wired, FrictionModelSettings()))
-    backend.bench.place(1.0)  # near its index pulse, for a short way home
-    return backend
+def on_doubles(**spoken: object) -> Callable[[RigSettings], Backend]:
+    """The real rig's code on doubles; the drive speaks as its settings say, and has a heartbeat relay."""
+
+    def open_rig(rig: RigSettings) -> Backend:
+        lines = rig.hardware.card.lines.model_copy(update={"heartbeat": "port1/line4", "heartbeat_s": 1.0})
+        card = rig.hardware.card.model_copy(update={"lines": lines})
+        swift = rig.hardware.drive.model_copy(update={"homing_speed_mm_s": 50.0, **spoken})
+        hardware = rig.hardware.model_copy(update={"drive": swift, "card": card})
+        wired = rig.model_copy(update={"hardware": hardware})
+        backend = open_double(BackendRequest(wired, FrictionModelSettings()))
+        backend.bench.place(1.0)  # near its index pulse, for a short way home
+        return backend
+
+    return open_rig
 
 
 def by_voltage(rig: RigSettings) -> Backend:
@@ -78,7 +85,14 @@ RIGS = {
     "simulated": RigUnderTest(simulated(real_time=False), position_tolerance_mm=0.001, paced=False),
     "simulated at real pace": RigUnderTest(simulated(real_time=True), position_tolerance_mm=0.001, paced=True),
     "hardware on its doubles": RigUnderTest(
-        on_doubles, position_tolerance_mm=0.002, paced=True, lag_s=0.06, late_s=5.0
+        on_doubles(), position_tolerance_mm=0.002, paced=True, lag_s=0.06, late_s=5.0
+    ),
+    "hardware with a drive that lacks whatever may be lacking": RigUnderTest(
+        on_doubles(dialect="copley", station=0, counts_per_mm=1000.0, thrust_N_per_A=8.0),
+        position_tolerance_mm=0.002,
+        paced=True,
+        lag_s=0.06,
+        late_s=5.0,
     ),
     # A stage that is told speeds stands when it moves by 1.5 counts or less per update of 30 ms.
     "hardware by voltage on its doubles": RigUnderTest(

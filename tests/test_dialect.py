@@ -1,6 +1,11 @@
 """The dialects of drives: each says what it declares, and nothing damaged passes where there is a checksum."""
 
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from drive_ports import DrivePort
@@ -27,6 +32,9 @@ from dragrig.rig.hardware.dialects.base import (
     find_dialect,
     fitting_dialect,
 )
+from dragrig.rig.runfile import read_campaign
+from dragrig.rig.runfile.model import RunStatus
+from dragrig.setup import create_lab
 from dragrig.sim_backend.doubles.drive_sides import DriveSide, find_drive_side
 
 UNITS = {"counts_per_mm": 1000.0, "thrust_N_per_A": 8.0}
@@ -40,7 +48,7 @@ DRIVES = pytest.mark.parametrize("drive", SETTINGS.values(), ids=SETTINGS)
 WITH_CHECKSUM = pytest.mark.parametrize(
     "drive", [drive for drive in SETTINGS.values() if Lack.CHECKSUM not in find_dialect(drive.dialect).lacks]
 )
-WITH_STATION = WITH_CHECKSUM
+WITH_STATION = pytest.mark.parametrize("drive", [SETTINGS["nikki"], SETTINGS["modbus"]], ids=["nikki", "modbus"])
 PLAIN = [Command.STATUS, Command.POSITION, Command.ENABLE, Command.DISABLE, Command.CLEAR_ALARM, Command.STOP]
 NUMBERS = st.integers(-(10**8), 10**8).map(lambda steps: steps / 10_000)
 PARAMETERS = st.sampled_from(Parameter)
@@ -396,3 +404,89 @@ def test_a_server_that_nobody_here_wrote_drives_the_stage_in_modbus() -> None:
         assert len(refused) == 3
         with pytest.raises(Exception, match="soft limits"):
             rig.link.exchange(Request(Command.GO, value=151.0))
+
+
+# The page that tells how to write another one, followed to the letter.
+
+PAGE = (Path(__file__).parents[1] / "docs" / "drive-dialect.md").read_text("utf-8")
+PATIENT = {"homing_speed_mm_s": 50.0, "reply_s": 2.0, "silence_s": 5.0, "stale_data_s": 5.0, "hang_s": 5.0,
+           "following_error_mm": 50.0, "encoder_silent_mm": 50.0}  # fmt: skip
+"""For a busy machine is no fault of the page's."""
+
+
+def on_the_page(language: str) -> str:
+    [block] = re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+    return str(block)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    """A lab folder with the page's module and its line in the rig file."""
+    create_lab(tmp_path)
+    (tmp_path / "line_dialect.py").write_text(on_the_page("python"), "utf-8")
+    rig = (tmp_path / "rig.toml").read_text("utf-8")
+    table, line = on_the_page("toml").strip().splitlines()
+    assert table in rig
+    changes = {**{key: f"{key} = {value}" for key, value in PATIENT.items()}, "dialect": line}
+    for key, changed in changes.items():
+        rig, count = re.subn(rf"^{key} = .*$", changed, rig, flags=re.MULTILINE)
+        assert count == 1, key
+    (tmp_path / "rig.toml").write_text(rig, "utf-8")
+    return tmp_path
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the page's commands are those of a Unix shell")
+def test_the_page_followed_to_the_letter_makes_a_run_in_a_dialect_of_ones_own(lab: Path) -> None:
+    commands = on_the_page("sh")
+    assert [line.split()[0] for line in commands.strip().splitlines()] == ["export", "dragrig", "dragrig"]
+    done = subprocess.run(
+        ["bash", "-e"], cwd=lab, input=commands.replace('"A. Person"', '"A. Person" <<< $\'\\n\\n\\n\\n\\n\\n\''),
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    runs = read_campaign(next((lab / "runs").iterdir())).runs
+    assert [(run.kind, run.status) for run in runs] == [
+        ("drag", RunStatus.COMPLETE),
+        ("return", RunStatus.COMPLETE),
+    ]
+    assert runs[0].header.entry["drive_dialect"] == "line_dialect"
+
+
+def test_the_pages_dialect_holds_what_it_declares(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(lab))
+    drive = DriveSettings(dialect="line_dialect")
+    dialect = find_dialect("line_dialect")
+    monkeypatch.delitem(sys.modules, "line_dialect")
+    assert dialect.lacks == frozenset()
+    moving = Reply(status=Status(True, False, True, 2, Halt.NONE))
+    for request in (
+        Request(Command.STATUS),
+        Request(Command.GO, value=1.5),
+        Request(Command.READ, Parameter.SILENCE_S),
+    ):
+        side = find_drive_side(dialect, drive)
+        scripted = Scripted(moving)
+        reply, frames = said(dialect, side, request, drive, scripted.act)
+        assert scripted.asked == [request]
+        assert reply.status == (moving.status if request.command is Command.STATUS else None)
+        for place in range(len(frames[0])):
+            for flip in (1, 0x20, 0x80):
+                damaged = frames[0][:place] + bytes([frames[0][place] ^ flip]) + frames[0][place + 1 :]
+                with pytest.raises(FrameError):
+                    dialect.decode(request, (damaged,), drive)
+        with pytest.raises(FrameError, match="instead"):
+            dialect.decode(Request(Command.POSITION), frames, drive)
+        with pytest.raises(FrameError, match="station"):
+            dialect.decode(request, frames, drive.model_copy(update={"station": 2}))
+    with pytest.raises(FrameError, match="fit"):
+        dialect.encode(Request(Command.GO, value=float("nan")), drive)
+
+
+def test_a_module_without_a_drives_side_is_told_when_a_double_is_to_speak_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mute_dialect.py").write_text(on_the_page("python").replace("DRIVE_SIDE = ", "ANOTHER = "), "utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(SettingsError, match=r"without a DRIVE_SIDE.*docs/drive-dialect\.md"):
+        find_drive_side(find_dialect("mute_dialect"), DriveSettings(dialect="mute_dialect"))
+    monkeypatch.delitem(sys.modules, "mute_dialect")
