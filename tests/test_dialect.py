@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from modbus_peer import PymodbusPort
 from simulated import settings, stroke
 
+from dragrig.cli import main
 from dragrig.config.errors import SettingsError
 from dragrig.config.rig import DriveSettings
 from dragrig.rig.hardware.dialects import copley, modbus, nikki
@@ -288,6 +289,19 @@ def test_a_drive_without_a_silence_timeout_is_refused_without_relay_and_enable_l
     assert str(refused.value).count(". ") == 0
 
 
+def test_the_refusal_is_one_sentence_at_the_command_line_before_anything_is_touched(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    values = {"dialect": "copley", **UNITS}
+    words = [word for key, value in values.items() for word in ("--set", f"rig.hardware.drive.{key}={value}")]
+    # Without its double, for a device that is looked for would be missed first.
+    assert main(["run", "drag", "--backend", "hardware", *words]) != 0
+    [line] = capsys.readouterr().err.splitlines()
+    assert "card.lines.heartbeat must be wired" in line
+    assert "does not stop by itself when it hears nothing" in line
+
+
 def test_a_drive_without_a_silence_timeout_is_taken_with_relay_and_enable_line() -> None:
     rig = settings(hardware={"card": {"lines": RELAY}, "drive": {"dialect": "copley", **UNITS}})
     assert fitting_dialect(rig.hardware) is copley.DIALECT
@@ -327,6 +341,17 @@ def test_copleys_commands_are_those_of_its_guide() -> None:
     assert parsing == Reply(refusal=Refusal.UNKNOWN)
     with pytest.raises(FrameError, match="value"):
         copley.DIALECT.decode(Request(Command.POSITION), (b"ok\r",), drive)
+
+
+@pytest.mark.parametrize(
+    ("said_to_it", "answer"),
+    [("s r 0xca 1000", "e 33"), ("g r0xca x y", "v 0"), ("q", "e 3"), ("s r0x32 5", "e 11"), ("g r0x1ff", "e 9"),
+     ("0 g r0xca", "v 0"), ("4 g r0xca", "e 32"), ("s r0xca 99999999999", "e 10"), ("s r0xca 0x10", "ok"),
+     ("t 1", "e 25"), ("t", "e 25")],
+)  # fmt: skip
+def test_copleys_double_answers_as_the_guide_has_it(said_to_it: str, answer: str) -> None:
+    side = find_drive_side(copley.DIALECT, SETTINGS["copley"])
+    assert side.answer(said_to_it.encode() + b"\r", Scripted(Reply()).act) == answer.encode() + b"\r"
 
 
 def test_a_copley_target_that_the_drive_holds_otherwise_is_not_started() -> None:

@@ -134,7 +134,7 @@ class Lack(StrEnum):
 
     SILENCE_TIMEOUT = "does not stop by itself when it hears nothing"
     """`Parameter.SILENCE_S` is then neither written nor read."""
-    CHECKSUM = "cannot tell a damaged command from another one, because its frames have no checksum"
+    CHECKSUM = "cannot tell a damaged command from another one without a checksum"
     REPEATED_COMMAND = "does not say in its reply which request it answers"
     """After a missing reply, the link waits until the line is quiet before it asks for anything else."""
 
@@ -228,8 +228,9 @@ def fitting_dialect(hardware: HardwareSettings) -> Dialect:
     for key in dialect.required_settings:
         if not getattr(drive, key):
             raise SettingsError(f"hardware.drive.{key} is not set: the dialect {drive.dialect} cannot do without it.")
-    for lack in sorted(dialect.lacks):
-        missing = [name for name in _STAND_IN_LINES.get(lack, ()) if not getattr(hardware.card.lines, name)]
+    for lack in Lack:
+        needed = _STAND_IN_LINES.get(lack, ()) if lack in dialect.lacks else ()
+        missing = [name for name in needed if not getattr(hardware.card.lines, name)]
         if missing:
             keys = " and ".join(f"hardware.card.lines.{name}" for name in missing)
             raise SettingsError(
