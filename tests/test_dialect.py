@@ -68,14 +68,18 @@ def said(dialect: Dialect, side: DriveSide, request: Request, drive: DriveSettin
          ) -> tuple[Reply, tuple[bytes, ...]]:  # fmt: skip
     """Have a conversation without a line in between; return the reply and the drive's frames."""
     replies: tuple[bytes, ...] = ()
-    for frame in dialect.encode(request, drive):
+    frames = list(dialect.encode(request, drive))
+    while frames:
+        frame = frames.pop(0)
         assert side.frame_length(frame) == len(frame)
         assert side.frame_length(frame[:-1]) == 0
         replies = (*replies, side.answer(frame, act))
         assert dialect.frame_length(replies[-1]) == len(replies[-1])
         assert dialect.frame_length(replies[-1][:-1]) == 0
         reply = dialect.decode(request, replies, drive)
-        if reply is not None:
+        if isinstance(reply, bytes):
+            frames = [reply]
+        elif reply is not None:
             return reply, replies
     pytest.fail("the conversation had no end")
 
@@ -158,6 +162,19 @@ def test_every_status_comes_back(drive: DriveSettings, status: Status) -> None:
     told = {Halt.TARGET, Halt.STOP} if not (status.moving or status.alarm) and status.enabled else set()
     if drive.dialect != "copley" or status.halt in told:  # which does not say more
         assert reply.status.halt is status.halt
+
+
+@DRIVES
+def test_nothing_moves_before_the_last_frame_of_a_motion(drive: DriveSettings) -> None:
+    dialect = find_dialect(drive.dialect)
+    for request in (Request(Command.GO, value=3.0), Request(Command.HOME, value=-1.0)):
+        side, scripted = switched_on(dialect, drive), Scripted(Reply())
+        *before, last = dialect.encode(request, drive)
+        for frame in before:
+            side.answer(frame, scripted.act)
+        assert not scripted.asked
+        side.answer(last, scripted.act)
+        assert scripted.asked == [request]
 
 
 @DRIVES
@@ -315,6 +332,13 @@ def test_units_that_a_dialect_needs_are_asked_for() -> None:
         fitting_dialect(rig.hardware)
 
 
+def test_a_mode_that_a_dialect_does_not_know_is_refused() -> None:
+    drive = {"dialect": "copley", "mode": "velocity", **UNITS}
+    rig = settings(hardware={"card": {"lines": RELAY}, "drive": drive})
+    with pytest.raises(SettingsError, match=r"hardware\.drive\.mode = 'velocity' is not possible .* copley"):
+        fitting_dialect(rig.hardware)
+
+
 def test_a_register_map_without_the_timeout_declares_that_it_is_lacking() -> None:
     registers = dict(modbus.RegisterMap().parameters)
     del registers[Parameter.SILENCE_S]
@@ -365,9 +389,9 @@ def test_copley_ramps_that_differ_verify_nothing() -> None:
     read = Request(Command.READ, Parameter.ACCELERATION_MM_S2)
     same = copley.DIALECT.decode(read, (b"v 100\r", b"v 100\r"), SETTINGS["copley"])
     other = copley.DIALECT.decode(read, (b"v 100\r", b"v 900\r"), SETTINGS["copley"])
-    assert same is not None
+    assert isinstance(same, Reply)
     assert same.value == pytest.approx(1.0)
-    assert other is not None
+    assert isinstance(other, Reply)
     assert other.value != other.value  # not a number
 
 
@@ -408,6 +432,16 @@ def test_a_drive_without_a_silence_timeout_is_never_asked_for_one() -> None:
         assert Parameter.SILENCE_S not in written
 
 
+def test_a_start_in_several_frames_is_as_certain_as_its_last_one() -> None:
+    with driven(ANY_PORT, **SPOKEN["copley"]) as rig:
+        rig.ready().bench.faults.inject(drive_reply_late_s=0.1)
+        rig.sample(stroke(travel_mm=2.0, rest_s=1.0))
+        until(lambda: not rig.sync.moving)
+        # Three frames, of which the last takes 0.1 s.
+        assert 0.05 < rig.stage.start_uncertainty_s < 0.2
+        assert rig.drive.requests[-1] == Request(Command.GO, value=2.0)
+
+
 @pytest.mark.parametrize(("fault", "halt"), [({"drive_alarm": "a short circuit"}, Halt.ALARM)])
 def test_an_alarm_is_told_in_the_dialects_words(fault: dict[str, str], halt: Halt) -> None:
     with driven(ANY_PORT, **SPOKEN["copley"]) as rig:
@@ -426,7 +460,7 @@ def test_a_server_that_nobody_here_wrote_drives_the_stage_in_modbus() -> None:
         until(lambda: not rig.sync.moving)
         assert rig.stage.state().position_mm == pytest.approx(2.0, abs=2e-3)
         refused = rig.link.dialect.encode(Request(Command.GO, value=151.0), rig.devices.settings.hardware.drive)
-        assert len(refused) == 3
+        assert len(refused) == 2
         with pytest.raises(Exception, match="soft limits"):
             rig.link.exchange(Request(Command.GO, value=151.0))
 

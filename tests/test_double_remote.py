@@ -315,7 +315,7 @@ class Caller:
         while not self._dialect.frame_length(received):
             received += self._serial.read(1)
         reply = self._dialect.decode(request, (received,), self._drive)
-        assert reply is not None
+        assert isinstance(reply, Reply)
         assert reply.refusal is None, reply
         return reply
 

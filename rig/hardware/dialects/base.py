@@ -152,6 +152,8 @@ class Dialect(ABC):
     """Whether it was ever used with a real drive."""
     required_settings: tuple[str, ...] = ()
     """Keys of `DriveSettings` that it cannot do without, and whose default is 0: the drive's units."""
+    modes: tuple[str, ...] = ("position", "velocity")
+    """Modes of `DriveSettings` in which it can switch the drive on."""
 
     @property
     @abstractmethod
@@ -170,8 +172,11 @@ class Dialect(ABC):
         """
 
     @abstractmethod
-    def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | None:
-        """Return what the drive's replies to a request's frames, so far, say; None when the next frame is due.
+    def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | bytes | None:
+        """Return what the drive's replies to a request's frames, so far, say.
+
+        None when the next frame is due, and a frame of its own when that has to be asked first, such as why the drive
+        refuses.
 
         The last of `replies` may be anything that came over the line: what is damaged, comes from another station or
         answers something else is refused.
@@ -220,11 +225,16 @@ def find_dialect(name: str) -> Dialect:
 def fitting_dialect(hardware: HardwareSettings) -> Dialect:
     """Return the dialect that the settings name.
 
-    Raises `SettingsError` when there is none, when it needs a setting that is not made, or when the drive lacks
-    something and the rig has nothing that stands in for it.
+    Raises `SettingsError` when there is none, when it does not know the drive's mode or needs a setting that is not
+    made, or when the drive lacks something and the rig has nothing that stands in for it.
     """
     drive = hardware.drive
     dialect = find_dialect(drive.dialect)
+    if drive.mode not in dialect.modes:
+        raise SettingsError(
+            f"hardware.drive.mode = '{drive.mode}' is not possible with the dialect {drive.dialect}: use "
+            f"'{dialect.modes[0]}', or another dialect."
+        )
     for key in dialect.required_settings:
         if not getattr(drive, key):
             raise SettingsError(f"hardware.drive.{key} is not set: the dialect {drive.dialect} cannot do without it.")

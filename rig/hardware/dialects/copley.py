@@ -124,6 +124,7 @@ class CopleyDialect(Dialect):
     """The codec; see the module. It holds nothing."""
 
     required_settings = ("counts_per_mm", "thrust_N_per_A")
+    modes = ("position",)
 
     @property
     def lacks(self) -> frozenset[Lack]:
@@ -137,22 +138,21 @@ class CopleyDialect(Dialect):
 
     def encode(self, request: Request, drive: DriveSettings) -> tuple[bytes, ...]:
         """Return the commands of a request."""
-        node = f"{drive.station} " if drive.station else ""
-        return tuple(node.encode("ascii") + command.encode("ascii") + _END for command in _commands(request, drive))
+        return tuple(_framed(command, drive) for command in _commands(request, drive))
 
-    def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | None:
+    def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | bytes | None:
         """Return what the drive says once it has said all that the request needs."""
         commands = _commands(request, drive)
-        kind = commands[len(replies) - 1][0]
+        kind = commands[len(replies) - 1][0] if len(replies) <= len(commands) else "g"
         value = _parse(replies[-1], with_value=kind == "g")
         if isinstance(value, Refusal):
             return Reply(refusal=value)
         values = [number for reply in replies if isinstance(number := _parse(reply), int)]
-        if request.command is Command.STATUS:
-            return _decode_status(values)
+        if request.command is Command.STATUS and len(values) == len(commands) and values[0] & _HAS_FAULT:
+            return _framed(_get(_FAULTS), drive)
         if request.command in {Command.GO, Command.HOME} and kind == "g" and value != int(commands[0].split()[-1]):
             return Reply(refusal=Refusal.BAD_VALUE)
-        return _result(request, values, drive) if len(replies) == len(commands) else None
+        return _result(request, values, drive) if len(replies) >= len(commands) else None
 
     def resolution(self, parameter: Parameter, drive: DriveSettings) -> float:
         """One step of the parameter's whole numbers."""
@@ -165,6 +165,8 @@ class CopleyDialect(Dialect):
 
 def _result(request: Request, values: list[int], drive: DriveSettings) -> Reply:
     """Return what all the values of a request's replies say."""
+    if request.command is Command.STATUS:
+        return Reply(status=_decode_status(*values))
     if request.command is Command.ENABLE:
         alarmed, off = values[-1] & _HAS_FAULT, values[-1] & _NO_ENABLE
         return Reply(refusal=Refusal.ALARM if alarmed else Refusal.DISABLED if off else None)
@@ -192,13 +194,18 @@ def _commands(request: Request, drive: DriveSettings) -> tuple[str, ...]:
     if request.command is Command.HOME and value is not None:
         return _set(_HOMING_METHOD, _HOMING_METHODS[value]), _get(_HOMING_METHOD), "t 2"
     return {
-        Command.STATUS: (_get(_EVENTS), _get(_TRAJECTORY), _get(_FAULTS)),
+        Command.STATUS: (_get(_EVENTS), _get(_TRAJECTORY)),
         Command.POSITION: (_get(_POSITION),),
         Command.ENABLE: (_set(_PROFILE, _ABSOLUTE_TRAPEZOID), _set(_DESIRED_STATE, _POSITION_MODE), _get(_EVENTS)),
         Command.DISABLE: (_set(_DESIRED_STATE, _OFF),),
         Command.CLEAR_ALARM: (_set(_FAULTS, _ALL_FAULTS),),
         Command.STOP: ("t 0",),
     }[request.command]
+
+
+def _framed(command: str, drive: DriveSettings) -> bytes:
+    node = f"{drive.station} " if drive.station else ""
+    return f"{node}{command}".encode("ascii") + _END
 
 
 def _get(number: int) -> str:
@@ -237,15 +244,10 @@ def _parse(frame: bytes, *, with_value: bool | None = None) -> int | Refusal | N
     return value
 
 
-def _decode_status(values: list[int]) -> Reply | None:
-    if len(values) < 2:
-        return None
-    events, trajectory = values[:2]
+def _decode_status(events: int, trajectory: int, faults: int = 0) -> Status:
     alarm = 0
     if events & _HAS_FAULT:
-        if len(values) < 3:
-            return None
-        bits = values[2] & _ALL_FAULTS
+        bits = faults & _ALL_FAULTS
         alarm = (bits & -bits).bit_length() or _UNNAMED_FAULT
     moving = bool(events & _MOVING or trajectory & (_HOMING | _GENERATING))
     enabled = not events & (_NO_ENABLE | _SWITCHED_OFF | _NO_OUTPUT | _HAS_FAULT)
@@ -258,7 +260,7 @@ def _decode_status(values: list[int]) -> Reply | None:
         halt = Halt.DISABLED
     elif trajectory & _ABORTED:
         halt = Halt.LIMIT_SWITCH if events & _LIMIT_SWITCHES else Halt.STOP
-    return Reply(status=Status(enabled, bool(trajectory & _HOMED), moving, alarm, halt))
+    return Status(enabled, bool(trajectory & _HOMED), moving, alarm, halt)
 
 
 DIALECT = CopleyDialect()

@@ -134,26 +134,22 @@ class ModbusDialect(Dialect):
         return length if len(received) >= length else 0
 
     def encode(self, request: Request, drive: DriveSettings) -> tuple[bytes, ...]:
-        """Return the frames of a request: a reading, or what is written, and the question why it was refused."""
-        if not 1 <= drive.station <= 247:
-            raise FrameError(f"station {drive.station} is not between 1 and 247")
-        return tuple(_with_crc(bytes([drive.station]) + body) for body in self._bodies(request))
+        """Return the frames of a request: a reading, or what is written, a target before the command to go there."""
+        return tuple(_framed(body, drive.station) for body in self._bodies(request))
 
-    def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | None:
-        """Return what the drive says."""
-        bodies = self._bodies(request)
-        asked, reply = bodies[len(replies) - 1], _body(replies[-1], drive.station)
-        is_command, is_last = request.command in self._written_commands, len(replies) == len(bodies)
-        if reply[0] == asked[0] | _EXCEPTION:
-            # The last frame of a command asks why it was refused.
-            asks_on = is_command and reply[1] == _FAILURE and not is_last
-            return None if asks_on else Reply(refusal=_EXCEPTIONS.get(reply[1], Refusal.UNKNOWN))
-        _require_answer(asked, reply)
-        if is_command and is_last:
+    def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | bytes | None:
+        """Return what the drive says; after a "device failure" of a command, ask why."""
+        bodies, reply = self._bodies(request), _body(replies[-1], drive.station)
+        if len(replies) > len(bodies):
+            _require_answer(_read(self.registers.refusal, 1), reply)
             return Reply(refusal=self.registers.refusals.get(int.from_bytes(reply[2:], "big"), Refusal.UNKNOWN))
-        if request.command is Command.GO and len(replies) == 1:
-            return None
-        return self._result(request, reply)
+        asked, is_last = bodies[len(replies) - 1], len(replies) == len(bodies)
+        if reply[0] == asked[0] | _EXCEPTION:
+            if reply[1] == _FAILURE and asked[0] == _WRITE and is_last:
+                return _framed(_read(self.registers.refusal, 1), drive.station)
+            return Reply(refusal=_EXCEPTIONS.get(reply[1], Refusal.UNKNOWN))
+        _require_answer(asked, reply)
+        return self._result(request, reply) if is_last else None
 
     def resolution(self, parameter: Parameter, drive: DriveSettings) -> float:
         """One step of the parameter's register."""
@@ -168,10 +164,6 @@ class ModbusDialect(Dialect):
         """3.5 characters, and the standard's fixed time at a high rate."""
         return max(3.5 * _BITS_PER_CHARACTER / drive.baud, _SHORTEST_PAUSE_S)
 
-    @property
-    def _written_commands(self) -> frozenset[Command]:
-        return frozenset({*self.registers.commands, Command.HOME})
-
     def _bodies(self, request: Request) -> tuple[bytes, ...]:
         """Return the frames of a request without station and CRC."""
         registers, command, value = self.registers, request.command, request.value
@@ -185,10 +177,10 @@ class ModbusDialect(Dialect):
         code = registers.commands[command] if command is not Command.HOME else 0
         if command is Command.HOME:
             code = registers.home_low if value is not None and value < 0 else registers.home_high
-        start = _write(registers.command, struct.pack(">H", code)), _read(registers.refusal, 1)
+        start = _write(registers.command, struct.pack(">H", code))
         if command is Command.GO and value is not None:
-            return _write(registers.target, _long(value * registers.steps_per_mm)), *start
-        return start
+            return _write(registers.target, _long(value * registers.steps_per_mm)), start
+        return (start,)
 
     def _result(self, request: Request, reply: bytes) -> Reply:
         if request.command is Command.STATUS:
@@ -238,8 +230,11 @@ def _crc(data: bytes) -> bytes:
     return struct.pack("<H", crc)
 
 
-def _with_crc(frame: bytes) -> bytes:
-    return frame + _crc(frame)
+def _framed(body: bytes, station: int) -> bytes:
+    if not 1 <= station <= 247:
+        raise FrameError(f"station {station} is not between 1 and 247")
+    covered = bytes([station]) + body
+    return covered + _crc(covered)
 
 
 def _body(frame: bytes, station: int) -> bytes:

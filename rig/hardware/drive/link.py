@@ -81,6 +81,8 @@ class DriveLink:
         # Replies of an earlier program's requests may still come.
         self._out_of_step = Lack.REPEATED_COMMAND in dialect.lacks
         self._used_s = 0.0
+        # A request whose last frame alone is still to be sent, and the replies to the others.
+        self._prepared: tuple[Request, tuple[bytes, ...]] | None = None
         self._stop_count = self._acknowledged_stops = 0
         self._wake_queue: SimpleQueue[bool] = SimpleQueue()
         self._stop_listeners: list[Callable[[], None]] = []
@@ -158,6 +160,17 @@ class DriveLink:
                         raise
                     repeated = True
 
+    def prepare(self, request: Request, planned_at: int) -> None:
+        """Send all frames of a request but the last, so that its `exchange`, if it is the next, is short.
+
+        Nothing moves by it. A refusal is left for the exchange to tell; raises what else `exchange` raises.
+        """
+        with self._lock:
+            self._send_stop_if_due()
+            if planned_at == self._stop_count:
+                with suppress(_StopFirstError, RefusedError):
+                    self._exchange_once(request, only_prepare=True)
+
     def set(self, parameter: Parameter, value: float) -> None:
         """Set a parameter; raises what `exchange` raises."""
         self.exchange(Request(Command.SET, parameter, value))
@@ -231,12 +244,12 @@ class DriveLink:
                 raise
         self._acknowledged_stops = requested
 
-    def _exchange_once(self, request: Request) -> Reply:
+    def _exchange_once(self, request: Request, *, only_prepare: bool = False) -> Reply:
         if self._failure:
             raise DeviceError(self._failure)
         try:
             self._get_in_step(request)
-            reply = self._converse(request)
+            reply = self._converse(request, only_prepare=only_prepare)
         except NoReplyError:
             self._out_of_step = Lack.REPEATED_COMMAND in self.dialect.lacks
             raise
@@ -254,21 +267,30 @@ class DriveLink:
             )
         return reply
 
-    def _converse(self, request: Request) -> Reply:
+    def _converse(self, request: Request, *, only_prepare: bool) -> Reply:
         began_s = time.perf_counter()
-        replies: tuple[bytes, ...] = ()
-        for frame in self.dialect.encode(request, self._settings):
+        prepared, self._prepared = self._prepared, None
+        replies = prepared[1] if prepared is not None and prepared[0] == request else ()
+        frames = deque(self.dialect.encode(request, self._settings)[len(replies) :])
+        while frames:
+            if only_prepare and len(frames) == 1:
+                self._prepared = request, replies
+                break
             if replies and request != _STOP and self._stop_count != self._acknowledged_stops:
                 raise _StopFirstError
-            replies, reply = self._transceive(frame, request, replies)
-            if reply is not None:
+            replies, answer = self._transceive(frames.popleft(), request, replies)
+            if isinstance(answer, bytes):
+                frames = deque([answer])
+            elif answer is not None:
                 self._round_trips_s.append(time.perf_counter() - began_s)
-                return reply
+                return answer
+        if only_prepare:
+            return Reply()
         raise DeviceError(f"the dialect of the drive on {self.port} found no end of '{request.command}': correct it.")
 
     def _transceive(
         self, frame: bytes, request: Request, replies: tuple[bytes, ...]
-    ) -> tuple[tuple[bytes, ...], Reply | None]:
+    ) -> tuple[tuple[bytes, ...], Reply | bytes | None]:
         """Send a frame; return the replies with the one to it, and what they say."""
         if self._unheard_since_s is None:
             self._unheard_since_s = time.monotonic()

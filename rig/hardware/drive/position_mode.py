@@ -203,6 +203,7 @@ class StrokeMovement(Movement):
         # Close to the start the link is reserved, or the monitor's request would delay the stroke by a round trip.
         self._sleep_until(due_s - _RESERVED_ROUND_TRIPS * self._round_trip_s)
         with self._link.reserved():
+            self._link.prepare(self._request(stroke), self.planned_at)
             self._sleep_until(due_s - self._round_trip_s / 2)
             self.was_sent = True
             sent_s = self._clock.monotonic()
@@ -225,8 +226,11 @@ class StrokeMovement(Movement):
         self._link.set(Parameter.ACCELERATION_MM_S2, stroke.acceleration_mm_s2)
         self._written = stroke.speed_mm_s, stroke.acceleration_mm_s2
 
+    def _request(self, stroke: Stroke) -> Request:
+        return Request(Command.GO, value=self._origin_mm + stroke.end_mm)
+
     def _go(self, stroke: Stroke) -> None:
-        request = Request(Command.GO, value=self._origin_mm + stroke.end_mm)
+        request = self._request(stroke)
         try:
             self._link.exchange(request, self.planned_at)
         except RefusedError as error:
