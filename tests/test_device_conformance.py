@@ -88,7 +88,8 @@ RIGS = {
         on_doubles(), position_tolerance_mm=0.002, paced=True, lag_s=0.06, late_s=5.0
     ),
     "hardware with a drive that lacks whatever may be lacking": RigUnderTest(
-        on_doubles(dialect="copley", station=0, counts_per_mm=1000.0, thrust_N_per_A=8.0),
+        # Its line has to be quiet for a reply's time before the first request.
+        on_doubles(dialect="copley", station=0, counts_per_mm=1000.0, thrust_N_per_A=8.0, reply_s=0.5),
         position_tolerance_mm=0.002,
         paced=True,
         lag_s=0.06,
