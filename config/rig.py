@@ -105,20 +105,25 @@ class ForceInputSettings(Settings):
     """Force per volt [mN/V], without a calibration."""
     zero_V: float = 0.0
     range_V: InputRange = 10.0
-    overload_V: float = Field(default=9.9, gt=0, le=10.5)
-    """Voltage, positive or negative, from which the sensor counts as overloaded."""
-    open_V: float = Field(default=9.99, gt=0, le=10.6)
-    """Voltage from which the amplifier is at its rail: a wire is broken or the sensor unplugged."""
+    rail_V: float = Field(default=10.0, gt=0, le=15)
+    """Voltage, of either sign, at which the sensor's amplifier saturates, as measured; from 99 % of it on, or of the
+    input's range, the sensor counts as overloaded."""
+    unplugged: Literal["rail", "zero", "floating"] = "rail"
+    """Where the input goes when the sensor's cable is pulled: to the end of its range by a pull-up, to 0 V by a
+    pull-down, or anywhere, without either."""
+    least_noise_uV: float = Field(default=0.0, ge=0)
+    """Noise [µV] (standard deviation, from sample to sample) below which the input counts as dead; 0 for half of the
+    converter's own. dragrig check says what the sensor has."""
 
-    @model_validator(mode="after")
-    def _check_voltages(self) -> Self:
-        if self.per_V == 0:
-            raise ValueError("per_V must not be 0")
-        if self.open_V < self.overload_V:
-            raise ValueError("open_V must not be below overload_V")
-        if self.open_V > self.range_V:
-            raise ValueError("open_V must not be above range_V, or no broken wire could be detected")
-        return self
+    @property
+    def overload_V(self) -> float:
+        """Voltage from which the sensor counts as overloaded."""
+        return 0.99 * min(self.rail_V, self.range_V)
+
+    @property
+    def open_V(self) -> float:
+        """Voltage from which the sensor counts as unplugged."""
+        return 0.999 * self.range_V
 
 
 class EncoderInputSettings(Settings):
@@ -149,6 +154,8 @@ class LineSettings(Settings):
     """Input: low at the lower end of travel."""
     limit_high: OptionalLine = "port1/line3"
     """Input: low at the upper end of travel."""
+    encoder_error: OptionalLine = ""
+    """Input: low while the encoder's read head reports an error (E)."""
     heartbeat: OptionalLine = ""
     """Output: toggled while the program runs properly; an external relay cuts the drive's power when it stops."""
     heartbeat_s: float = Field(default=0.05, gt=0, le=1)
@@ -163,6 +170,9 @@ class CardSettings(Settings):
     """Host and port of an NI gRPC device server when the card is in another computer; empty for this one."""
     buffer_s: float = Field(default=4.0, ge=1, le=60)
     """Length of the buffer between card and program."""
+    oversampling: int = Field(default=0, ge=0, le=1000)
+    """Samples that the card takes for each recorded one, which an anti-alias filter makes of them; 0 for as many as the
+    card takes well, 1 for none."""
     force: ForceInputSettings = ForceInputSettings()
     encoder: EncoderInputSettings = EncoderInputSettings()
     lines: LineSettings = LineSettings()
@@ -177,7 +187,7 @@ class CardSettings(Settings):
             if repeated := next((value for value in values if values.count(value) > 1), None):
                 raise ValueError(f"inputs: {key} = {repeated!r} is used twice; each input needs its own")
         lines, encoder = self.lines, self.encoder
-        wired = (lines.enable, lines.e_stop, lines.limit_low, lines.limit_high, lines.heartbeat)
+        wired = (lines.enable, lines.e_stop, lines.limit_low, lines.limit_high, lines.encoder_error, lines.heartbeat)
         if shared := find_shared_pin((*wired, encoder.a, encoder.b, encoder.z)):
             first, second = shared
             raise ValueError(

@@ -53,6 +53,7 @@ class TripCause(StrEnum):
     LIMIT_SWITCH_HIGH = "upper limit switch"
     SENSOR_OVERLOAD = "sensor overload"
     SENSOR_OPEN = "sensor open circuit"
+    SENSOR_DEAD = "sensor dead"
     ENCODER_SILENT = "encoder silent"
     OVERRUN = "overrun"
     WATCHDOG = "watchdog"
@@ -82,6 +83,10 @@ class RawReading:
     """
     force_mN: float = nan
     """Mean force by the calibration in force; NaN where the sampler does not say."""
+    force_noise_V: float = nan
+    """Noise of the force input from sample to sample of the converter [V]; NaN where the sampler does not say."""
+    fault: Trip | None = None
+    """What the force input showed of the sensor: overloaded, unplugged or dead."""
 
     @classmethod
     def of(cls, force_V: AnyFloatArray, counts: AnyFloatArray, force_mN: float = nan) -> "RawReading":

@@ -534,7 +534,7 @@ def check_wiring(rig: RigSettings, calibrations: Mapping[str, Calibration]) -> I
     force, encoder = rig.hardware.card.force, rig.hardware.card.encoder
     calibrated = calibrations.get("force")
     per_V = calibrated.gain if calibrated is not None else force.per_V
-    range_mN = abs(per_V) * (min(force.overload_V, force.range_V) - abs(force.zero_V))
+    range_mN = abs(per_V) * (force.overload_V - abs(force.zero_V))
     yield RigCheck(
         "force limit",
         rig.guard.force_limit_mN <= range_mN,

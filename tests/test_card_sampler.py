@@ -34,7 +34,8 @@ REACHED = pytest.mark.parametrize("remote", [False, True], ids=["through the dri
 
 
 def wired(rate_hz: float = 1000.0, **card: object) -> RigSettings:
-    return settings(rate_hz, guard=PATIENT["guard"], hardware={"card": card})
+    """A rig whose every sample is recorded; with `oversampling` 0 as it is by default."""
+    return settings(rate_hz, guard=PATIENT["guard"], hardware={"card": {"oversampling": 1, **card}})
 
 
 def assert_converted(got: AnyFloatArray, volts: FloatArray, gain: float, zero: float, range_V: float = 10.0) -> None:
@@ -268,7 +269,7 @@ def test_server_that_is_not_there_is_named() -> None:
 def test_what_a_killed_program_left_at_the_server_does_not_hold_the_card() -> None:
     with card_rig(wired(), remote=True) as under_test, closing(Connection(under_test.connection.card)) as killed:
         CardLines(killed)
-        SampledTasks(killed, under_test.rig).start(lambda start: start())
+        SampledTasks(killed, under_test.rig, 1000.0).start(lambda start: start())
         assert indices(under_test.record(rest(0.1)))[-1] == 99
         CardLines(under_test.connection).close()
 
@@ -419,7 +420,7 @@ def test_what_the_card_cannot_convert_is_refused_with_the_rate_that_it_can() -> 
 @pytest.mark.parametrize(
     ("card", "complaint"),
     [
-        ({"force": {"range_V": 5.0}}, "range_V"),
+        ({"force": {"range_V": 4.0}}, "range_V"),
         ({"inputs": [INPUTS[0], {**INPUTS[0], "channel": "ai3"}]}, "motor_force"),
         ({"inputs": [{**INPUTS[0], "channel": "ai0"}]}, "ai0"),
         ({"inputs": [{**INPUTS[0], "name": "position"}]}, "position"),

@@ -32,11 +32,14 @@ from dragrig.sim_backend.doubles import c_library
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.card.pci6229 import CardError
 from dragrig.sim_backend.doubles.card.tasks import InputBuffer
-from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
+from dragrig.sim_backend.doubles.simulated_bench import CONVERTER_NOISE, DoubleClock, SimulatedBench
 
 CONTINUOUS = AcquisitionType.CONTINUOUS
 RATE = 1000.0
 STEP_V = 10.0 / 2**15
+TASK_STEP_V = 5.0 / 2**15
+"""A task that says no range gets ±5 V."""
+NOISE_V = 6 * 10.0 * CONVERTER_NOISE
 CLOCK = "/Dev1/ai/SampleClock"
 TEMPERATURE = {"name": "temperature", "channel": "ai1", "unit": "degC", "per_V": 10.0}
 
@@ -111,8 +114,8 @@ def test_force_and_encoder_are_the_benchs_sample_for_sample(moves: bool) -> None
         truth = bench.sample(0, 500)
     force, temperature = np.concatenate([entry for entry, _ in read], axis=1)
     position = np.concatenate([entry for _, entry in read])
-    np.testing.assert_array_equal(force, np.rint(truth["force_V"] / STEP_V) * STEP_V)
-    np.testing.assert_allclose(temperature, 3.7, atol=STEP_V)
+    np.testing.assert_array_equal(force, np.rint(truth["force_V"] / TASK_STEP_V) * TASK_STEP_V)
+    np.testing.assert_allclose(temperature, 3.7, atol=NOISE_V)
     np.testing.assert_allclose(position, truth["encoder_counts"] * 1e-6, atol=1e-12)
     assert np.ptp(position) == pytest.approx(3e-3 if moves else 0.0, abs=1e-9)
 
@@ -408,7 +411,7 @@ def test_a_timeout_leaves_what_came_at_the_arrays_beginning() -> None:
         truth = bench.sample(0, there + 10)["force_V"]
         force, temperature = out.ravel()[: 2 * there].reshape(2, there)
         np.testing.assert_allclose(force, truth[:there], atol=STEP_V)
-        np.testing.assert_allclose(temperature, 3.7, atol=STEP_V)
+        np.testing.assert_allclose(temperature, 3.7, atol=NOISE_V)
         bench.faults.clear()
         np.testing.assert_allclose(volts(ai, 10, 2)[0], truth[there:], atol=STEP_V)
 

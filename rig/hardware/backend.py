@@ -33,11 +33,13 @@ from dragrig.rig import (
 )
 from dragrig.rig.hardware.card import (
     MAX_AGGREGATE_RATE_HZ,
+    Alias,
     CardSampler,
     Connection,
     PositionCounter,
     Scaling,
     driver_errors_wrapped,
+    least_noise_V,
 )
 from dragrig.rig.hardware.dialects import Command, Lack, Request, fitting_dialect
 from dragrig.rig.hardware.drive import (
@@ -140,6 +142,10 @@ _PRODUCT = "PCI-6229"
 _M_SERIES = re.compile(r"62\d\d")
 _MAX_ZERO_FRACTION = 0.1
 """Zero force, as a fraction of half the force range, above which the sensor is suspected of a load or an overload."""
+_MAX_RATE_ERROR = 0.01
+_SETTLED_S = 7e-6
+_SETTLING = ((_SETTLED_S, 15e-6), (5e-6, 30e-6), (4e-6, 90e-6), (0.0, 1.0))
+"""Shortest times between two inputs, and what is left then of the step between them (PCI-6229 specifications)."""
 _MAX_JITTER_COUNTS = 2
 """An encoder that stands between two counts may jitter by so many."""
 
@@ -163,17 +169,17 @@ def check_card(
     try:
         identity = identify_card(connection)
         yield _check_product(identity)
-        inputs = 1 + len(rig.hardware.card.inputs)
-        rate = f"{inputs} × {rig.sampling.rate_hz:g} of {MAX_AGGREGATE_RATE_HZ:,} samples a second"
-        yield RigCheck("sampling rate", inputs * rig.sampling.rate_hz <= MAX_AGGREGATE_RATE_HZ, rate)
         trip = lines.read_switches().trip()
         yield RigCheck("switches", trip is None, "none is pressed" if trip is None else trip.message)
+        yield from _check_sampling(rig, sampler)
         reading = sampler.measure(CHECK_DURATION_S)
+        alias = sampler.probe_aliases()
     except DeviceError as error:
         yield RigCheck("card", False, reason_of(error))
         return
     yield RigCheck("card's tasks", True, "analog inputs, counter and digital lines can be reserved, and samples arrive")
     yield _check_force(rig, scaling, reading)
+    yield _check_aliases(rig, scaling, sampler, alias)
     moved = abs(reading.counts_end - reading.counts_begin)
     jitter = f"counted {moved} in {CHECK_DURATION_S:g} s while nothing moved: check line receiver and shield"
     still = "steady at rest; a jog shows whether it counts"
@@ -187,20 +193,86 @@ def _check_product(identity: dict[str, str]) -> RigCheck:
     return RigCheck("card", _M_SERIES.search(product) is not None, detail)
 
 
+def _check_sampling(rig: RigSettings, sampler: CardSampler) -> Iterator[RigCheck]:
+    """Say what the card makes of the rate that is asked, and how its inputs follow each other."""
+    rate_hz, timing, factor = sampler.sample_rate_hz, sampler.timing, sampler.anti_alias.factor
+    card = rig.hardware.card
+    names = ["force", *(channel.name for channel in card.inputs)]
+    made = f", {factor} samples of the card each" if factor > 1 else ""
+    detail = (
+        f"{rate_hz:.7g} Hz where {rig.sampling.rate_hz:g} are asked{made}: {len(names)} × {timing.rate_hz:.7g} of "
+        f"{MAX_AGGREGATE_RATE_HZ:,} samples a second"
+    )
+    yield RigCheck("sampling rate", abs(rate_hz / rig.sampling.rate_hz - 1) <= _MAX_RATE_ERROR, detail)
+    if len(names) == 1:
+        return
+    follow = f"{', '.join(names)}: each is converted {1e6 * timing.conversion_s:.3g} µs after the one before"
+    settled = timing.conversion_s >= _SETTLED_S
+    advice = (
+        f", and settles to {1e6 * _unsettled_share(timing.conversion_s):.0f} ppm of the step between them, not to the "
+        f"converter's own: lower sampling.rate_hz, or leave out some of hardware.card.inputs, until there are "
+        f"{1e6 * _SETTLED_S:g} µs"
+    )
+    yield RigCheck("scan", settled, follow if settled else f"{follow}{advice}")
+
+
+def _unsettled_share(conversion_s: float) -> float:
+    """Return what may be left of the input before, as a share of the step between both (PCI-6229 specifications)."""
+    return next(share for fastest_s, share in _SETTLING if conversion_s >= fastest_s * (1 - 1e-6))
+
+
+def _check_aliases(rig: RigSettings, scaling: Scaling, sampler: CardSampler, alias: Alias) -> RigCheck:
+    """Say what the recorded force holds of frequencies that are too high for its rate, and what keeps them out."""
+    gain, accuracy_mN = abs(scaling.mN_per_V), rig.force_sensor.accuracy_mN
+    recorded, half_hz = gain * alias.rms_V, sampler.sample_rate_hz / 2
+    factor, card_hz = sampler.anti_alias.factor, sampler.timing.rate_hz
+    found = f"{gain * alias.beyond_V:.2f} mN beyond {half_hz:g} Hz at the input, {recorded:.2f} mN of it recorded"
+    if factor > 1:
+        keeps = (
+            f"the digital filter keeps out all but what is within {half_hz:g} Hz of a multiple of {card_hz:g} Hz, for "
+            "which only an analog filter helps"
+        )
+    else:
+        keeps = f"nothing is oversampled at this rate: an analog filter has to keep out what is beyond {half_hz:g} Hz"
+    if recorded <= accuracy_mN:
+        return RigCheck("aliases", True, f"{found}; {keeps}")
+    line = (
+        f"most of it a tone of {alias.frequency_hz:.0f} Hz, which would be recorded as one of {alias.recorded_hz:.0f} "
+        "Hz: find its source, or put an analog low-pass before the card"
+    )
+    return RigCheck("aliases", False, f"{found}, over the sensor's accuracy of {accuracy_mN:g} mN; {line}")
+
+
 def _check_force(rig: RigSettings, scaling: Scaling, reading: RawReading) -> RigCheck:
     zero = scaling.mN_per_V * reading.force_V + scaling.zero_mN
     noise = abs(scaling.mN_per_V) * reading.force_V_sd
     accuracy = rig.force_sensor.accuracy_mN
     low, high = scaling.force_range_mN
     problem = ""
-    if trip := scaling.sensor_fault(np.array([reading.force_V])):
-        problem = trip.message
+    if reading.fault is not None:
+        problem = reading.fault.message
     elif noise > accuracy:
         problem = f"noisier than its accuracy of {accuracy:g} mN; check shield and ground"
     elif abs(zero) > _MAX_ZERO_FRACTION * (high - low) / 2:
         problem = "far from zero; is something hanging on it, or was it overloaded?"
     detail = f"zero {zero:.1f} mN, noise {noise:.2f} mN ({reading.force_V:.4f} V)"
-    return RigCheck("force sensor", not problem, f"{detail}: {problem}" if problem else detail)
+    if problem:
+        return RigCheck("force sensor", False, f"{detail}: {problem}")
+    return RigCheck("force sensor", True, f"{detail}; {_liveness_remark(rig, reading)}")
+
+
+def _liveness_remark(rig: RigSettings, reading: RawReading) -> str:
+    """Say by what a dead sensor would show, and what is missing for that."""
+    force, noise_uV, least_uV = rig.hardware.card.force, 1e6 * reading.force_noise_V, 1e6 * least_noise_V(rig)
+    alive = f"{noise_uV:.0f} µV from sample to sample, dead below {least_uV:.0f}"
+    if not force.least_noise_uV:
+        alive += (
+            f", the converter's own: with the sensor on, set hardware.card.force.least_noise_uV to about "
+            f"{0.5 * noise_uV:.0f} if its noise is clearly less with the sensor off"
+        )
+    if force.unplugged == "floating":
+        alive += "; a pulled cable may not show: put a resistor at the input (hardware.card.force.unplugged)"
+    return alive
 
 
 def check_drive(stage: Stage, link: DriveLink, rig: RigSettings) -> Iterator[RigCheck]:

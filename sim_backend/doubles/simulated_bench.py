@@ -7,6 +7,7 @@ pieces.
 """
 
 import dataclasses
+import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -296,9 +297,30 @@ class ActiveFaults:
     force_added_mN: float = 0.0
     """Force on the sensor in addition to the specimen's."""
     sensor_open: bool = False
-    """The force sensor's wire is broken: its amplifier is at the rail."""
+    """The force sensor's cable is pulled: the input is where its pull-up or pull-down holds it."""
+    force_dead: bool = False
+    """The force sensor's amplifier gives 0 V, whatever happens; the converter adds its own noise."""
+    force_frozen: bool = False
+    """The force input repeats one sample."""
+    force_constant_V: float = 0.0
+    """The force input gives exactly this voltage; 0 for none."""
+    force_inverted: bool = False
+    """The force sensor is wired the wrong way round."""
+    force_rail_V: float = 0.0
+    """The force sensor's amplifier saturates at this voltage, of either sign; 0 where the card's range ends first."""
+    force_tone_mN: float = 0.0
+    force_tone_hz: float = 0.0
+    """`force_tone_mN`, `force_tone_hz`: amplitude and frequency of a tone on the force sensor's wires."""
     encoder_stuck: bool = False
     """The encoder repeats one count."""
+    encoder_added_counts: int = 0
+    """Total number of counts that came too many; negative for counts that were lost."""
+    encoder_lost_share: float = 0.0
+    """Share of the counts of a motion that is lost; negative for counts that come twice."""
+    encoder_jitter_counts: int = 0
+    """The encoder's count is off by up to so many, at random."""
+    encoder_error: bool = False
+    """The read head reports an error on its E line, or that wire is broken."""
     switches_swapped: bool = False
     """The wires of the two limit switches are swapped."""
     switches_normally_open: bool = False
@@ -370,6 +392,9 @@ _MAX_HOLD_SPEED_MM_S = 0.2
 _EXTRA_BUFFER_S = 2.0
 """How much longer than in the card's buffer samples are held."""
 _LOOKAHEAD_S = 0.25
+_SAMPLE_TOLERANCE = 1e-6
+CONVERTER_NOISE = 0.8 * 2.0**-15
+"""The PCI-6229's own noise (standard deviation), as a share of an input's range: 244 µV at ±10 V (specifications)."""
 
 
 class DoubleClock:
@@ -417,6 +442,8 @@ class DoubleClock:
 class SensorForce:
     """The simulated rig's force sensor and motor, for a motion that becomes known only as it happens.
 
+    Both are computed at the settings' sample rate and interpolated to the times at which the card samples.
+
     Parameters
     ----------
     acquisition
@@ -427,17 +454,25 @@ class SensorForce:
         self._rate_hz = rig.sampling.rate_hz
         self.acquisition = acquisition
         self._channels = SimulatedChannels(rig, model, acquisition, UNDISTURBED)
-        self._unused = True
         self._followed: Carriage | None = None
         self._waits_until_s = 0.0
+        self._index = 0
+        self._last = {name: np.zeros(0) for name in ("force", "motor_force")}
 
-    def fits(self, rate_hz: float) -> bool:
-        """Whether it is for this sample rate and no sample was computed yet."""
-        return rate_hz == self._rate_hz and self._unused
+    def at(self, time_s: FloatArray, carriage: Carriage) -> Mapping[str, FloatArray]:
+        """Return force and motor force [mN] at increasing times, shape `(n,)`, which never go back."""
+        position = time_s * self._rate_hz
+        first, end = self._index, math.ceil(position[-1] - _SAMPLE_TOLERANCE) + 1
+        if end > first:
+            computed = self._compute(first, end, carriage)
+            self._last = {name: np.concatenate([last[-2:], computed[name]]) for name, last in self._last.items()}
+            self._index = end
+        return {
+            name: np.interp(position, np.arange(self._index - len(values), self._index), values)
+            for name, values in self._last.items()
+        }
 
-    def compute(self, first: int, end: int, carriage: Carriage) -> Mapping[str, AnyFloatArray]:
-        """Return force and motor force [mN] of samples `first` to before `end`; `first` never goes back."""
-        self._unused = False
+    def _compute(self, first: int, end: int, carriage: Carriage) -> Mapping[str, AnyFloatArray]:
         until_s = end / self._rate_hz
         if carriage.has_moved:
             if carriage is not self._followed:
@@ -484,7 +519,12 @@ class _Sampling:
     rate_hz: float
     origin_counts: int
     force: SensorForce
+    noise: np.random.Generator
+    added_counts: int
+    """What the fault of that name was when sampling began."""
     computed: int = 0
+    last_count: float = 0.0
+    lost_counts: float = 0.0
     chunks: list[tuple[int, dict[str, FloatArray]]] = field(default_factory=list)
 
 
@@ -512,7 +552,8 @@ class SimulatedBench:
             rig.hardware.drive.velocity, self._may_go, lambda: -1.0 if self.faults.active.velocity_swapped else 1.0
         )
         self._relay = HeartbeatRelay(lines.heartbeat, lines.heartbeat_s)
-        self._next_force = self._sensor_force(no_contact(), rig.sampling.rate_hz)
+        self._next_force = self._sensor_force(no_contact())
+        self._samplings = 0
         self._sampling: _Sampling | None = None
         self._push: tuple[Piece, ...] = ()
         self._written: dict[str, bool] = {}
@@ -521,7 +562,7 @@ class SimulatedBench:
     def present(self, acquisition: Acquisition) -> None:
         """Let the next sampling measure this acquisition's capsule and specimen."""
         # Prepared beforehand, so that the first sample does not wait for it.
-        self._next_force = self._sensor_force(acquisition, self.rig.sampling.rate_hz)
+        self._next_force = self._sensor_force(acquisition)
 
     @property
     def moving(self) -> bool:
@@ -587,15 +628,15 @@ class SimulatedBench:
     def begin_sampling(self, rate_hz: float) -> None:
         """Take sample 0 now."""
         with self._lock:
-            force = self._next_force
-            if not force.fits(rate_hz):
-                force = self._sensor_force(force.acquisition, rate_hz)
             now_s = self.clock.monotonic()
             held = self._velocity_input.on and abs(self.speed_mm_s()) < _MAX_HOLD_SPEED_MM_S
             if not self.moving or held:
                 self._stand(self.position_mm(), now_s)
             counts = self.counts(np.array([self.position_mm()]))
-            self._sampling = _Sampling(now_s, rate_hz, int(counts[0]), force)
+            noise = np.random.default_rng([self.rig.simulated.seed, self._samplings])
+            self._samplings += 1
+            added = self.faults.active.encoder_added_counts
+            self._sampling = _Sampling(now_s, rate_hz, int(counts[0]), self._next_force, noise, added)
             self._begin_push()
 
     def _begin_push(self) -> None:
@@ -646,7 +687,7 @@ class SimulatedBench:
         """Take no further sample; the next sampling has no contact by default."""
         with self._lock:
             self._sampling = None
-            self._next_force = self._sensor_force(no_contact(), self.rig.sampling.rate_hz)
+            self._next_force = self._sensor_force(no_contact())
 
     def read_line(self, line: str) -> bool:
         """Return the level of a digital line, as PORT/LINE without the device."""
@@ -664,6 +705,8 @@ class SimulatedBench:
                 (lines.limit_high, lines.limit_low) if faults.switches_swapped else (lines.limit_low, lines.limit_high)
             )
             wired = {lines.e_stop: "e_stop", low: "limit_low", high: "limit_high"}
+            if line and line == lines.encoder_error:
+                return not faults.encoder_error
             if line not in wired:
                 return self._written.get(line, False)
             return closed[wired[line]] is not faults.switches_normally_open
@@ -674,8 +717,8 @@ class SimulatedBench:
             self._written[line] = high
             self._relay.notice(line, high)
 
-    def _sensor_force(self, acquisition: Acquisition, rate_hz: float) -> SensorForce:
-        sampling = self.rig.sampling.model_copy(update={"rate_hz": rate_hz, "motor_force": True})
+    def _sensor_force(self, acquisition: Acquisition) -> SensorForce:
+        sampling = self.rig.sampling.model_copy(update={"motor_force": True})
         return SensorForce(self.rig.model_copy(update={"sampling": sampling}), self._model, acquisition)
 
     def _elapsed_s(self) -> float:
@@ -697,20 +740,20 @@ class SimulatedBench:
         began_s = sampling.began_s - self._since_s
         # The friction knows motions from a standstill at the first sample; one that began before it is left out.
         felt = self._felt if began_s <= 1.0 / sampling.rate_hz else Carriage.standing(self._carriage.origin_mm)
-        simulated = sampling.force.compute(first, end, felt)
-        faults, card = self.faults.active, self.rig.hardware.card
-        volts = (simulated["force"].astype(np.float64) + faults.force_added_mN) / card.force.per_V + card.force.zero_V
-        if faults.sensor_open:
-            volts[:] = 10.0 * np.sign(card.force.per_V)
-        positions = self._carriage.positions(np.arange(first, end) / sampling.rate_hz + began_s)
-        counts = self.counts(positions) - sampling.origin_counts
-        if faults.encoder_stuck:
-            counts[:] = sampling.chunks[-1][1]["encoder_counts"][-1] if sampling.chunks else 0.0
-        chunk = {"force_V": volts, "encoder_counts": counts}
+        time_s = np.arange(first, end) / sampling.rate_hz
+        simulated = sampling.force.at(time_s, felt)
+        before = sampling.chunks[-1][1] if sampling.chunks else None
+        counts = self.counts(self._carriage.positions(time_s + began_s)) - sampling.origin_counts
+        chunk = {
+            "force_V": self._force_volts(sampling, time_s, simulated["force"], before),
+            "encoder_counts": self._seen_counts(sampling, counts, before),
+        }
+        card = self.rig.hardware.card
         quantities = {"motor_force": simulated["motor_force"], "temperature": BODY_TEMPERATURE_DEGC}
         for channel in card.inputs:
             values = np.asarray(quantities.get(channel.name, 0.0), np.float64)
-            chunk[channel.name] = np.broadcast_to(values, counts.shape) / channel.per_V + channel.zero_V
+            volts = np.broadcast_to(values, counts.shape) / channel.per_V + channel.zero_V
+            chunk[channel.name] = volts + _converter_noise(sampling, channel.range_V, len(counts))
         sampling.chunks.append((first, chunk))
         sampling.computed = end
         oldest = end - round((card.buffer_s + _EXTRA_BUFFER_S) * sampling.rate_hz)
@@ -722,3 +765,47 @@ class SimulatedBench:
         faults = self.faults.active
         counts = np.rint(position_mm * (1000.0 * faults.encoder_scale / self.rig.encoder.resolution_um))
         return -counts if self.rig.hardware.card.encoder.reversed is not faults.encoder_swapped else counts
+
+    def _force_volts(
+        self, sampling: _Sampling, time_s: FloatArray, force_mN: FloatArray, before: dict[str, FloatArray] | None
+    ) -> FloatArray:
+        """Return the force input's volts, with what is wrong with sensor, amplifier and wires."""
+        faults, wiring = self.faults.active, self.rig.hardware.card.force
+        load_mN = force_mN + faults.force_added_mN
+        if faults.force_tone_mN:
+            load_mN = load_mN + faults.force_tone_mN * np.sin(2 * np.pi * faults.force_tone_hz * time_s)
+        volts = (-load_mN if faults.force_inverted else load_mN) / wiring.per_V + wiring.zero_V
+        if faults.force_rail_V:
+            volts = np.clip(volts, -faults.force_rail_V, faults.force_rail_V)
+        if faults.force_dead:
+            volts = np.zeros_like(volts)
+        if faults.sensor_open:
+            volts = np.full_like(volts, self._unplugged_V())
+        volts = volts + _converter_noise(sampling, wiring.range_V, len(volts))
+        if faults.force_frozen:
+            volts[:] = volts[0] if before is None else before["force_V"][-1]
+        if faults.force_constant_V:
+            volts[:] = faults.force_constant_V
+        return np.asarray(volts)
+
+    def _unplugged_V(self) -> float:
+        return 10.0 * float(np.sign(self.rig.hardware.card.force.per_V))
+
+    def _seen_counts(self, sampling: _Sampling, counts: FloatArray, before: dict[str, FloatArray] | None) -> FloatArray:
+        """Return the counts that reach the card, with what is wrong with encoder and wires."""
+        faults = self.faults.active
+        if faults.encoder_stuck:
+            return np.full_like(counts, 0.0 if before is None else before["encoder_counts"][-1])
+        steps = np.diff(counts, prepend=sampling.last_count)
+        sampling.last_count = float(counts[-1])
+        lost = sampling.lost_counts + faults.encoder_lost_share * np.cumsum(steps)
+        sampling.lost_counts = float(lost[-1])
+        seen = counts - np.rint(lost) + (faults.encoder_added_counts - sampling.added_counts)
+        if faults.encoder_jitter_counts:
+            most = faults.encoder_jitter_counts
+            seen = seen + sampling.noise.integers(-most, most, size=len(seen), endpoint=True)
+        return seen
+
+
+def _converter_noise(sampling: _Sampling, range_V: float, samples: int) -> FloatArray:
+    return sampling.noise.normal(0.0, CONVERTER_NOISE * range_V, samples)

@@ -25,105 +25,23 @@ from dragrig.rig.hardware.card.connection import (
     driver_errors_wrapped,
     no_samples_error,
 )
-from dragrig.rig.hardware.card.scaling import Scaling
-from dragrig.rig.hardware.card.tasks import BufferedInput, OverwrittenError, SampledTasks, metres_per_count
-
-READ_TIMEOUT_S = 0.1
-"""Longest wait of one call of the driver, twice a block: shorter ones stall it, longer ones delay a stop."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SampleBatch:
-    """Consecutive samples, as views of buffers that the next fetch overwrites."""
-
-    first_index: int
-    """Index of the first sample since the start."""
-    lost: int
-    """How many samples before it are lost."""
-    volts: FloatArray
-    counts: FloatArray
-    """`volts`, `counts`: shape `(inputs, n)` and `(n,)`; `n` is 0 when nothing arrived in time."""
-
-    @property
-    def samples(self) -> int:
-        """How many samples there are of every channel."""
-        return len(self.counts)
-
-
-class SampleFetcher:
-    """Reads both tasks block by block into buffers of its own. Belongs to one thread.
-
-    Parameters
-    ----------
-    inputs
-        How many analog inputs there are.
-    count_length_m
-        Length that the encoder's task assigns to a count.
-    """
-
-    def __init__(
-        self, analog: BufferedInput, encoder: BufferedInput, inputs: int, block_samples: int, count_length_m: float
-    ) -> None:
-        self._analog, self._encoder = analog, encoder
-        self._inputs = inputs
-        self._count_length_m = count_length_m
-        self._volts = np.empty(inputs * block_samples)
-        self._counts = np.empty(block_samples)
-        self._volts_held = self._counts_held = 0
-        self.next_index = 0
-        """Index of the next sample."""
-        self.lost = 0
-        """How many samples before `next_index` are lost and not yet reported by a `SampleBatch`."""
-
-    @property
-    def acquired(self) -> int:
-        """How many samples the card has taken."""
-        return self._analog.acquired
-
-    def fetch(self, samples: int) -> SampleBatch:
-        """Return the next samples, at most `samples`, fewer or none when they do not arrive in `READ_TIMEOUT_S`.
-
-        Samples that only one of the tasks has delivered so far are held for the next call.
-        """
-        try:
-            if not self._volts_held:
-                self._volts_held = self._analog.read(self._volts_view(samples), samples, READ_TIMEOUT_S)
-            missing = self._volts_held - self._counts_held
-            if missing:
-                into = self._counts[self._counts_held : self._volts_held]
-                self._counts_held += self._encoder.read(into, missing, READ_TIMEOUT_S)
-        except OverwrittenError:
-            self._skip_to_newest()
-        return self._complete_batch()
-
-    def fetch_newest(self, samples: int) -> SampleBatch:
-        """Return the next samples from now on, as `fetch` does; those before are passed over."""
-        self._skip_to_newest()
-        return self.fetch(samples)
-
-    def _complete_batch(self) -> SampleBatch:
-        samples = self._volts_held if self._counts_held == self._volts_held else 0
-        counts = self._counts[:samples]
-        # DAQmx returns lengths; a count is a whole number.
-        counts /= self._count_length_m
-        np.rint(counts, out=counts)
-        batch = SampleBatch(self.next_index, self.lost if samples else 0, self._volts_view(samples), counts)
-        if samples:
-            self.next_index += samples
-            self._volts_held = self._counts_held = self.lost = 0
-        return batch
-
-    def _skip_to_newest(self) -> None:
-        newest = max(self._analog.acquired, self._encoder.acquired, self.next_index + 1)
-        self.lost += newest - self.next_index
-        self.next_index = newest
-        self._volts_held = self._counts_held = 0
-        self._analog.skip_to(newest)
-        self._encoder.skip_to(newest)
-
-    def _volts_view(self, samples: int) -> FloatArray:
-        return self._volts[: self._inputs * samples].reshape(self._inputs, samples)
-
+from dragrig.rig.hardware.card.oversampling import (
+    MAX_AGGREGATE_RATE_HZ,
+    Alias,
+    AntiAliasFilter,
+    OversampledFetcher,
+    find_aliases,
+    oversampling_factor,
+)
+from dragrig.rig.hardware.card.scaling import ForceInputMonitor, Scaling
+from dragrig.rig.hardware.card.tasks import (
+    SampleBatch,
+    SampledTasks,
+    SampleFetcher,
+    ScanTiming,
+    metres_per_count,
+    read_force_alone,
+)
 
 _QUEUE_BLOCKS = 256
 """Blocks that wait for the thread that reads; beyond them, samples wait in the card's buffer."""
@@ -156,21 +74,24 @@ class ReaderThread:
 
     Parameters
     ----------
-    fetcher, close
-        The started tasks' samples, and what closes the tasks. Both belong to the thread from here on.
+    fetcher, monitor, close
+        The started tasks' samples, what judges the force input, and what closes the tasks. They belong to the thread
+        from here on.
     """
 
     def __init__(
         self,
-        fetcher: SampleFetcher,
+        fetcher: SampleFetcher | OversampledFetcher,
         scaling: Scaling,
+        monitor: ForceInputMonitor,
         settings: ReadSettings,
         sync: MotionSamplingSync,
         card: CardSettings,
         close: Callable[[], None],
     ) -> None:
         self._fetcher, self._scaling, self._settings, self._sync = fetcher, scaling, settings, sync
-        self._card, self._close = card, close
+        self._card, self._monitor, self._close = card, monitor, close
+        self._sensor_fault: Trip | None = None
         self._queue: Queue[_TimedBlock | Exception | None] = Queue(_QUEUE_BLOCKS)
         self._end_requested = Signal()
         self._closing_error: Exception | None = None
@@ -272,6 +193,7 @@ class ReaderThread:
                     )
                 return None
             batch = self._fetcher.fetch(wanted)
+            self._sensor_fault = self._monitor.add(batch.force_input) or self._sensor_fault
             if batch.samples:
                 taken_s = (batch.samples + batch.lost) / self._settings.rate_hz
                 self._newest_s = min(time.monotonic(), self._newest_s + taken_s * (1 + _CLOCK_TOLERANCE))
@@ -290,7 +212,7 @@ class ReaderThread:
     def _block(self, batch: SampleBatch) -> Block:
         if batch.first_index == 0:
             self._origin_counts = float(batch.counts[0])
-        fault = self._scaling.sensor_fault(batch.volts[0])
+        fault, self._sensor_fault = self._sensor_fault, None
         if batch.lost:
             at_s = (batch.first_index - batch.lost) / self._settings.rate_hz
             fault = Trip(
@@ -311,8 +233,8 @@ class ReaderThread:
             return
 
 
-MAX_AGGREGATE_RATE_HZ = 250_000
-"""Samples per second that the PCI-6229 converts over all channels (PCI-6229 specifications)."""
+PROBE_S = 0.2
+"""How long the force input is sampled as fast as the card can, to find what would be recorded as aliases."""
 _MAX_FETCH_S = MAX_BLOCK_S - 0.002
 """Leaves the guard its time, so that a condition stops the stage within one longest block."""
 
@@ -363,10 +285,11 @@ class CardSampler:
         self._connection, self._rig, self._sync, self._clock = connection, rig, sync, clock
         self._feed_watchdog, self._on_arm = feed_watchdog, on_arm
         self._scaling = Scaling.from_settings(rig, calibrations)
-        self._rate_hz = rig.sampling.rate_hz
+        self._filter = AntiAliasFilter.of(oversampling_factor(rig))
+        self._timing: ScanTiming | None = None
         # At most half of what counts as stale, so that a healthy card cannot look stale.
         block_s = min(rig.sampling.block_s, _MAX_FETCH_S, rig.guard.stale_data_s / 2)
-        self._block_samples = max(1, int(block_s * self._rate_hz + 1e-6))
+        self._block_samples = max(1, int(block_s * rig.sampling.rate_hz + 1e-6))
         self._lock = Lock()
         self._acquisition: _ArmedAcquisition | None = None
         self._was_armed = False
@@ -374,8 +297,26 @@ class CardSampler:
 
     @property
     def sample_rate_hz(self) -> float:
-        """Samples per second of every channel."""
-        return self._rate_hz
+        """Recorded samples per second of every channel, as the card's clock, a fraction of its time base, gives them.
+
+        Raises `DeviceError` when the card refuses to tell.
+        """
+        return self.timing.rate_hz / self._filter.factor
+
+    @property
+    def timing(self) -> ScanTiming:
+        """The card's clocks; the first time they are asked of the card, which must be idle then."""
+        if self._timing is None:
+            with driver_errors_wrapped(self._connection.card, "its sample clock is set"):
+                tasks = self._reserved_tasks("its sample clock is set")
+                tasks.close()
+            return tasks.timing
+        return self._timing
+
+    @property
+    def anti_alias(self) -> AntiAliasFilter:
+        """What makes recorded samples of the card's."""
+        return self._filter
 
     @property
     def channels(self) -> tuple[RecordedChannel, ...]:
@@ -399,7 +340,7 @@ class CardSampler:
         if self._sync.moving:
             raise DeviceError("the sampler cannot be armed while the stage moves: wait or stop it first.")
         tasks = self._reserved_tasks("it is armed")
-        self._acquisition = _ArmedAcquisition(tasks, acquisition.profile.samples(self._rate_hz))
+        self._acquisition = _ArmedAcquisition(tasks, acquisition.profile.samples(self.sample_rate_hz))
         self._was_armed = True
         self._sync.arm()
 
@@ -421,7 +362,8 @@ class CardSampler:
                 armed.reader = ReaderThread(
                     self._fetcher(armed.tasks),
                     self._scaling,
-                    ReadSettings(armed.samples, self._block_samples, self._rate_hz, self._rig.guard.stale_data_s),
+                    ForceInputMonitor(self._rig, self.timing.rate_hz),
+                    ReadSettings(armed.samples, self._block_samples, self.sample_rate_hz, self._rig.guard.stale_data_s),
                     self._sync,
                     self._connection.card,
                     armed.tasks.close,
@@ -482,11 +424,14 @@ class CardSampler:
             tasks = self._reserved_tasks("it measures")
             try:
                 tasks.start(lambda start: start())
-                volts, counts = self._collect(self._fetcher(tasks), max(1, round(duration_s * self._rate_hz)))
+                samples = max(1, round(duration_s * self.sample_rate_hz))
+                monitor = ForceInputMonitor(self._rig, self.timing.rate_hz)
+                volts, counts, fault = self._collect(self._fetcher(tasks), monitor, samples)
             finally:
                 tasks.close()
         mean_mN = self._scaling.mN_per_V * float(np.mean(volts, dtype=np.float64)) + self._scaling.zero_mN
-        return RawReading.of(volts, -counts if self._connection.card.encoder.reversed else counts, mean_mN)
+        reading = RawReading.of(volts, -counts if self._connection.card.encoder.reversed else counts, mean_mN)
+        return replace(reading, force_noise_V=monitor.noise_V, fault=fault)
 
     @contextmanager
     def watch(self) -> Iterator[Callable[[], tuple[FloatArray, FloatArray]]]:
@@ -529,14 +474,31 @@ class CardSampler:
             finally:
                 tasks.close()
 
-    def _collect(self, fetcher: SampleFetcher, samples: int) -> tuple[FloatArray, FloatArray]:
-        """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` each."""
+    def probe_aliases(self) -> Alias:
+        """Sample the force input alone, as fast as the card can, and return what a recording would fold down of it.
+
+        Raises `DeviceError` when the sampler is armed, or the card fails.
+        """
+        if self._acquisition is not None:
+            raise DeviceError("the sampler is armed for an acquisition: stop it before its input is probed.")
+        with driver_errors_wrapped(self._connection.card, "its force input is probed"):
+            volts, rate_hz = read_force_alone(self._connection, MAX_AGGREGATE_RATE_HZ, PROBE_S)
+        return find_aliases(volts, rate_hz, self._filter, self.sample_rate_hz)
+
+    def _collect(
+        self, fetcher: SampleFetcher | OversampledFetcher, monitor: ForceInputMonitor, samples: int
+    ) -> tuple[FloatArray, FloatArray, Trip | None]:
+        """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` each.
+
+        Last comes what the force input showed of the sensor.
+        """
         volts, counts = np.empty(samples), np.empty(samples)
         stale_s, last_data_s = self._rig.guard.stale_data_s, time.monotonic()
-        collected = 0
+        collected, fault = 0, None
         while collected < samples:
             self._feed_watchdog()
             batch = fetcher.fetch(min(self._block_samples, samples - collected))
+            fault = fault or monitor.add(batch.force_input)
             if batch.samples:
                 last_data_s = time.monotonic()
             elif time.monotonic() - last_data_s > stale_s:
@@ -544,7 +506,7 @@ class CardSampler:
             end = collected + batch.samples
             volts[collected:end], counts[collected:end] = batch.volts[0], batch.counts
             collected = end
-        return volts, counts
+        return volts, counts, fault
 
     def _reserved_tasks(self, doing: str) -> SampledTasks:
         card = self._connection.card
@@ -554,7 +516,9 @@ class CardSampler:
                 "the computer if that does not help."
             )
         with driver_errors_wrapped(card, doing):
-            return SampledTasks(self._connection, self._rig)
+            tasks = SampledTasks(self._connection, self._rig, self._rig.sampling.rate_hz * self._filter.factor)
+        self._timing = tasks.timing
+        return tasks
 
     def _start_clock(self, start: Callable[[], None]) -> None:
         before_s = self._clock.monotonic()
@@ -562,16 +526,19 @@ class CardSampler:
         after_s = self._clock.monotonic()
         self._sync.set_first_sample(FirstSample((before_s + after_s) / 2, (after_s - before_s) / 2))
 
-    def _fetcher(self, tasks: SampledTasks) -> SampleFetcher:
-        inputs = len(self._scaling.channels) - 1
-        return SampleFetcher(tasks.analog, tasks.encoder, inputs, self._block_samples, metres_per_count(self._rig))
+    def _fetcher(self, tasks: SampledTasks) -> SampleFetcher | OversampledFetcher:
+        inputs, factor = len(self._scaling.channels) - 1, self._filter.factor
+        block = self._block_samples * factor + self._filter.wing
+        fetcher = SampleFetcher(tasks.analog, tasks.encoder, inputs, block, metres_per_count(self._rig))
+        return fetcher if factor == 1 else OversampledFetcher(fetcher, self._filter, inputs)
 
 
 def _refuse_excessive_rate(rig: RigSettings) -> None:
-    inputs = 1 + len(rig.hardware.card.inputs)
-    if inputs * rig.sampling.rate_hz > MAX_AGGREGATE_RATE_HZ:
+    inputs, factor = 1 + len(rig.hardware.card.inputs), oversampling_factor(rig)
+    if inputs * factor * rig.sampling.rate_hz > MAX_AGGREGATE_RATE_HZ:
+        times = f" {factor} times" if factor > 1 else ""
         raise SettingsError(
-            f"sampling.rate_hz = {rig.sampling.rate_hz:g} with {inputs} analog inputs exceeds the "
+            f"sampling.rate_hz = {rig.sampling.rate_hz:g}{times} with {inputs} analog inputs exceeds the "
             f"{MAX_AGGREGATE_RATE_HZ:,} samples per second that the card converts over all channels: set at most "
-            f"{MAX_AGGREGATE_RATE_HZ // inputs:,}, or leave out some of hardware.card.inputs."
+            f"{MAX_AGGREGATE_RATE_HZ // (inputs * factor):,}, or leave out some of hardware.card.inputs."
         )

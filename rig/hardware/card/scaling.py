@@ -1,7 +1,8 @@
-"""Scaling of volts and counts to forces, positions and further quantities, and detection of sensor overload."""
+"""Scaling of volts and counts to forces, positions and further quantities, and what volts show of the force sensor."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import nan, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -72,16 +73,73 @@ class Scaling:
             read_only(array)
         return channels
 
-    def sensor_fault(self, volts: FloatArray) -> Trip | None:
-        """Return the overload or wire break that the force input's voltages, shape `(n,)`, show; None when fine."""
-        largest_V = max(float(volts.max()), -float(volts.min()))
-        if largest_V < self.force.overload_V:
+
+_WINDOW_S = 0.1
+_MIN_WINDOW_SAMPLES = 50
+_CONVERTER_NOISE_STEPS = 0.8
+"""The converter's own noise (standard deviation) in its steps, in every range (PCI-6229 specifications)."""
+_DEAD_SHARE = 0.5
+"""Share of the converter's own noise below which an input is no living one."""
+
+
+def least_noise_V(rig: RigSettings) -> float:
+    """Return the noise from sample to sample below which the force input counts as dead [V]."""
+    force = rig.hardware.card.force
+    step_V = 2 * force.range_V / 2**rig.force_sensor.bits
+    return 1e-6 * force.least_noise_uV or _DEAD_SHARE * _CONVERTER_NOISE_STEPS * step_V
+
+
+class ForceInputMonitor:
+    """Judges the force sensor by its input's volts, unfiltered: overloaded, unplugged or dead. Belongs to one thread.
+
+    A sensor that lives has noise, at rest too; an input that repeats itself is cut off, frozen, or stuck at a rail.
+    Noise is the standard deviation from sample to sample, so that no force hides its absence.
+    """
+
+    def __init__(self, rig: RigSettings, rate_hz: float) -> None:
+        self._force = rig.hardware.card.force
+        self._least_noise_V = least_noise_V(rig)
+        self._window = max(round(_WINDOW_S * rate_hz), _MIN_WINDOW_SAMPLES)
+        self._duration_s = self._window / rate_hz
+        self._previous: FloatArray = np.zeros(0)
+        self._steps = 0
+        self._sum_V2 = 0.0
+        self.noise_V = nan
+        """The noise over the last whole window; NaN before the first."""
+
+    def add(self, volts: FloatArray) -> Trip | None:
+        """Take the next volts, shape `(n,)`; return what is wrong with the sensor, None when nothing is."""
+        if not len(volts):
             return None
-        where = f"force input {self.force.channel} is at {largest_V:.2f} V"
-        if largest_V < self.force.open_V:
+        trip = self._level_fault(max(float(volts.max()), -float(volts.min())))
+        steps = np.diff(volts, prepend=self._previous)
+        self._previous = volts[-1:].copy()
+        self._sum_V2 += float(steps @ steps)
+        self._steps += len(steps)
+        if self._steps < self._window:
+            return trip
+        self.noise_V = sqrt(self._sum_V2 / self._steps / 2)
+        self._steps, self._sum_V2 = 0, 0.0
+        return trip or self._noise_fault(float(volts[-1]))
+
+    def _level_fault(self, largest_V: float) -> Trip | None:
+        if largest_V < self._force.overload_V:
+            return None
+        where = f"force input {self._force.channel} is at {largest_V:.2f} V"
+        if largest_V < self._force.open_V:
             return Trip(TripCause.SENSOR_OVERLOAD, f"{where}: the force sensor is overloaded")
         return Trip(
-            TripCause.SENSOR_OPEN, f"{where}, the amplifier's rail: the force sensor is unplugged or a wire is broken"
+            TripCause.SENSOR_OPEN, f"{where}, the end of its range: the force sensor is unplugged or a wire is broken"
+        )
+
+    def _noise_fault(self, volts_V: float) -> Trip | None:
+        if self.noise_V >= self._least_noise_V:
+            return None
+        return Trip(
+            TripCause.SENSOR_DEAD,
+            f"force input {self._force.channel} shows {1e6 * self.noise_V:.0f} µV of noise at {volts_V:.3f} V, and a "
+            f"living sensor at least {1e6 * self._least_noise_V:.0f} µV (hardware.card.force.least_noise_uV): the "
+            "sensor's amplifier is off or saturated, or its cable is pulled",
         )
 
 

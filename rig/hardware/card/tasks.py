@@ -8,8 +8,10 @@ holds its last voltage when a task ends, for whatever reason; so a waveform ends
 a single write of 0 V.
 """
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 
 import nidaqmx
 import numpy as np
@@ -33,6 +35,7 @@ from dragrig.rig import FloatArray
 from dragrig.rig.hardware.card.connection import OVERWRITTEN_CODE, READ_TIMEOUT_CODE, Connection, driver_errors_wrapped
 
 _CALL_TIMEOUT_S = 0.1
+_PART_S, _MAX_WAIT_S = 0.05, 1.0
 PULSES_PER_PERIOD = 4
 """Counts of X4 decoding in a period of the encoder's signals.
 
@@ -116,8 +119,124 @@ class BufferedInput:
         stream.offset = offset
 
 
+READ_TIMEOUT_S = 0.1
+"""Longest wait of one call of the driver, twice a block: shorter ones stall it, longer ones delay a stop."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBatch:
+    """Consecutive samples, as views of buffers that the next fetch overwrites."""
+
+    first_index: int
+    """Index of the first sample since the start."""
+    lost: int
+    """How many samples before it are lost."""
+    volts: FloatArray
+    counts: FloatArray
+    """`volts`, `counts`: shape `(inputs, n)` and `(n,)`; `n` is 0 when nothing arrived in time."""
+    force_input: FloatArray
+    """Volts of the force input that arrived since the batch before, as the card converted them, shape `(m,)`."""
+
+    @property
+    def samples(self) -> int:
+        """How many samples there are of every channel."""
+        return len(self.counts)
+
+
+class SampleFetcher:
+    """Reads both tasks block by block into buffers of its own. Belongs to one thread.
+
+    Parameters
+    ----------
+    inputs
+        How many analog inputs there are.
+    count_length_m
+        Length that the encoder's task assigns to a count.
+    """
+
+    def __init__(
+        self, analog: BufferedInput, encoder: BufferedInput, inputs: int, block_samples: int, count_length_m: float
+    ) -> None:
+        self._analog, self._encoder = analog, encoder
+        self._inputs = inputs
+        self._count_length_m = count_length_m
+        self._volts = np.empty(inputs * block_samples)
+        self._counts = np.empty(block_samples)
+        self._volts_held = self._counts_held = 0
+        self.next_index = 0
+        """Index of the next sample."""
+        self.lost = 0
+        """How many samples before `next_index` are lost and not yet reported by a `SampleBatch`."""
+
+    @property
+    def acquired(self) -> int:
+        """How many samples the card has taken."""
+        return self._analog.acquired
+
+    def fetch(self, samples: int) -> SampleBatch:
+        """Return the next samples, at most `samples`, fewer or none when they do not arrive in `READ_TIMEOUT_S`.
+
+        Samples that only one of the tasks has delivered so far are held for the next call.
+        """
+        try:
+            if not self._volts_held:
+                self._volts_held = self._analog.read(self._volts_view(samples), samples, READ_TIMEOUT_S)
+            missing = self._volts_held - self._counts_held
+            if missing:
+                into = self._counts[self._counts_held : self._volts_held]
+                self._counts_held += self._encoder.read(into, missing, READ_TIMEOUT_S)
+        except OverwrittenError:
+            self.skip_to_newest()
+        return self._complete_batch()
+
+    def fetch_newest(self, samples: int) -> SampleBatch:
+        """Return the next samples from now on, as `fetch` does; those before are passed over."""
+        self.skip_to_newest()
+        return self.fetch(samples)
+
+    def skip_to_newest(self) -> None:
+        """Pass over what the card holds, which counts as lost."""
+        newest = max(self._analog.acquired, self._encoder.acquired, self.next_index + 1)
+        self.lost += newest - self.next_index
+        self.next_index = newest
+        self._volts_held = self._counts_held = 0
+        self._analog.skip_to(newest)
+        self._encoder.skip_to(newest)
+
+    def _complete_batch(self) -> SampleBatch:
+        samples = self._volts_held if self._counts_held == self._volts_held else 0
+        counts = self._counts[:samples]
+        # DAQmx returns lengths; a count is a whole number.
+        counts /= self._count_length_m
+        np.rint(counts, out=counts)
+        volts = self._volts_view(samples)
+        batch = SampleBatch(self.next_index, self.lost if samples else 0, volts, counts, volts[0])
+        if samples:
+            self.next_index += samples
+            self._volts_held = self._counts_held = self.lost = 0
+        return batch
+
+    def _volts_view(self, samples: int) -> FloatArray:
+        return self._volts[: self._inputs * samples].reshape(self._inputs, samples)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanTiming:
+    """The clocks that the card made of what was asked: whole fractions of its time bases."""
+
+    rate_hz: float
+    """Samples per second of every input."""
+    conversion_s: float
+    """Time from the conversion of an input to that of the next in a scan."""
+
+
 class SampledTasks:
     """Analog inputs and encoder, reserved and ready to start; the caller closes them.
+
+    Parameters
+    ----------
+    rate_hz
+        Samples per second that are asked of the card.
 
     Attributes
     ----------
@@ -125,14 +244,19 @@ class SampledTasks:
         Volts, force first, then the further inputs in the settings' order.
     encoder
         Position in metres since the counter's start.
+    timing
+        The clocks as they are.
     """
 
-    def __init__(self, connection: Connection, rig: RigSettings) -> None:
+    def __init__(self, connection: Connection, rig: RigSettings, rate_hz: float) -> None:
+        card = connection.card
         with ExitStack() as stack:
-            self.encoder = _encoder_input(connection, stack, rig)
-            self.analog = _analog_input(connection, stack, rig)
+            self.encoder = _encoder_input(connection, stack, rig, rate_hz)
+            task = stack.enter_context(connection.task("analog inputs"))
+            self.analog = _analog_input(task, connection, (card.force, *card.inputs), rate_hz, card.buffer_s)
             self.analog.commit()
             self.encoder.commit()
+            self.timing = ScanTiming(float(task.timing.samp_clk_rate), 1.0 / float(task.timing.ai_conv_rate))
             self._tasks = stack.pop_all()
 
     def start(self, start_clock: Callable[[Callable[[], None]], None]) -> None:
@@ -150,10 +274,13 @@ def metres_per_count(rig: RigSettings) -> float:
     return rig.encoder.resolution_um * 1e-6
 
 
-def _analog_input(connection: Connection, stack: ExitStack, rig: RigSettings) -> BufferedInput:
-    card = connection.card
-    task = stack.enter_context(connection.task("analog inputs"))
-    channels: tuple[ForceInputSettings | AnalogInputSettings, ...] = (card.force, *card.inputs)
+def _analog_input(
+    task: nidaqmx.Task,
+    connection: Connection,
+    channels: Sequence[ForceInputSettings | AnalogInputSettings],
+    rate_hz: float,
+    buffer_s: float,
+) -> BufferedInput:
     for channel in channels:
         task.ai_channels.add_ai_voltage_chan(
             connection.terminal(channel.channel),
@@ -161,29 +288,42 @@ def _analog_input(connection: Connection, stack: ExitStack, rig: RigSettings) ->
             min_val=-channel.range_V,
             max_val=channel.range_V,
         )
-    _set_sample_clock(task, rig)
+    _set_sample_clock(task, rate_hz, buffer_s)
     reader = AnalogMultiChannelReader(task.in_stream)
     # The arrays are this package's own; asking the driver for their shape at every read would be wasted calls.
     reader.verify_array_shape = False
     return BufferedInput(task, reader.read_many_sample)
 
 
-def _encoder_input(connection: Connection, stack: ExitStack, rig: RigSettings) -> BufferedInput:
+def read_force_alone(connection: Connection, rate_hz: float, duration_s: float) -> tuple[FloatArray, float]:
+    """Return the force input's volts over a while, and their rate; no other task may sample. Raises as the driver."""
+    card = connection.card
+    with connection.task("analog inputs") as task:
+        force = _analog_input(task, connection, (card.force,), rate_hz, card.buffer_s)
+        force.commit()
+        rate = float(task.timing.samp_clk_rate)
+        volts = np.empty(round(duration_s * rate))
+        force.start()
+        part, arrived = round(_PART_S * rate), 0
+        until_s = time.monotonic() + duration_s + _MAX_WAIT_S
+        while arrived < len(volts) and time.monotonic() < until_s:
+            wanted = min(part, len(volts) - arrived)
+            arrived += force.read(volts[arrived : arrived + wanted], wanted, READ_TIMEOUT_S)
+    return volts[:arrived], rate
+
+
+def _encoder_input(connection: Connection, stack: ExitStack, rig: RigSettings, rate_hz: float) -> BufferedInput:
     task = stack.enter_context(connection.task("encoder"))
     add_encoder_channel(task, connection.card, metres_per_count(rig))
-    _set_sample_clock(task, rig, source=f"/{connection.card.device}/ai/SampleClock")
+    _set_sample_clock(task, rate_hz, connection.card.buffer_s, source=f"/{connection.card.device}/ai/SampleClock")
     reader = CounterReader(task.in_stream)
     reader.verify_array_shape = False
     return BufferedInput(task, reader.read_many_sample_double)
 
 
-def _set_sample_clock(task: nidaqmx.Task, rig: RigSettings, source: str = "") -> None:
-    rate_hz = rig.sampling.rate_hz
+def _set_sample_clock(task: nidaqmx.Task, rate_hz: float, buffer_s: float, source: str = "") -> None:
     task.timing.cfg_samp_clk_timing(
-        rate_hz,
-        source=source,
-        sample_mode=AcquisitionType.CONTINUOUS,
-        samps_per_chan=round(rig.hardware.card.buffer_s * rate_hz),
+        rate_hz, source=source, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=round(buffer_s * rate_hz)
     )
 
 

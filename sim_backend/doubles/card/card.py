@@ -349,7 +349,7 @@ class Card:
         return {
             Attribute.TASK_NAME: task.name,
             Attribute.TASK_CHANNELS: names,
-            Attribute.CLOCK_RATE: task.clock.rate_hz if task.clock is not None else 0.0,
+            **_clock_attributes(task),
             Attribute.READ_RELATIVE_TO: task.relative_to,
             Attribute.READ_OFFSET: task.offset,
             Attribute.READ_TOTAL: buffer.total() if buffer is not None else 0,
@@ -365,6 +365,16 @@ class Card:
             **_REQUIRED_VALUES,
             **(_named_channels(task, channel)[0].properties if task.channels else {}),
         }
+
+
+def _clock_attributes(task: CardTask) -> dict[int, AttributeValue]:
+    if task.clock is None:
+        return {Attribute.CLOCK_RATE: 0.0}
+    rate_hz = task.clock.rate_hz
+    if task.kind is not ChannelType.ANALOG_INPUT:
+        return {Attribute.CLOCK_RATE: rate_hz}
+    interval_s = pci6229.convert_interval(rate_hz, len(task.channels))
+    return {Attribute.CLOCK_RATE: rate_hz, Attribute.CONVERT_RATE: 1.0 / interval_s}
 
 
 def _named_channels(task: CardTask, names: str) -> list[VirtualChannel]:

@@ -67,6 +67,7 @@ class Attribute(IntEnum):
     CI_Z_FILTER = 0x2205
     CI_Z_FILTER_S = 0x2206
     CLOCK_RATE = 0x1344
+    CONVERT_RATE = 0x1848
     READ_RELATIVE_TO = 0x190A
     READ_OFFSET = 0x190B
     READ_OVERWRITE = 0x1211
@@ -98,6 +99,12 @@ AO_RANGE_V = 10.0
 AO_MAX_RATE_HZ = 833_333.0
 TIMEBASE_HZ = 20e6
 """A sample clock is a whole fraction of it."""
+CONVERT_S, CONVERT_PADDING_S = 4e-6, 10e-6
+"""Shortest time between two inputs of a scan, and how much longer the driver makes it where the sample rate allows."""
+SETTLING = ((4e-6, 90e-6), (5e-6, 30e-6), (7e-6, 15e-6), (14e-6, 0.1e-6))
+"""What is left of the input before, as a share of the step between both, after a time between two inputs [s]; nothing
+from the last one on.
+"""
 FILTERS_S = (125e-9, 6.425e-6, 2.56e-3)
 """Minimum pulse widths that the digital filters of PFI terminals can be set to."""
 
@@ -235,6 +242,20 @@ def quantised(volts: FloatArray, range_V: float) -> FloatArray:
     np.clip(codes, -_HALF_CODES, _HALF_CODES - 1, out=codes)
     codes *= range_V / _HALF_CODES
     return codes
+
+
+def convert_interval(rate_hz: float, inputs: int) -> float:
+    """Return the time between two inputs of a scan, as the driver chooses it [s]."""
+    return min(CONVERT_S + CONVERT_PADDING_S, 1.0 / (rate_hz * inputs))
+
+
+def with_ghosts(volts: list[FloatArray], interval_s: float) -> list[FloatArray]:
+    """Return the inputs of scans as the converter sees them: each with what is left of the one before it."""
+    if len(volts) < 2 or interval_s >= SETTLING[-1][0]:
+        return volts
+    times_s, shares = np.array(SETTLING).T
+    share = float(np.exp(np.interp(interval_s, times_s, np.log(shares))))
+    return [values + share * (before - values) for before, values in zip([volts[-1], *volts], volts, strict=False)]
 
 
 def nearest_rate(rate_hz: float) -> float:

@@ -59,10 +59,9 @@ class AnalogSource:
     def fetch(self, first: int, end: int) -> list[FloatArray]:
         """Return volts of each channel."""
         samples = self._bench.sample(first, end)
-        return [
-            pci6229.quantised(samples[signal], range_V) if signal is not None else np.zeros(end - first)
-            for signal, range_V in self._signals
-        ]
+        wired = [samples[signal] if signal is not None else np.zeros(end - first) for signal, _ in self._signals]
+        seen = pci6229.with_ghosts(wired, pci6229.convert_interval(self.rate_hz, len(wired)))
+        return [pci6229.quantised(volts, range_V) for volts, (_, range_V) in zip(seen, self._signals, strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
