@@ -357,6 +357,10 @@ def _capsule_label(info: RunInfo) -> str:
     return f"{diameter:g} × {length:g} mm" + ("" if mass is None else f", {mass:g} g")
 
 
+FORCE_RESPONSE_FINDINGS = {"none": "force dead", "along the motion": "force inverted"}
+"""What a run's `force_response` says, where the force is not as it has to be."""
+
+
 def _check_summary(info: RunInfo) -> str:
     """Results of the run's own checks; empty where nothing was checked."""
     checks = info.checks
@@ -364,6 +368,11 @@ def _check_summary(info: RunInfo) -> str:
         return ""
     counted = {"lost_samples": "lost", "clipped_samples": "clipped"}
     findings = [f"{checks[key]} {word}" for key, word in counted.items() if checks.get(key)]
+    off_mm, allowed_mm = (attribute_number(checks, f"encoder_mismatch_{key}") for key in ("mm", "allowed_mm"))
+    if off_mm is not None and allowed_mm is not None and abs(off_mm) > allowed_mm:
+        findings.append(f"encoder {off_mm:+.2f} mm off")
+    if (response := checks.get("force_response")) in FORCE_RESPONSE_FINDINGS:
+        findings.append(FORCE_RESPONSE_FINDINGS[str(response)])
     slip_s = attribute_number(checks, "slip_time_s")
     if slip_s is not None and slip_s >= 0:
         findings.append(f"slip at {slip_s:.1f} s")

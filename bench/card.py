@@ -3,7 +3,8 @@
     python bench/card.py [--minutes 10]
 
 Three analog inputs at 83,333 samples a second each, 250 kS/s in all, and the encoder. Every sample tells its own index,
-so that a lost, doubled or shifted one shows. The bar: none is lost, less than a quarter of one core, flat memory.
+so that a lost, doubled or shifted one shows. The bar: none is lost, less than a quarter of one core, flat memory. Then,
+what filtering oversampled inputs costs.
 """
 
 import argparse
@@ -19,7 +20,10 @@ from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Acquisition, Contact, WallClock
 from dragrig.rig.hardware.card.connection import Connection
+from dragrig.rig.hardware.card.oversampling import AntiAliasFilter, OversampledFetcher
 from dragrig.rig.hardware.card.sampler import CardSampler
+from dragrig.rig.hardware.card.scaling import ForceInputMonitor
+from dragrig.rig.hardware.card.tasks import SampleBatch, SampleFetcher
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece
 from dragrig.sim_backend.doubles import c_library
@@ -139,6 +143,40 @@ def main() -> None:
     print(f"processor, whole process: {100 * used_s / took_s:.1f} % of one core")
     print(f"processor, without the double: {100 * (used_s - in_double_s) / took_s:.1f} % of one core")
     print(f"memory: {memory[min(5, len(memory) - 1)]:.1f} MB at 5 s, {memory[-1]:.1f} MB at the end")
+    print_oversampling(1, 1000.0, 25)
+    print_oversampling(3, 1000.0, 23)
+    print_oversampling(1, 10_000.0, 25)
+
+
+class RandomCard:
+    """Delivers noise as fast as it is asked for."""
+
+    def __init__(self, inputs: int) -> None:
+        self._noise = np.random.default_rng(1).normal(size=(inputs, 100_000))
+        self.next_index = self.lost = 0
+        self.acquired = 1 << 60
+
+    def fetch(self, samples: int) -> SampleBatch:
+        """Return the next samples."""
+        first, self.next_index = self.next_index, self.next_index + samples
+        volts = self._noise[:, :samples]
+        return SampleBatch(first, 0, volts, np.arange(first, self.next_index, dtype=np.float64), volts[0])
+
+
+def print_oversampling(inputs: int, rate_hz: float, factor: int, duration_s: float = 60.0) -> None:
+    """Print what filtering the card's samples to recorded ones, and judging them, costs."""
+    anti_alias = AntiAliasFilter.of(factor)
+    fetcher = OversampledFetcher(cast("SampleFetcher", RandomCard(inputs)), anti_alias, inputs)
+    monitor = ForceInputMonitor(RigSettings(), rate_hz * factor)
+    block, samples = round(0.048 * rate_hz), 0
+    used_s = time.process_time()
+    while samples < duration_s * rate_hz:
+        batch = fetcher.fetch(block)
+        monitor.add(batch.force_input)
+        samples += batch.samples
+    used_s = time.process_time() - used_s
+    card_rate = f"{inputs} × {factor * rate_hz:,.0f} samples a second, {factor} for each recorded one"
+    print(f"filter and monitor, {card_rate}: {100 * used_s / duration_s:.2f} % of one core")
 
 
 def _acquisition(duration_s: float) -> Acquisition:

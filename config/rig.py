@@ -155,7 +155,7 @@ class LineSettings(Settings):
     limit_high: OptionalLine = "port1/line3"
     """Input: low at the upper end of travel."""
     encoder_error: OptionalLine = ""
-    """Input: low while the encoder's read head reports an error (E)."""
+    """Input: low while the encoder's read head reports an error (E), or its wire is broken."""
     heartbeat: OptionalLine = ""
     """Output: toggled while the program runs properly; an external relay cuts the drive's power when it stops."""
     heartbeat_s: float = Field(default=0.05, gt=0, le=1)
@@ -365,6 +365,11 @@ class GuardSettings(Settings):
     """Trip when the command has moved by more than this, plus following_error_per_speed_s times the speed, …"""
     encoder_silent_s: float = Field(default=0.04, gt=0, le=5)
     """… and for longer than this, while the encoder showed no count."""
+    encoder_error_mm: float = Field(default=0.05, gt=0)
+    """Trip when the position jumps by more than this from a sample to the next, beyond what the speed limit allows; and
+    mark a run in which drive and encoder differ at the standstill after it by more than this …"""
+    encoder_error_per_mm: float = Field(default=0.0005, ge=0)
+    """… plus this times its travel."""
     stale_data_s: float = Field(default=0.2, gt=0, le=5)
     """Trip when no block arrives for this long."""
 

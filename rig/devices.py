@@ -55,6 +55,8 @@ class TripCause(StrEnum):
     SENSOR_OPEN = "sensor open circuit"
     SENSOR_DEAD = "sensor dead"
     ENCODER_SILENT = "encoder silent"
+    ENCODER_JUMP = "encoder jump"
+    ENCODER_ERROR = "encoder error"
     OVERRUN = "overrun"
     WATCHDOG = "watchdog"
 

@@ -32,7 +32,7 @@ from dragrig.config import (
     TrippedError,
     reason_of,
 )
-from dragrig.rig.devices import Acquisition, Backend, Block, Contact, Trip, TripCause
+from dragrig.rig.devices import Acquisition, Backend, Block, Trip, TripCause
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import AnyFloatArray, Phase, PhaseArray
 from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
@@ -112,8 +112,11 @@ class RunningAcquisition:
             self._rate_hz,
             self._sampler.force_range_mN,
             rig.force_sensor.accuracy_mN,
-            sticking=acquisition.contact is Contact.STICKING,
+            acquisition.contact,
+            1e-3 * rig.encoder.resolution_um,
         )
+        self._guard_settings = rig.guard
+        self._stood_at_mm = 0.0
         self._expected = acquisition.profile.samples(self._rate_hz)
         self._began_s = self._clock.monotonic()
         self._settle_until_s = self._braking_from_s = 0.0
@@ -134,6 +137,7 @@ class RunningAcquisition:
 
         A stop after arming drops the motion; arming forgets one before it, which has set `cancel`.
         """
+        self._stood_at_mm = self._stage.state().position_mm
         self._sampler.arm(self._acquisition)
         if cancel.is_set():
             return False
@@ -173,6 +177,14 @@ class RunningAcquisition:
         self._stage.await_end(cancel)
         if fault := self._fault():
             self.trip(self._guard.latch(fault))
+        elif not cancel.is_set():
+            self._compare_travel()
+
+    def _compare_travel(self) -> None:
+        """Compare drive and encoder at the standstill after the motion."""
+        settings, travel_mm = self._guard_settings, self._stage.state().position_mm - self._stood_at_mm
+        bound_mm = settings.encoder_error_mm + settings.encoder_error_per_mm * abs(travel_mm)
+        self._checks.compare_travel(travel_mm, bound_mm)
 
     def trip(self, trip: Trip | None) -> None:
         """Stop because of a trip; None, from a guard that was latched already, changes nothing."""
@@ -264,6 +276,9 @@ class RunningAcquisition:
 
     def _annotate_uncertainty(self) -> None:
         uncertainty_s = self._stage.start_uncertainty_s
+        if uncertainty_s:
+            # Not on one clock: a drive that starts late is no lag of the stage.
+            uncertainty_s = max(uncertainty_s, self._checks.start_delay_s)
         if self._sink is not None and uncertainty_s != self._uncertainty_s:
             self._uncertainty_s = uncertainty_s
             self._sink.annotate({"command_t0_uncertainty_s": uncertainty_s})

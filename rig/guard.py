@@ -1,8 +1,8 @@
 """The guard: an interlock that stops the stage once and stays tripped until it is reset.
 
 It starts tripped, so that nothing moves before a person has looked at the rig, and it trips once: whatever follows a
-trip does not replace its reason. It watches force, position, speed, following error and an encoder that shows no
-counts while the setpoint moves (a cable off, a broken wire, a stuck stage).
+trip does not replace its reason. It watches force, position, speed, following error, an encoder that shows no counts
+while the setpoint moves (a cable off, a broken wire, a stuck stage), and one that jumps as no stage can.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from dragrig.rig.reading import BlockExtremes
 
 _SPEED_WINDOW_S = 0.01
 _MAX_DITHER_COUNTS = 1.5
+_MAX_JUMP_COUNTS = 3
 LIMIT_SWITCH_CAUSES = {
     TravelEnd.LOW: TripCause.LIMIT_SWITCH_LOW,
     TravelEnd.HIGH: TripCause.LIMIT_SWITCH_HIGH,
@@ -126,6 +127,8 @@ class Guard:
     def __init__(self, settings: GuardSettings, count_mm: float = 0.0) -> None:
         self._settings = settings
         self._dither_mm = _MAX_DITHER_COUNTS * count_mm
+        self._max_jump_mm = max(settings.encoder_error_mm, _MAX_JUMP_COUNTS * count_mm)
+        self._last_position: tuple[int, float] | None = None
         self._trip: Trip | None = Trip(TripCause.START_UP, "the guard is tripped at start-up until it is reset")
         self._envelope = Envelope(0.0, 0.0, 0.0)
         self._speed_start: tuple[int, float] | None = None
@@ -167,7 +170,7 @@ class Guard:
     def watch(self, extremes: MotionExtremes) -> None:
         """Set the envelope for the motion about to begin; an override for the motion before ends."""
         self._envelope = Envelope.around(extremes, self._settings)
-        self._speed_start, self._previous_command = None, None
+        self._speed_start, self._previous_command, self._last_position = None, None, None
         self._silence = EncoderSilenceMonitor(self._dither_mm)
         if not self._override_next_motion:
             self._overridden = None
@@ -199,6 +202,7 @@ class Guard:
         else:
             trip = (
                 self._check_position(extremes.min_position_mm, extremes.max_position_mm)
+                or self._check_jump(block, rate_hz)
                 or self._check_speed(block, rate_hz)
                 or self._check_silence(block, command, extremes, rate_hz)
                 or self._check_following(extremes.following_error_mm, command, rate_hz)
@@ -215,6 +219,20 @@ class Guard:
             TripCause.POSITION,
             f"position {position_mm:.3f} mm from the run's start is outside {allowed.lowest_mm:.3f} to "
             f"{allowed.highest_mm:.3f} mm",
+        )
+
+    def _check_jump(self, block: Block, rate_hz: float) -> Trip | None:
+        position = block.channels["position"]
+        jump_mm = float(np.abs(np.diff(position)).max()) if len(position) > 1 else 0.0
+        if self._last_position is not None and self._last_position[0] == block.first_index:
+            jump_mm = max(jump_mm, abs(float(position[0]) - self._last_position[1]))
+        self._last_position = (block.end_index, float(position[-1]))
+        if jump_mm <= self._max_jump_mm + self._envelope.speed_mm_s / rate_hz:
+            return None
+        return Trip(
+            TripCause.ENCODER_JUMP,
+            f"the position jumped by {jump_mm:.3f} mm from a sample to the next: counts are lost or come twice; check "
+            "the encoder's gap to its scale, its line receiver and the shield",
         )
 
     def _check_speed(self, block: Block, rate_hz: float) -> Trip | None:

@@ -1,4 +1,4 @@
-"""Samples with their setpoint, and the checks made on them: rest offset, clipping, slip, following error, lost samples.
+"""Samples with their setpoint, and the checks made on them: rest offset, clipping, slip, response, what was lost.
 
 Checks are accumulated block by block, so that they need no memory of the run and are ready the moment it ends.
 """
@@ -10,11 +10,25 @@ from statistics import median
 
 import numpy as np
 
-from dragrig.rig.devices import Block
+from dragrig.rig.devices import Block, Contact
 from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, Phase, PhaseArray, read_only
 from dragrig.rig.runfile import Attribute
 
 _CHUNK_SAMPLES = 16_384
+_STANDSTILL_S = 0.02
+_START_COUNTS = 3
+"""Counts that an encoder may show, on a stage that stands, without being moved."""
+_LEAST_RESPONSE = 0.1
+"""Share of the sensor's accuracy by which the force changes at least where a capsule touches the gut …"""
+_RESPONSE_STANDARD_ERRORS = 5.0
+"""… and standard errors of a block's mean."""
+_INVERTED_SHARE = 0.25
+"""Share of the force's largest change that must push along the motion, on average, in an inverted force."""
+_NO_RESPONSE, _INVERTED = "none", "along the motion"
+_RESPONSE_WARNINGS = {
+    _NO_RESPONSE: "the force did not change when the stage moved: is the sensor alive, and does the capsule touch?",
+    _INVERTED: "the force acts along the motion, not against it: check the calibration's sign, or the sensor's wires",
+}
 _REST, _HOLD = int(Phase.REST), int(Phase.HOLD)
 _SLIP_DELAY_S = 0.3
 """Slip is looked for from this time after the ramp on: by then the fast branch has relaxed."""
@@ -122,19 +136,36 @@ class CheckReport:
 
 
 class RunChecks:
-    """Accumulates a run's checks; owned by the engine's thread."""
+    """Accumulates a run's checks; owned by the engine's thread.
+
+    Parameters
+    ----------
+    contact
+        With one, the force has to resist the motion.
+    count_mm
+        Length of the encoder's count.
+    """
 
     def __init__(
-        self, rate_hz: float, force_range_mN: tuple[float, float], accuracy_mN: float, *, sticking: bool
+        self,
+        rate_hz: float,
+        force_range_mN: tuple[float, float],
+        accuracy_mN: float,
+        contact: Contact,
+        count_mm: float = 0.0,
     ) -> None:
         self._force_range_mN = force_range_mN
         self._accuracy_mN = accuracy_mN
+        self._response = _ForceResponse(accuracy_mN) if contact is not Contact.NONE else None
+        self._start_delay = _StartDelay(rate_hz, _START_COUNTS * count_mm)
+        self._standstill = _Standstill(rate_hz, _START_COUNTS * count_mm)
+        self._mismatch: tuple[float, float] | None = None
         self._rest = _RestStatistics()
         self._clipped = 0
         self._lost = 0
         self._following_error_mm = 0.0
         self._next_index = 0
-        self._slip = _SlipDetector(rate_hz, accuracy_mN) if sticking else None
+        self._slip = _SlipDetector(rate_hz, accuracy_mN) if contact is Contact.STICKING else None
 
     def add(
         self, reading: Reading, extremes: BlockExtremes, raw_force: AnyFloatArray, *, commanded: bool = True
@@ -157,8 +188,31 @@ class RunChecks:
             self._rest.add(reading.channels["force"][reading.phase == _REST])
         if commanded:
             self._following_error_mm = max(self._following_error_mm, extremes.following_error_mm)
+            self._start_delay.add(reading)
+        self._standstill.add(reading)
         if self._slip is not None and reading.phase[-1] == _HOLD:
             self._slip.add(reading)
+        if self._response is not None and commanded and self._rest.count and reading.phase[-1] != _REST:
+            self._response.add(reading, self._rest)
+
+    @property
+    def start_delay_s(self) -> float:
+        """How much later than the command the encoder began to move; 0 until it is known."""
+        return self._start_delay.delay_s
+
+    def compare_travel(self, drive_travel_mm: float, bound_mm: float) -> None:
+        """Compare the drive's travel with the encoder's, where that stood still at the end of the samples.
+
+        Parameters
+        ----------
+        drive_travel_mm
+            From the standstill before to that after the motion, by the drive's own position.
+        bound_mm
+            Largest difference that is no fault.
+        """
+        travel_mm = self._standstill.travel_mm
+        if travel_mm is not None:
+            self._mismatch = (travel_mm - drive_travel_mm, bound_mm)
 
     def report(self) -> CheckReport:
         """Return the results so far."""
@@ -179,11 +233,28 @@ class RunChecks:
             warnings.append(
                 f"noise at rest is {self._rest.noise:.1f} mN, over the sensor's accuracy of {self._accuracy_mN:g} mN"
             )
+        warnings += self._report_travel(values)
+        if self._response is not None and (response := self._response.verdict(self._rest)):
+            values["force_response"] = response
+            warnings += [text for verdict, text in _RESPONSE_WARNINGS.items() if verdict == response]
         if self._slip is not None:
             values["slip_time_s"] = self._slip.time_s
             if self._slip.time_s >= 0:
                 warnings.append(f"the capsule seems to have slipped at {self._slip.time_s:.1f} s")
         return CheckReport(values, tuple(warnings))
+
+    def _report_travel(self, values: dict[str, Attribute]) -> list[str]:
+        """Add by how much encoder and drive differ; return the warning that is due for it, if any."""
+        if self._mismatch is None:
+            return []
+        off_mm, bound_mm = self._mismatch
+        values |= {"encoder_mismatch_mm": round(off_mm, 6), "encoder_mismatch_allowed_mm": round(bound_mm, 6)}
+        if abs(off_mm) <= bound_mm:
+            return []
+        return [
+            f"encoder and drive differ by {off_mm:+.3f} mm after the motion, and may by {bound_mm:.3f} mm: counts "
+            "were lost or came twice, or the resolution is wrong"
+        ]
 
 
 class _RestStatistics:
@@ -200,7 +271,8 @@ class _RestStatistics:
         self._sum += float(values.sum(dtype=np.float64))
         steps = np.diff(values.astype(np.float64))
         self._steps += len(steps)
-        self._squares += float(steps @ steps)
+        # Not with @: from 10,000 samples on, BLAS would spread the sum over threads that spin.
+        self._squares += float(np.einsum("i,i", steps, steps))
 
     @property
     def mean(self) -> float:
@@ -209,6 +281,100 @@ class _RestStatistics:
     @property
     def noise(self) -> float:
         return sqrt(self._squares / self._steps / 2) if self._steps else 0.0
+
+
+class _StartDelay:
+    """Measures how much later than the command the encoder begins to move, by whole samples."""
+
+    def __init__(self, rate_hz: float, moved_mm: float) -> None:
+        self.delay_s = 0.0
+        self._rate_hz, self._moved_mm = rate_hz, moved_mm
+        self._origin: tuple[float, float] | None = None
+        self._commanded: int | None = None
+        self._done = False
+
+    def add(self, reading: Reading) -> None:
+        if self._done:
+            return
+        command, position = reading.command, reading.channels["position"]
+        if self._origin is None:
+            self._origin = (float(command[0]), float(position[0]))
+        if self._commanded is None:
+            self._commanded = self._first_moved(reading, command, self._origin[0])
+        if self._commanded is None:
+            return
+        followed = self._first_moved(reading, position, self._origin[1])
+        self._done = followed is not None
+        until = reading.end_index if followed is None else followed
+        self.delay_s = max(until - self._commanded, 0) / self._rate_hz
+
+    def _first_moved(self, reading: Reading, values: AnyFloatArray, origin: float) -> int | None:
+        moved = np.abs(values - origin) > self._moved_mm
+        return reading.first_index + int(moved.argmax()) if moved.any() else None
+
+
+class _Standstill:
+    """The encoder's travel from the first sample to a standstill at the last."""
+
+    def __init__(self, rate_hz: float, dither_mm: float) -> None:
+        self._samples = max(round(_STANDSTILL_S * rate_hz), 2)
+        self._dither_mm = dither_mm
+        self._origin_mm: float | None = None
+        self._latest: FloatArray = np.zeros(0)
+
+    def add(self, reading: Reading) -> None:
+        position = reading.channels["position"]
+        if self._origin_mm is None:
+            self._origin_mm = float(position[0])
+        short = self._samples - len(position)
+        kept = self._latest[-short:] if short > 0 else self._latest[:0]
+        self._latest = np.concatenate((kept, position[-self._samples :].astype(np.float64)))
+
+    @property
+    def travel_mm(self) -> float | None:
+        if (
+            self._origin_mm is None
+            or len(self._latest) < self._samples
+            or float(np.ptp(self._latest)) > self._dither_mm
+        ):
+            return None
+        return float(self._latest[-1]) - self._origin_mm
+
+
+class _ForceResponse:
+    """Whether the force changes against its value at rest while the stage moves, and resists the motion.
+
+    A force of friction does work against the motion, whatever else changes it: its sign follows from the work.
+    """
+
+    def __init__(self, accuracy_mN: float) -> None:
+        self._accuracy_mN = accuracy_mN
+        self._largest_mN = 0.0
+        self._work, self._path_mm = 0.0, 0.0
+        self._samples = 0
+        self._blocks = 0
+
+    def add(self, reading: Reading, rest: _RestStatistics) -> None:
+        step_mm = float(reading.command[-1]) - float(reading.command[0])
+        if step_mm == 0:
+            return
+        change_mN = float(reading.channels["force"].mean(dtype=np.float64)) - rest.mean
+        self._largest_mN = max(self._largest_mN, abs(change_mN))
+        self._work += change_mN * step_mm
+        self._path_mm += abs(step_mm)
+        self._samples += len(reading.time)
+        self._blocks += 1
+
+    def verdict(self, rest: _RestStatistics) -> str:
+        """Return what the force did; empty where the stage did not move."""
+        if not self._path_mm:
+            return ""
+        scatter_mN = rest.noise * sqrt(self._blocks / self._samples + 1 / rest.count)
+        if self._largest_mN < max(_LEAST_RESPONSE * self._accuracy_mN, _RESPONSE_STANDARD_ERRORS * scatter_mN):
+            return _NO_RESPONSE
+        resisting_mN = self._work / self._path_mm
+        inverted = resisting_mN < -max(self._accuracy_mN, _INVERTED_SHARE * self._largest_mN)
+        return _INVERTED if inverted else "resists the motion"
 
 
 class _SlipDetector:

@@ -46,8 +46,8 @@ class BenchLines:
         self.beats = 0
 
     def read_switches(self) -> SwitchStates:
-        low = {name: not self.bench.read_line(getattr(self.names, name)) for name in SwitchStates.__dataclass_fields__}
-        return SwitchStates(**low)
+        wired = {name: getattr(self.names, name) for name in SwitchStates.__dataclass_fields__}
+        return SwitchStates(**{name: not self.bench.read_line(line) for name, line in wired.items() if line})
 
     def set_enable(self, on: bool) -> None:
         self.bench.write_line(self.names.enable, on)

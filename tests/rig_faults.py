@@ -71,7 +71,7 @@ RIG = settings(
     guard={key.removeprefix("guard."): value for key, value in PATIENT.items() if key.startswith("guard.")},
     hardware={
         "drive": {"homing_speed_mm_s": 50.0, "reply_s": 2.0, "silence_s": 5.0},
-        "card": {"buffer_s": 20.0},
+        "card": {"buffer_s": 20.0, "lines": {"encoder_error": "port1/line5"}},
         "hang_s": 5.0,
     },
 )

@@ -6,7 +6,7 @@ import pytest
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
-from dragrig.rig.devices import Block
+from dragrig.rig.devices import Block, Contact
 from dragrig.rig.profile import AnyFloatArray, MotionProfile
 from dragrig.rig.protocols.drag import DragProtocol
 from dragrig.rig.protocols.relaxation import RelaxationProtocol
@@ -20,7 +20,7 @@ RANGE = (-10_000.0, 10_000.0)
 def report(
     profile: MotionProfile, force: AnyFloatArray, *, sticking: bool = False, lost: slice | None = None
 ) -> CheckReport:
-    checks = RunChecks(RATE, RANGE, 5.0, sticking=sticking)
+    checks = RunChecks(RATE, RANGE, 5.0, Contact.STICKING if sticking else Contact.NONE, 0.001)
     tape = SetpointSampler(profile, RATE)
     position = profile.position(np.arange(len(force)) / RATE).astype(np.float32)
     for start in range(0, len(force), 50):

@@ -50,6 +50,9 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
         ("force over range", {"force_added_mN": 9950.0}, (), assert_goes_on),
         ("force over the limit", {"force_added_mN": RIG.guard.force_limit_mN + 500.0}, (), None),
         ("force sensor's wire broken", {"sensor_open": True}, (), None),
+        ("force input dead", {"force_constant_V": 4.9}, (), assert_goes_on),
+        ("encoder loses counts", {"encoder_added_counts": -400}, (), assert_goes_on),
+        ("encoder's error line", {"encoder_error": True}, (), assert_goes_on),
         ("card delivers no samples", {"card_stalled": True}, SOON_STALE, None),
     ],
 )
@@ -75,7 +78,7 @@ def test_what_the_samples_show_stops_the_stage(
 
 def test_an_overrun_trips_with_its_gap_recorded(faulty_rig: Bench) -> None:
     running = begin(faulty_rig)
-    struck = running.inject(overwritten_samples=200)
+    struck = running.inject(overwritten_samples=25 * 210)
     ended = running.end()
     run = only_run(ended.folder)
     assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4), ended.message

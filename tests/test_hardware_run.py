@@ -107,6 +107,8 @@ def test_a_plan_on_the_doubles_gives_the_simulated_rigs_files_to_within_noise(pl
         assert float(off.std()) < 2 * NOISE_MN
     assert simulated.session.status is RunStatus.COMPLETE
     entry = pairs[0][0].header.entry
+    assert str(entry["anti_alias_filter"]).startswith("low-pass FIR of 251 taps at 25 times the recorded rate")
+    assert (entry["scan_order"], entry["card_rate_hz"]) == ("force", 25_000.0)
     assert (pairs[0][0].header.backend, entry["double"], entry["card_product"]) == ("simulated", "hardware", "PCI-6229")
     assert "inserted_at" in entry
 

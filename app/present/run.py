@@ -59,13 +59,17 @@ def attribute_texts(values: Mapping[str, Attribute]) -> dict[str, str]:
 
 def check_texts(checks: Mapping[str, Attribute]) -> dict[str, str]:
     """Return what was checked right after the run."""
-    shown = {key: value for key, value in checks.items() if key not in {"slip_time_s", "following_error_mm"}}
+    apart = {"slip_time_s", "following_error_mm", "encoder_mismatch_mm", "encoder_mismatch_allowed_mm"}
+    shown = {key: value for key, value in checks.items() if key not in apart}
     texts = attribute_texts(
         {key: float(f"{value:.3g}") if isinstance(value, float) else value for key, value in shown.items()}
     )
     following, slip = checks.get("following_error_mm"), checks.get("slip_time_s")
     if isinstance(following, int | float):
         texts["largest following error"] = f"{1000 * following:.1f} µm"
+    off, allowed = checks.get("encoder_mismatch_mm"), checks.get("encoder_mismatch_allowed_mm")
+    if isinstance(off, int | float) and isinstance(allowed, int | float):
+        texts["encoder against drive"] = f"{1000 * off:+.0f} µm, up to {1000 * allowed:.0f} allowed"
     if isinstance(slip, int | float):
         texts["slip during the hold"] = f"at {slip:.1f} s" if slip >= 0 else "none seen"
     return texts

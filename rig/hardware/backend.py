@@ -193,11 +193,24 @@ def _check_product(identity: dict[str, str]) -> RigCheck:
     return RigCheck("card", _M_SERIES.search(product) is not None, detail)
 
 
+def _describe_sampling(rig: RigSettings, sampler: CardSampler) -> dict[str, str | float]:
+    """Return what run files say of the card's clocks and filter; asks the card the first time."""
+    return {
+        "scan_order": ", ".join(_scan_order(rig)),
+        "card_rate_hz": sampler.timing.rate_hz,
+        "inter_channel_delay_s": sampler.timing.conversion_s,
+        "anti_alias_filter": sampler.anti_alias.description,
+    }
+
+
+def _scan_order(rig: RigSettings) -> list[str]:
+    return ["force", *(channel.name for channel in rig.hardware.card.inputs)]
+
+
 def _check_sampling(rig: RigSettings, sampler: CardSampler) -> Iterator[RigCheck]:
     """Say what the card makes of the rate that is asked, and how its inputs follow each other."""
     rate_hz, timing, factor = sampler.sample_rate_hz, sampler.timing, sampler.anti_alias.factor
-    card = rig.hardware.card
-    names = ["force", *(channel.name for channel in card.inputs)]
+    names = _scan_order(rig)
     made = f", {factor} samples of the card each" if factor > 1 else ""
     detail = (
         f"{rate_hz:.7g} Hz where {rig.sampling.rate_hz:g} are asked{made}: {len(names)} × {timing.rate_hz:.7g} of "
@@ -435,6 +448,7 @@ class HardwareBackend:
             "drive_dialect": drive.dialect,
             "drive_mode": drive.mode,
             **self._identity,
+            **({} if self._sampler is None else _describe_sampling(self._rig, self._sampler)),
         }
 
     def connect(self) -> None:

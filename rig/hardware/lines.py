@@ -24,15 +24,26 @@ _SWITCH_TRIPS = {
     "limit_high": Trip(TripCause.LIMIT_SWITCH_HIGH, "the stage is on its upper limit switch, or the wire is broken"),
 }
 """In order of precedence."""
+_INPUT_TRIPS = {
+    **_SWITCH_TRIPS,
+    "encoder_error": Trip(
+        TripCause.ENCODER_ERROR,
+        "the encoder's read head reports an error, or its E line's wire is broken; clean the scale, and check the gap",
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class SwitchStates:
-    """Which switches are pressed: a broken wire counts as pressed, an unwired switch as released."""
+    """Which switches are pressed, and whether the encoder reports an error.
+
+    A broken wire counts as pressed, an unwired switch as released.
+    """
 
     e_stop: bool = False
     limit_low: bool = False
     limit_high: bool = False
+    encoder_error: bool = False
 
     @property
     def pressed(self) -> frozenset[str]:
@@ -40,8 +51,8 @@ class SwitchStates:
         return frozenset(switch for switch in _SWITCH_TRIPS if getattr(self, switch))
 
     def trip(self, *, ignoring: TripCause | None = None) -> Trip | None:
-        """Return the trip of the first pressed switch, the e-stop before all; `ignoring` is passed over."""
-        for switch, trip in _SWITCH_TRIPS.items():
+        """Return the trip of the first pressed switch or error, the e-stop before all; `ignoring` is passed over."""
+        for switch, trip in _INPUT_TRIPS.items():
             if getattr(self, switch) and trip.cause is not ignoring:
                 return trip
         return None
@@ -72,12 +83,12 @@ class CardLines:
     def __init__(self, connection: Connection) -> None:
         self._card = connection.card
         wired = self._card.lines
-        self._switches = [switch for switch in _SWITCH_TRIPS if getattr(wired, switch)]
+        self._inputs = [name for name in _INPUT_TRIPS if getattr(wired, name)]
         # Re-entrant, because a signal handler that stops the stage may interrupt the thread that holds it.
         self._lock = RLock()
         self._heartbeat_high = False
         with driver_errors_wrapped(self._card, "its digital lines are reserved"), ExitStack() as stack:
-            switch_lines = [getattr(wired, switch) for switch in self._switches]
+            switch_lines = [getattr(wired, name) for name in self._inputs]
             self._switch_reader = _switch_reader(connection, stack, switch_lines)
             self._enable = _line_writer(connection, stack, wired.enable, "enable")
             self._heartbeat = _line_writer(connection, stack, wired.heartbeat, "heartbeat")
@@ -86,17 +97,17 @@ class CardLines:
     @property
     def wired_switches(self) -> tuple[str, ...]:
         """Switches that have a line."""
-        return tuple(self._switches)
+        return tuple(name for name in self._inputs if name in _SWITCH_TRIPS)
 
     def read_switches(self) -> SwitchStates:
-        """Read all switches in one call of the driver."""
+        """Read all switches and the encoder's error line in one call of the driver."""
         if self._switch_reader is None:
             return SwitchStates()
-        high = np.zeros(len(self._switches), dtype=np.bool_)
+        high = np.zeros(len(self._inputs), dtype=np.bool_)
         with driver_errors_wrapped(self._card, "its switches are read"):
             self._switch_reader.read_one_sample_one_line(high, timeout=_CALL_TIMEOUT_S)
         # Normally closed contacts: a pressed switch and a broken wire read low.
-        return SwitchStates(**{switch: not level for switch, level in zip(self._switches, high.tolist(), strict=True)})
+        return SwitchStates(**{name: not level for name, level in zip(self._inputs, high.tolist(), strict=True)})
 
     def set_enable(self, on: bool) -> None:
         """Set the drive's enable line."""

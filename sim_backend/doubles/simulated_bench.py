@@ -393,6 +393,7 @@ _EXTRA_BUFFER_S = 2.0
 """How much longer than in the card's buffer samples are held."""
 _LOOKAHEAD_S = 0.25
 _SAMPLE_TOLERANCE = 1e-6
+_FLOATING_V = 1.3
 CONVERTER_NOISE = 0.8 * 2.0**-15
 """The PCI-6229's own noise (standard deviation), as a share of an input's range: 244 µV at ±10 V (specifications)."""
 
@@ -789,7 +790,8 @@ class SimulatedBench:
         return np.asarray(volts)
 
     def _unplugged_V(self) -> float:
-        return 10.0 * float(np.sign(self.rig.hardware.card.force.per_V))
+        wiring = self.rig.hardware.card.force
+        return {"rail": 10.0, "zero": 0.0, "floating": _FLOATING_V}[wiring.unplugged] * float(np.sign(wiring.per_V))
 
     def _seen_counts(self, sampling: _Sampling, counts: FloatArray, before: dict[str, FloatArray] | None) -> FloatArray:
         """Return the counts that reach the card, with what is wrong with encoder and wires."""

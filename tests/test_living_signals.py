@@ -1,0 +1,233 @@
+"""A force input that is dead, frozen, saturated or unplugged, and an encoder that loses counts, on the rig's doubles.
+
+Healthy rigs, quiet ones among them, are to be left alone.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from simulated import acquire, stroke
+
+from dragrig.config.errors import TrippedError
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.devices import BackendRequest, Contact, TripCause
+from dragrig.rig.engine import AcquisitionOutcome, Engine
+from dragrig.rig.guard import Guard
+from dragrig.rig.hardware.card.scaling import ForceInputMonitor, least_noise_V
+from dragrig.rig.manual import ManualControl
+from dragrig.rig.operator import Answer, Prompt
+from dragrig.rig.profile import AnyFloatArray, FloatArray, PhaseArray
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.model import Attribute, RunEvent, RunStatus
+from dragrig.sim_backend.doubles.backend import DoubleBackend
+from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+
+PROFILE = stroke(travel_mm=24.0, speed_mm_s=20.0, accel_mm_s2=500.0, rest_s=0.2, hold_s=0.25)
+
+
+def wired(
+    force: Mapping[str, object] | None = None, lines: Mapping[str, str] | None = None, **groups: object
+) -> RigSettings:
+    hardware = {
+        "drive": {"homing_speed_mm_s": 50.0, "reply_s": 2.0, "silence_s": 5.0},
+        "hang_s": 2.0,
+        "card": {"force": force or {}, "lines": lines or {}},
+    }
+    guard = {"following_error_mm": 50.0, "encoder_silent_mm": 50.0, "stale_data_s": 5.0}
+    return RigSettings.model_validate({"hardware": hardware, "guard": guard, **groups})
+
+
+@dataclass
+class Kept:
+    """A record that keeps the attributes that were written during the run."""
+
+    entry: dict[str, Attribute] = field(default_factory=dict)
+
+    def offer(self, first_index: int, arrays: Mapping[str, AnyFloatArray | PhaseArray]) -> None:
+        pass
+
+    def event(self, event: RunEvent) -> None:
+        pass
+
+    def annotate(self, entry: Mapping[str, Attribute]) -> None:
+        self.entry.update(entry)
+
+    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+        return Path("nowhere")
+
+
+class Hands:
+    """A person who does what is asked."""
+
+    def ask(self, prompt: Prompt) -> Answer:
+        return Answer.DONE
+
+
+@dataclass
+class Rig:
+    backend: DoubleBackend
+    faults: FaultInjector
+    engine: Engine
+    guard: Guard
+
+    def run(
+        self, contact: Contact = Contact.SLIDING, sink: Kept | None = None, **in_motion: float
+    ) -> AcquisitionOutcome:
+        """Make a run, with faults that begin in the middle of its motion."""
+
+        def view(reading: Reading) -> None:
+            if in_motion and float(reading.channels["position"][-1]) > 2.0:
+                self.faults.inject(**in_motion)
+                in_motion.clear()
+
+        return self.engine.acquire(acquire(PROFILE, contact=contact), sink, view)
+
+
+@contextmanager
+def rig_with(settings: RigSettings) -> Iterator[Rig]:
+    faults = FaultInjector()
+    backend = DoubleBackend(BackendRequest(settings, FrictionModelSettings()), faults)
+    try:
+        guard = Guard(settings.guard, 0.001)
+        assert guard.reset(backend.stage.state()) is None
+        backend.stage.enable()
+        backend.stage.home()
+        yield Rig(backend, faults, Engine(backend, settings, guard), guard)
+    finally:
+        backend.close()
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Rig]:
+    with rig_with(wired(lines={"encoder_error": "port1/line5"})) as made:
+        yield made
+
+
+@pytest.fixture
+def rig(shared: Rig) -> Rig:
+    shared.faults.clear()
+    shared.backend.stage.disable()
+    assert shared.guard.reset(shared.backend.stage.state()) is None
+    shared.backend.stage.enable()
+    shared.backend.stage.home()
+    return shared
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause"),
+    [
+        ({"force_frozen": True}, TripCause.SENSOR_DEAD),
+        ({"force_constant_V": 4.9}, TripCause.SENSOR_DEAD),
+        ({"force_constant_V": 1e-9}, TripCause.SENSOR_DEAD),
+        ({"sensor_open": True}, TripCause.SENSOR_OPEN),
+        ({"encoder_added_counts": 100}, TripCause.ENCODER_JUMP),
+        ({"encoder_added_counts": -400}, TripCause.ENCODER_JUMP),
+        ({"encoder_jitter_counts": 200}, TripCause.ENCODER_JUMP),
+        ({"encoder_error": True}, TripCause.ENCODER_ERROR),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(f"{key}={of}" for key, of in value.items()),
+)
+def test_what_no_living_signal_does_stops_the_run(rig: Rig, fault: dict[str, float], cause: TripCause) -> None:
+    outcome = rig.run(**fault)
+    assert outcome.status is RunStatus.TRIPPED
+    assert outcome.reason.startswith(f"{cause}: ")
+    assert rig.backend.bench.position_mm() < 23.9
+
+
+def test_a_healthy_run_is_left_alone(rig: Rig) -> None:
+    outcome = rig.run()
+    assert (outcome.status, outcome.reason, outcome.checks.warnings) == (RunStatus.COMPLETE, "", ())
+    assert outcome.checks.values["force_response"] == "resists the motion"
+    assert abs(float(outcome.checks.values["encoder_mismatch_mm"])) <= 0.003
+    blank = rig.run(Contact.NONE, None)
+    assert blank.checks.warnings == ()
+    assert "force_response" not in blank.checks.values
+
+
+@pytest.mark.parametrize(
+    ("fault", "warning"),
+    [
+        ({"force_dead": True}, "did not change when the stage moved"),
+        ({"force_inverted": True}, "acts along the motion"),
+        ({"encoder_lost_share": 0.01}, r"differ by -0\.24"),
+        ({"encoder_lost_share": -0.01}, r"differ by \+0\.24"),
+    ],
+)
+def test_what_only_the_whole_run_shows_marks_it(rig: Rig, fault: dict[str, float], warning: str) -> None:
+    rig.faults.inject(**fault)
+    outcome = rig.run()
+    assert outcome.status is RunStatus.COMPLETE
+    (text,) = outcome.checks.warnings
+    assert re.search(warning, text), text
+
+
+def test_a_dead_input_trips_an_approach(rig: Rig) -> None:
+    rig.faults.inject(force_constant_V=1e-9)
+    manual = ManualControl(rig.backend, rig.guard, rig.engine, Hands())
+    with pytest.raises(TrippedError, match="living sensor"):
+        manual.touch_off(50.0, 5.0, 20.0)
+    assert rig.backend.bench.position_mm() < 2.0
+
+
+def test_the_recorded_uncertainty_covers_a_drive_that_starts_late(rig: Rig) -> None:
+    stated = {}
+    for late_s in (0.0, 0.045):
+        rig.faults.inject(drive_starts_late_s=late_s)
+        sink = Kept()
+        assert rig.run(Contact.NONE, sink).status is RunStatus.COMPLETE
+        stated[late_s] = float(sink.entry["command_t0_uncertainty_s"])
+        rig.backend.stage.disable()
+        rig.backend.stage.enable()
+        rig.backend.stage.home()
+    assert stated[0.0] < 0.04
+    assert 0.045 <= stated[0.045] < 0.09
+
+
+def test_a_measured_rail_makes_a_saturated_amplifier_an_overload() -> None:
+    with rig_with(wired({"rail_V": 5.0})) as made:
+        outcome = made.run(force_rail_V=5.0, force_added_mN=7000.0)
+    assert outcome.reason.startswith(f"{TripCause.SENSOR_OVERLOAD}: force input ai0 is at 5.00 V")
+
+
+@pytest.mark.parametrize("fault", [{"force_dead": True}, {"sensor_open": True}])
+def test_with_a_known_noise_a_dead_amplifier_and_a_pull_down_are_found(fault: dict[str, float]) -> None:
+    noisy = {"noise": {"white_mN": 20.0}}
+    with rig_with(wired({"least_noise_uV": 450.0, "unplugged": "zero"}, simulated=noisy)) as made:
+        assert made.run().status is RunStatus.COMPLETE
+        made.backend.stage.home()
+        outcome = made.run(**fault)
+    assert outcome.reason.startswith(f"{TripCause.SENSOR_DEAD}: ")
+
+
+@pytest.mark.parametrize("range_V", [0.2, 1.0, 5.0, 10.0])
+def test_a_sensor_quieter_than_the_converter_is_alive_in_every_range(range_V: float) -> None:
+    settings = RigSettings.model_validate({"hardware": {"card": {"force": {"range_V": range_V}}}})
+    step_V = 2 * range_V / 2**16
+    monitor = ForceInputMonitor(settings, 25_000.0)
+    draw = np.random.default_rng(3)
+    for place in range(200):
+        level = 0.3 * range_V * np.sin(0.3 * (place * 0.05 + np.arange(1250) / 25_000.0))
+        volts = np.rint((level + draw.normal(0, 0.8 * step_V, 1250)) / step_V) * step_V
+        assert monitor.add(volts) is None
+    assert monitor.noise_V == pytest.approx(0.85 * step_V, rel=0.1)
+    assert least_noise_V(settings) == pytest.approx(0.4 * step_V)
+
+
+def test_a_force_that_moves_does_not_hide_that_it_is_dead_for_long() -> None:
+    monitor = ForceInputMonitor(RigSettings(), 1000.0)
+    draw = np.random.default_rng(4)
+    living: FloatArray = draw.normal(0, 1e-3, 70)
+    assert monitor.add(living) is None
+    frozen = np.full(50, 0.7)
+    found = [monitor.add(frozen) for _ in range(6)]
+    assert [trip is not None for trip in found].index(True) <= 4
+    trip = found[-1] or found[-2]
+    assert trip is not None
+    assert trip.cause is TripCause.SENSOR_DEAD
