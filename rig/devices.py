@@ -291,8 +291,8 @@ class Sampler(Protocol):
     def stop(self) -> None:
         """End the acquisition and release its resources. Must be safe to call at any time, also twice."""
 
-    def measure(self, duration_s: float) -> RawReading:
-        """Sample without motion and return raw volts and counts, for a calibration.
+    def measure(self, duration_s: float, cancel: Signal | None = None) -> RawReading:
+        """Sample without motion and return raw volts and counts, for a calibration; soon after `cancel` is set.
 
         Raises `DeviceError` while an acquisition is armed, and when the device fails.
         """

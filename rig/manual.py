@@ -285,6 +285,12 @@ class ManualControl:
             self._acquire("positioning", positioning_profile(end_mm - self.position_mm, limits))
         return DetectedContact(begin_mm + contact_mm, detector.change_mN)
 
+    def measure(self, duration_s: float) -> RawReading:
+        """Read the sensors without motion; ends soon after `Engine.abort`."""
+        reading = self._backend.sampler.measure(duration_s, self._engine.cancelled)
+        self._engine.require_not_aborted()
+        return reading
+
     @contextmanager
     def _overridden(self, side: TravelEnd) -> Iterator[None]:
         """Override the pressed limit switch of a side for one motion; every other condition must be clear.
@@ -421,7 +427,7 @@ def measure_loads(
             manual.confirm(Prompt(f"{action} and let it hang still", hands=backend.needs_hands))
             if isinstance(backend, SupportsBenchActions):
                 backend.hang(weight_g * STANDARD_GRAVITY)
-            reading = backend.sampler.measure(duration_s)
+            reading = manual.measure(duration_s)
             if not abs(reading.force_V) < rig.hardware.card.force.overload_V:
                 raise DeviceError(
                     f"at {weight_g:g} g the sensor gives {reading.force_V:.3f} V, where it counts as overloaded: take "
@@ -467,5 +473,5 @@ def measure_pushed_travel(
         manual.confirm(Prompt(text, hands=backend.needs_hands))
         if isinstance(backend, SupportsBenchActions):
             backend.push(travel_mm, duration_s)
-        reading = backend.sampler.measure(duration_s)
+        reading = manual.measure(duration_s)
         yield TravelReading(travel_mm, reading.counts_end - reading.counts_begin)

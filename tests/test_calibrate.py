@@ -24,7 +24,7 @@ CODE = (
 from dragrig.rig.devices import RawReading
 from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
 
-def measure(self, duration_s):
+def measure(self, duration_s, cancel=None):
     place = Path(__file__).with_name("volts.json")
     first, *rest = json.loads(place.read_text())
     place.write_text(json.dumps(rest))

@@ -409,6 +409,15 @@ def test_measurement_gives_raw_volts_and_directed_counts() -> None:
     assert reading.counts_end - reading.counts_begin == pytest.approx(2000, abs=2)
 
 
+def test_a_measurement_ends_soon_after_it_is_cancelled() -> None:
+    cancel = threading.Event()
+    cancel.set()
+    with card_rig(wired()) as under_test:
+        reading = under_test.sampler.measure(0.5, cancel)
+        assert 0 < reading.samples < 500
+        assert under_test.sampler.measure(0.1).samples == 100
+
+
 def test_what_the_card_cannot_convert_is_refused_with_the_rate_that_it_can() -> None:
     with (
         pytest.raises(SettingsError, match=r"83,333"),

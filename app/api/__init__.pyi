@@ -43,4 +43,5 @@ from .stage import commission as commission
 from .stage import home as home
 from .stage import jog as jog
 from .stage import run_on_bench as run_on_bench
+from .stage import store_calibration as store_calibration
 from .stage import touch_off as touch_off

@@ -304,7 +304,7 @@ _MAX_COUNT_DEVIATION = 0.01
 
 @dataclass(frozen=True, slots=True)
 class SensorCalibration(Generic[PointT]):
-    """A stored calibration, its fitted line, its points, and remarks."""
+    """A calibration, its fitted line, its points, and remarks."""
 
     entry: Calibration
     line: CalibrationLine
@@ -319,8 +319,10 @@ def calibrate_force(
     duration_s: float = 2.0,
     operator: str = "",
     note: str = "",
+    store: bool = True,
     pace: Pace | None = None,
     person: Operator | None = None,
+    begun: Begun = ignore_begun,
     **choices: Unpack[RigChoices],
 ) -> SensorCalibration[LoadReading]:
     """Calibrate the force sensor with known weights and add the result to the lab's history.
@@ -333,7 +335,9 @@ def calibrate_force(
         Number of series, up and down alternately.
     duration_s
         Duration of each reading.
-    pace, person, choices
+    store
+        Whether to add the result to the history; otherwise `store_calibration` does, once somebody has looked at it.
+    pace, person, begun, choices
         As of `home`.
 
     Raises
@@ -360,10 +364,11 @@ def calibrate_force(
             )
         now = bench.backend.clock.now()
         entry = _calibration_entry("force", line, now, setup, rig.force_sensor.serial, operator, (note, *notes))
-        append_calibration(folder, entry)
+        if store:
+            append_calibration(folder, entry)
         return SensorCalibration(entry, line, points, tuple(notes))
 
-    return run_on_bench(work, setup, pace, person)
+    return run_on_bench(work, setup, pace, person, begun)
 
 
 def calibrate_encoder(
@@ -376,8 +381,10 @@ def calibrate_encoder(
     duration_s: float = 20.0,
     operator: str = "",
     note: str = "",
+    store: bool = True,
     pace: Pace | None = None,
     person: Operator | None = None,
+    begun: Begun = ignore_begun,
     **choices: Unpack[RigChoices],
 ) -> SensorCalibration[TravelReading]:
     """Calibrate the encoder over a known travel and add the result to the lab's history.
@@ -390,6 +397,8 @@ def calibrate_encoder(
         Measured travel of each repeat, where it was measured.
     by_hand
         Whether the stage is switched off and pushed, within `duration_s` each time.
+    store, pace, person, begun, choices
+        As of `calibrate_force`.
 
     Raises
     ------
@@ -426,10 +435,22 @@ def calibrate_encoder(
         notes = _encoder_notes(line, setup, known_travel=by_hand or bool(measured_mm))
         now = bench.backend.clock.now()
         entry = _calibration_entry("encoder", line, now, setup, "", operator, (note, *notes))
-        append_calibration(folder, entry)
+        if store:
+            append_calibration(folder, entry)
         return SensorCalibration(entry, line, points, notes)
 
-    return run_on_bench(work, setup, pace, person)
+    return run_on_bench(work, setup, pace, person, begun)
+
+
+def store_calibration(entry: Calibration, **choices: Unpack[RigChoices]) -> None:
+    """Add a calibration that was made without `store` to the lab's history; it applies from then on.
+
+    Raises
+    ------
+    SettingsError, OutputError
+        Outside of a lab folder, and when the history cannot be written.
+    """
+    append_calibration(_require_lab(resolve_rig(**choices)), entry)
 
 
 def _encoder_notes(line: CalibrationLine, setup: RigSetup, *, known_travel: bool) -> tuple[str, ...]:

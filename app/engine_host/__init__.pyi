@@ -5,6 +5,11 @@ from .messages import PHASE_NAMES as PHASE_NAMES
 from .messages import SILENCE_TIMEOUT_S as SILENCE_TIMEOUT_S
 from .messages import AbortSession as AbortSession
 from .messages import Answer as Answer
+from .messages import CalibrateEncoder as CalibrateEncoder
+from .messages import CalibrateForce as CalibrateForce
+from .messages import CalibrationJob as CalibrationJob
+from .messages import CalibrationMeasured as CalibrationMeasured
+from .messages import CalibrationStored as CalibrationStored
 from .messages import Event as Event
 from .messages import ExamineRig as ExamineRig
 from .messages import GuardState as GuardState
@@ -38,6 +43,7 @@ from .messages import SessionStarted as SessionStarted
 from .messages import SessionWaiting as SessionWaiting
 from .messages import StageMoved as StageMoved
 from .messages import StartSession as StartSession
+from .messages import StoreCalibration as StoreCalibration
 from .messages import TouchOffStage as TouchOffStage
 from .messages import TravelEnd as TravelEnd
 from .messages import WatchRig as WatchRig

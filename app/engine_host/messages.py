@@ -9,7 +9,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.config import Plan
+from dragrig.config import Calibration, Plan
+from dragrig.present import Document
 from dragrig.rig import (
     MAX_OVERRIDE_SPEED_MM_S,
     PHASE_NAMES,
@@ -149,6 +150,45 @@ HandMotion: TypeAlias = HomeStage | JogStage | TouchOffStage
 
 
 @dataclass(frozen=True, slots=True)
+class CalibrateForce:
+    """Read the force sensor under known weights, which the person hangs on it; stores nothing."""
+
+    weights_g: tuple[float, ...]
+    repeats: int = 1
+    duration_s: float = 2.0
+    """Of each reading."""
+    operator: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrateEncoder:
+    """Count over a known travel, driven once the person confirms or pushed by hand; stores nothing."""
+
+    travel_mm: float
+    """Signed."""
+    measured_mm: tuple[float, ...] = ()
+    """What a gauge showed for every repeat, or nothing."""
+    repeats: int = 3
+    speed_mm_s: float = 10.0
+    by_hand: bool = False
+    duration_s: float = 20.0
+    """Time for a push by hand."""
+    operator: str = ""
+    note: str = ""
+
+
+CalibrationJob: TypeAlias = CalibrateForce | CalibrateEncoder
+
+
+@dataclass(frozen=True, slots=True)
+class StoreCalibration:
+    """Add a calibration that was measured, and seen, to the lab's history; it applies from then on."""
+
+    entry: Calibration
+
+
+@dataclass(frozen=True, slots=True)
 class WatchRig:
     """Read force and position whenever nothing is done, or leave the rig to other programs meanwhile."""
 
@@ -173,6 +213,8 @@ Request: TypeAlias = (
     | ExamineRig
     | ResetGuard
     | HandMotion
+    | CalibrationJob
+    | StoreCalibration
     | WatchRig
     | Heartbeat
     | StopHost
@@ -273,6 +315,22 @@ class StageMoved:
     problem: str = ""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationMeasured:
+    """A calibration was measured and is not stored yet: entry and record to look at; or why it failed."""
+
+    entry: Calibration | None
+    record: Document | None
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationStored:
+    """A calibration is in the lab's history; or why it is not."""
+
+    problem: str = ""
+
+
 @dataclass(frozen=True, slots=True)
 class PromptShown:
     """A prompt; `hands` if it needs hands or eyes at the rig."""
@@ -337,6 +395,8 @@ Event: TypeAlias = (
     | SentinelCompared
     | RigIdle
     | StageMoved
+    | CalibrationMeasured
+    | CalibrationStored
     | PromptShown
     | OperatorWarning
     | SessionFinished

@@ -12,12 +12,26 @@ from pathlib import Path
 from threading import Event as Signal
 from threading import Lock, Thread
 
-from dragrig.api import examine, home, jog, run_on_bench, touch_off
+from dragrig.api import (
+    calibrate_encoder,
+    calibrate_force,
+    examine,
+    home,
+    jog,
+    run_on_bench,
+    store_calibration,
+    touch_off,
+)
 from dragrig.campaign_session import Made, SessionOptions, idle_reader, resume_campaign, start_campaign
-from dragrig.config import DragrigError, TrippedError, reason_of
+from dragrig.config import Calibration, DragrigError, TrippedError, reason_of
 from dragrig.engine_host.messages import (
     SILENCE_TIMEOUT_S,
     AbortSession,
+    CalibrateEncoder,
+    CalibrateForce,
+    CalibrationJob,
+    CalibrationMeasured,
+    CalibrationStored,
     Event,
     ExamineRig,
     GuardState,
@@ -50,9 +64,11 @@ from dragrig.engine_host.messages import (
     StageMoved,
     StartSession,
     StopHost,
+    StoreCalibration,
     TouchOffStage,
     WatchRig,
 )
+from dragrig.present import encoder_calibration_document, force_calibration_document
 from dragrig.rig import (
     AcquisitionOutcome,
     Answer,
@@ -397,6 +413,10 @@ class EngineHost:
                 self._reset()
             case HomeStage() | JogStage() | TouchOffStage():
                 self._sender.say(self._move(request))
+            case CalibrateForce() | CalibrateEncoder():
+                self._sender.say(self._calibrate(request))
+            case StoreCalibration(entry):
+                self._sender.say(self._store(entry))
             case _:
                 pass
 
@@ -483,6 +503,47 @@ class EngineHost:
             return f"The stage is at {move.position_mm:.3f} mm, and the guard stays tripped: {move.trip.message}."
         freed = f" The {motion.override} limit switch is free: reset the guard." if motion.override is not None else ""
         return f"The stage is at {move.position_mm:.3f} mm.{freed}"
+
+    def _calibrate(self, job: CalibrationJob) -> CalibrationMeasured:
+        # Weights are hung on a stage that stands, its drive off; a travel needs the guard.
+        if self._trip_reason and isinstance(job, CalibrateEncoder):
+            return CalibrationMeasured(None, None, f"the guard is tripped: {self._trip_reason}; reset it first")
+        try:
+            return self._calibrated(job)
+        except TrippedError as error:
+            self._trip(str(error))
+            return CalibrationMeasured(None, None, str(error))
+        except DragrigError as error:
+            return CalibrationMeasured(None, None, str(error))
+        finally:
+            self._receiver.stops(None)
+
+    def _calibrated(self, job: CalibrationJob) -> CalibrationMeasured:
+        """Calibrate as the command does, but leave the result to be looked at before it is stored."""
+        choices, person, begun = self._rig.choices(), self._operator, self._receiver.stops
+        match job:
+            case CalibrateForce(weights_g, repeats, duration_s, name, note):
+                force = calibrate_force(weights_g, repeats=repeats, duration_s=duration_s, operator=name, note=note,
+                                        store=False, pace=self._rig.pace, person=person, begun=begun,
+                                        **choices)  # fmt: skip
+                record = force_calibration_document(force.entry, force.points, force.line, force.notes, stored=False)
+                return CalibrationMeasured(force.entry, record)
+            case CalibrateEncoder(travel_mm, measured_mm, repeats, speed_mm_s, by_hand, duration_s, name, note):
+                travel = calibrate_encoder(travel_mm, measured_mm=measured_mm, repeats=repeats, speed_mm_s=speed_mm_s,
+                                           by_hand=by_hand, duration_s=duration_s, operator=name, note=note,
+                                           store=False, pace=self._rig.pace, person=person, begun=begun,
+                                           **choices)  # fmt: skip
+                record = encoder_calibration_document(
+                    travel.entry, travel.points, travel.line, travel.notes, stored=False
+                )
+                return CalibrationMeasured(travel.entry, record)
+
+    def _store(self, entry: Calibration) -> CalibrationStored:
+        try:
+            store_calibration(entry, **self._rig.choices())
+        except DragrigError as error:
+            return CalibrationStored(str(error))
+        return CalibrationStored()
 
     def _trip(self, reason: str) -> None:
         self._trip_reason = reason

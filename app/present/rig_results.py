@@ -121,9 +121,14 @@ def commissioning_document(record: "CommissioningRecord") -> Document:
 
 
 def force_calibration_document(
-    entry: "Calibration", points: "Sequence[LoadReading]", line: "CalibrationLine", notes: Sequence[str]
+    entry: "Calibration",
+    points: "Sequence[LoadReading]",
+    line: "CalibrationLine",
+    notes: Sequence[str],
+    *,
+    stored: bool = True,
 ) -> Document:
-    """Lay out the points of a force calibration."""
+    """Lay out the points of a force calibration, whether it is in the lab's history already or not."""
     gain, zero = value_with_error(line.gain, line.gain_error), value_with_error(line.zero, line.zero_error)
     summary = f"Gain {gain} mN/V, zero {zero} mN, residual {line.residual:.2f} mN (± is one standard error)"
     return _calibration_document(
@@ -143,13 +148,19 @@ def force_calibration_document(
             ),
         ),
         notes,
+        stored=stored,
     )
 
 
 def encoder_calibration_document(
-    entry: "Calibration", points: "Sequence[TravelReading]", line: "CalibrationLine", notes: Sequence[str]
+    entry: "Calibration",
+    points: "Sequence[TravelReading]",
+    line: "CalibrationLine",
+    notes: Sequence[str],
+    *,
+    stored: bool = True,
 ) -> Document:
-    """Lay out the points of an encoder calibration."""
+    """Lay out the points of an encoder calibration, otherwise as `force_calibration_document`."""
     count = value_with_error(1e3 * line.gain, 1e3 * line.gain_error)
     summary = f"A count is {count} µm, residual {1e3 * line.residual:.2g} µm (± is one standard error)"
     return _calibration_document(
@@ -167,6 +178,7 @@ def encoder_calibration_document(
             ),
         ),
         notes,
+        stored=stored,
     )
 
 
@@ -176,9 +188,11 @@ def _calibration_document(
     points: Sequence[PointT],
     fields: tuple[Field[PointT], ...],
     notes: Sequence[str],
+    *,
+    stored: bool,
 ) -> Document:
     return Document(
-        title=f"{summary}; stored as {entry.id}",
+        title=f"{summary}; {'stored as' if stored else 'not stored yet:'} {entry.id}",
         sections=(Section("points", "", (Table.of("points", "", points, *fields), Items(tuple(notes), remarks=True))),),
         data=to_json_object({"entry": entry.model_dump(), "points": points, "notes": notes}),
     )

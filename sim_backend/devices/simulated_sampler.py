@@ -510,7 +510,7 @@ class SimulatedSampler:
         self._reader = None
         self._axis.end_sampling()
 
-    def measure(self, duration_s: float) -> RawReading:
+    def measure(self, duration_s: float, cancel: Signal | None = None) -> RawReading:
         """Sample the sensor's zero and noise for a while, in volts according to the wiring in the settings.
 
         Raises `DeviceError` when the sampler is armed.
@@ -520,7 +520,7 @@ class SimulatedSampler:
         rig, wiring = self._rig, self._rig.hardware.card.force
         encoder = PositionEncoder.of(rig.encoder)
         begin_mm = self._axis.state()[0]
-        self._clock.sleep(duration_s, Signal())
+        self._clock.sleep(duration_s, cancel or Signal())
         end_mm = self._axis.state()[0]
         white = random_generator(rig.simulated.seed, RandomStream.FORCE_WHITE, self._measurements, "measure")
         self._measurements += 1

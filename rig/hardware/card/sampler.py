@@ -408,8 +408,10 @@ class CardSampler:
                 "it does; restart the program, and the computer if that does not help."
             )
 
-    def measure(self, duration_s: float) -> RawReading:
+    def measure(self, duration_s: float, cancel: Signal | None = None) -> RawReading:
         """Sample for a while without moving, and return the raw voltages and counts, for a calibration.
+
+        Once `cancel` is set, what was sampled until then is returned.
 
         Raises
         ------
@@ -426,7 +428,7 @@ class CardSampler:
                 tasks.start(lambda start: start())
                 samples = max(1, round(duration_s * self.sample_rate_hz))
                 monitor = ForceInputMonitor(self._rig, self.timing.rate_hz)
-                volts, counts, fault = self._collect(self._fetcher(tasks), monitor, samples)
+                volts, counts, fault = self._collect(self._fetcher(tasks), monitor, samples, cancel)
             finally:
                 tasks.close()
         mean_mN = self._scaling.mN_per_V * float(np.mean(volts, dtype=np.float64)) + self._scaling.zero_mN
@@ -486,16 +488,20 @@ class CardSampler:
         return find_aliases(volts, rate_hz, self._filter, self.sample_rate_hz)
 
     def _collect(
-        self, fetcher: SampleFetcher | OversampledFetcher, monitor: ForceInputMonitor, samples: int
+        self,
+        fetcher: SampleFetcher | OversampledFetcher,
+        monitor: ForceInputMonitor,
+        samples: int,
+        cancel: Signal | None,
     ) -> tuple[FloatArray, FloatArray, Trip | None]:
-        """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` each.
+        """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` or shorter each.
 
         Last comes what the force input showed of the sensor.
         """
         volts, counts = np.empty(samples), np.empty(samples)
         stale_s, last_data_s = self._rig.guard.stale_data_s, time.monotonic()
         collected, fault = 0, None
-        while collected < samples:
+        while collected < samples and not (collected and cancel is not None and cancel.is_set()):
             self._feed_watchdog()
             batch = fetcher.fetch(min(self._block_samples, samples - collected))
             fault = fault or monitor.add(batch.force_input)
@@ -506,7 +512,7 @@ class CardSampler:
             end = collected + batch.samples
             volts[collected:end], counts[collected:end] = batch.volts[0], batch.counts
             collected = end
-        return volts, counts, fault
+        return volts[:collected], counts[:collected], fault
 
     def _reserved_tasks(self, doing: str) -> SampledTasks:
         card = self._connection.card
