@@ -1,5 +1,6 @@
 """What the window shows, made in other processes and threads: plans, runs and diagnoses; free of Qt."""
 
+import json
 import multiprocessing
 import re
 import signal
@@ -62,12 +63,19 @@ from dragrig.rig import (
 )
 from dragrig.setup import resolve_pace, resolve_rig
 
-_UNIT_SUFFIXES = (("_mm_s2", "mm/s²"), ("_mm_s", "mm/s"), ("_mm", "mm"), ("_s", "s"), ("_mN", "mN"), ("_hz", "Hz"))
+_UNIT_SUFFIXES = (
+    ("_mN_s_mm", "mN·s/mm"), ("_mm_s2", "mm/s²"), ("_mm_s", "mm/s"), ("_mm", "mm"), ("_um", "µm"),
+    ("_per_s", "1/s"), ("_ns", "ns"), ("_s", "s"), ("_mN", "mN"), ("_N", "N"), ("_hz", "Hz"),
+    ("_g", "g"), ("_mb", "MB"), ("_days", "days"),
+)  # fmt: skip
+_VOLT_KEYS = frozenset({"zero_V", "range_V", "overload_V", "open_V"})
+"""Keys in volts; one that ends in per_V is not."""
 _FIELD_LABELS = {
     "wait": "wait before the run",
     "rest": "rest before the motion",
     "hold": "hold after the motion",
     "tare": "tare duration",
+    "per_V": "per volt",
 }
 _HIDDEN_KEYS = frozenset({"kind", "parameters"})
 
@@ -97,48 +105,64 @@ class FormField:
     kind: FieldKind
     default: str = ""
     """Default value as text; empty without one."""
-    choices: tuple[str, ...] = ()
+    choices: tuple[str | int, ...] = ()
     sweeps: bool = False
     """Whether several values, separated by commas, make one run of each."""
     required: bool = False
+    empty: str = "default"
+    """What stands in an empty field."""
 
 
 @dataclass(frozen=True, slots=True)
-class StepForm:
-    """A step: its kind with a description, its fields, and their values as text."""
+class FormGroup:
+    """Fields that belong together, as those of a step: their name with a description, and their values as text."""
 
-    kind: str
+    name: str
+    """Kind of a step, table of a settings file."""
     about: str
     fields: tuple[FormField, ...]
     values: Mapping[str, str]
 
 
 FieldPlace: TypeAlias = tuple[int, str]
-"""Number of a step, from 0, and the key of one of its fields."""
+"""Number of a group, from 0, and the key of one of its fields."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlanForm:
-    """A plan as a form."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Form:
+    """Groups of fields."""
 
-    plan: Plan
-    source: str
-    steps: tuple[StepForm, ...] = ()
+    groups: tuple[FormGroup, ...] = ()
 
     def values(self) -> list[dict[str, str]]:
-        """Return the plan's own values of every step, as text; what it leaves out has its default."""
-        return [{field.key: step.values.get(field.key, field.default) for field in step.fields} for step in self.steps]
+        """Return the values of every group as text; what is left out has its default."""
+        return [
+            {field.key: group.values.get(field.key, field.default) for field in group.fields} for group in self.groups
+        ]
 
     def misread(self, values: Sequence[Mapping[str, str]]) -> "dict[FieldPlace, str]":
-        """Return what is wrong with texts that are no values of their fields at all, by step and key."""
+        """Return what is wrong with texts that are no values of their fields at all, by group and key."""
         problems: dict[FieldPlace, str] = {}
-        for number, (step, texts) in enumerate(zip(self.steps, values, strict=True)):
-            for field in step.fields:
+        for number, (group, texts) in enumerate(zip(self.groups, values, strict=True)):
+            for field in group.fields:
                 try:
-                    _parse_field(field, texts.get(field.key, "").strip(), step.kind)
+                    parse_field(field, texts.get(field.key, "").strip(), group.name)
                 except SettingsError as error:
                     problems[number, field.key] = str(error).split(": ", 1)[-1]
         return problems
+
+    def field_name(self, place: "FieldPlace") -> str:
+        """Return the label of a field, without its unit."""
+        number, key = place
+        return next(field.name for field in self.groups[number].fields if field.key == key).capitalize()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanForm(Form):
+    """A plan as a form, whose groups are its steps."""
+
+    plan: Plan
+    source: str
 
     def place_of(self, sentence: str, step: int | None = None) -> "FieldPlace | None":
         """Return step and key of the field that an error is about: the first that it names; None where it names none.
@@ -151,12 +175,11 @@ class PlanForm:
         named = re.search(r"steps\[(\d+)\]", sentence)
         number = int(named[1]) if named else step
         if number is None:
-            number = 0 if len(self.steps) == 1 else None
-        if number is None or number >= len(self.steps):
+            number = 0 if len(self.groups) == 1 else None
+        if number is None or number >= len(self.groups):
             return None
-        found = {field.key: re.search(rf"\b{field.key}\b", sentence) for field in self.steps[number].fields}
-        starts = {key: match.start() for key, match in found.items() if match is not None}
-        return (number, min(starts, key=starts.__getitem__)) if starts else None
+        key = first_key_named(self.groups[number], sentence)
+        return None if key is None else (number, key)
 
     def filled(self, values: Sequence[Mapping[str, str]]) -> Plan:
         """Return the plan with these values in its steps.
@@ -167,7 +190,7 @@ class PlanForm:
             For an invalid value.
         """
         steps = [
-            {"kind": form.kind, **_parse_values(form, texts)} for form, texts in zip(self.steps, values, strict=True)
+            {"kind": step.name, **_parse_values(step, texts)} for step, texts in zip(self.groups, values, strict=True)
         ]
         data = self.plan.model_dump(mode="json", exclude_unset=True)
         return parse(Plan, {**data, "steps": steps}, self.plan.name)
@@ -190,30 +213,49 @@ def form_from_plan(plan: Plan, source: str) -> PlanForm:
     """Return the form of a plan in memory; raises `PlanError`."""
     beside = Path(source).absolute().parent if Path(source).is_file() else None
     steps = tuple(_step_form(step, f"{source}: steps[{index}]", beside) for index, step in enumerate(plan.steps))
-    return PlanForm(plan, source, steps)
+    return PlanForm(plan=plan, source=source, groups=steps)
 
 
-def _step_form(step: PlanStep, where: str, beside: Path | None) -> StepForm:
+def first_key_named(group: FormGroup, sentence: str) -> str | None:
+    """Return the first key of a group that a sentence names; None where it names none."""
+    found = {field.key: re.search(rf"\b{field.key}\b", sentence) for field in group.fields}
+    starts = {key: match.start() for key, match in found.items() if match is not None}
+    return min(starts, key=starts.__getitem__) if starts else None
+
+
+def _step_form(step: PlanStep, where: str, beside: Path | None) -> FormGroup:
     protocol = protocol_kinds().get(step.kind)
     if protocol is None:
         raise PlanError(f"{where}: kind = {step.kind!r} is not a kind of run.")
-    fields = (*_form_fields(protocol, sweeps=True), *_form_fields(PlanStep, sweeps=False))
-    values = {field.key: _value_text(step.parameters[field.key]) for field in fields if field.key in step.parameters}
+    fields = (*form_fields(protocol, sweeps=True), *form_fields(PlanStep, sweeps=False))
+    values = {field.key: value_text(step.parameters[field.key]) for field in fields if field.key in step.parameters}
     own = step.model_dump(mode="json", exclude_unset=True)
-    values |= {key: _value_text(value) for key, value in own.items() if key not in _HIDDEN_KEYS and value is not None}
+    values |= {key: value_text(value) for key, value in own.items() if key not in _HIDDEN_KEYS and value is not None}
     if beside is not None and (beside / step.capsule).is_file():
         values["capsule"] = str(beside / step.capsule)
-    return StepForm(step.kind, (protocol.__doc__ or "").strip().splitlines()[0], fields, values)
+    return FormGroup(step.kind, (protocol.__doc__ or "").strip().splitlines()[0], fields, values)
 
 
-def _form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]:
+def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]:
+    """Return the fields of a settings class from its schema, without its inner groups.
+
+    Parameters
+    ----------
+    sweeps
+        Whether several numbers, separated by commas, make a run of each.
+    """
     schema = model.model_json_schema()
     properties, shared = schema["properties"], schema.get("$defs", {})
-    order = [key for key in properties if key not in _HIDDEN_KEYS]
+    order = [key for key in properties if key not in _HIDDEN_KEYS and not _is_group(model, key)]
     if issubclass(model, RunProtocol):
         order.sort(key=lambda key: key in RunProtocol.model_fields)
     required = frozenset(schema.get("required", ()))
     return tuple(_form_field(key, _resolved_schema(properties[key], shared), sweeps, key in required) for key in order)
+
+
+def _is_group(model: type[Settings], key: str) -> bool:
+    kind = model.model_fields[key].annotation
+    return isinstance(kind, type) and issubclass(kind, Settings)
 
 
 def _resolved_schema(entry: Mapping[str, object], shared: Mapping[str, object]) -> dict[str, object]:
@@ -229,6 +271,8 @@ def _resolved_schema(entry: Mapping[str, object], shared: Mapping[str, object]) 
 
 def _form_field(key: str, entry: Mapping[str, object], sweeps: bool, required: bool) -> FormField:
     stem, unit = next(((key.removesuffix(end), unit) for end, unit in _UNIT_SUFFIXES if key.endswith(end)), (key, ""))
+    if key in _VOLT_KEYS:
+        stem, unit = key.removesuffix("_V"), "V"
     choices = entry.get("enum")
     kinds_of = {"number": FieldKind.NUMBER, "integer": FieldKind.WHOLE, "boolean": FieldKind.SWITCH,
                 "array": FieldKind.LIST}  # fmt: skip
@@ -241,8 +285,8 @@ def _form_field(key: str, entry: Mapping[str, object], sweeps: bool, required: b
         help=str(entry.get("description", "")),
         limits=_range_text(entry, unit),
         kind=kind,
-        default="" if default is None else _value_text(default),
-        choices=tuple(map(str, choices)) if isinstance(choices, list) else (),
+        default="" if default is None else value_text(default),
+        choices=tuple(choices) if isinstance(choices, list) else (),
         sweeps=sweeps and kind in {FieldKind.NUMBER, FieldKind.WHOLE},
         required=required,
     )
@@ -250,33 +294,41 @@ def _form_field(key: str, entry: Mapping[str, object], sweeps: bool, required: b
 
 def _range_text(entry: Mapping[str, object], unit: str) -> str:
     low, above, high = (entry.get(bound) for bound in ("minimum", "exclusiveMinimum", "maximum"))
-    bounds = [f"above {above:g}" if isinstance(above, int | float) else "",
-             f"from {low:g}" if isinstance(low, int | float) else "",
-             f"to {high:g}" if isinstance(high, int | float) else ""]  # fmt: skip
+    bounds = [f"above {value_text(above)}" if isinstance(above, int | float) else "",
+             f"from {value_text(low)}" if isinstance(low, int | float) else "",
+             f"to {value_text(high)}" if isinstance(high, int | float) else ""]  # fmt: skip
     text = " ".join(bound for bound in bounds if bound)
     return f"{text} {unit}".strip() if text else ""
 
 
-def _value_text(value: object) -> str:
+def value_text(value: object) -> str:
+    """Return a value as a form has it; a list of tables in TOML."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, float | int):
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
         return f"{value:.12g}"
     if isinstance(value, list | tuple) and all(isinstance(item, float | int) for item in value):
-        return ", ".join(map(_value_text, value))
+        return ", ".join(map(value_text, value))
     if isinstance(value, list | tuple):
         return ",\n".join(
-            "{" + ", ".join(f"{key} = {_value_text(item)}" for key, item in row.items()) + "}" for row in value
+            "{" + ", ".join(f"{key} = {_toml_text(item)}" for key, item in row.items()) + "}" for row in value
         )
     return str(value)
 
 
-def _parse_values(form: StepForm, texts: Mapping[str, str]) -> dict[str, object]:
-    values = {field.key: _parse_field(field, texts.get(field.key, "").strip(), form.kind) for field in form.fields}
+def _toml_text(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else value_text(value)
+
+
+def _parse_values(step: FormGroup, texts: Mapping[str, str]) -> dict[str, object]:
+    values = {field.key: parse_field(field, texts.get(field.key, "").strip(), step.name) for field in step.fields}
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _parse_field(field: FormField, text: str, kind: str) -> object:
+def parse_field(field: FormField, text: str, group: str) -> object:
+    """Return the value of a field's text, None for none; raises `SettingsError` for what is no value at all."""
     if not text:
         return None
     match field.kind:
@@ -287,10 +339,12 @@ def _parse_field(field: FormField, text: str, kind: str) -> object:
         case FieldKind.NUMBER | FieldKind.WHOLE:
             parts = [parse_value(part.strip()) for part in text.split(",") if part.strip()]
             if any(isinstance(part, bool | str) or not isinstance(part, int | float) for part in parts):
-                raise SettingsError(f"{kind}, {field.name}: {text!r} is not a number; write it as 12.5.")
+                raise SettingsError(f"{group}, {field.name}: {text!r} is not a number; write it as 12.5.")
             if len(parts) > 1 and not field.sweeps:
-                raise SettingsError(f"{kind}, {field.name}: {text!r} is several numbers; one is allowed.")
+                raise SettingsError(f"{group}, {field.name}: {text!r} is several numbers; one is allowed.")
             return parts if len(parts) > 1 else parts[0]
+        case FieldKind.CHOICE:
+            return next((choice for choice in field.choices if str(choice) == text), text)
         case _:
             return text
 

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
@@ -21,7 +22,7 @@ from dragrig.engine_host.messages import ResetGuard, RigSelection
 from dragrig.rig.operator import Answer
 from dragrig.setup import create_lab
 from dragrig.window.main_window import MainWindow, qt_application
-from dragrig.window.widgets import StoredSettings
+from dragrig.window.widgets import MessageText, StoredSettings
 
 PATIENCE_S = 600.0
 
@@ -29,11 +30,11 @@ PATIENCE_S = 600.0
 class Photographer:
     """Uses a window and takes its picture."""
 
-    def __init__(self, folder: Path, lab: Path) -> None:
+    def __init__(self, folder: Path, lab: Path, rig: RigSelection) -> None:
         self.application = qt_application()
         self.folder, self.place = folder, lab.parent
         settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
-        self.window = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), PATIENCE_S)
+        self.window = MainWindow(rig, lab, StoredSettings(settings), PATIENCE_S)
         self.window.resize(1500, 1000)
         self.window.show()
 
@@ -66,7 +67,9 @@ class Photographer:
     @contextmanager
     def nobodys_folder(self) -> Iterator[None]:
         """Show folders as if the lab were at home; where the pictures are made is nobody's business."""
-        widgets: list[QLineEdit | QLabel] = [*self.window.findChildren(QLineEdit), *self.window.findChildren(QLabel)]
+        widgets: list[QLineEdit | QLabel | MessageText] = [
+            entry for kind in (QLineEdit, QLabel, MessageText) for entry in self.window.findChildren(kind)
+        ]
         answer = [(button, button.text()) for button in widgets]
         answer = [(entry, text) for entry, text in answer if str(self.place) in text]
         for button, text in answer:
@@ -137,6 +140,25 @@ def diagnose_page(camera: Photographer, campaign: Path) -> None:
         camera.take(f"diagnose-{name}")
 
 
+def rig_page(camera: Photographer) -> None:
+    """Show settings, one of them changed, and a calibration that is not stored yet."""
+    window = camera.window
+    window.go_to(window.rig)
+    settings = window.rig.settings
+    camera.until(lambda: window.guard.text().startswith("guard: TRIPPED"))
+    settings.groups.setCurrentRow(5)
+    settings.editor.put("force_limit_mN", "6000")
+    camera.take("settings")
+    settings.undo.click()
+    window.rig.tabs.setCurrentWidget(window.rig.calibrate)
+    window.rig.calibrate.start.click()
+    while window.run.rig_busy:
+        camera.until(lambda: window.notices.prompt.isVisible() or not window.run.rig_busy)
+        if window.notices.prompt.isVisible():
+            window.notices.answers[Answer.DONE].click()
+    camera.take("calibrate")
+
+
 def main(folder: Path) -> None:
     """Take all pictures."""
     with tempfile.TemporaryDirectory() as place:
@@ -151,13 +173,20 @@ def main(folder: Path) -> None:
             effects=["stribeck:ratio=0.6"],
             assignments=["speed_mm_s=[1,2,5,10,20,40]", "repeats=2"],
         )
-        camera = Photographer(folder, lab)
-        try:
-            run_page(camera)
-            look_page(camera, campaign)
-            diagnose_page(camera, campaign)
-        finally:
-            camera.window.close_in_order("the pictures are taken")
+        simulated = RigSelection(rig=lab / "rig.toml")
+        # The simulated sensor bears no weights; that of the doubles does.
+        double = replace(simulated, backend="hardware", double=True, pace=10.0)
+        for rig, pages in (
+            (simulated, (run_page, lambda camera: look_page(camera, campaign),
+                         lambda camera: diagnose_page(camera, campaign))),
+            (double, (rig_page,)),
+        ):  # fmt: skip
+            camera = Photographer(folder, lab, rig)
+            try:
+                for show in pages:
+                    show(camera)
+            finally:
+                camera.window.close_in_order("the pictures are taken")
 
 
 if __name__ == "__main__":

@@ -116,6 +116,16 @@ def describe_validation_error(error: ValidationError, model: type[BaseModel], so
     return sentence if sentence.endswith(("?", ".")) else sentence + "."
 
 
+def mistakes_in(model: type[BaseModel], data: Mapping[str, object]) -> dict[tuple[str, ...], str]:
+    """Return what is wrong in a table, by the path of the key or group that it is about; () for the whole table."""
+    try:
+        model.model_validate(data)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        return {tuple(map(str, detail["loc"])): _message(detail) for detail in reversed(details)}
+    return {}
+
+
 def suggestion(word: str, known: Sequence[str]) -> str:
     """Return the end of an error message: the most similar known word, or all of them when none is similar."""
     close = get_close_matches(word, known, n=1, cutoff=0.5)
@@ -171,11 +181,15 @@ def _describe_detail(detail: ErrorDetails, model: type[BaseModel]) -> str:
         return f"{key} is missing"
     if kind in _EXPECTED_SHAPES:
         return f"{key} must be {_EXPECTED_SHAPES[kind]}, and is {detail['input']!r:.60}"
-    message = detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
-    message = message[0].lower() + message[1:] if message[:1].isupper() and not message[1:2].isupper() else message
+    message = _message(detail)
     if isinstance(detail["input"], Mapping):
         return f"{key}: {message}" if key else message  # about the table's keys among each other, which it names
     return f"{key} = {detail['input']!r:.60}: {message}" if key else message
+
+
+def _message(detail: ErrorDetails) -> str:
+    message = detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    return message[0].lower() + message[1:] if message[:1].isupper() and not message[1:2].isupper() else message
 
 
 def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:

@@ -17,11 +17,11 @@ from dragrig.views import FieldKind, describe_rig, known_plans, motion_curves, p
 @pytest.mark.parametrize("name", known_plans())
 def test_a_form_left_as_it_is_gives_the_same_plan(name: str) -> None:
     form = plan_form(name)
-    assert form.filled([step.values for step in form.steps]) == form.plan
+    assert form.filled([step.values for step in form.groups]) == form.plan
 
 
 def test_a_form_tells_unit_range_and_help_of_every_number() -> None:
-    fields = {field.key: field for field in plan_form("drag").steps[0].fields}
+    fields = {field.key: field for field in plan_form("drag").groups[0].fields}
     speed = fields["speed_mm_s"]
     assert (speed.name, speed.unit, speed.limits) == ("speed", "mm/s", "above 0 to 5000 mm/s")
     assert "speed of the stroke" in speed.help
@@ -34,7 +34,7 @@ def test_a_form_tells_unit_range_and_help_of_every_number() -> None:
 
 def test_several_values_make_one_run_of_each() -> None:
     form = plan_form("drag")
-    values = {**form.steps[0].values, "speed_mm_s": "1, 5, 20", "repeats": "2"}
+    values = {**form.groups[0].values, "speed_mm_s": "1, 5, 20", "repeats": "2"}
     session = preview_session(form.filled([values]), RigSelection())
     assert (
         len([preview for preview in session.preflight.previews if preview.run.protocol.summary().startswith("drag")])
@@ -46,7 +46,7 @@ def test_several_values_make_one_run_of_each() -> None:
 def test_what_cannot_be_is_said_in_a_sentence(key: str, text: str) -> None:
     form = plan_form("drag")
     with pytest.raises(DragrigError) as refused:
-        preview_session(form.filled([{**form.steps[0].values, key: text}]), RigSelection())
+        preview_session(form.filled([{**form.groups[0].values, key: text}]), RigSelection())
     assert text.split(",", maxsplit=1)[0] in str(refused.value)
 
 
@@ -58,7 +58,7 @@ def test_strokes_of_a_motion_can_be_edited(tmp_path: Path) -> None:
         "utf-8",
     )
     form = plan_form(str(file))
-    plan = form.filled([step.values for step in form.steps])
+    plan = form.filled([step.values for step in form.groups])
     assert len(preview_session(plan, RigSelection()).preflight.previews) == 1
     changed = form.filled([{"strokes": "{travel_mm = 3, speed_mm_s = 2}"}])
     assert preview_session(changed, RigSelection()).preflight.previews[0].highest_mm == pytest.approx(43.0)
@@ -79,7 +79,7 @@ def test_a_preview_shows_the_way_and_what_forbids_it() -> None:
     assert speed.max() == pytest.approx(20.0)
     assert time[-1] == pytest.approx(session.preflight.previews[0].run.duration_s)
     form = plan_form("drag")
-    far = preview_session(form.filled([{**form.steps[0].values, "travel_mm": "900"}]), RigSelection())
+    far = preview_session(form.filled([{**form.groups[0].values, "travel_mm": "900"}]), RigSelection())
     assert "change travel_mm or start_mm" in far.preflight.findings[0]
 
 

@@ -89,7 +89,10 @@ def test_no_two_controls_share_a_letter(window: MainWindow) -> None:
 def test_a_button_with_a_shortcut_keeps_its_letter(window: MainWindow, qtbot: QtBot) -> None:
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow, timeout=WAIT_MS)
-    for number, page in ((Qt.Key.Key_2, window.look), (Qt.Key.Key_3, window.diagnose), (Qt.Key.Key_1, window.run)):
+    for number, page in (
+        (Qt.Key.Key_2, window.look), (Qt.Key.Key_3, window.diagnose), (Qt.Key.Key_4, window.rig),
+        (Qt.Key.Key_1, window.run),
+    ):  # fmt: skip
         qtbot.keyClick(window, number, Qt.KeyboardModifier.AltModifier)
         qtbot.waitUntil(lambda page=page: window.pages.currentWidget() is page, timeout=WAIT_MS)
         window.go_to(window.run)
@@ -119,7 +122,7 @@ def test_tab_reaches_every_control(window: MainWindow, qtbot: QtBot) -> None:
         for path in window.findChildren(QWidget):
             wanted = isinstance(path, CONTROLS) and not isinstance(path, QScrollBar)
             inside = isinstance(path.parent(), (QAbstractSpinBox, QComboBox, QAbstractItemView, QTabBar))
-            # Those have keys of their own on every page: Escape, Ctrl+1 to Ctrl+3.
+            # Those have keys of their own on every page: Escape, Ctrl+1 to Ctrl+4.
             own = path is window.stop_button or path.property("role") == "page"
             wanted = wanted and not (isinstance(path, MessageText) and path.focusPolicy() is Qt.FocusPolicy.NoFocus)
             if wanted and not inside and not own and path.isVisibleTo(window) and path.isEnabled() and path not in seen:

@@ -1,5 +1,6 @@
 """The rig in the window: off a pressed limit switch, calibrated and set up, each with a real engine."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import add_ons
@@ -8,10 +9,15 @@ from windows import WAIT_MS, Until, lab_in, opened, press, require_qt
 
 require_qt()
 
+from PySide6.QtWidgets import QApplication, QTableWidget
 from pytestqt.qtbot import QtBot
 
+from dragrig.engine_host.messages import RigSelection
+from dragrig.rig.calibration import read_calibrations
 from dragrig.rig.operator import Answer
 from dragrig.window.main_window import MainWindow
+from dragrig.window.rig_page import SettingsView
+from dragrig.window.session_queue import QueueState
 
 ON_A_SWITCH = (
     add_ons.CODE.replace("needs_hands = True", "needs_hands = False")
@@ -28,6 +34,9 @@ def hardware(request):
 """
 )
 """A rig whose stage stands on its upper limit switch whenever it is opened."""
+PATIENT = ("rig.guard.stale_data_s=5", "rig.hardware.hang_s=5", "rig.hardware.drive.reply_s=2",
+           "rig.hardware.drive.silence_s=5")  # fmt: skip
+"""A rig that waits as long as may be set, for a busy machine is no fault."""
 
 
 @pytest.fixture(scope="module")
@@ -40,12 +49,41 @@ def until(qtbot: QtBot) -> Until:
     return lambda done: qtbot.waitUntil(done, timeout=WAIT_MS)
 
 
-def answer_all(window: MainWindow, until: Until, busy: str = "hand") -> list[str]:
+@pytest.fixture(scope="module")
+def shared(
+    request: pytest.FixtureRequest, qapp: QApplication, lab: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[MainWindow]:
+    """A window on the doubles, whose sensor bears weights."""
+    settings = tmp_path_factory.mktemp("settings") / "window.ini"
+    made = opened(QtBot(request), lab, settings, backend="hardware", double=True, pace=10.0, assignments=PATIENT)
+    yield made
+    made.close_in_order("the tests are over")
+
+
+@pytest.fixture
+def window(shared: MainWindow, until: Until) -> MainWindow:
+    """A window with nothing in its queue, whose guard is reset."""
+    assert not shared.run.rig_busy
+    shared.run.queue.entries.clear()
+    arm(shared, until)
+    return shared
+
+
+def arm(window: MainWindow, until: Until) -> None:
+    if window.guard.text() != "guard: armed":
+        until(window.reset.isEnabled)
+        press(window.reset)
+        until(window.notices.prompt.isVisible)
+        press(window.notices.answers[Answer.DONE])
+        until(lambda: window.guard.text() == "guard: armed")
+
+
+def answer_all(window: MainWindow, until: Until) -> list[str]:
     """Answer every prompt with done until the rig is at rest; return the prompts."""
     prompts: list[str] = []
-    doer, notices = getattr(window.run, busy), window.notices
-    while doer.busy:
-        until(lambda: notices.prompt.isVisible() or not doer.busy)
+    run, notices = window.run, window.notices
+    while run.rig_busy:
+        until(lambda: notices.prompt.isVisible() or not run.rig_busy)
         if notices.prompt.isVisible():
             prompts.append(notices.prompt_text.text())
             press(notices.answers[Answer.DONE])
@@ -85,3 +123,128 @@ def test_the_stage_is_driven_off_a_pressed_limit_switch(
         assert not window.notices.complaint.isVisible()  # what was refused before is no longer true
     finally:
         window.close_in_order("the test is over")
+
+
+def test_the_force_sensor_is_calibrated_and_the_record_seen_before_it_is_stored(
+    window: MainWindow, until: Until, lab: Path
+) -> None:
+    calibrate = window.rig.calibrate
+    window.go_to(window.rig)
+    window.rig.tabs.setCurrentWidget(calibrate)
+    window.run.new.operator.setText("A. Person")
+    for weights, problem in (("0, 20, heavy", "no list of numbers"), ("0, 20", "at least 3 distinct")):
+        calibrate.editor.put("weights", weights)
+        press(calibrate.start)
+        until(lambda: not window.run.rig_busy)
+        assert problem in calibrate.editor.problems["weights"].text()
+        assert calibrate.editor.problems["weights"].isVisible()
+    calibrate.editor.put("weights", "0, 20, 50, 100")
+    assert not calibrate.editor.problems["weights"].isVisible()
+
+    press(calibrate.start)
+    until(window.notices.prompt.isVisible)
+    assert "Take every weight off the sensor" in window.notices.prompt_text.text()
+    assert not window.run.hand.jog.isEnabled()
+    assert not window.close()
+    press(calibrate.cancel)
+    until(lambda: not calibrate.busy)
+    assert "cancelled by operator" in calibrate.state.text()
+    assert not window.notices.prompt.isVisible()
+    assert calibrate.record.isHidden()
+
+    before = read_calibrations(lab)
+    press(calibrate.start)
+    assert not window.notices.complaint.isVisible()  # of the attempt before
+    assert len(answer_all(window, until)) == 4
+    assert "mN/V" in calibrate.record.answer.text()
+    assert "not stored yet" in calibrate.record.answer.text()
+    (points,) = calibrate.record.findChildren(QTableWidget)
+    assert [points.item(row, 0).text() for row in range(4)] == ["0", "20", "50", "100"]
+    assert read_calibrations(lab) == before
+    press(calibrate.store)
+    until(lambda: "Stored as" in calibrate.state.text())
+    (entry,) = read_calibrations(lab)[len(before) :]
+    assert entry.id in calibrate.state.text()
+    assert (entry.quantity, entry.operator, entry.made_on) == ("force", "A. Person", "hardware double")
+    assert not calibrate.store.isVisible()
+    assert f"Calibration stored: {entry.id}" in window.run.log.toPlainText()
+
+    press(calibrate.start)
+    answer_all(window, until)
+    press(calibrate.discard)
+    assert calibrate.record.isHidden()
+    assert read_calibrations(lab)[-1] == entry
+
+
+def test_the_encoder_is_calibrated_over_a_known_travel(window: MainWindow, until: Until, lab: Path) -> None:
+    calibrate = window.rig.calibrate
+    window.go_to(window.rig)
+    window.rig.tabs.setCurrentWidget(calibrate)
+    calibrate.sensor.setCurrentText("Encoder")
+    calibrate.editor.put("repeats", "1")
+    calibrate.editor.put("travel_mm", "900")
+    press(calibrate.start)
+    until(lambda: not calibrate.busy)
+    assert "longer than the stage's range" in calibrate.editor.problems["travel_mm"].text()
+    calibrate.editor.put("travel_mm", "10")
+    press(calibrate.start)
+    prompts = answer_all(window, until)
+    assert [prompt for prompt in prompts if "The stage moves from" in prompt] == prompts[-2:]
+    assert calibrate.record.answer.text().startswith("A count is 1")
+    press(calibrate.store)
+    until(lambda: "Stored as" in calibrate.state.text())
+    assert read_calibrations(lab)[-1].quantity == "encoder"
+
+
+def test_settings_are_saved_and_the_engine_starts_again_once_nothing_runs(
+    window: MainWindow, until: Until, lab: Path
+) -> None:
+    settings, run, pid = window.rig.settings, window.run, window.engine.pid
+    window.go_to(window.rig)
+    window.rig.tabs.setCurrentWidget(settings)
+    settings.groups.setCurrentRow(1)
+    settings.editor.put("highest_mm", "10")
+    assert not settings.save.isEnabled()
+    assert "between lowest and highest" in settings.editor.problems["start_mm"].text()
+    settings.groups.setCurrentRow(3)
+    assert settings.problem.isVisible()  # also where the field is not
+    assert settings.problem.text().startswith("Stage: Start: ")
+    press(settings.undo)
+    settings.groups.setCurrentRow(1)
+    settings.editor.put("highest_mm", "120")
+    assert settings.changes.text() == "Changed: Stage: Highest 120 (was 150)."
+
+    for key, text in {"speed_mm_s": "20", "travel_mm": "10", "way_back": "stay", "prompt": "Mount it"}.items():
+        run.new.editor.put(key, text)
+    run.new.update_preview()
+    press(run.new.queue)
+    press(run.new.start)
+    until(window.notices.prompt.isVisible)
+    press(settings.save)
+    assert "as soon as nothing runs" in settings.state.text()
+    assert "highest_mm = 120.0" in (lab / "rig.toml").read_text("utf-8")
+    assert window.engine.pid == pid
+    answer_all(window, until)
+    assert window.engine.pid != pid
+    assert [entry.stage for entry in run.queue.entries] == [QueueState.COMPLETE, QueueState.WAITING]
+    assert window.guard.text() == "guard: TRIPPED"  # not what the engine before said
+    assert "reset the guard" in settings.state.text()
+    assert run.live.readings.limits.text() == "of 0 to 120 mm"
+    arm(window, until)
+    run.new.editor.put("travel_mm", "100")
+    run.new.update_preview()
+    assert "outside the stage's travel" in run.new.problem.text()
+    run.new.editor.put("travel_mm", "10")
+    settings.editor.put("highest_mm", "150")
+    press(settings.save)
+    assert run.live.readings.limits.text() == "of 0 to 150 mm"
+
+
+def test_settings_outside_of_a_lab_are_shown_and_cannot_be_changed(qtbot: QtBot) -> None:
+    view = SettingsView(RigSelection(assignments=("rig.stage.start_mm=30",)))
+    qtbot.addWidget(view)
+    assert "dragrig init" in view.state.text()
+    assert not view.editor.isEnabled()
+    assert not view.save.isEnabled()
+    view.groups.setCurrentRow(1)
+    assert view.heading.text() == "Stage"

@@ -85,7 +85,7 @@ def test_everything_fits_the_smallest_window(window: MainWindow) -> None:
         assert room.height() <= window.minimumHeight()
 
 
-@pytest.mark.parametrize("page", [0, 1, 2])
+@pytest.mark.parametrize("page", [0, 1, 2, 3])
 def test_a_page_needs_no_scrolling_at_1024_by_650(window: MainWindow, page: int) -> None:
     window.resize(SMALL)
     window.take(GuardState("short"))

@@ -482,6 +482,19 @@ def test_the_title_names_the_kind_of_rig(window: MainWindow) -> None:
     assert window.description.title == "SIMULATED"
 
 
+def test_the_backend_stays_what_the_banner_says(window: MainWindow, until: Until, lab: Path) -> None:
+    devices, text = window.run.devices, (lab / "rig.toml").read_text("utf-8")
+    until(lambda: devices.devices.rowCount() > 0)
+    (lab / "rig.toml").write_text(text.replace('backend = "simulated"', 'backend = "hardware"'), "utf-8")
+    devices.devices.setRowCount(0)
+    press(devices.again)
+    until(lambda: devices.devices.rowCount() > 0 or devices.verdict != "all ok")
+    (lab / "rig.toml").write_text(text, "utf-8")
+    assert devices.verdict == "all ok"  # there is no card here
+    fill(window)
+    assert window.run.new.start.isEnabled()
+
+
 def test_a_plan_from_a_file_is_opened(window: MainWindow, tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     file.write_text('name = "own"\n[[steps]]\nkind = "blank"\nspeed_mm_s = [5, 10]\n', "utf-8")
@@ -684,7 +697,7 @@ def test_an_invalid_field_says_so_below_itself_and_on_every_tab(window: MainWind
             run.tabs.setCurrentIndex(tab)
             assert new.editor.problems[key].isVisible(), key
             assert said in new.editor.problems[key].text(), key
-            name = next(field.name for field in new._form.steps[0].fields if field.key == key)
+            name = next(field.name for field in new._form.groups[0].fields if field.key == key)
             assert new.problem.isVisible()
             assert new.problem.text().startswith(f"{name.capitalize()}: "), new.problem.text()
         others = [label for other, label in new.editor.problems.items() if other != key]

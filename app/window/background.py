@@ -88,7 +88,7 @@ _ENGINE_POLL_MS = 33
 
 
 class EngineLink(QObject):
-    """An engine host, with its events and samples as signals; `restart` replaces one that is lost."""
+    """An engine host, with its events and samples as signals; `restart` replaces it."""
 
     event_received = Signal(object)
     """An event of the host."""
@@ -119,8 +119,8 @@ class EngineLink(QObject):
         self._client.ask(request)
 
     def restart(self) -> None:
-        """Start another host in place of a lost one."""
-        self._client.close(0.0)
+        """Start another host in place of a lost one, or of one that does nothing now; it reads the settings anew."""
+        self._client.close()
         self._client = EngineClient(self._rig, self._silence_s)
 
     def close(self) -> None:

@@ -209,6 +209,7 @@ class LiveView(QWidget):
     def set_limits(self, lowest_mm: float, highest_mm: float) -> None:
         """Show the stage's limits beside the position, and in its plot where they are in view."""
         self.readings.set_limits(lowest_mm, highest_mm)
+        self.position.remove_levels()
         for level, name in ((lowest_mm, "lower limit"), (highest_mm, "upper limit")):
             self.position.level(level, name, in_view=False)
 

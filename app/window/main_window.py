@@ -5,6 +5,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -21,9 +22,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from dragrig.config import DragrigError
 from dragrig.engine_host import (
     SILENCE_TIMEOUT_S,
     Answer,
+    CalibrationMeasured,
+    CalibrationStored,
     Event,
     GuardState,
     HostLost,
@@ -31,6 +35,7 @@ from dragrig.engine_host import (
     OperatorWarning,
     PromptReply,
     PromptShown,
+    Request,
     RequestRefused,
     ResetGuard,
     RigSelection,
@@ -41,6 +46,7 @@ from dragrig.views import PlanForm, describe_rig
 from dragrig.window.background import EngineLink
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage
+from dragrig.window.rig_page import RigPage
 from dragrig.window.run_page import RunPage
 from dragrig.window.widgets import (
     ElidedLabel,
@@ -59,6 +65,8 @@ from dragrig.window.widgets import (
 )
 
 COLLECT_INTERVAL_MS = 200
+_LEAST_MEANING_PX = 16
+"""The banner's title says what matters; the rest of it gives way to the buttons."""
 _SHOW, _WHEEL = QEvent.Type.Show, QEvent.Type.Wheel
 MIN_WIDTH_PX, MIN_HEIGHT_PX = 940, 500
 """A Full HD screen at twice the size has 960 by 540; nothing that is shown asks for more."""
@@ -226,7 +234,8 @@ class MainWindow(QMainWindow):
         self._collector.begin()
         self._stored = stored or StoredSettings()
         self.description = describe_rig(rig)
-        self.setWindowTitle(f"dragrig: {self.description.name}, {self.description.title}")
+        # What the banner says holds as long as the window is open, whatever the rig file says meanwhile.
+        rig = self._rig = replace(rig, backend=self.description.backend)
         self.engine = EngineLink(rig, self, silence_s)
         self.reset = button(
             "&Reset the guard", self._reset, "main", "Allow motion again once the cause is removed", "Ctrl+R"
@@ -236,31 +245,42 @@ class MainWindow(QMainWindow):
         self.run = RunPage(self.engine, rig, self.description, lab, self._stored)
         self.look = LookPage(Path(self.description.data_root), self._stored)
         self.diagnose = DiagnosePage(self._stored)
+        self.rig = RigPage(rig, self._calibrate, self._cancel_calibration, self.run.new.operator.text)
+        self.rig_meaning = ElidedLabel("", "faint")
+        self.rig_meaning.setMinimumWidth(_LEAST_MEANING_PX)
         self.pages = QStackedWidget()
         self.stop_button = button("STOP (Esc)", self._stop_pressed, "stop", "Stop the stage at once")
         self.stop_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.guard = label("guard: starting", "faint")
         self._page_buttons = QButtonGroup(self)
         self._closing = False
+        self._settings_remark = ""
         self._lay_out(
             {
                 "Run": (self.run, "Plan and run sessions"),
                 "View runs": (self.look, "Recorded runs: traces, steady forces, export"),
                 "Diagnose": (self.diagnose, "Where, why and how far runs and model differ"),
+                "Rig": (self.rig, "Settings of the rig, calibration of its sensors"),
             }
         )
         self.engine.event_received.connect(self.take)
+        self.engine.event_received.connect(self._follow_calibration)
         self.run.complained.connect(self.notices.complain)
         self.run.settled.connect(self.notices.settle)
         for page, topic in ((self.look, Topic.LOOK), (self.diagnose, Topic.DIAGNOSIS)):
             page.complained.connect(partial(self.notices.complain, topic=topic))
             page.begun.connect(partial(self.notices.settle, topic))
         self.run.look_at.connect(self._look_at)
+        self.run.running_changed.connect(lambda _: self._follow_rig())
+        self.rig.settings.saved.connect(self._settings_saved)
+        self.rig.calibrate.finished.connect(self.run.write_log)
         self.look.browser.campaign_chosen.connect(self.diagnose.offer)
         self.diagnose.next_experiment.connect(self._offer_next)
         application = QApplication.instance()
         if application is not None:
             application.installEventFilter(self)
+        self._show_description()
+        self._follow_rig()
         self._restore()
 
     def go_to(self, page: QWidget) -> None:
@@ -291,7 +311,7 @@ class MainWindow(QMainWindow):
             case PromptShown():
                 self.notices.ask(event)
                 QApplication.alert(self)
-            case SessionFinished() | StageMoved():
+            case SessionFinished() | StageMoved() | CalibrationMeasured():
                 self.notices.hide_prompt()
                 self.notices.settle(Topic.CLOSING)
             case OperatorWarning(sentence):
@@ -344,7 +364,13 @@ class MainWindow(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:
         """End the engine in good order; a running session must be stopped first."""
         if self.run.rig_busy and not self._closing:
-            what = "A session is running" if self.run.session_running else "The stage is being moved by hand"
+            what = (
+                "A session is running"
+                if self.run.session_running
+                else "A calibration is under way"
+                if self.run.calibrating
+                else "The stage is being moved by hand"
+            )
             self.notices.complain(f"{what}: stop it (Esc), then close the window.", Topic.CLOSING)
             event.ignore()
             return
@@ -383,6 +409,66 @@ class MainWindow(QMainWindow):
     def _restart(self) -> None:
         self.notices.lost.hide()
         self.engine.restart()
+        # Until the new engine says so itself, and it starts tripped.
+        starting = GuardState("the engine is starting")
+        self.take(starting)
+        self.run.take(starting)
+        self.run.live.readings.clear(starting.reason)
+
+    def _calibrate(self, request: Request) -> None:
+        self.notices.settle(Topic.HAND)
+        self.run.set_calibrating(calibrating=self.rig.calibrate.busy)
+        self.engine.ask(request)
+
+    def _follow_calibration(self, event: Event) -> None:
+        calibrate = self.rig.calibrate
+        match event:
+            case CalibrationMeasured(_, _, problem):
+                calibrate.show_result(event)
+                if problem:
+                    self.notices.complain(problem, Topic.HAND)
+            case CalibrationStored():
+                calibrate.show_stored(event)
+            case HostLost():
+                calibrate.end("The engine has ended; nothing is stored.")
+            case _:
+                return
+        self.run.set_calibrating(calibrating=calibrate.busy)
+
+    def _cancel_calibration(self) -> None:
+        self.run.stop("cancelled by operator")
+
+    def _settings_saved(self, remark: str) -> None:
+        """Start the engine again with the settings that were saved, now or once nothing runs."""
+        self.run.restart_due, self._settings_remark = True, remark
+        self.rig.settings.tell("Saved. The engine starts again with these settings as soon as nothing runs.")
+        self._follow_rig()
+
+    def _follow_rig(self) -> None:
+        """Allow calibrations while nothing else is done, and start the engine again if that is due."""
+        run = self.run
+        if run.restart_due and not run.rig_busy and not self._closing:
+            run.restart_due = False
+            self._use_saved_settings()
+        idle = not (run.session_running or run.hand.busy or self.engine.lost)
+        self.rig.calibrate.allow(idle=idle, armed=run.armed, in_lab=self.rig.settings.in_lab)
+
+    def _use_saved_settings(self) -> None:
+        try:
+            self.description = describe_rig(self._rig)
+        except DragrigError as error:
+            self.notices.complain(str(error))
+            return
+        self._show_description()
+        self.run.describe(self.description)
+        self._restart()
+        sentence = "Saved, and the engine started again: reset the guard before anything moves."
+        self.rig.settings.tell(f"{sentence} {self._settings_remark}".strip())
+
+    def _show_description(self) -> None:
+        rig = self.description
+        self.setWindowTitle(f"dragrig: {rig.name}, {rig.title}")
+        self.rig_meaning.setText(f"{rig.name}: {rig.meaning}")
 
     def _lay_out(self, pages: dict[str, tuple[QWidget, str]]) -> None:
         top = row(margin=6)
@@ -395,7 +481,7 @@ class MainWindow(QMainWindow):
             top.addWidget(opener)
         rig = self.description
         banner = card(
-            row(label(rig.title, "title"), ElidedLabel(f"{rig.name}: {rig.meaning}", "faint"), stretch={1: 1}),
+            row(label(rig.title, "title"), self.rig_meaning, stretch={1: 1}),
             role="hardware" if rig.real else "simulated",
         )
         banner.setContentsMargins(0, -4, 0, -4)

@@ -7,23 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
-from PySide6.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QFormLayout,
-    QLabel,
-    QLineEdit,
-    QPlainTextEdit,
-    QWidget,
-)
+from PySide6.QtWidgets import QComboBox, QFormLayout, QLineEdit, QWidget
 
 from dragrig.config import DragrigError, Plan, to_toml
 from dragrig.engine_host import Pace, RigSelection
 from dragrig.present import BLUE, PURPLE, duration_text, size_text, write_text
 from dragrig.views import (
-    FieldKind,
     FieldPlace,
-    FormField,
+    Form,
     PlanForm,
     RigDescription,
     SessionPreview,
@@ -32,6 +23,7 @@ from dragrig.views import (
     plan_form,
     preview_session,
 )
+from dragrig.window.forms import DEFAULT_TEXT, FormEditor
 from dragrig.window.plots import TimePlot
 from dragrig.window.widgets import (
     ElidedLabel,
@@ -51,165 +43,27 @@ from dragrig.window.widgets import (
     table,
 )
 
-DEFAULT_TEXT = "default"
-CHANGED_MARK = " ●"
-"""Beside the name of a field that differs from the last session."""
-FieldEditor = QLineEdit | QPlainTextEdit | QComboBox | QCheckBox
 
-
-class PlanEditor(QWidget):
-    """Edits the steps of a plan; `changed` after every change.
-
-    A field that differs from `reference` is marked, and one that is invalid says so below itself.
-    """
-
-    changed = Signal()
+class PlanEditor(FormEditor):
+    """Edits the steps of a plan."""
 
     def __init__(self) -> None:
         super().__init__()
         self.steps = named(QComboBox(), "Step of the plan")
-        self.steps.currentIndexChanged.connect(self._show_step)
-        self.about = label("", "faint", wrap=True)
-        self.editors: dict[str, FieldEditor] = {}
-        self.captions: dict[str, QLabel] = {}
-        self.problems: dict[str, QLabel] = {}
-        self._form: PlanForm | None = None
-        self._values: list[dict[str, str]] = []
-        self._shown = -1
-        self._invalid: dict[FieldPlace, str] = {}
-        self._changes: dict[FieldPlace, str] = {}
-        self._fields = bare_widget(column())
-        self._rows = column(self.steps, self.about, self._fields)
-        self.setLayout(self._rows)
+        self.steps.currentIndexChanged.connect(self.show_group)
+        self._rows.insertWidget(0, self.steps)
 
-    def edit(self, form: PlanForm, values: Sequence[Mapping[str, str]] | None = None) -> None:
-        """Show a plan, with these values or its own."""
-        step = max(self._shown, 0) if form == self._form else 0
-        self._form, self._shown = form, -1
-        self._values = [dict(texts) for texts in (form.values() if values is None else values)]
-        self._invalid, self._changes = {}, {}
+    def edit(self, form: Form, values: Sequence[Mapping[str, str]] | None = None, group: int = 0) -> None:
+        """Show a step of a plan; the same plan again shows the step that was shown before."""
+        group = max(self.shown, 0) if form == self._form else group
         with QSignalBlocker(self.steps):
             self.steps.clear()
             self.steps.addItems(
-                [f"Step {number} of {len(form.steps)}: {step.kind}" for number, step in enumerate(form.steps, 1)]
+                [f"Step {number} of {len(form.groups)}: {step.name}" for number, step in enumerate(form.groups, 1)]
             )
-            self.steps.setCurrentIndex(step)
-        self.steps.setVisible(len(form.steps) > 1)
-        self._show_step(step)
-
-    def values(self) -> list[dict[str, str]]:
-        """Return the values of every step as text."""
-        self._keep()
-        return [dict(values) for values in self._values]
-
-    def put(self, key: str, text: str) -> None:
-        """Fill a field of the step that is shown."""
-        editor = self.editors[key]
-        match editor:
-            case QComboBox():
-                editor.setCurrentText(text or DEFAULT_TEXT)
-            case QCheckBox():
-                editor.setChecked(text == "yes")
-            case QPlainTextEdit():
-                editor.setPlainText(text)
-            case _:
-                editor.setText(text)
-
-    def mark(self, invalid: Mapping[FieldPlace, str], changes: Mapping[FieldPlace, str]) -> None:
-        """Say below a field what is wrong with it, and beside its name that it was changed, with what it was."""
-        self._invalid, self._changes = dict(invalid), dict(changes)
-        form, shown = self._form, self._shown
-        if form is None or shown < 0:
-            return
-        for field in form.steps[shown].fields:
-            problem, change = self._invalid.get((shown, field.key), ""), self._changes.get((shown, field.key))
-            self.problems[field.key].setText(problem)
-            self.problems[field.key].setVisible(bool(problem))
-            caption = self.captions[field.key]
-            caption.setText(f"{field_label(field)}{'' if change is None else CHANGED_MARK}")
-            caption.setToolTip(_field_help(field) if change is None else f"Changed: {change}. {_field_help(field)}")
-            set_role(caption, "wrong" if problem else "changed" if change is not None else "")
-
-    def _show_step(self, index: int) -> None:
-        if self._form is None or not 0 <= index < len(self._form.steps):
-            return
-        self._keep()
-        step, self._shown = self._form.steps[index], index
-        self.about.setText(step.about)
-        self.editors = {field.key: self._editor(field, self._values[index][field.key]) for field in step.fields}
-        self.captions = {field.key: label(field_label(field)) for field in step.fields}
-        self.problems = {field.key: label("", "wrong", wrap=True) for field in step.fields}
-        inner, layout = QWidget(), QFormLayout()
-        inner.setObjectName("bare")
-        layout.setContentsMargins(0, 0, 8, 0)
-        layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
-        for key, editor in self.editors.items():
-            layout.addRow(self.captions[key], editor)
-            layout.addRow(self.problems[key])
-        inner.setLayout(layout)
-        self._rows.replaceWidget(self._fields, inner)
-        self._fields.hide()
-        self._fields.deleteLater()
-        self._fields = inner
-        inner.show()
-        self.mark(self._invalid, self._changes)
-
-    def _keep(self) -> None:
-        if self._shown >= 0:
-            self._values[self._shown] = {key: _editor_text(editor) for key, editor in self.editors.items()}
-
-    def _editor(self, field: FormField, text: str) -> FieldEditor:
-        editor: FieldEditor
-        match field.kind:
-            case FieldKind.CHOICE:
-                editor = QComboBox()
-                editor.addItems([*([] if field.default else [DEFAULT_TEXT]), *field.choices])
-                editor.setCurrentText(text or DEFAULT_TEXT)
-                editor.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-                editor.setMinimumContentsLength(6)
-                editor.currentTextChanged.connect(lambda _: self.changed.emit())
-            case FieldKind.SWITCH:
-                editor = QCheckBox("yes")
-                editor.setChecked(text == "yes")
-                editor.toggled.connect(lambda _: self.changed.emit())
-            case FieldKind.LIST:
-                editor = QPlainTextEdit(text)
-                editor.setFixedHeight(110)
-                editor.setTabChangesFocus(True)
-                editor.textChanged.connect(self.changed.emit)
-            case _:
-                editor = QLineEdit(text)
-                editor.setCursorPosition(0)
-                editor.setPlaceholderText("required" if field.required else DEFAULT_TEXT)
-                editor.textChanged.connect(lambda _: self.changed.emit())
-        editor.setToolTip(_field_help(field))
-        editor.setAccessibleName(field.name)
-        editor.setAccessibleDescription(_field_help(field))
-        return editor
-
-
-def _editor_text(editor: FieldEditor) -> str:
-    match editor:
-        case QComboBox():
-            return editor.currentText() if editor.currentText() != DEFAULT_TEXT else ""
-        case QCheckBox():
-            return "yes" if editor.isChecked() else "no"
-        case QPlainTextEdit():
-            return editor.toPlainText()
-        case _:
-            return editor.text()
-
-
-def field_label(field: FormField) -> str:
-    """Return the name of a field as the form has it, with its unit."""
-    return f"{field.name.capitalize()}{f' ({field.unit})' if field.unit else ''}"
-
-
-def _field_help(field: FormField) -> str:
-    sweep = "Several values, separated by commas, make a run for each value." if field.sweeps else ""
-    limits = f"Allowed: {field.limits}." if field.limits else ""
-    default = f"Default: {field.default}." if field.default and field.kind is not FieldKind.LIST else ""
-    return " ".join(part for part in (field.help, limits, default, sweep) if part)
+            self.steps.setCurrentIndex(group)
+        self.steps.setVisible(len(form.groups) > 1)
+        super().edit(form, values, group)
 
 
 _PREVIEW_HEADER = (
@@ -509,10 +363,8 @@ class NewSession(QWidget):
         }
 
     def _field_name(self, form: PlanForm, place: FieldPlace) -> str:
-        number, key = place
-        step = form.steps[number]
-        where = f"Step {number + 1}, " if len(form.steps) > 1 else ""
-        return where + next(field.name for field in step.fields if field.key == key).capitalize()
+        where = f"Step {place[0] + 1}, " if len(form.groups) > 1 else ""
+        return where + form.field_name(place)
 
     def keep(self) -> None:
         """Store the choices for the next start."""

@@ -167,8 +167,8 @@ class HandView(QWidget):
         jog = flow(self.jog, _titled("by", self.distance), _titled("at", self.speed))
         touch = flow(self.touch, _titled("within", self.most), _titled("until", self.force),
                      _titled("at", self.approach), _titled("then back by", self.back))  # fmt: skip
-        home = flow(self.home, _titled("Overridden limit switch", self.override))
-        self.setLayout(column(self.state, card(home), card(jog), card(touch), 1, margin=8))
+        off_switch = row(label("Pressed limit switch that home or jog may leave"), self.override, 1)
+        self.setLayout(column(self.state, card(row(self.home, 1)), card(jog), off_switch, card(touch), 1, margin=8))
         self._show_state()
 
     def allow(self, *, idle: bool, armed: bool) -> None:
@@ -438,8 +438,12 @@ class RunPage(QWidget):
         self._asked = False
         self._progress_at = 0.0
         self._trip_reason = "the engine is starting"
+        self.calibrating = False
+        """Whether a calibration is under way, on the page of the rig."""
+        self.restart_due = False
+        """Whether the engine is about to start again, with other settings: no session starts before."""
         self.queue = SessionQueue()
-        self._queue_key = f"queue, {description.title}, {description.name}"
+        self._description = description
         self.queue.restore(stored.text(self._queue_key, "[]"))
         self.new = NewSession(rig, description, lab, stored)
         self.preview, self.live = PlanPreview(), LiveView()
@@ -476,14 +480,34 @@ class RunPage(QWidget):
         self._show_state()
 
     @property
+    def _queue_key(self) -> str:
+        return f"queue, {self._description.title}, {self._description.name}"
+
+    @property
     def session_running(self) -> bool:
         """Whether a session is running."""
         return self.queue.current is not None
 
     @property
     def rig_busy(self) -> bool:
-        """Whether anything moves or may move: a session, or a motion by hand."""
-        return self.session_running or self.hand.busy
+        """Whether anything moves or may move: a session, a motion by hand, a calibration."""
+        return self.session_running or self.hand.busy or self.calibrating
+
+    @property
+    def armed(self) -> bool:
+        """Whether the guard lets the stage move."""
+        return not self._trip_reason
+
+    def set_calibrating(self, *, calibrating: bool) -> None:
+        """Allow no session and no motion by hand while a calibration is under way."""
+        self.calibrating = calibrating
+        self._show_state()
+
+    def describe(self, description: RigDescription) -> None:
+        """Show the rig as its settings are now."""
+        self._description = description
+        self.live.set_limits(description.lowest_mm, description.highest_mm)
+        self.new.update_preview()
 
     def keep(self) -> None:
         """Store form and waiting sessions for the next start; nothing starts by itself then."""
@@ -524,8 +548,9 @@ class RunPage(QWidget):
         entry = self.queue.next
         if self.session_running or entry is None:
             return
-        if self.hand.busy:
-            self.complained.emit(f"{entry.title} is waiting: a motion by hand is under way.", Topic.SESSION)
+        if hindrance := self._hindrance():
+            self._queue_started = False
+            self.complained.emit(f"{entry.title} is waiting: {hindrance}, then start the queue.", Topic.SESSION)
             return
         if self._engine.lost or self._trip_reason:
             self._queue_started = False
@@ -538,6 +563,14 @@ class RunPage(QWidget):
         self.tabs.setCurrentWidget(self.live)
         self.live.begin_session(f"{entry.title}: preparing …")
         self._show_state()
+
+    def _hindrance(self) -> str:
+        """Return what must be over before a session starts; empty for nothing."""
+        if self.restart_due:
+            return "the engine starts again with the settings that were saved; reset the guard"
+        if self.calibrating:
+            return "a calibration is under way; end it"
+        return "a motion by hand is under way; end it" if self.hand.busy else ""
 
     def stop(self, reason: str) -> None:
         """Stop the stage at once, and the queue."""
@@ -714,7 +747,7 @@ class RunPage(QWidget):
         if not running:
             self.pause.setChecked(False)
         self.devices.set_session_running(running=running)
-        self.hand.allow(idle=not running, armed=not self._trip_reason)
+        self.hand.allow(idle=not (running or self.calibrating), armed=self.armed)
         self.running_changed.emit(running)
 
     def _show_buttons(self) -> None:

@@ -97,7 +97,7 @@ QPushButton[role="main"]:disabled {{ background: {PALE}; border-color: {PALE}; c
 QPushButton[role="stop"] {{ background: {STOP_COLOUR}; color: white; font-size: 22px; font-weight: 800;
     border: 3px solid #6B0013; border-radius: 8px; padding: 6px 18px; }}
 QPushButton[role="page"] {{ border: none; border-bottom: 4px solid transparent; border-radius: 0;
-    background: transparent; font-size: 17px; padding: 8px 8px; }}
+    background: transparent; font-size: 17px; padding: 8px 5px; }}
 QPushButton[role="page"]:checked {{ border-bottom: 4px solid {BLUE}; color: {BLUE}; }}
 QPushButton[role="page"]:focus {{ background: #E3F1FA; }}
 QLineEdit, QPlainTextEdit {{ background: {PAPER}; border: 1px solid {PALE};
@@ -598,6 +598,8 @@ class DocumentView(QWidget):
             self.tabs.addTab(_section_area(section), section.heading or document.title)
         for title, page in pages.items():
             self.tabs.addTab(page, title)
+        # A single section without a heading says nothing that the answer does not.
+        self.tabs.tabBar().setVisible(self.tabs.count() > 1 or any(section.heading for section in document.content))
 
 
 def _section_area(section: Section) -> QScrollArea:

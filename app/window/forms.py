@@ -1,0 +1,165 @@
+"""A form in the window: an editor for every field of a schema, what is wrong below it, what was changed beside it."""
+
+from collections.abc import Mapping, Sequence
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLabel, QLineEdit, QPlainTextEdit, QWidget
+
+from dragrig.views import FieldKind, FieldPlace, Form, FormField
+from dragrig.window.widgets import bare_widget, column, label, set_role
+
+DEFAULT_TEXT = "default"
+CHANGED_MARK = " ●"
+"""Beside the name of a field that was changed."""
+FieldEditor = QLineEdit | QPlainTextEdit | QComboBox | QCheckBox
+
+
+class FormEditor(QWidget):
+    """Edits a form, one group of fields at a time; `changed` after every change by a person.
+
+    What `mark` is told of a field is shown beside its name and below it.
+    """
+
+    changed = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.about = label("", "faint", wrap=True)
+        self.editors: dict[str, FieldEditor] = {}
+        self.captions: dict[str, QLabel] = {}
+        self.problems: dict[str, QLabel] = {}
+        self._form: Form | None = None
+        self._values: list[dict[str, str]] = []
+        self._shown = -1
+        self._invalid: dict[FieldPlace, str] = {}
+        self._changes: dict[FieldPlace, str] = {}
+        self._fields = bare_widget(column())
+        self._rows = column(self.about, self._fields)
+        self.setLayout(self._rows)
+
+    def edit(self, form: Form, values: Sequence[Mapping[str, str]] | None = None, group: int = 0) -> None:
+        """Show a group of a form, with these values or its own."""
+        self._form, self._shown = form, -1
+        self._values = [dict(texts) for texts in (form.values() if values is None else values)]
+        self._invalid, self._changes = {}, {}
+        self.show_group(group)
+
+    @property
+    def shown(self) -> int:
+        """Number of the group that is shown; −1 for none."""
+        return self._shown
+
+    def values(self) -> list[dict[str, str]]:
+        """Return the values of every group as text."""
+        self._keep()
+        return [dict(values) for values in self._values]
+
+    def put(self, key: str, text: str) -> None:
+        """Fill a field of the group that is shown."""
+        editor = self.editors[key]
+        match editor:
+            case QComboBox():
+                editor.setCurrentText(text or DEFAULT_TEXT)
+            case QCheckBox():
+                editor.setChecked(text == "yes")
+            case QPlainTextEdit():
+                editor.setPlainText(text)
+            case _:
+                editor.setText(text)
+
+    def mark(self, invalid: Mapping[FieldPlace, str], changes: Mapping[FieldPlace, str]) -> None:
+        """Say below a field what is wrong with it, and beside its name that it was changed, with what it was."""
+        self._invalid, self._changes = dict(invalid), dict(changes)
+        form, shown = self._form, self._shown
+        if form is None or shown < 0:
+            return
+        for field in form.groups[shown].fields:
+            problem, change = self._invalid.get((shown, field.key), ""), self._changes.get((shown, field.key))
+            self.problems[field.key].setText(problem)
+            self.problems[field.key].setVisible(bool(problem))
+            caption = self.captions[field.key]
+            caption.setText(f"{field_label(field)}{'' if change is None else CHANGED_MARK}")
+            caption.setToolTip(_field_help(field) if change is None else f"Changed: {change}. {_field_help(field)}")
+            set_role(caption, "wrong" if problem else "changed" if change is not None else "")
+
+    def show_group(self, index: int) -> None:
+        """Show another group; what was typed in the one before is kept."""
+        if self._form is None or not 0 <= index < len(self._form.groups):
+            return
+        self._keep()
+        group, self._shown = self._form.groups[index], index
+        self.about.setText(group.about)
+        self.editors = {field.key: self._editor(field, self._values[index][field.key]) for field in group.fields}
+        self.captions = {field.key: label(field_label(field)) for field in group.fields}
+        self.problems = {field.key: label("", "wrong", wrap=True) for field in group.fields}
+        inner, layout = QWidget(), QFormLayout()
+        inner.setObjectName("bare")
+        layout.setContentsMargins(0, 0, 8, 0)
+        layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
+        for key, editor in self.editors.items():
+            layout.addRow(self.captions[key], editor)
+            layout.addRow(self.problems[key])
+        inner.setLayout(layout)
+        self._rows.replaceWidget(self._fields, inner)
+        self._fields.hide()
+        self._fields.deleteLater()
+        self._fields = inner
+        inner.show()
+        self.mark(self._invalid, self._changes)
+
+    def _keep(self) -> None:
+        if self._shown >= 0:
+            self._values[self._shown] = {key: _editor_text(editor) for key, editor in self.editors.items()}
+
+    def _editor(self, field: FormField, text: str) -> FieldEditor:
+        editor: FieldEditor
+        match field.kind:
+            case FieldKind.CHOICE:
+                editor = QComboBox()
+                editor.addItems([*([] if field.default else [DEFAULT_TEXT]), *map(str, field.choices)])
+                editor.setCurrentText(text or DEFAULT_TEXT)
+                editor.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+                editor.setMinimumContentsLength(6)
+                editor.currentTextChanged.connect(lambda _: self.changed.emit())
+            case FieldKind.SWITCH:
+                editor = QCheckBox("yes")
+                editor.setChecked(text == "yes")
+                editor.toggled.connect(lambda _: self.changed.emit())
+            case FieldKind.LIST:
+                editor = QPlainTextEdit(text)
+                editor.setFixedHeight(110)
+                editor.setTabChangesFocus(True)
+                editor.textChanged.connect(self.changed.emit)
+            case _:
+                editor = QLineEdit(text)
+                editor.setCursorPosition(0)
+                editor.setPlaceholderText("required" if field.required else field.empty)
+                editor.textChanged.connect(lambda _: self.changed.emit())
+        editor.setToolTip(_field_help(field))
+        editor.setAccessibleName(field.name)
+        editor.setAccessibleDescription(_field_help(field))
+        return editor
+
+
+def _editor_text(editor: FieldEditor) -> str:
+    match editor:
+        case QComboBox():
+            return editor.currentText() if editor.currentText() != DEFAULT_TEXT else ""
+        case QCheckBox():
+            return "yes" if editor.isChecked() else "no"
+        case QPlainTextEdit():
+            return editor.toPlainText()
+        case _:
+            return editor.text()
+
+
+def field_label(field: FormField) -> str:
+    """Return the name of a field as the form has it, with its unit."""
+    return f"{field.name.capitalize()}{f' ({field.unit})' if field.unit else ''}"
+
+
+def _field_help(field: FormField) -> str:
+    sweep = "Several values, separated by commas, make a run for each value." if field.sweeps else ""
+    limits = f"Allowed: {field.limits}." if field.limits else ""
+    default = f"Default: {field.default}." if field.default and field.kind is not FieldKind.LIST else ""
+    return " ".join(part for part in (field.help, limits, default, sweep) if part)
