@@ -58,6 +58,7 @@ from dragrig.rig import (
     read_note,
     read_run,
     recover,
+    session_record_of_run,
     unmark,
     write_note,
 )
@@ -490,6 +491,8 @@ class ShownTrace:
     channels: Mapping[str, npt.NDArray[np.float32]]
     filtered: Mapping[str, npt.NDArray[np.float32]]
     units: Mapping[str, str]
+    limits_mm: tuple[float, float] | None = None
+    """The stage's limits when the run was made, absolute as its positions; None where they are not known."""
 
     def along(self, axis: str) -> npt.NDArray[np.float32] | None:
         """Return position or speed at each sample; None where the run has none."""
@@ -548,6 +551,7 @@ def shown_trace(path: Path, window_s: float | None = None, order: int | None = N
         channels=_shown_channels(run.trace.channels, indices, length, origin_mm),
         filtered=_shown_channels(smooth.channels, indices, length, origin_mm),
         units={**run.trace.units, **smooth.units},
+        limits_mm=_limits_mm(path),
     )
 
 
@@ -555,6 +559,14 @@ def _origin_mm(info: RunInfo) -> float:
     """Return the absolute position of a run's start; 0 where it is not known, as of an imported run."""
     origin_mm = info.header.entry.get("origin_mm", 0.0)
     return float(origin_mm) if isinstance(origin_mm, int | float) else 0.0
+
+
+def _limits_mm(path: Path) -> tuple[float, float] | None:
+    # An imported run has no session, and that of an old one may not be readable any more.
+    with suppress(RunFileError, SettingsError):
+        stage = session_record_of_run(path).rig.stage
+        return stage.lowest_mm, stage.highest_mm
+    return None
 
 
 def _shown_channels(

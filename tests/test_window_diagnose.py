@@ -1,5 +1,6 @@
 """The page that diagnoses, carried to the end on a real campaign, and what its answer is good for on the run page."""
 
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnoses import RIPPLE_AND_AGEING, STRIBECK, TOGETHER
+from diagnoses import ALL, BLANK, RIPPLE_AND_AGEING, STRIBECK, TOGETHER
 from runfiles import PRACTICE
 from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
 
 require_qt()
 
 from PySide6.QtCore import QSettings
-from PySide6.QtWidgets import QApplication, QTableWidget
+from PySide6.QtWidgets import QApplication, QLabel, QTableWidget
 from pytestqt.qtbot import QtBot
 
 from dragrig.analysis.gap.candidate_runs import plan_of_next_runs
@@ -108,6 +109,25 @@ def test_a_diagnosis_shows_the_fitted_parameters_that_the_terminal_prints(qtbot:
     rows = [[shown.item(row, at).text() for at in range(3)] for row in range(shown.rowCount())]
     assert rows == [["ratio", "0.410", "0.312 to 0.508"], ["speed_mm_s", "2.90", "1.72 to 4.08"]]
     assert all(text in printed for row in rows for text in row)
+
+
+@pytest.mark.parametrize("diagnosis", ALL.values(), ids=ALL)
+def test_a_diagnosis_shows_everything_that_the_terminal_prints(qtbot: QtBot, diagnosis: Diagnosis) -> None:
+    document = diagnosis_document(diagnosis, source="runs/first")
+    without_runs = document.without("before-after")
+    results = DiagnosisResults()
+    qtbot.addWidget(results)
+    blank = {figure.name: BLANK for figure in without_runs.figures()}
+    results.show_diagnosis(CompletedDiagnosis(diagnosis, without_runs.with_drawings(blank)))
+    shown = [label.text() for label in results.findChildren(QLabel)]
+    for table in results.findChildren(QTableWidget):
+        shown += [table.horizontalHeaderItem(at).text() for at in range(table.columnCount())]
+        shown += [table.item(row, at).text() for row in range(table.rowCount()) for at in range(table.columnCount())]
+    shown += [results.view.tabs.tabText(at) for at in range(results.view.tabs.count())]
+    window = " ".join(" ".join(shown).split())
+    printed = [part.lstrip("! ") for line in document_text(document).splitlines() for part in re.split(r"\s{2,}", line)]
+    assert len(printed) > 30
+    assert [part for part in printed if part not in window] == []
 
 
 def test_a_specimen_is_identified_and_reported_on(window: MainWindow, until: Until, tmp_path: Path) -> None:

@@ -77,6 +77,20 @@ def test_runs_are_overlaid_with_their_settings(page: LookPage, until: Until) -> 
     assert text["status"] == "complete"
 
 
+def test_positions_are_absolute_with_the_limits(page: LookPage, until: Until) -> None:
+    choose(page, until, 0)
+    overlay = page.overlay
+    assert overlay.channel_plot.levels == ()
+    overlay.channel.setCurrentText("position")
+    assert overlay.traces[0].channels["position"][0] == pytest.approx(40.0, abs=0.1)
+    assert overlay.channel_plot.levels == (0.0, 150.0)
+    overlay.channel.setCurrentText("force")
+    overlay.axis.setCurrentText("position")
+    assert overlay.channel_plot.levels == ()
+    assert overlay.channel_plot.shown()[0] > 35.0
+    overlay.axis.setCurrentText("time")
+
+
 def test_changing_the_filter_redraws_the_traces(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
     before = page.overlay.traces[0].filtered["force"]

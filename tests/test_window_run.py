@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from windows import WAIT_MS, Until, dressed, lab_in, opened, press, require_qt
 
@@ -124,6 +125,22 @@ def test_a_plan_is_edited_previewed_and_run(window: MainWindow, until: Until, la
     assert live is not None
     assert live.force.count == made.runs[-1].samples
     assert live.latest.phase == "hold"
+
+
+def test_position_is_absolute_with_the_limits_wherever_it_is_shown(window: MainWindow, until: Until) -> None:
+    fill(window, speed_mm_s="20", start_mm="60", travel_mm="8")
+    preview, live = window.run.preview, window.run.live
+    header = [preview.runs.horizontalHeaderItem(at).text() for at in range(preview.runs.columnCount())]
+    assert preview.runs.item(0, header.index("Position (mm)")).text() == "60 to 68"
+    press(window.run.new.start)
+    until(lambda: not window.run.session_running)
+    until(lambda: live.run is not None and live.run.latest.phase == "hold")
+    for line, plot in ((preview._position_line, preview.position), (live._position, live.position)):
+        shown = line.drawn.getData()[1]
+        assert (np.nanmin(shown), np.nanmax(shown)) == (pytest.approx(60.0, abs=0.1), pytest.approx(68.0, abs=0.1))
+        assert plot.levels == (0.0, 150.0)
+    assert live.run.latest.position_mm == pytest.approx(68.0, abs=0.1)
+    fill(window, start_mm="")
 
 
 def test_a_plan_beyond_the_limits_cannot_be_started(window: MainWindow) -> None:
@@ -705,6 +722,23 @@ def test_an_invalid_field_says_so_below_itself_and_on_every_tab(window: MainWind
         fill(window, **{key: {"repeats": "1", "speed_mm_s": "20", "travel_mm": "10"}.get(key, "")})
     fill(window, speed_mm_s="20", travel_mm="10", capsule="")
     assert not new.problem.isVisible()
+
+
+def test_an_invalid_field_of_a_step_that_is_not_shown_is_named(window: MainWindow) -> None:
+    new = window.run.new
+    new.plans.setCurrentIndex(new.plans.findData("diagnose"))
+    new.editor.steps.setCurrentIndex(1)
+    new.editor.put("repeats", "0")
+    new.editor.steps.setCurrentIndex(0)
+    new.update_preview()
+    assert new.problem.text().startswith("Step 2, Repeats: ")
+    assert not any(label.isVisible() for label in new.editor.problems.values())
+    assert not new.start.isEnabled()
+    new.editor.steps.setCurrentIndex(1)
+    assert "greater than or equal to 1" in new.editor.problems["repeats"].text()
+    new.editor.put("repeats", "1")
+    new.update_preview()
+    fill(window)
 
 
 def test_edits_survive_another_plan_and_can_be_taken_back(window: MainWindow, qtbot: QtBot) -> None:

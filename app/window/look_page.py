@@ -414,12 +414,22 @@ class TraceOverlay(QWidget):
             self._draw_trace(self.channel_plot, index, name, colour, 2.0, filtered=name in trace.filtered)
             below = "position" if self.axis.currentText() == "speed" else "speed"
             self._draw_trace(self.speed_plot, index, below, colour, 2.0, filtered=below == "speed")
+        self._draw_limits(self.channel_plot, shown=name == "position")
+        self._draw_limits(self.speed_plot, shown=self.axis.currentText() == "speed")
         self.channel_plot.title(
             *((self._legend_text(trace), CYCLE[index % MAX_OVERLAID]) for index, trace in enumerate(self.traces))
         )
         for panel in (self.channel_plot, self.speed_plot):
             panel.redraw()
         self._show_cursor_values()
+
+    def _draw_limits(self, panel: TimePlot, *, shown: bool) -> None:
+        """Draw the stage's limits into a plot of positions, where they are in view."""
+        panel.remove_levels()
+        limits = dict.fromkeys(trace.limits_mm for trace in self.traces if trace.limits_mm is not None)
+        for lowest_mm, highest_mm in limits if shown else ():
+            panel.level(lowest_mm, "lower limit", in_view=False)
+            panel.level(highest_mm, "upper limit", in_view=False)
 
     def _legend_text(self, trace: ShownTrace) -> str:
         axis = self.axis.currentText()

@@ -142,6 +142,7 @@ class PlanPreview(QWidget):
         self.position.remove_levels()
         for level, name in ((session.lowest_mm, "lower limit"), (session.highest_mm, "upper limit")):
             self.position.level(level, name)
+        self._clear_curves()
         if count:
             self.runs.setCurrentCell(0, 0)
             self._draw(0)
@@ -155,9 +156,12 @@ class PlanPreview(QWidget):
         self._session = None
         self.conditions.setText("")
         fill_table(self.runs, [])
-        for plot, line in ((self.position, self._position_line), (self.speed, self._speed_line)):
+        self.position.remove_levels()
+        self._clear_curves()
+
+    def _clear_curves(self) -> None:
+        for line in (self._position_line, self._speed_line):
             line.points(np.zeros(0), np.zeros(0))
-            plot.remove_levels()
 
     def _draw(self, index: int) -> None:
         previews = () if self._session is None else self._session.preflight.previews

@@ -138,11 +138,18 @@ class TimePlot:
         )
         self._item.addItem(line, ignoreBounds=not in_view)
 
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The limits."""
+        return tuple(float(line.value()) for line in self._level_lines())
+
     def remove_levels(self) -> None:
         """Remove all limits."""
-        for item in list(self._item.items):
-            if isinstance(item, pyqtgraph.InfiniteLine) and not item.movable:
-                self._item.removeItem(item)
+        for line in self._level_lines():
+            self._item.removeItem(line)
+
+    def _level_lines(self) -> list[pyqtgraph.InfiniteLine]:
+        return [item for item in self._item.items if isinstance(item, pyqtgraph.InfiniteLine) and not item.movable]
 
     def cursor(self, name: str, colour: str, moved: Callable[[float], None]) -> "PlotCursor":
         """Add a vertical line that can be dragged; `moved` is called with its time."""
