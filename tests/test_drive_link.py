@@ -12,6 +12,7 @@ from contextlib import contextmanager, nullcontext, suppress
 import pytest
 from drive_ports import DrivePort, PtyPort, SocketPort
 from driving import ANY_PORT, PORTS, linked, until
+from serial.tools.list_ports import comports
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import DriveSettings
@@ -279,6 +280,9 @@ def test_a_port_that_is_not_there_is_told_with_its_key(port: str) -> None:
     with pytest.raises(DeviceError, match=r"cannot be opened.*hardware\.drive\.port") as error:
         DriveLink(DriveSettings(port=port), DIALECT)
     assert port in str(error.value)
+    if "://" not in port:
+        assert all(found.device in str(error.value) for found in comports())
+    assert ("this computer has" in str(error.value)) is ("://" not in port)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 from drive_ports import DrivePort
-from driving import PORTS, Driven, driven, until
+from driving import ANY_PORT, PORTS, Driven, driven, until
 from simulated import stroke
 from voltage_bench import velocity_rig, voltage_rig
 
@@ -19,6 +19,11 @@ ENABLE, HEARTBEAT = "port1/line0", "port1/line4"
 WIRINGS = {
     "enable line": {"enable": ENABLE},
     "relay": {"enable": "", "heartbeat": HEARTBEAT, "heartbeat_s": 0.05},
+}
+DIALECTS: dict[str, dict[str, object]] = {
+    "nikki": {},
+    "copley": {"station": 0, "counts_per_mm": 1000.0, "thrust_N_per_A": 8.0},
+    "modbus": {},
 }
 SILENCE_S = 0.6
 SPEED_MM_S = 20.0
@@ -64,9 +69,20 @@ def lose_link(rig: Driven, fault: str) -> tuple[float, float, LineLog]:
 @pytest.mark.parametrize("fault", ["drive_unplugged", "drive_cut_off"])
 @pytest.mark.parametrize("wiring", WIRINGS)
 def test_a_drive_that_is_heard_no_more_loses_its_power(kind: type[DrivePort], fault: str, wiring: str) -> None:
+    _expect_power_gone(kind, fault, wiring, "nikki")
+
+
+@pytest.mark.parametrize("fault", ["drive_unplugged", "drive_cut_off"])
+@pytest.mark.parametrize("dialect", ["copley", "modbus"])
+def test_a_drive_of_another_make_loses_its_power_as_soon(fault: str, dialect: str) -> None:
+    _expect_power_gone(ANY_PORT, fault, "relay", dialect)
+
+
+def _expect_power_gone(kind: type[DrivePort], fault: str, wiring: str, dialect: str) -> None:
     # A busy machine may hold up any of them, though hardly all.
     for _ in range(4):
-        with driven(kind, lines=WIRINGS[wiring], silence_s=SILENCE_S, reply_s=0.1) as rig:
+        drive = {"dialect": dialect, **DIALECTS[dialect]}
+        with driven(kind, lines=WIRINGS[wiring], silence_s=SILENCE_S, reply_s=0.1, **drive) as rig:
             released_s, travelled_mm, _ = lose_link(rig, fault)
             assert rig.drive.status.halt is Halt.DISABLED
             assert travelled_mm < 60.0

@@ -392,5 +392,15 @@ def _open_port(settings: DriveSettings) -> serial.Serial:
         why = os.strerror(number) if number else str(error)
         raise DeviceError(
             f"the drive's port {settings.port} cannot be opened ({why}): connect it, close other programs that use "
-            "it, or correct hardware.drive.port of the rig file."
+            f"it, or correct hardware.drive.port of the rig file{_other_ports_text(settings.port)}."
         ) from error
+
+
+def _other_ports_text(port: str) -> str:
+    """Name the serial ports of this computer, where it is its port that was looked for."""
+    from serial.tools.list_ports import comports
+
+    if "://" in port:
+        return ""
+    ports = sorted(f"{found.device} ({found.description})" for found in comports() if found.device != port)
+    return f"; this computer has {', '.join(ports)}" if ports else "; this computer has no other serial port"
