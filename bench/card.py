@@ -22,7 +22,7 @@ from dragrig.rig.devices import Acquisition, Contact, WallClock
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.oversampling import AntiAliasFilter, OversampledFetcher
 from dragrig.rig.hardware.card.sampler import CardSampler
-from dragrig.rig.hardware.card.scaling import ForceInputMonitor
+from dragrig.rig.hardware.card.scaling import ForceInputMonitor, NoiseLimits
 from dragrig.rig.hardware.card.tasks import SampleBatch, SampleFetcher
 from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece
@@ -167,7 +167,7 @@ def print_oversampling(inputs: int, rate_hz: float, factor: int, duration_s: flo
     """Print what filtering the card's samples to recorded ones, and judging them, costs."""
     anti_alias = AntiAliasFilter.of(factor)
     fetcher = OversampledFetcher(cast("SampleFetcher", RandomCard(inputs)), anti_alias, inputs)
-    monitor = ForceInputMonitor(RigSettings(), rate_hz * factor)
+    monitor = ForceInputMonitor(RigSettings(), NoiseLimits(RigSettings(), 0.0, rate_hz * factor), rate_hz * factor)
     block, samples = round(0.048 * rate_hz), 0
     used_s = time.process_time()
     while samples < duration_s * rate_hz:

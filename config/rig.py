@@ -96,6 +96,9 @@ class AnalogInputSettings(Settings):
     range_V: InputRange = 10.0
 
 
+_OVERLOAD_SHARE = 0.99
+
+
 class ForceInputSettings(Settings):
     """Wiring of the force sensor; the latest entry of the calibration history overrides gain and zero."""
 
@@ -112,13 +115,31 @@ class ForceInputSettings(Settings):
     """Where the input goes when the sensor's cable is pulled: to the end of its range by a pull-up, to 0 V by a
     pull-down, or anywhere, without either."""
     least_noise_uV: float = Field(default=0.0, ge=0)
-    """Noise [µV] (standard deviation, from sample to sample) below which the input counts as dead; 0 for half of the
-    converter's own. dragrig check says what the sensor has."""
+    """Noise [µV] (standard deviation of means over 1 ms, from each to the next) below which the input counts as dead; 0
+    for halfway, as a ratio, between the converter's own and the sensor's when it was calibrated."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_former_keys(cls, data: object) -> object:
+        """Read files with the keys that were in the place of `rail_V`."""
+        if not isinstance(data, dict):
+            return data
+        kept = {key: value for key, value in data.items() if key not in {"overload_V", "open_V"}}
+        overload_V = data.get("overload_V")
+        if isinstance(overload_V, int | float):
+            kept.setdefault("rail_V", round(overload_V / _OVERLOAD_SHARE, 6))
+        return kept
+
+    @model_validator(mode="after")
+    def _check_gain(self) -> Self:
+        if self.per_V == 0:
+            raise ValueError("per_V must not be 0")
+        return self
 
     @property
     def overload_V(self) -> float:
         """Voltage from which the sensor counts as overloaded."""
-        return 0.99 * min(self.rail_V, self.range_V)
+        return _OVERLOAD_SHARE * min(self.rail_V, self.range_V)
 
     @property
     def open_V(self) -> float:
@@ -366,8 +387,8 @@ class GuardSettings(Settings):
     encoder_silent_s: float = Field(default=0.04, gt=0, le=5)
     """… and for longer than this, while the encoder showed no count."""
     encoder_error_mm: float = Field(default=0.05, gt=0)
-    """Trip when the position jumps by more than this from a sample to the next, beyond what the speed limit allows; and
-    mark a run in which drive and encoder differ at the standstill after it by more than this …"""
+    """Trip when the position leaves its course by more than this from a sample to the next; and mark a run in which
+    drive and encoder differ at the standstill after it by more than this …"""
     encoder_error_per_mm: float = Field(default=0.0005, ge=0)
     """… plus this times its travel."""
     stale_data_s: float = Field(default=0.2, gt=0, le=5)
@@ -482,6 +503,8 @@ class Calibration(Settings):
     residual: float = Field(default=0.0, ge=0)
     """Standard deviation of the fit, in the quantity's unit."""
     points: int = Field(default=0, ge=0)
+    noise_uV: float = Field(default=0.0, ge=0)
+    """Noise of the force input with the sensor alive, as of hardware.card.force.least_noise_uV; 0 where not known."""
     operator: str = ""
     note: str = ""
 

@@ -83,10 +83,12 @@ class RawReading:
     """`counts_begin`, `counts_end`: the encoder's count at the first and the last sample, rising where the stage moves
     up.
     """
+    counts_span: int = 0
+    """From the encoder's lowest to its highest count."""
     force_mN: float = nan
     """Mean force by the calibration in force; NaN where the sampler does not say."""
     force_noise_V: float = nan
-    """Noise of the force input from sample to sample of the converter [V]; NaN where the sampler does not say."""
+    """Noise of the force input from millisecond to millisecond [V]; NaN where the sampler does not say."""
     fault: Trip | None = None
     """What the force input showed of the sensor: overloaded, unplugged or dead."""
 
@@ -99,6 +101,7 @@ class RawReading:
             samples=len(force_V),
             counts_begin=round(float(counts[0])),
             counts_end=round(float(counts[-1])),
+            counts_span=round(float(np.ptp(counts))),
             force_mN=force_mN,
         )
 
@@ -185,6 +188,8 @@ class StageState:
     homed: bool
     moving: bool
     fault: Trip | None = None
+    drive_mm: float = nan
+    """Position by the drive's own encoder, whose zero may be elsewhere; NaN where there is none."""
 
 
 class Clock(Protocol):

@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import StrEnum
+from math import isnan, nan
 from pathlib import Path
 from threading import Event as Signal
 from threading import Lock
@@ -116,7 +117,7 @@ class RunningAcquisition:
             1e-3 * rig.encoder.resolution_um,
         )
         self._guard_settings = rig.guard
-        self._stood_at_mm = 0.0
+        self._drive_from_mm = nan
         self._expected = acquisition.profile.samples(self._rate_hz)
         self._began_s = self._clock.monotonic()
         self._settle_until_s = self._braking_from_s = 0.0
@@ -137,7 +138,7 @@ class RunningAcquisition:
 
         A stop after arming drops the motion; arming forgets one before it, which has set `cancel`.
         """
-        self._stood_at_mm = self._stage.state().position_mm
+        self._drive_from_mm = self._stage.state().drive_mm
         self._sampler.arm(self._acquisition)
         if cancel.is_set():
             return False
@@ -182,7 +183,9 @@ class RunningAcquisition:
 
     def _compare_travel(self) -> None:
         """Compare drive and encoder at the standstill after the motion."""
-        settings, travel_mm = self._guard_settings, self._stage.state().position_mm - self._stood_at_mm
+        settings, travel_mm = self._guard_settings, self._stage.state().drive_mm - self._drive_from_mm
+        if isnan(travel_mm):
+            return
         bound_mm = settings.encoder_error_mm + settings.encoder_error_per_mm * abs(travel_mm)
         self._checks.compare_travel(travel_mm, bound_mm)
 
@@ -342,6 +345,12 @@ def require_complete(outcome: AcquisitionOutcome) -> None:
     """Raise the error of an acquisition that ended early."""
     if outcome.status is not RunStatus.COMPLETE:
         raise early_end_error(outcome.status, outcome.reason)
+
+
+def require_agreement(outcome: AcquisitionOutcome) -> None:
+    """Raise `DeviceError` when drive and encoder disagree after a motion that no run file tells of."""
+    if outcome.checks.encoder_fault:
+        raise DeviceError(f"{outcome.checks.encoder_fault}; home the stage, and look at the encoder.")
 
 
 class EngineState(StrEnum):

@@ -12,12 +12,14 @@ import numpy as np
 
 from dragrig.config import GuardSettings, TrippedError
 from dragrig.rig.devices import Block, StageState, TravelEnd, Trip, TripCause
-from dragrig.rig.profile import AnyFloatArray, MotionExtremes
+from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionExtremes
 from dragrig.rig.reading import BlockExtremes
 
 _SPEED_WINDOW_S = 0.01
 _MAX_DITHER_COUNTS = 1.5
 _MAX_JUMP_COUNTS = 3
+_MAX_ACCELERATION_MM_S2 = 5000.0
+"""More than any motion's."""
 LIMIT_SWITCH_CAUSES = {
     TravelEnd.LOW: TripCause.LIMIT_SWITCH_LOW,
     TravelEnd.HIGH: TripCause.LIMIT_SWITCH_HIGH,
@@ -128,7 +130,7 @@ class Guard:
         self._settings = settings
         self._dither_mm = _MAX_DITHER_COUNTS * count_mm
         self._max_jump_mm = max(settings.encoder_error_mm, _MAX_JUMP_COUNTS * count_mm)
-        self._last_position: tuple[int, float] | None = None
+        self._latest: tuple[int, FloatArray] = (0, np.zeros(0))
         self._trip: Trip | None = Trip(TripCause.START_UP, "the guard is tripped at start-up until it is reset")
         self._envelope = Envelope(0.0, 0.0, 0.0)
         self._speed_start: tuple[int, float] | None = None
@@ -170,7 +172,7 @@ class Guard:
     def watch(self, extremes: MotionExtremes) -> None:
         """Set the envelope for the motion about to begin; an override for the motion before ends."""
         self._envelope = Envelope.around(extremes, self._settings)
-        self._speed_start, self._previous_command, self._last_position = None, None, None
+        self._speed_start, self._previous_command, self._latest = None, None, (0, np.zeros(0))
         self._silence = EncoderSilenceMonitor(self._dither_mm)
         if not self._override_next_motion:
             self._overridden = None
@@ -222,12 +224,21 @@ class Guard:
         )
 
     def _check_jump(self, block: Block, rate_hz: float) -> Trip | None:
-        position = block.channels["position"]
-        jump_mm = float(np.abs(np.diff(position)).max()) if len(position) > 1 else 0.0
-        if self._last_position is not None and self._last_position[0] == block.first_index:
-            jump_mm = max(jump_mm, abs(float(position[0]) - self._last_position[1]))
-        self._last_position = (block.end_index, float(position[-1]))
-        if jump_mm <= self._max_jump_mm + self._envelope.speed_mm_s / rate_hz:
+        """Find a sample at which the position leaves its course and goes on beside it, at whatever speed.
+
+        The speed changes there and changes back; that of an encoder that falls silent, or of a stage that is held up,
+        changes once.
+        """
+        expected, latest = self._latest
+        position = np.asarray(block.channels["position"], np.float64)
+        course = np.concatenate((latest, position)) if expected == block.first_index else position
+        self._latest = (block.end_index, course[-3:])
+        if len(course) < 4:
+            return None
+        changes = np.diff(course, 2)
+        there, back = changes[:-1], -changes[1:]
+        jump_mm = float(np.minimum(np.abs(there), np.abs(back))[there * back > 0].max(initial=0.0))
+        if jump_mm <= self._max_jump_mm + _MAX_ACCELERATION_MM_S2 / rate_hz**2:
             return None
         return Trip(
             TripCause.ENCODER_JUMP,

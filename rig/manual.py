@@ -31,7 +31,7 @@ from dragrig.rig.devices import (
     TravelEnd,
     Trip,
 )
-from dragrig.rig.engine import Engine, require_complete
+from dragrig.rig.engine import AcquisitionOutcome, Engine, require_agreement, require_complete
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES, Guard
 from dragrig.rig.operator import (
     HOMING_PROMPT,
@@ -55,6 +55,8 @@ MAX_OVERRIDE_SPEED_MM_S = 2.0
 _JOG_ACCEL_MM_S2 = 200.0
 _REST_BEFORE_APPROACH_S = 1.0
 _HOLD_AFTER_TRAVEL_S = 0.3
+_HOLD_AFTER_JOG_S = 0.1
+"""For drive and encoder to be compared at rest."""
 _APPROACH_RAMP_S = 0.1
 """Run-up of an approach: in a shorter one, the force sensor would respond to the capsule's inertia."""
 _RELAXED_CONTACT_S = 3600.0
@@ -210,18 +212,18 @@ class ManualControl:
         default = JOG_SPEED_MM_S if override is None else MAX_OVERRIDE_SPEED_MM_S
         speed = min(default, stage.limits.speed_mm_s) if speed_mm_s is None else speed_mm_s
         require_jog(distance_mm, speed, override, stage.limits)
-        profile = self._stroke(distance_mm, speed)
+        profile = self._stroke(distance_mm, speed, _HOLD_AFTER_JOG_S)
         if override is not None:
             text = f"Check the rig. {self._move_text(distance_mm, speed)}, its {override} limit switch overridden"
             self.confirm(Prompt(text, hands=self._backend.needs_hands))
             with self._overridden(override):
                 stage.enable()
-                self._acquire("jog", profile)
+                require_agreement(self._acquire("jog", profile))
             return self.position_mm
         self.make_ready()
         self._require_within_travel(self.position_mm + distance_mm)
         self.confirm(Prompt(self._move_text(distance_mm, speed), hands=False))
-        self._acquire("jog", profile)
+        require_agreement(self._acquire("jog", profile))
         return self.position_mm
 
     def travel(self, distance_mm: float, speed_mm_s: float) -> float:
@@ -236,9 +238,8 @@ class ManualControl:
 
         self._require_within_travel(self.position_mm + distance_mm)
         self.confirm(Prompt(self._move_text(distance_mm, speed_mm_s), hands=False))
-        pieces = self._stroke(distance_mm, speed_mm_s).pieces()
-        hold = stationary_piece(_HOLD_AFTER_TRAVEL_S, Phase.HOLD)
-        self._acquire("calibration", MotionProfile.from_pieces((*pieces, hold)), stop_when=follow)
+        profile = self._stroke(distance_mm, speed_mm_s, _HOLD_AFTER_TRAVEL_S)
+        self._acquire("calibration", profile, stop_when=follow)
         return shown_mm
 
     def touch_off(self, force_mN: float, speed_mm_s: float, most_mm: float, back_mm: float = 0.0) -> DetectedContact:
@@ -282,7 +283,8 @@ class ManualControl:
             )
         if back_mm:
             end_mm = begin_mm + copysign(max(abs(contact_mm) - back_mm, 0.0), most_mm)
-            self._acquire("positioning", positioning_profile(end_mm - self.position_mm, limits))
+            way_back = positioning_profile(end_mm - self.position_mm, limits)
+            require_agreement(self._acquire("positioning", way_back))
         return DetectedContact(begin_mm + contact_mm, detector.change_mN)
 
     def measure(self, duration_s: float) -> RawReading:
@@ -325,7 +327,7 @@ class ManualControl:
         profile: MotionProfile,
         contact: Contact = Contact.NONE,
         stop_when: Callable[[Reading], bool] | None = None,
-    ) -> None:
+    ) -> AcquisitionOutcome:
         """Make a motion, guarded, until it is over or `stop_when` returns True; raises for any other end."""
         acquisition = Acquisition(
             run_id=str(uuid4()),
@@ -342,10 +344,12 @@ class ManualControl:
         outcome = self._engine.acquire(acquisition, stop_when=stop_when)
         await_standstill(self._backend)
         require_complete(outcome)
+        return outcome
 
-    def _stroke(self, distance_mm: float, speed_mm_s: float) -> MotionProfile:
+    def _stroke(self, distance_mm: float, speed_mm_s: float, hold_s: float) -> MotionProfile:
         accel = min(_JOG_ACCEL_MM_S2, self._backend.stage.limits.acceleration_mm_s2)
-        return MotionProfile.from_pieces(trapezoid(distance_mm, speed_mm_s, accel))
+        hold = stationary_piece(hold_s, Phase.HOLD)
+        return MotionProfile.from_pieces((*trapezoid(distance_mm, speed_mm_s, accel), hold))
 
     def _require_within_travel(self, end_mm: float) -> None:
         limits = self._backend.stage.limits

@@ -16,8 +16,10 @@ from dragrig.rig.runfile import Attribute
 
 _CHUNK_SAMPLES = 16_384
 _STANDSTILL_S = 0.02
-_START_COUNTS = 3
-"""Counts that an encoder may show, on a stage that stands, without being moved."""
+_DITHER_SHARE, _DITHER_COUNTS = 0.5, 3
+"""How much an encoder may show on a stage that stands: of the bound for its error, and at least so many counts."""
+_START_COUNTS = 2.5
+"""A motion has begun after so many counts: halfway from a count to the next, so that rounding makes it no later."""
 _LEAST_RESPONSE = 0.1
 """Share of the sensor's accuracy by which the force changes at least where a capsule touches the gut …"""
 _RESPONSE_STANDARD_ERRORS = 5.0
@@ -133,6 +135,8 @@ class CheckReport:
 
     values: Mapping[str, Attribute]
     warnings: tuple[str, ...]
+    encoder_fault: str = ""
+    """By how much drive and encoder differ, without a full stop; empty where they agree or were not compared."""
 
 
 class RunChecks:
@@ -158,7 +162,8 @@ class RunChecks:
         self._accuracy_mN = accuracy_mN
         self._response = _ForceResponse(accuracy_mN) if contact is not Contact.NONE else None
         self._start_delay = _StartDelay(rate_hz, _START_COUNTS * count_mm)
-        self._standstill = _Standstill(rate_hz, _START_COUNTS * count_mm)
+        self._standstill = _Standstill(rate_hz)
+        self._count_mm = count_mm
         self._mismatch: tuple[float, float] | None = None
         self._rest = _RestStatistics()
         self._clipped = 0
@@ -210,7 +215,10 @@ class RunChecks:
         bound_mm
             Largest difference that is no fault.
         """
-        travel_mm = self._standstill.travel_mm
+        # A drive that set out late may still be under way.
+        late = 1.0 + self._start_delay.delay_s / _STANDSTILL_S
+        dither_mm = max(_DITHER_SHARE * bound_mm / late, _DITHER_COUNTS * self._count_mm)
+        travel_mm = self._standstill.travel_mm(dither_mm) if self._start_delay.known else None
         if travel_mm is not None:
             self._mismatch = (travel_mm - drive_travel_mm, bound_mm)
 
@@ -233,7 +241,9 @@ class RunChecks:
             warnings.append(
                 f"noise at rest is {self._rest.noise:.1f} mN, over the sensor's accuracy of {self._accuracy_mN:g} mN"
             )
-        warnings += self._report_travel(values)
+        encoder_fault = self._report_travel(values)
+        if encoder_fault:
+            warnings.append(encoder_fault)
         if self._response is not None and (response := self._response.verdict(self._rest)):
             values["force_response"] = response
             warnings += [text for verdict, text in _RESPONSE_WARNINGS.items() if verdict == response]
@@ -241,20 +251,20 @@ class RunChecks:
             values["slip_time_s"] = self._slip.time_s
             if self._slip.time_s >= 0:
                 warnings.append(f"the capsule seems to have slipped at {self._slip.time_s:.1f} s")
-        return CheckReport(values, tuple(warnings))
+        return CheckReport(values, tuple(warnings), encoder_fault)
 
-    def _report_travel(self, values: dict[str, Attribute]) -> list[str]:
-        """Add by how much encoder and drive differ; return the warning that is due for it, if any."""
+    def _report_travel(self, values: dict[str, Attribute]) -> str:
+        """Add by how much encoder and drive differ; return the warning that is due for it, else nothing."""
         if self._mismatch is None:
-            return []
+            return ""
         off_mm, bound_mm = self._mismatch
         values |= {"encoder_mismatch_mm": round(off_mm, 6), "encoder_mismatch_allowed_mm": round(bound_mm, 6)}
         if abs(off_mm) <= bound_mm:
-            return []
-        return [
+            return ""
+        return (
             f"encoder and drive differ by {off_mm:+.3f} mm after the motion, and may by {bound_mm:.3f} mm: counts "
             "were lost or came twice, or the resolution is wrong"
-        ]
+        )
 
 
 class _RestStatistics:
@@ -293,6 +303,11 @@ class _StartDelay:
         self._commanded: int | None = None
         self._done = False
 
+    @property
+    def known(self) -> bool:
+        """Whether command and encoder both moved, or neither was to."""
+        return self._done or self._commanded is None
+
     def add(self, reading: Reading) -> None:
         if self._done:
             return
@@ -316,9 +331,8 @@ class _StartDelay:
 class _Standstill:
     """The encoder's travel from the first sample to a standstill at the last."""
 
-    def __init__(self, rate_hz: float, dither_mm: float) -> None:
+    def __init__(self, rate_hz: float) -> None:
         self._samples = max(round(_STANDSTILL_S * rate_hz), 2)
-        self._dither_mm = dither_mm
         self._origin_mm: float | None = None
         self._latest: FloatArray = np.zeros(0)
 
@@ -330,15 +344,11 @@ class _Standstill:
         kept = self._latest[-short:] if short > 0 else self._latest[:0]
         self._latest = np.concatenate((kept, position[-self._samples :].astype(np.float64)))
 
-    @property
-    def travel_mm(self) -> float | None:
-        if (
-            self._origin_mm is None
-            or len(self._latest) < self._samples
-            or float(np.ptp(self._latest)) > self._dither_mm
-        ):
+    def travel_mm(self, dither_mm: float) -> float | None:
+        """Return the travel; None where the position still changed by more than `dither_mm` in the last samples."""
+        if self._origin_mm is None or len(self._latest) < self._samples or float(np.ptp(self._latest)) > dither_mm:
             return None
-        return float(self._latest[-1]) - self._origin_mm
+        return float(self._latest.mean()) - self._origin_mm
 
 
 class _ForceResponse:

@@ -18,7 +18,15 @@ from dragrig.config import (
     to_toml,
 )
 from dragrig.rig.devices import Acquisition, Backend, Contact
-from dragrig.rig.engine import AcquisitionOutcome, Engine, Store, attempt, early_end_error, require_complete
+from dragrig.rig.engine import (
+    AcquisitionOutcome,
+    Engine,
+    Store,
+    attempt,
+    early_end_error,
+    require_agreement,
+    require_complete,
+)
 from dragrig.rig.guard import Guard
 from dragrig.rig.operator import (
     START_TOLERANCE_MM,
@@ -418,4 +426,5 @@ class Session:
         acquisition = replace(run_acquisition(self._order, clear, 0.0), kind=kind, recorded=False)
         outcome = self.engine.acquire(acquisition)
         require_complete(outcome)
+        require_agreement(outcome)
         return outcome

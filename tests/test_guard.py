@@ -1,6 +1,8 @@
 """The guard trips on what it should, once, and stays latched."""
 
 import itertools
+import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -155,6 +157,26 @@ def test_a_stuck_encoder_is_reported_before_anything_else(
     trip = driven(Guard(GuardSettings()), profile, lambda time: profile.position(np.minimum(time, stuck_s)), block_s)
     assert trip is not None
     assert trip.cause is TripCause.ENCODER_SILENT
+
+
+@pytest.mark.parametrize("counts", [100, -100, -400])
+@pytest.mark.parametrize("speed", [2.0, 20.0, 50.0, 100.0, -100.0])
+@pytest.mark.parametrize("at_s", [0.3, 0.349, 0.35])
+def test_counts_that_are_lost_or_come_twice_are_a_jump_at_any_speed(at_s: float, speed: float, counts: int) -> None:
+    travel_mm = math.copysign(min(60.0, abs(speed)), speed)
+    profile = MotionProfile.from_pieces([stationary_piece(0.1, Phase.REST), *trapezoid(travel_mm, abs(speed), 3000.0)])
+
+    def shown(time: FloatArray) -> FloatArray:
+        return np.rint(1000.0 * profile.position(time) + counts * (time > at_s)) / 1000.0
+
+    trip = driven(Guard(GuardSettings(), 0.001), profile, shown, 0.05)
+    assert trip is not None
+    assert trip.cause is TripCause.ENCODER_JUMP
+    assert re.search(rf"by {abs(counts) / 1000:.2f}|by {abs(counts) / 1000 - 0.01:.2f}9", trip.message), trip.message
+    undisturbed = driven(
+        Guard(GuardSettings(), 0.001), profile, lambda time: np.rint(1000.0 * profile.position(time)) / 1000.0, 0.05
+    )
+    assert undisturbed is None
 
 
 def test_one_wire_broken_is_silence_too() -> None:

@@ -20,7 +20,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.rig.devices import BackendRequest, Contact, TripCause
 from dragrig.rig.engine import AcquisitionOutcome, Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.hardware.card.scaling import ForceInputMonitor, least_noise_V
+from dragrig.rig.hardware.card.scaling import ForceInputMonitor, NoiseLimits
 from dragrig.rig.manual import ManualControl
 from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.profile import AnyFloatArray, FloatArray, PhaseArray
@@ -171,7 +171,7 @@ def test_what_only_the_whole_run_shows_marks_it(rig: Rig, fault: dict[str, float
 def test_a_dead_input_trips_an_approach(rig: Rig) -> None:
     rig.faults.inject(force_constant_V=1e-9)
     manual = ManualControl(rig.backend, rig.guard, rig.engine, Hands())
-    with pytest.raises(TrippedError, match="living sensor"):
+    with pytest.raises(TrippedError, match=r"repeats 0\.000 V"):
         manual.touch_off(50.0, 5.0, 20.0)
     assert rig.backend.bench.position_mm() < 2.0
 
@@ -206,28 +206,43 @@ def test_with_a_known_noise_a_dead_amplifier_and_a_pull_down_are_found(fault: di
     assert outcome.reason.startswith(f"{TripCause.SENSOR_DEAD}: ")
 
 
+def monitor_of(settings: RigSettings, rate_hz: float, alive_uV: float = 0.0) -> ForceInputMonitor:
+    return ForceInputMonitor(settings, NoiseLimits(settings, alive_uV, rate_hz), rate_hz)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 1000.0, 25_000.0])
 @pytest.mark.parametrize("range_V", [0.2, 1.0, 5.0, 10.0])
-def test_a_sensor_quieter_than_the_converter_is_alive_in_every_range(range_V: float) -> None:
+def test_a_sensor_quieter_than_the_converter_is_alive_in_every_range(range_V: float, rate_hz: float) -> None:
     settings = RigSettings.model_validate({"hardware": {"card": {"force": {"range_V": range_V}}}})
-    step_V = 2 * range_V / 2**16
-    monitor = ForceInputMonitor(settings, 25_000.0)
+    step_V, samples = 2 * range_V / 2**16, round(0.05 * rate_hz)
+    monitor = monitor_of(settings, rate_hz)
     draw = np.random.default_rng(3)
-    for place in range(200):
-        level = 0.3 * range_V * np.sin(0.3 * (place * 0.05 + np.arange(1250) / 25_000.0))
-        volts = np.rint((level + draw.normal(0, 0.8 * step_V, 1250)) / step_V) * step_V
+    for place in range(2000):
+        level = 0.3 * range_V * np.sin(0.3 * (place * 0.05 + np.arange(samples) / rate_hz))
+        volts = np.rint((level + draw.normal(0, 0.8 * step_V, samples)) / step_V) * step_V
         assert monitor.add(volts) is None
-    assert monitor.noise_V == pytest.approx(0.85 * step_V, rel=0.1)
-    assert least_noise_V(settings) == pytest.approx(0.4 * step_V)
 
 
-def test_a_force_that_moves_does_not_hide_that_it_is_dead_for_long() -> None:
-    monitor = ForceInputMonitor(RigSettings(), 1000.0)
+def test_the_noise_at_the_calibration_tells_a_living_sensor_from_one_that_is_off() -> None:
+    rate_hz, alive_uV, draw = 25_000.0, 1500.0, np.random.default_rng(5)
+    for own_noise_V, dead in ((1.5e-3, False), (0.75e-3, False), (0.0, True)):
+        monitor = monitor_of(RigSettings(), rate_hz, alive_uV)
+        found = None
+        for _ in range(200):
+            means = np.repeat(draw.normal(0, own_noise_V, 50), 25)
+            found = found or monitor.add(means + draw.normal(0, 244e-6, 1250))
+        assert (found is not None) is dead
+    assert found is not None
+    assert "hardware.card.force.least_noise_uV" in found.message
+    assert NoiseLimits(RigSettings(), 150.0, rate_hz).least_V == 0.0
+
+
+@pytest.mark.parametrize(("rate_hz", "within_s"), [(25_000.0, 0.05), (1000.0, 0.25)])
+def test_a_frozen_input_is_found_soon_though_it_lived_before(rate_hz: float, within_s: float) -> None:
+    monitor, block = monitor_of(RigSettings(), rate_hz), round(0.01 * rate_hz)
     draw = np.random.default_rng(4)
-    living: FloatArray = draw.normal(0, 1e-3, 70)
+    living: FloatArray = draw.normal(0, 1e-3, 7 * block)
     assert monitor.add(living) is None
-    frozen = np.full(50, 0.7)
-    found = [monitor.add(frozen) for _ in range(6)]
-    assert [trip is not None for trip in found].index(True) <= 4
-    trip = found[-1] or found[-2]
-    assert trip is not None
+    found = [monitor.add(np.full(block, 0.7)) for _ in range(round(within_s / 0.01))]
+    trip = next(trip for trip in found if trip is not None)
     assert trip.cause is TripCause.SENSOR_DEAD

@@ -140,32 +140,45 @@ def test_a_tone_beyond_the_recorded_band_leaves_no_line_in_it() -> None:
     assert lines[0] < 0.1
 
 
-def test_the_check_tells_what_would_be_folded_into_the_record() -> None:
+def test_the_check_tells_a_tone_beyond_the_recorded_band_and_what_is_recorded_of_it() -> None:
     with card_rig(wired(oversampling=1)) as under_test:
         assert checks(under_test)["aliases"][0]
         under_test.bench.faults.inject(**TONE)
         passed, detail = checks(under_test)["aliases"]
         assert not passed
-        assert "16000 Hz" in detail
         assert "141." in detail
+        assert "from 16000 Hz" in detail
     with card_rig(wired()) as under_test:
-        under_test.bench.faults.inject(**TONE)
         passed, detail = checks(under_test)["aliases"]
         assert passed
-        assert "141." in detail
         assert "multiple of 25000 Hz" in detail
+        under_test.bench.faults.inject(**TONE)
+        passed, detail = checks(under_test)["aliases"]
+        assert not passed
+        assert "a tone of 16000 Hz, which the digital filter keeps out" in detail
         under_test.bench.faults.inject(force_tone_hz=25_200.0)
         passed, detail = checks(under_test)["aliases"]
         assert not passed
-        assert "recorded as one of 200 Hz" in detail
+        assert "a line at 200 Hz from 25200 Hz" in detail
 
 
-def test_aliases_are_found_with_their_height() -> None:
-    time = np.arange(50_000) / 250_000.0
+@pytest.mark.parametrize("samples", [50_000, 49_999])
+def test_aliases_are_found_with_their_height(samples: int) -> None:
+    time = np.arange(samples) / 250_000.0
     volts = 0.3 * np.sin(2 * np.pi * 16_130.0 * time) + 2.0 * np.sin(2 * np.pi * 100.0 * time)
     found = find_aliases(volts, 250_000.0, AntiAliasFilter.of(1), 1000.0)
-    assert found.rms_V == pytest.approx(0.3 / np.sqrt(2), rel=0.01)
-    assert found.recorded_hz == pytest.approx(130.0, abs=5.0)
+    assert found.recorded_V == pytest.approx(0.3 / np.sqrt(2), rel=0.01)
+    assert found.folded.rms_V == pytest.approx(0.3 / np.sqrt(2), rel=0.01)
+    assert found.folded.recorded_hz == pytest.approx(130.0, abs=5.0)
+    assert find_aliases(volts, 250_000.0, AntiAliasFilter.of(1), 250_000.0).input_V < 1e-3
+
+
+def test_wide_noise_that_the_filter_keeps_out_is_no_tone() -> None:
+    noise = np.random.default_rng(8).normal(0, 0.02, 50_000)
+    found = find_aliases(noise, 250_000.0, AntiAliasFilter.of(25), 1000.0)
+    assert found.input_V == pytest.approx(0.02, rel=0.02)
+    assert found.strongest.rms_V < 0.001
+    assert found.recorded_V < 0.004
 
 
 def test_a_gap_in_the_cards_samples_is_a_gap_of_known_length_in_the_recorded() -> None:

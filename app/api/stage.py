@@ -364,6 +364,8 @@ def calibrate_force(
             )
         now = bench.backend.clock.now()
         entry = _calibration_entry("force", line, now, setup, rig.force_sensor.serial, operator, (note, *notes))
+        noises_V = [point.reading.force_noise_V for point in points if isfinite(point.reading.force_noise_V)]
+        entry = entry.model_copy(update={"noise_uV": round(1e6 * min(noises_V, default=0.0), 3)})
         if store:
             append_calibration(folder, entry)
         return SensorCalibration(entry, line, points, tuple(notes))

@@ -36,10 +36,10 @@ from dragrig.rig.hardware.card import (
     Alias,
     CardSampler,
     Connection,
+    NoiseLimits,
     PositionCounter,
     Scaling,
     driver_errors_wrapped,
-    least_noise_V,
 )
 from dragrig.rig.hardware.dialects import Command, Lack, Request, fitting_dialect
 from dragrig.rig.hardware.drive import (
@@ -178,9 +178,9 @@ def check_card(
         yield RigCheck("card", False, reason_of(error))
         return
     yield RigCheck("card's tasks", True, "analog inputs, counter and digital lines can be reserved, and samples arrive")
-    yield _check_force(rig, scaling, reading)
+    yield _check_force(rig, scaling, sampler.noise_limits, reading)
     yield _check_aliases(rig, scaling, sampler, alias)
-    moved = abs(reading.counts_end - reading.counts_begin)
+    moved = reading.counts_span
     jitter = f"counted {moved} in {CHECK_DURATION_S:g} s while nothing moved: check line receiver and shield"
     still = "steady at rest; a jog shows whether it counts"
     yield RigCheck("encoder", moved <= _MAX_JITTER_COUNTS, still if moved <= _MAX_JITTER_COUNTS else jitter)
@@ -235,28 +235,35 @@ def _unsettled_share(conversion_s: float) -> float:
 
 
 def _check_aliases(rig: RigSettings, scaling: Scaling, sampler: CardSampler, alias: Alias) -> RigCheck:
-    """Say what the recorded force holds of frequencies that are too high for its rate, and what keeps them out."""
+    """Say what the input holds of frequencies that are too high for the recorded rate, and what keeps them out.
+
+    A tone fails even where the filter keeps it out: something oscillates that takes up range, and may drift.
+    """
     gain, accuracy_mN = abs(scaling.mN_per_V), rig.force_sensor.accuracy_mN
-    recorded, half_hz = gain * alias.rms_V, sampler.sample_rate_hz / 2
-    factor, card_hz = sampler.anti_alias.factor, sampler.timing.rate_hz
-    found = f"{gain * alias.beyond_V:.2f} mN beyond {half_hz:g} Hz at the input, {recorded:.2f} mN of it recorded"
-    if factor > 1:
-        keeps = (
-            f"the digital filter keeps out all but what is within {half_hz:g} Hz of a multiple of {card_hz:g} Hz, for "
-            "which only an analog filter helps"
-        )
-    else:
+    recorded_mN, tone_mN = gain * alias.recorded_V, gain * alias.strongest.rms_V
+    half_hz, card_hz = sampler.sample_rate_hz / 2, sampler.timing.rate_hz
+    found = f"{gain * alias.input_V:.2f} mN beyond {half_hz:g} Hz at the input, {recorded_mN:.2f} mN of it recorded"
+    if max(recorded_mN, tone_mN) <= accuracy_mN:
         keeps = f"nothing is oversampled at this rate: an analog filter has to keep out what is beyond {half_hz:g} Hz"
-    if recorded <= accuracy_mN:
+        if sampler.anti_alias.factor > 1:
+            keeps = (
+                f"the digital filter keeps out all but what is within {half_hz:g} Hz of a multiple of {card_hz:g} Hz, "
+                "for which only an analog filter helps"
+            )
         return RigCheck("aliases", True, f"{found}; {keeps}")
-    line = (
-        f"most of it a tone of {alias.frequency_hz:.0f} Hz, which would be recorded as one of {alias.recorded_hz:.0f} "
-        "Hz: find its source, or put an analog low-pass before the card"
-    )
-    return RigCheck("aliases", False, f"{found}, over the sensor's accuracy of {accuracy_mN:g} mN; {line}")
+    if recorded_mN > accuracy_mN:
+        line = f"most as a line at {alias.folded.recorded_hz:.0f} Hz from {alias.folded.frequency_hz:.0f} Hz"
+    else:
+        line = (
+            f"{tone_mN:.2f} mN are a tone of {alias.strongest.frequency_hz:.0f} Hz, which the digital filter keeps "
+            "out, but which takes up the input's range"
+        )
+    advice = "find its source (an amplifier that oscillates, a chopper), or put an analog low-pass before the card"
+    detail = f"{found}, over the sensor's accuracy of {accuracy_mN:g} mN; {line}: {advice}"
+    return RigCheck("aliases", False, detail)
 
 
-def _check_force(rig: RigSettings, scaling: Scaling, reading: RawReading) -> RigCheck:
+def _check_force(rig: RigSettings, scaling: Scaling, limits: NoiseLimits, reading: RawReading) -> RigCheck:
     zero = scaling.mN_per_V * reading.force_V + scaling.zero_mN
     noise = abs(scaling.mN_per_V) * reading.force_V_sd
     accuracy = rig.force_sensor.accuracy_mN
@@ -271,19 +278,21 @@ def _check_force(rig: RigSettings, scaling: Scaling, reading: RawReading) -> Rig
     detail = f"zero {zero:.1f} mN, noise {noise:.2f} mN ({reading.force_V:.4f} V)"
     if problem:
         return RigCheck("force sensor", False, f"{detail}: {problem}")
-    return RigCheck("force sensor", True, f"{detail}; {_liveness_remark(rig, reading)}")
+    return RigCheck("force sensor", True, f"{detail}; {_liveness_remark(rig, limits, reading)}")
 
 
-def _liveness_remark(rig: RigSettings, reading: RawReading) -> str:
+def _liveness_remark(rig: RigSettings, limits: NoiseLimits, reading: RawReading) -> str:
     """Say by what a dead sensor would show, and what is missing for that."""
-    force, noise_uV, least_uV = rig.hardware.card.force, 1e6 * reading.force_noise_V, 1e6 * least_noise_V(rig)
-    alive = f"{noise_uV:.0f} µV from sample to sample, dead below {least_uV:.0f}"
-    if not force.least_noise_uV:
+    noise_uV, least_uV, own_uV = 1e6 * reading.force_noise_V, 1e6 * limits.least_V, 1e6 * limits.converter_V
+    alive = f"{noise_uV:.0f} µV of it from millisecond to millisecond, the converter's own {own_uV:.0f}, "
+    if least_uV:
+        alive += f"dead below {least_uV:.0f}"
+    else:
         alive += (
-            f", the converter's own: with the sensor on, set hardware.card.force.least_noise_uV to about "
-            f"{0.5 * noise_uV:.0f} if its noise is clearly less with the sensor off"
+            "so that only an input that repeats itself counts as dead: dragrig calibrate force notes the noise of the "
+            "living sensor, if it is clearly more"
         )
-    if force.unplugged == "floating":
+    if rig.hardware.card.force.unplugged == "floating":
         alive += "; a pulled cable may not show: put a resistor at the input (hardware.card.force.unplugged)"
     return alive
 

@@ -3,8 +3,8 @@ from .connection import driver_errors_wrapped as driver_errors_wrapped
 from .oversampling import MAX_AGGREGATE_RATE_HZ as MAX_AGGREGATE_RATE_HZ
 from .oversampling import Alias as Alias
 from .sampler import CardSampler as CardSampler
+from .scaling import NoiseLimits as NoiseLimits
 from .scaling import Scaling as Scaling
-from .scaling import least_noise_V as least_noise_V
 from .tasks import AI_START_TRIGGER as AI_START_TRIGGER
 from .tasks import AO_RANGE_V as AO_RANGE_V
 from .tasks import PositionCounter as PositionCounter

@@ -163,37 +163,61 @@ class OversampledFetcher:
 
 
 @dataclass(frozen=True, slots=True)
-class Alias:
-    """What the recorded force would hold of frequencies beyond half its rate, of volts at the input."""
+class Tone:
+    """A line of a spectrum beyond half the recorded rate."""
 
     rms_V: float
     frequency_hz: float
-    """Where most of it comes from."""
     recorded_hz: float
-    """Where that is recorded."""
-    beyond_V: float
-    """What there is beyond half the recorded rate at the input, before the filter."""
+    """Where it would be recorded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alias:
+    """What the force input holds beyond half the recorded rate, and what the recorded force would hold of it."""
+
+    input_V: float
+    """All of it at the input (root of the mean square)."""
+    recorded_V: float
+    """All of it in the record."""
+    strongest: Tone
+    """The highest line at the input."""
+    folded: Tone
+    """The highest line in the record."""
+
+
+_LINE_BINS = 3
+"""Bins to each side of a line's highest over which a Hann window spreads it."""
 
 
 def find_aliases(volts: FloatArray, rate_hz: float, anti_alias: AntiAliasFilter, recorded_hz: float) -> Alias:
-    """Return what a recording at a rate would fold down, from volts sampled far faster than it.
+    """Return what is beyond half of a recording's rate, and what the recording would fold down of it.
 
     Parameters
     ----------
     volts, rate_hz
-        The input, shape `(n,)`, and its sample rate.
+        The input, shape `(n,)`, and its sample rate, not below the recording's.
     """
     window = np.hanning(len(volts))
     spectrum = np.fft.rfft((volts - volts.mean()) * window)
     power = np.asarray(2 * np.abs(spectrum) ** 2 / (len(volts) * float(window @ window)), np.float64)
     frequency = np.asarray(np.fft.rfftfreq(len(volts), 1.0 / rate_hz), np.float64)
-    beyond = frequency > recorded_hz / 2
+    beyond = frequency >= min(recorded_hz / 2, frequency[-1])
     power, frequency = power[beyond], frequency[beyond]
     folded = power * anti_alias.gain(frequency / recorded_hz) ** 2
-    strongest = float(frequency[int(np.argmax(folded))])
     return Alias(
-        rms_V=float(np.sqrt(folded.sum())),
-        frequency_hz=strongest,
-        recorded_hz=abs(strongest - recorded_hz * round(strongest / recorded_hz)),
-        beyond_V=float(np.sqrt(power.sum())),
+        input_V=float(np.sqrt(power.sum())),
+        recorded_V=float(np.sqrt(folded.sum())),
+        strongest=_highest_line(power, frequency, recorded_hz),
+        folded=_highest_line(folded, frequency, recorded_hz),
+    )
+
+
+def _highest_line(power: FloatArray, frequency: FloatArray, recorded_hz: float) -> Tone:
+    at = int(np.argmax(power))
+    frequency_hz = float(frequency[at])
+    return Tone(
+        rms_V=float(np.sqrt(power[max(at - _LINE_BINS, 0) : at + _LINE_BINS + 1].sum())),
+        frequency_hz=frequency_hz,
+        recorded_hz=abs(frequency_hz - recorded_hz * round(frequency_hz / recorded_hz)),
     )

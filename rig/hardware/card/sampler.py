@@ -27,13 +27,14 @@ from dragrig.rig.hardware.card.connection import (
 )
 from dragrig.rig.hardware.card.oversampling import (
     MAX_AGGREGATE_RATE_HZ,
+    WINGS,
     Alias,
     AntiAliasFilter,
     OversampledFetcher,
     find_aliases,
     oversampling_factor,
 )
-from dragrig.rig.hardware.card.scaling import ForceInputMonitor, Scaling
+from dragrig.rig.hardware.card.scaling import ForceInputMonitor, NoiseLimits, Scaling
 from dragrig.rig.hardware.card.tasks import (
     SampleBatch,
     SampledTasks,
@@ -285,10 +286,13 @@ class CardSampler:
         self._connection, self._rig, self._sync, self._clock = connection, rig, sync, clock
         self._feed_watchdog, self._on_arm = feed_watchdog, on_arm
         self._scaling = Scaling.from_settings(rig, calibrations)
+        self._alive_uV = calibrations["force"].noise_uV if "force" in calibrations else 0.0
         self._filter = AntiAliasFilter.of(oversampling_factor(rig))
         self._timing: ScanTiming | None = None
-        # At most half of what counts as stale, so that a healthy card cannot look stale.
-        block_s = min(rig.sampling.block_s, _MAX_FETCH_S, rig.guard.stale_data_s / 2)
+        # A block is complete once the filter has the samples after it. At most half of what counts as stale, so that a
+        # healthy card cannot look stale.
+        wait_s = 0.0 if self._filter.factor == 1 else WINGS / rig.sampling.rate_hz
+        block_s = min(rig.sampling.block_s, _MAX_FETCH_S - wait_s, rig.guard.stale_data_s / 2 - wait_s)
         self._block_samples = max(1, int(block_s * rig.sampling.rate_hz + 1e-6))
         self._lock = Lock()
         self._acquisition: _ArmedAcquisition | None = None
@@ -362,7 +366,7 @@ class CardSampler:
                 armed.reader = ReaderThread(
                     self._fetcher(armed.tasks),
                     self._scaling,
-                    ForceInputMonitor(self._rig, self.timing.rate_hz),
+                    self._monitor(),
                     ReadSettings(armed.samples, self._block_samples, self.sample_rate_hz, self._rig.guard.stale_data_s),
                     self._sync,
                     self._connection.card,
@@ -427,7 +431,7 @@ class CardSampler:
             try:
                 tasks.start(lambda start: start())
                 samples = max(1, round(duration_s * self.sample_rate_hz))
-                monitor = ForceInputMonitor(self._rig, self.timing.rate_hz)
+                monitor = self._monitor()
                 volts, counts, fault = self._collect(self._fetcher(tasks), monitor, samples, cancel)
             finally:
                 tasks.close()
@@ -485,6 +489,8 @@ class CardSampler:
             raise DeviceError("the sampler is armed for an acquisition: stop it before its input is probed.")
         with driver_errors_wrapped(self._connection.card, "its force input is probed"):
             volts, rate_hz = read_force_alone(self._connection, MAX_AGGREGATE_RATE_HZ, PROBE_S)
+        if len(volts) < PROBE_S * rate_hz / 2:
+            raise no_samples_error(self._connection.card, PROBE_S)
         return find_aliases(volts, rate_hz, self._filter, self.sample_rate_hz)
 
     def _collect(
@@ -531,6 +537,14 @@ class CardSampler:
         start()
         after_s = self._clock.monotonic()
         self._sync.set_first_sample(FirstSample((before_s + after_s) / 2, (after_s - before_s) / 2))
+
+    @property
+    def noise_limits(self) -> NoiseLimits:
+        """How little noise of the force input says that its sensor is dead; raises as `timing`."""
+        return NoiseLimits(self._rig, self._alive_uV, self.timing.rate_hz)
+
+    def _monitor(self) -> ForceInputMonitor:
+        return ForceInputMonitor(self._rig, self.noise_limits, self.timing.rate_hz)
 
     def _fetcher(self, tasks: SampledTasks) -> SampleFetcher | OversampledFetcher:
         inputs, factor = len(self._scaling.channels) - 1, self._filter.factor

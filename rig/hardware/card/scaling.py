@@ -74,54 +74,103 @@ class Scaling:
         return channels
 
 
-_WINDOW_S = 0.1
-_MIN_WINDOW_SAMPLES = 50
+_BIN_S = 1e-3
+"""The sensor's noise is judged in means over this time, which leave little of the converter's own."""
+_LEVEL_WINDOW_BINS = 100
+_REPEAT_WINDOW_S = 0.02
+_MIN_WINDOW_SAMPLES = 100
+"""Fewer would now and then look quiet by chance."""
 _CONVERTER_NOISE_STEPS = 0.8
 """The converter's own noise (standard deviation) in its steps, in every range (PCI-6229 specifications)."""
-_DEAD_SHARE = 0.5
-"""Share of the converter's own noise below which an input is no living one."""
+_REPEAT_SHARE = 0.5
+"""Share of the converter's own noise below which an input only repeats itself."""
+_MIN_LIVE_RATIO = 4.0
+"""A sensor whose noise is less above the converter's own cannot be told from a dead one by it."""
 
 
-def least_noise_V(rig: RigSettings) -> float:
-    """Return the noise from sample to sample below which the force input counts as dead [V]."""
-    force = rig.hardware.card.force
-    step_V = 2 * force.range_V / 2**rig.force_sensor.bits
-    return 1e-6 * force.least_noise_uV or _DEAD_SHARE * _CONVERTER_NOISE_STEPS * step_V
+class NoiseLimits:
+    """How little noise of the force input says that its sensor is dead.
+
+    Parameters
+    ----------
+    alive_uV
+        Noise with the sensor alive, from the calibration in force; 0 where it is not known.
+    rate_hz
+        Samples per second that the card takes of the input.
+
+    Attributes
+    ----------
+    bin_samples
+        Samples in a mean.
+    converter_V
+        What the converter's own noise leaves in the means.
+    least_V
+        Noise of the means below which the sensor is dead; 0 where that is not known.
+    least_sample_V
+        Noise from sample to sample below which the input repeats itself.
+    """
+
+    def __init__(self, rig: RigSettings, alive_uV: float, rate_hz: float) -> None:
+        force = rig.hardware.card.force
+        converter_V = _CONVERTER_NOISE_STEPS * 2 * force.range_V / 2**rig.force_sensor.bits
+        self.bin_samples = max(int(_BIN_S * rate_hz + 1e-6), 1)
+        self.converter_V = converter_V / sqrt(self.bin_samples)
+        self.least_sample_V = _REPEAT_SHARE * converter_V
+        self.least_V = 1e-6 * force.least_noise_uV
+        if not self.least_V and 1e-6 * alive_uV >= _MIN_LIVE_RATIO * self.converter_V:
+            self.least_V = sqrt(1e-6 * alive_uV * self.converter_V)
 
 
 class ForceInputMonitor:
     """Judges the force sensor by its input's volts, unfiltered: overloaded, unplugged or dead. Belongs to one thread.
 
-    A sensor that lives has noise, at rest too; an input that repeats itself is cut off, frozen, or stuck at a rail.
-    Noise is the standard deviation from sample to sample, so that no force hides its absence.
+    An input that repeats itself is frozen, or stuck at a value of the converter: nothing alive does that. A sensor that
+    lives has noise of its own, at rest too; an amplifier that is off or saturated shows only the converter's. Noise is
+    the standard deviation from a value to the next, so that no force hides its absence.
     """
 
-    def __init__(self, rig: RigSettings, rate_hz: float) -> None:
-        self._force = rig.hardware.card.force
-        self._least_noise_V = least_noise_V(rig)
-        self._window = max(round(_WINDOW_S * rate_hz), _MIN_WINDOW_SAMPLES)
-        self._duration_s = self._window / rate_hz
-        self._previous: FloatArray = np.zeros(0)
-        self._steps = 0
-        self._sum_V2 = 0.0
-        self.noise_V = nan
-        """The noise over the last whole window; NaN before the first."""
+    def __init__(self, rig: RigSettings, limits: NoiseLimits, rate_hz: float) -> None:
+        self._force, self._limits = rig.hardware.card.force, limits
+        self._samples = _NoiseWindow(max(round(_REPEAT_WINDOW_S * rate_hz), _MIN_WINDOW_SAMPLES))
+        self._means = _NoiseWindow(_LEVEL_WINDOW_BINS)
+        self._unbinned: FloatArray = np.zeros(0)
+
+    @property
+    def noise_V(self) -> float:
+        """Noise of the means over 1 ms, over the last whole window; NaN before the first."""
+        return self._means.noise
 
     def add(self, volts: FloatArray) -> Trip | None:
         """Take the next volts, shape `(n,)`; return what is wrong with the sensor, None when nothing is."""
         if not len(volts):
             return None
+        limits, last_V = self._limits, float(volts[-1])
         trip = self._level_fault(max(float(volts.max()), -float(volts.min())))
-        steps = np.diff(volts, prepend=self._previous)
-        self._previous = volts[-1:].copy()
-        # Not with @: from 10,000 samples on, BLAS would spread the sum over threads that spin.
-        self._sum_V2 += float(np.einsum("i,i", steps, steps))
-        self._steps += len(steps)
-        if self._steps < self._window:
-            return trip
-        self.noise_V = sqrt(self._sum_V2 / self._steps / 2)
-        self._steps, self._sum_V2 = 0, 0.0
-        return trip or self._noise_fault(float(volts[-1]))
+        if self._samples.add(volts) and self._samples.noise < limits.least_sample_V:
+            trip = trip or self._dead(f"repeats {last_V:.3f} V, without even the converter's own noise")
+        if self._means.add(self._binned(volts)) and self._means.noise < limits.least_V:
+            trip = trip or self._dead(
+                f"shows {1e6 * self._means.noise:.0f} µV of noise at {last_V:.3f} V, and a living sensor at least "
+                f"{1e6 * limits.least_V:.0f} (hardware.card.force.least_noise_uV)"
+            )
+        return trip
+
+    def _binned(self, volts: FloatArray) -> FloatArray:
+        """Return the means that the next volts complete."""
+        size = self._limits.bin_samples
+        if size == 1:
+            return volts
+        joined = np.concatenate((self._unbinned, volts))
+        whole = len(joined) // size * size
+        self._unbinned = joined[whole:]
+        return np.asarray(joined[:whole].reshape(-1, size).mean(axis=1))
+
+    def _dead(self, seen: str) -> Trip:
+        return Trip(
+            TripCause.SENSOR_DEAD,
+            f"force input {self._force.channel} {seen}: the sensor's amplifier is off or saturated, or its cable is "
+            "pulled",
+        )
 
     def _level_fault(self, largest_V: float) -> Trip | None:
         if largest_V < self._force.overload_V:
@@ -133,15 +182,29 @@ class ForceInputMonitor:
             TripCause.SENSOR_OPEN, f"{where}, the end of its range: the force sensor is unplugged or a wire is broken"
         )
 
-    def _noise_fault(self, volts_V: float) -> Trip | None:
-        if self.noise_V >= self._least_noise_V:
-            return None
-        return Trip(
-            TripCause.SENSOR_DEAD,
-            f"force input {self._force.channel} shows {1e6 * self.noise_V:.0f} µV of noise at {volts_V:.3f} V, and a "
-            f"living sensor at least {1e6 * self._least_noise_V:.0f} µV (hardware.card.force.least_noise_uV): the "
-            "sensor's amplifier is off or saturated, or its cable is pulled",
-        )
+
+class _NoiseWindow:
+    """Noise from value to value, over windows of at least so many steps one after another."""
+
+    def __init__(self, steps: int) -> None:
+        self._window, self._steps, self._sum = steps, 0, 0.0
+        self._previous: FloatArray = np.zeros(0)
+        self.noise = nan
+
+    def add(self, values: FloatArray) -> bool:
+        """Take the next values; return whether they complete a window."""
+        if not len(values):
+            return False
+        steps = np.diff(values, prepend=self._previous)
+        self._previous = values[-1:].copy()
+        # Not with @: from 10,000 samples on, BLAS would spread the sum over threads that spin.
+        self._sum += float(np.einsum("i,i", steps, steps))
+        self._steps += len(steps)
+        if self._steps < self._window:
+            return False
+        self.noise = sqrt(self._sum / self._steps / 2)
+        self._steps, self._sum = 0, 0.0
+        return True
 
 
 def _scale_linearly(volts: FloatArray, gain: float, zero: float) -> npt.NDArray[np.float32]:

@@ -291,7 +291,12 @@ class MonitoredStage(ABC):
         if was_moving and not self._sync.moving:
             # It came to rest after the position was read, which is then not where it stands.
             position_mm = self._position_mm()
-        return StageState(position_mm, self._is_enabled, self._is_homed, self._sync.moving, fault)
+        drive_mm = self._drive_position_mm(position_mm)
+        return StageState(position_mm, self._is_enabled, self._is_homed, self._sync.moving, fault, drive_mm)
+
+    def _drive_position_mm(self, position_mm: float) -> float:
+        """Return the drive's own position; `position_mm` is what `_position_mm` gave."""
+        return position_mm
 
     @abstractmethod
     def enable(self) -> None:

@@ -208,6 +208,11 @@ class VelocityModeStage(MonitoredStage):
     def _position_mm(self) -> float:
         return self._loop.position_mm()
 
+    def _drive_position_mm(self, position_mm: float) -> float:
+        # What the loop follows is the card's count.
+        del position_mm
+        return self._tracker.position_mm()
+
     def _refuse_moving(self) -> None:
         self._loop.position_mm()  # updates whether it still moves
         super()._refuse_moving()
