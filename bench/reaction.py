@@ -3,21 +3,27 @@
 An e-stop, a limit switch and an alarm stop the drive by itself; here only the program's own command counts.
 
 Run `python bench/reaction.py [--rounds 20]`. The bar is one block, 50 ms, and one round trip on the serial link.
+
+With `--signals` it prints, for each fault of force input and encoder, how it is found, and how long and how far the
+stage goes on at 20 mm/s, the median of the rounds (docs/faults.md has the table). The bar is 0.6 s: the default of
+`hardware.drive.silence_s`, and 100 ms.
 """
 
 import argparse
+import re
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 
 import numpy as np
 
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import Calibration, RigSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.devices import Acquisition, BackendRequest, Contact
-from dragrig.rig.engine import Engine
+from dragrig.rig.engine import AcquisitionOutcome, Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.dialects.base import Command
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
@@ -69,11 +75,134 @@ def count_stops(double: DoubleBackend) -> int:
     return sum(request.command is Command.STOP for request in double.drive.requests)
 
 
+LIVING = Calibration(
+    id="bench", made_at=datetime(2026, 1, 1, tzinfo=UTC), quantity="force", gain=1000.0, noise_uV=700.0
+)
+"""The noise of the simulated sensor, as `dragrig calibrate force` would note it."""
+SIGNALS: Mapping[str, Mapping[str, float | str]] = {
+    "force input constant, 0 V": {"force_constant_V": 1e-9},
+    "force input constant, 4.9 V": {"force_constant_V": 4.9},
+    "force input frozen": {"force_frozen": True},
+    "force amplifier off: 0 V and the converter's noise": {"force_dead": True},
+    "amplifier saturated at 5 V, rail not set": {"force_rail_V": 5.0, "force_added_mN": 7000.0},
+    "amplifier saturated at 5 V, `rail_V = 5`": {"force_rail_V": 5.0, "force_added_mN": 7000.0},
+    "force cable pulled, pull-up": {"sensor_open": True},
+    "force cable pulled, pull-down": {"sensor_open": True},
+    "force sensor's wires swapped": {"force_inverted": True},
+    "tone of 200 mN at 16 kHz": {"force_tone_mN": 200.0, "force_tone_hz": 16_000.0},
+    "100 counts lost": {"encoder_added_counts": -100},
+    "100 counts twice": {"encoder_added_counts": 100},
+    "400 counts lost": {"encoder_added_counts": -400},
+    "400 counts twice": {"encoder_added_counts": 400},
+    "1 % of the counts lost": {"encoder_lost_share": 0.01},
+    "counts jitter by 200": {"encoder_jitter_counts": 200},
+    "encoder stuck": {"encoder_stuck": True},
+    "encoder's error line": {"encoder_error": True},
+}
+WIRING: Mapping[str, Mapping[str, object]] = {
+    "amplifier saturated at 5 V, `rail_V = 5`": {"rail_V": 5.0},
+    "force cable pulled, pull-down": {"unplugged": "zero"},
+}
+
+PATIENT = {"stale_data_s": 2.0, "following_error_mm": 50.0, "encoder_silent_mm": 50.0}
+"""A busy computer is none of the faults."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """How a fault was found, and how long and how far the stage went on; NaN where nothing stopped it."""
+
+    by: str
+    stood_after_s: float
+    travel_mm: float
+
+
+def open_double(rig: RigSettings) -> DoubleBackend:
+    """Open a rig on doubles that is calibrated, but for what its checks say of it."""
+    return DoubleBackend(BackendRequest(rig, FrictionModelSettings(), calibrations={"force": LIVING}))
+
+
+def wired(force: Mapping[str, object], guard: Mapping[str, object], mode: str) -> RigSettings:
+    """Return the rig with its force input wired so, and the encoder's error line."""
+    lines: dict[str, object] = {"encoder_error": "port1/line5"}
+    if mode == "velocity":
+        lines |= {"heartbeat": "port1/line4", "heartbeat_s": 1.0}
+    drive = {"homing_speed_mm_s": 50.0, "mode": mode, "reply_s": 2.0, "silence_s": 5.0}
+    hardware = {"drive": drive, "card": {"force": force, "lines": lines}, "hang_s": 5.0}
+    return RigSettings.model_validate({"stage": {"start_mm": 5.0}, "guard": guard, "hardware": hardware})
+
+
+def failed_checks(rig: RigSettings, faults: Mapping[str, float | str]) -> str:
+    """Name the checks that find a fault at rest."""
+    double = DoubleBackend(BackendRequest(rig, FrictionModelSettings(), calibrations={"force": LIVING}, connect=False))
+    double.bench.faults.inject(**faults)
+    try:
+        return ", ".join(check.name for check in double.examine() if not check.passed)
+    finally:
+        double.close()
+
+
+def struck_in_motion(rig: RigSettings, faults: Mapping[str, float | str], wait_s: float) -> Found:
+    """Let a fault happen in the middle of a motion, or have it there from the beginning where it is one of wires."""
+    double, outcomes = open_double(rig), list[AcquisitionOutcome]()
+    try:
+        double.bench.place(1.0)
+        guard = Guard(rig.guard, 1e-3 * rig.encoder.resolution_um)
+        guard.reset(double.stage.state())
+        double.stage.enable()
+        double.stage.home()
+        touching = replace(ACQUISITION, fixture=Fixture.FOAM, contact=Contact.SLIDING, insertion_dwell_s=60.0)
+        if standing := bool({"force_inverted", "encoder_lost_share", "force_tone_mN"} & set(faults)):
+            double.bench.faults.inject(**faults)
+        worker = threading.Thread(target=lambda: outcomes.append(Engine(double, rig, guard).acquire(touching)))
+        worker.start()
+        while double.bench.speed_mm_s() < SPEED_MM_S - 0.1:
+            time.sleep(0.001)
+        time.sleep(wait_s)
+        struck_s, struck_mm = time.perf_counter(), double.bench.position_mm()
+        if not standing:
+            double.bench.faults.inject(**faults)
+        while double.bench.speed_mm_s() > 0.5:
+            time.sleep(0.0005)
+        stood_s, stood_mm = time.perf_counter(), double.bench.position_mm()
+        worker.join()
+    finally:
+        double.close()
+    (outcome,) = outcomes
+    if outcome.reason:
+        return Found(f"trip ({outcome.reason.partition(':')[0]})", stood_s - struck_s, stood_mm - struck_mm)
+    marks = ", ".join(re.split(r" by |,| when ", text)[0] for text in outcome.checks.warnings)
+    return Found(f"mark ({marks})" if marks else "-", float("nan"), float("nan"))
+
+
+def print_signals(rounds: int, mode: str) -> None:
+    """Print a row of a table for each fault of the signals."""
+    random = np.random.default_rng(2)
+    print(f"| fault ({mode} mode, {SPEED_MM_S:g} mm/s) | `dragrig check` | run | standstill after | distance |")
+    print("|---|---|---|---|---|")
+    for name, faults in ({"none": {}} | dict(SIGNALS)).items():
+        guard = {"stale_data_s": 2.0} if "encoder_stuck" in faults else PATIENT
+        rig = wired(WIRING.get(name, {}), guard, mode)
+        found = [struck_in_motion(rig, faults, float(random.uniform(0.0, 0.3))) for _ in range(rounds)]
+        ends = " or ".join(sorted({each.by for each in found}))
+        after_s, travel_mm = np.median([(each.stood_after_s, each.travel_mm) for each in found], axis=0)
+        went = "| |" if np.isnan(after_s) else f"| {1000 * after_s:.0f} ms | {travel_mm:.1f} mm |"
+        print(f"| {name} | {failed_checks(rig, faults) or '-'} | {ends} {went}", flush=True)
+
+
 def main() -> None:
     """Print the reaction to each condition."""
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--rounds", type=int, default=20)
-    rounds = options.parse_args().rounds
+    options.add_argument(
+        "--signals", action="store_true", help="faults of force input and encoder in place of the rest"
+    )
+    options.add_argument("--mode", choices=("position", "velocity"), default="position", help="for --signals")
+    chosen = options.parse_args()
+    rounds = chosen.rounds
+    if chosen.signals:
+        print_signals(rounds, chosen.mode)
+        return
     random = np.random.default_rng(1)
     for name, condition in CONDITIONS.items():
         took = []

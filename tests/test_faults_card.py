@@ -1,7 +1,9 @@
 """Faults of the card and of what is wired to it, in motion: real nidaqmx over gRPC before the card's double."""
 
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from ctypes.util import find_library
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,10 @@ from rig_faults import (
     sentence,
 )
 
+import dragrig as api
+from dragrig.cli import main
+from dragrig.config.rig import Calibration
+from dragrig.rig.calibration import append_calibration
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.runfile import read_campaign
@@ -74,6 +80,111 @@ def test_what_the_samples_show_stops_the_stage(
     assert_reported(fault, ended, run)
     if then is not None:
         then(faulty_rig, ended.folder)
+
+
+@pytest.fixture
+def calibrated(faulty_rig: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A lab folder of the same rig, calibrated with the sensor's noise."""
+    for file in ("rig.toml", "plan.toml"):
+        (tmp_path / file).write_text((faulty_rig.lab / file).read_text("utf-8"), "utf-8")
+    for quantity, gain, noise_uV in (("force", RIG.hardware.card.force.per_V, 700.0), ("encoder", 0.001, 0.0)):
+        entry = Calibration(
+            id=quantity, made_at=datetime.now().astimezone(), quantity=quantity, gain=gain, noise_uV=noise_uV
+        )
+        append_calibration(tmp_path, entry)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("faults", "check", "words"),
+    [
+        ({"force_constant_V": 1e-9}, "force sensor", "repeats 0.000 V"),
+        ({"force_constant_V": 4.9}, "force sensor", "repeats 4.900 V"),
+        ({"force_dead": True}, "force sensor", "of noise at"),
+        ({"force_rail_V": 5.0, "force_added_mN": 7000.0}, "force sensor", "of noise at 5.000 V"),
+        ({"sensor_open": True}, "force sensor", "the end of its range"),
+        ({"force_tone_mN": 200.0, "force_tone_hz": 16_000.0}, "aliases", "tone of 16000 Hz"),
+        ({"encoder_jitter_counts": 200}, "encoder", "while nothing moved"),
+        ({"encoder_error": True}, "switches", "read head reports an error"),
+    ],
+)
+def test_a_check_finds_what_the_signals_show_at_rest(
+    faulty_rig: Bench,
+    calibrated: Path,
+    capsys: pytest.CaptureFixture[str],
+    faults: Mapping[str, float],
+    check: str,
+    words: str,
+) -> None:
+    faulty_rig.inject(**faults)
+    assert main(["check", "--json"]) != 0
+    failed = {row["what"]: row["detail"] for row in json.loads(capsys.readouterr().out) if not row["fine"]}
+    # With the error line down the drive is not examined either.
+    assert set(failed) - {"drive"} == {check}
+    assert words in failed[check]
+
+
+def test_a_check_of_an_untouched_rig_finds_nothing(
+    faulty_rig: Bench, calibrated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["check", "--json"]) == 0
+    details = {row["what"]: row["detail"] for row in json.loads(capsys.readouterr().out)}
+    assert "dead below" in details["force sensor"]
+    assert details["sampling rate"].startswith("1000 Hz where 1000 are asked, 25 samples of the card each")
+
+
+def test_an_amplifier_that_goes_off_trips_a_calibrated_rig(faulty_rig: Bench, calibrated: Path) -> None:
+    running = begin(faulty_rig, rig=calibrated / "rig.toml")
+    struck = running.inject(force_dead=True)
+    ended = running.end()
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4), ended.message
+    assert_stopped(struck, ended.stage, Halt.STOP)
+    assert_reported("force amplifier off", ended, only_run(ended.folder))
+
+
+@pytest.mark.parametrize(
+    ("faults", "check", "finding"),
+    [
+        ({"force_dead": True}, ("force_response", "none"), "force dead"),
+        ({"encoder_lost_share": 0.01}, ("encoder_mismatch_mm", -0.18), "encoder -0.18 mm off"),
+    ],
+)
+def test_what_only_a_whole_run_shows_is_marked_in_its_file_and_in_the_table(
+    faulty_rig: Bench, faults: Mapping[str, float], check: tuple[str, object], finding: str
+) -> None:
+    faulty_rig.inject(**faults)
+    ended = begin(faulty_rig).end()
+    assert (ended.status, ended.exit_code) == (RunStatus.COMPLETE, 0), ended.message
+    assert only_run(ended.folder).info.checks[check[0]] == check[1]
+    assert finding in set(api.table(ended.folder)["checks"])
+
+
+@pytest.mark.parametrize("late_s", [0.03, 0.06])
+def test_the_files_uncertainty_of_the_start_covers_a_drive_that_sets_out_late(faulty_rig: Bench, late_s: float) -> None:
+    faulty_rig.inject(drive_starts_late_s=late_s)
+    ended = begin(faulty_rig).end()
+    assert ended.exit_code == 0, ended.message
+    run = only_run(ended.folder)
+    moved_s = [
+        float(run.trace.time[np.flatnonzero(np.abs(path) > 0.01)[0]])
+        for path in (run.trace.command, run.trace.position)
+    ]
+    stated_s = float(run.info.header.entry["command_t0_uncertainty_s"])
+    assert moved_s[1] - moved_s[0] >= 0.8 * late_s
+    assert stated_s >= moved_s[1] - moved_s[0] - 0.002
+
+
+def test_a_file_has_the_rate_that_the_card_really_makes(faulty_rig: Bench) -> None:
+    ended = begin(faulty_rig, assignments=["rig.sampling.rate_hz=3000"]).end()
+    assert ended.exit_code == 0, ended.message
+    run = only_run(ended.folder)
+    real_hz = 20e6 / 833 / 8
+    assert run.info.header.sample_rate_hz == pytest.approx(real_hz, rel=1e-12)
+    assert run.trace.time[-1] == pytest.approx((run.info.samples - 1) / real_hz, rel=1e-9)
+    steady = (run.trace.position > 5.0) & (run.trace.position < 15.0)
+    speed_mm_s = np.polyfit(run.trace.time[steady], run.trace.position[steady], 1)[0]
+    assert speed_mm_s == pytest.approx(6.0, rel=2e-4)
 
 
 def test_an_overrun_trips_with_its_gap_recorded(faulty_rig: Bench) -> None:

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from simulated import acquire, stroke
 
-from dragrig.config.errors import TrippedError
+import dragrig as api
+from dragrig.config.errors import DeviceError, TrippedError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import RigSettings
+from dragrig.config.rig import Calibration, RigSettings
 from dragrig.rig.devices import BackendRequest, Contact, TripCause
 from dragrig.rig.engine import AcquisitionOutcome, Engine
 from dragrig.rig.guard import Guard
@@ -26,6 +27,7 @@ from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.profile import AnyFloatArray, FloatArray, PhaseArray
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import Attribute, RunEvent, RunStatus
+from dragrig.setup import create_lab
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 
@@ -91,9 +93,10 @@ class Rig:
 
 
 @contextmanager
-def rig_with(settings: RigSettings) -> Iterator[Rig]:
+def rig_with(settings: RigSettings, calibrations: Mapping[str, Calibration] | None = None) -> Iterator[Rig]:
     faults = FaultInjector()
-    backend = DoubleBackend(BackendRequest(settings, FrictionModelSettings()), faults)
+    request = BackendRequest(settings, FrictionModelSettings(), calibrations=calibrations or {})
+    backend = DoubleBackend(request, faults)
     try:
         guard = Guard(settings.guard, 0.001)
         assert guard.reset(backend.stage.state()) is None
@@ -176,6 +179,14 @@ def test_a_dead_input_trips_an_approach(rig: Rig) -> None:
     assert rig.backend.bench.position_mm() < 2.0
 
 
+def test_a_jog_after_which_drive_and_encoder_disagree_says_so(rig: Rig) -> None:
+    manual = ManualControl(rig.backend, rig.guard, rig.engine, Hands())
+    assert manual.jog(5.0) == pytest.approx(5.0, abs=0.01)
+    rig.faults.inject(encoder_lost_share=0.02)
+    with pytest.raises(DeviceError, match=r"encoder and drive differ by -0\.10"):
+        manual.jog(5.0)
+
+
 def test_the_recorded_uncertainty_covers_a_drive_that_starts_late(rig: Rig) -> None:
     stated = {}
     for late_s in (0.0, 0.045):
@@ -194,6 +205,22 @@ def test_a_measured_rail_makes_a_saturated_amplifier_an_overload() -> None:
     with rig_with(wired({"rail_V": 5.0})) as made:
         outcome = made.run(force_rail_V=5.0, force_added_mN=7000.0)
     assert outcome.reason.startswith(f"{TripCause.SENSOR_OVERLOAD}: force input ai0 is at 5.00 V")
+
+
+def test_a_rig_that_was_calibrated_knows_an_amplifier_that_saturates_where_nobody_measured(
+    tmp_path: Path,
+) -> None:
+    create_lab(tmp_path / "lab")
+    made = api.calibrate_force(
+        [0.0, 20.0, 50.0], duration_s=0.4, rig=tmp_path / "lab" / "rig.toml", backend="hardware", double=True, pace=2.0,
+        person=Hands(),
+    )  # fmt: skip
+    assert made.entry.noise_uV == pytest.approx(750.0, rel=0.2)
+    with rig_with(wired(), {"force": made.entry}) as rig:
+        assert rig.run().status is RunStatus.COMPLETE
+        rig.backend.stage.home()
+        outcome = rig.run(force_rail_V=5.0, force_added_mN=7000.0)
+    assert outcome.reason.startswith(f"{TripCause.SENSOR_DEAD}: force input ai0 shows ")
 
 
 @pytest.mark.parametrize("fault", [{"force_dead": True}, {"sensor_open": True}])

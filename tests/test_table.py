@@ -148,6 +148,17 @@ def test_checks_are_told_in_words() -> None:
     assert table_row(replace(run, info=replace(run.info, checks=checks))).checks == "3 lost"
     assert table_row(replace(run, info=replace(run.info, checks={**checks, "lost_samples": 0}))).checks == "ok"
     assert table_row(run).checks == ""
+    signals = {
+        **checks,
+        "lost_samples": 0,
+        "encoder_mismatch_mm": 0.4,
+        "encoder_mismatch_allowed_mm": 0.06,
+        "force_response": "along the motion",
+    }
+    told = table_row(replace(run, info=replace(run.info, checks=signals))).checks
+    assert told == "encoder +0.40 mm off, force inverted"
+    sound = {**signals, "encoder_mismatch_mm": 0.05, "force_response": "resists the motion"}
+    assert table_row(replace(run, info=replace(run.info, checks=sound))).checks == "ok"
 
 
 def test_the_frame_has_the_fields_as_columns() -> None:

@@ -3,6 +3,8 @@
 import pytest
 
 from dragrig.cli import main
+from dragrig.config.rig import RigSettings
+from dragrig.config.settings import parse
 
 CARD = "rig.hardware.card"
 
@@ -40,6 +42,12 @@ def test_velocity_mode_needs_a_counter_of_its_own(capsys: pytest.CaptureFixture[
     changes = [*words, "rig.hardware.drive.velocity.counter='ctr0'"]
     assert main(["check", "drag", "--rig", "bench", *(word for change in changes for word in ("--set", change))]) == 2
     assert "must differ" in capsys.readouterr().err
+
+
+def test_a_rig_file_of_before_the_rail_keeps_its_overload_voltage() -> None:
+    rig = parse(RigSettings, {"hardware": {"card": {"force": {"overload_V": 4.95, "open_V": 9.99}}}}, "rig.toml")
+    force = rig.hardware.card.force
+    assert (force.rail_V, force.overload_V) == (5.0, pytest.approx(4.95))
 
 
 def test_a_line_that_is_not_wired_is_empty() -> None:
