@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from simulated import acquire, stroke
+from voltage_bench import velocity_rig, voltage_rig
 
 import dragrig as api
 from dragrig.config.errors import DeviceError, TrippedError
@@ -169,6 +170,22 @@ def test_what_only_the_whole_run_shows_marks_it(rig: Rig, fault: dict[str, float
     assert outcome.status is RunStatus.COMPLETE
     (text,) = outcome.checks.warnings
     assert re.search(warning, text), text
+
+
+def test_in_velocity_mode_the_drives_own_position_tells_what_the_card_lost() -> None:
+    settings = velocity_rig()
+    with voltage_rig(settings) as backend:
+        guard = Guard(settings.guard, 0.001)
+        assert guard.reset(backend.stage.state()) is None
+        backend.ready()
+        engine = Engine(backend, settings, guard)
+        for lost_share, mismatch_mm in ((0.0, 0.0), (0.01, -0.24)):
+            backend.stage.home()
+            backend.bench.faults.inject(encoder_lost_share=lost_share)
+            outcome = engine.acquire(acquire(PROFILE, contact=Contact.SLIDING))
+            assert (outcome.status, outcome.reason) == (RunStatus.COMPLETE, "")
+            assert float(outcome.checks.values["encoder_mismatch_mm"]) == pytest.approx(mismatch_mm, abs=0.03)
+            assert bool(outcome.checks.warnings) is bool(lost_share)
 
 
 def test_a_dead_input_trips_an_approach(rig: Rig) -> None:
