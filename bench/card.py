@@ -51,6 +51,10 @@ class CountingBench:
         """Stand still."""
         return 0.0
 
+    def counts(self, position_mm: FloatArray) -> FloatArray:
+        """Return counts at rest."""
+        return np.zeros_like(position_mm)
+
     def begin_sampling(self, rate_hz: float) -> None:
         """Take sample 0 now."""
         self._began_s, self._rate_hz = self.clock.monotonic(), rate_hz
