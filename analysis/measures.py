@@ -12,8 +12,8 @@ import numpy as np
 from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Progress, correlated_mean, missing, no_progress
 from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
-from dragrig.config import AnalysisError, RunFileError, SentinelSettings
-from dragrig.rig import SENTINEL_ROLE, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce, specimen_key
+from dragrig.config import AnalysisError, RunFileError
+from dragrig.rig import SENTINEL_ROLE, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -288,7 +288,7 @@ def _with_drifts(rows: Sequence[TableRow]) -> list[TableRow]:
             compared.append(row)
             continue
         force = SteadyForce(row.order, row.steady_above_rest_mN, row.steady_above_rest_error_mN)
-        drift = Drift(force, first.get(row.specimen), SentinelSettings())
+        drift = Drift(force, first.get(row.specimen))
         if force.value_mN is not None:
             first.setdefault(row.specimen, force)
         compared.append(replace(row, drift_percent=drift.percent, drift_error_percent=drift.error_percent))
@@ -297,6 +297,8 @@ def _with_drifts(rows: Sequence[TableRow]) -> list[TableRow]:
 
 def table_row(run: Run, bad: str | None = None) -> TableRow:
     """Measure one run; `bad` is the reason of its mark, if it has one."""
+    from dragrig.rig import specimen_key
+
     info, measured = run.info, measure(run)
     header, protocol = info.header, info.header.protocol
     named = {"steady force": measured.steady_force, "rest offset": measured.rest_offset, "peak": measured.peak_force,

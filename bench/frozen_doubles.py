@@ -31,7 +31,7 @@ FORCE_WITHIN_MN, POSITION_WITHIN_MM, MOVING_WITHIN_MM = 3.0, 0.02, 1.0
 RESTING = ("0", "4")
 """Phases in which the stage stands: rest and hold."""
 EXACT = ("command", "phase", "time")
-LEFT_OUT = ("entry/settings", "entry/events")
+LEFT_OUT = ("entry/run/settings", "entry/run/events")
 """Settings are those of the simulated runs and name a port; events carry the time of the jitter."""
 
 

@@ -53,7 +53,7 @@ class Cleaner:
         """Read the ids of the runs of a folder, so that answers name a run by its file and not by a random id."""
         for path in sorted(folder.rglob("*.h5")):
             with h5py.File(path) as file:
-                run_id = str(file["entry"].attrs["run_id"])
+                run_id = str(file["entry/run" if "entry/run" in file else "entry"].attrs["run_id"])
             self._runs[run_id] = f"<{self.text(path.stem)}>"
 
     def text(self, text: str) -> str:

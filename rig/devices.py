@@ -339,7 +339,7 @@ class Backend(Protocol):
         """The clock of this rig."""
 
     def description(self) -> Mapping[str, str | float | int | bool]:
-        """Return attributes of `/entry` that describe the devices: sensor_serial, seed, …."""
+        """Return attributes of `/entry/run` that describe the devices: sensor_serial, seed, …."""
 
     def examine(self) -> Iterator[RigCheck]:
         """Check every device in turn without motion, connecting each when it is due."""

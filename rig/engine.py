@@ -54,7 +54,7 @@ class Sink(Protocol):
         """Take an event."""
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
-        """Take attributes of `/entry` that become known during the run."""
+        """Take attributes of `/entry/run` that become known during the run."""
 
     def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
         """Finish the record; return its file."""

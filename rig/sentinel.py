@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import hypot
 
-from dragrig.config import SentinelSettings
 from dragrig.rig.runfile import Attribute
 
 SENTINEL_ROLE = "sentinel"
@@ -35,7 +34,8 @@ class Drift:
     measured: SteadyForce
     reference: SteadyForce | None
     """The first sentinel; None where this is the first."""
-    settings: SentinelSettings
+    bounds: tuple[float, float] = (0.0, 0.0)
+    """Allowed drift in per cent and in standard errors; 0 where a bound is not given."""
 
     @property
     def percent(self) -> float | None:
@@ -64,7 +64,7 @@ class Drift:
             return False
         if self.percent is None:
             return True
-        by_percent, by_errors = self.settings.bounds
+        by_percent, by_errors = self.bounds
         if by_errors and self.error_percent is None:
             return True
         return abs(self.percent) > by_percent and abs(self.percent) > by_errors * (self.error_percent or 0.0)
@@ -72,7 +72,7 @@ class Drift:
     @property
     def bound(self) -> str:
         """The allowed drift, in words."""
-        by_percent, by_errors = self.settings.bounds
+        by_percent, by_errors = self.bounds
         words = (f"{by_percent:g} %" if by_percent else "", f"{by_errors:g} standard errors" if by_errors else "")
         return " and ".join(filter(None, words))
 

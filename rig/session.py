@@ -83,7 +83,7 @@ def run_header(
     settings_toml
         The session's record as text, the same for all its runs.
     facts
-        Further attributes of `/entry`.
+        Further attributes of `/entry/run`.
     """
     entry: dict[str, Attribute] = {
         "software": software_version(),
@@ -287,7 +287,7 @@ class Session:
     def _drift_of(self, measured: SteadyForce) -> Drift:
         settings = self._programme.plan.sentinel or SentinelSettings()
         earlier = (force for force in self._sentinels if force.order < measured.order and force.value_mN is not None)
-        return Drift(measured, next(earlier, None), settings)
+        return Drift(measured, next(earlier, None), settings.bounds)
 
     def _make_sentinel_again(self, sentinel: PlannedRun) -> None:
         again = replace(sentinel, prompt="", by_hand=False)

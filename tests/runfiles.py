@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from uuid import uuid4
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -52,6 +53,20 @@ def arrays(first: int, count: int, rate_hz: float = 1000.0) -> Arrays:
 def blocks(total: int, size: int) -> Iterator[tuple[int, Arrays]]:
     for first in range(0, total, size):
         yield first, arrays(first, min(size, total - first))
+
+
+def as_version_1(path: Path) -> Path:
+    """Lay a run file, finished or still a recording, out as the first version of the format did."""
+    with h5py.File(path, "r+") as file:
+        entry, run = file["entry"], file["entry/run"]
+        for name, value in run.attrs.items():
+            if name != "NX_class":
+                holder = file if name.startswith("format") else entry
+                holder.attrs[name] = 1 if name == "format_version" else value
+        for name in run:
+            file.move(f"entry/run/{name}", f"entry/{name}")
+        del file["entry/run"]
+    return path
 
 
 def record(path: Path, samples: int, order: int = 0, status: RunStatus = RunStatus.COMPLETE) -> Path:

@@ -40,8 +40,8 @@ def test_a_plan_runs_on_the_backend_of_the_docs_page(backend: str, capsys: pytes
     assert files
     for file in files:
         with h5py.File(file) as run_file:
-            assert run_file["entry"].attrs["backend"] == "clamp rig"
-            assert run_file["entry"].attrs["clamp"] == "pneumatic"
+            assert run_file["entry/run"].attrs["backend"] == "clamp rig"
+            assert run_file["entry/run"].attrs["clamp"] == "pneumatic"
 
 
 def test_the_backend_of_the_docs_page_is_checked_with_its_clamp(

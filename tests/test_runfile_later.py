@@ -32,6 +32,8 @@ from dragrig.rig.runfile import (
 from dragrig.rig.runfile.filesystem import lock_run
 from dragrig.rig.runfile.model import FilteredTrace, RunEvent
 
+NXCHECK = Path(sys.executable).with_name("nxcheck")
+
 
 @pytest.fixture
 def run_file(tmp_path: Path) -> Path:
@@ -215,8 +217,8 @@ def test_a_nexus_tool_finds_title_times_sample_and_the_time_axis(tmp_path: Path)
         entry = file["entry"]
         assert all("NX_class" in group.attrs for group in entry.values() if isinstance(group, h5py.Group))
         assert entry["title"].asstr()[()] == "drag of jejunum"
-        assert entry["start_time"].asstr()[()] == entry.attrs["start_time"]
-        assert entry["end_time"].asstr()[()] == entry.attrs["end_time"]
+        assert entry["start_time"].asstr()[()] == entry["run"].attrs["start_time"]
+        assert entry["end_time"].asstr()[()] == entry["run"].attrs["end_time"]
         assert entry["user/name"].asstr()[()] == "Ada"
         assert entry["sample/name"].asstr()[()] == "jejunum"
         assert {"git_revision", "python", "numpy", "h5py"} <= set(entry["provenance"].attrs)
@@ -225,3 +227,14 @@ def test_a_nexus_tool_finds_title_times_sample_and_the_time_axis(tmp_path: Path)
             assert all(group[name].dims[0][0] == group["time"] for name in group if name != "time")
             assert all("long_name" in column.attrs for column in group.values())
     assert verify(made).holds
+
+
+def test_the_check_of_nexus_files_has_nothing_to_remark(tmp_path: Path) -> None:
+    given_header = replace(
+        header(), entry={**header().entry, "note": "wet"}, specimen={**header().specimen, "temperature_degC": 37.0}
+    )
+    made = write_run(tmp_path / "run.h5", given_header, arrays(0, 2000), end_time=START, checks={"rest_offset_mN": 1.5})
+    store_filtered(made, filtered(made, 0.1), [RunEvent(0.2, "filter", "short")])
+    said = subprocess.run([NXCHECK, str(made)], capture_output=True, text=True, check=True).stdout
+    assert "Total number of warnings: 0" in said, said
+    assert "Total number of errors: 0" in said, said

@@ -13,17 +13,26 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from runfiles import PRACTICE, START, arrays, header
+from runfiles import PRACTICE, START, arrays, as_version_1, header, record
 
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.rig.runfile import read_campaign, read_info, read_run, run_file_name, write_run
-from dragrig.rig.runfile.model import RecordedChannel, RunEvent, RunStatus
+from dragrig.rig.runfile import (
+    finish,
+    read_campaign,
+    read_info,
+    read_run,
+    run_file_name,
+    store_filtered,
+    verify,
+    write_run,
+)
+from dragrig.rig.runfile.model import FilteredTrace, RecordedChannel, RunEvent, RunStatus
 
 PRACTICE_FILES = sorted(PRACTICE.glob("*.h5"))
 REQUIRED_ATTRIBUTES = [
-    ("/", "NX_class"), ("/", "default"), ("/", "format"), ("/", "format_version"),
-    ("/entry", "NX_class"), ("/entry", "default"), ("/entry", "run_id"), ("/entry", "start_time"),
-    ("/entry", "order"), ("/entry", "status"), ("/entry", "backend"),
+    ("/", "NX_class"), ("/", "default"), ("/entry", "NX_class"), ("/entry", "default"),
+    ("/entry/run", "format"), ("/entry/run", "format_version"), ("/entry/run", "run_id"),
+    ("/entry/run", "start_time"), ("/entry/run", "order"), ("/entry/run", "status"), ("/entry/run", "backend"),
     ("/entry/trace", "NX_class"), ("/entry/trace", "signal"), ("/entry/trace", "axes"),
     ("/entry/trace", "sample_rate_hz"),
     ("/entry/trace/time", "units"), ("/entry/trace/force", "units"), ("/entry/trace/position", "units"),
@@ -34,7 +43,7 @@ REQUIRED_ATTRIBUTES = [
     ("/entry/specimen", "name"), ("/entry/specimen", "wall_thickness_mm"), ("/entry/specimen", "fixture"),
 ]  # fmt: skip
 REQUIRED_OBJECTS = [
-    "/entry", "/entry/trace", "/entry/protocol", "/entry/capsule", "/entry/specimen", "/entry/trace/time",
+    "/entry", "/entry/run", "/entry/trace", "/entry/protocol", "/entry/capsule", "/entry/specimen", "/entry/trace/time",
     "/entry/trace/force", "/entry/trace/position", "/entry/trace/command", "/entry/trace/phase",
 ]  # fmt: skip
 
@@ -63,6 +72,25 @@ def test_files_by_others_are_read(path: Path) -> None:
         np.testing.assert_array_equal(run.trace.time, trace["time"][:])
     assert run.trace.units["position"] == "mm"
     assert read_info(path) == run.info
+
+
+def test_files_of_the_first_format_are_read_filtered_and_recovered(tmp_path: Path) -> None:
+    path = whole(tmp_path / "run.h5")
+    today = read_run(path)
+    old = read_run(as_version_1(path))
+    assert old.info == replace(today.info, format_version=1)
+    assert old.events == today.events
+    store_filtered(
+        path, FilteredTrace(old.trace.time, {"force": old.trace.time}, {}), [RunEvent(0.2, "filter", "short")]
+    )
+    assert [event.kind for event in read_run(path).events] == ["phase", "filter"]
+    assert read_info(path) == old.info
+    cut = record(tmp_path / "cut.h5", 300)
+    made = finish(as_version_1(cut))
+    assert verify(made).holds
+    assert read_info(made).format_version == 2
+    assert read_info(made).checks == {"rest_offset_mN": 1.5, "clipped": False}
+    assert read_info(made).header.settings_toml == header().settings_toml
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
@@ -151,16 +179,16 @@ def lose_one_time(values: list[float]) -> Callable[[h5py.File], None]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (set_attribute("/", "format", "other"), "format"),
-        (set_attribute("/", "format_version", 2), "newer"),
-        (set_attribute("/", "format_version", "one"), "format_version"),
-        (set_attribute("/", "format_version", 0), "format_version"),
-        (set_attribute("/entry", "status", "fine"), "status"),
-        (set_attribute("/entry", "start_time", "2026-05-04T09:30:00"), "offset"),
-        (set_attribute("/entry", "start_time", "yesterday"), "start_time"),
-        (set_attribute("/entry", "order", -1), "order"),
-        (set_attribute("/entry", "order", 1.5), "order"),
-        (set_attribute("/entry", "run_id", "seven"), "UUID"),
+        (set_attribute("/entry/run", "format", "other"), "format"),
+        (set_attribute("/entry/run", "format_version", 3), "newer"),
+        (set_attribute("/entry/run", "format_version", "one"), "format_version"),
+        (set_attribute("/entry/run", "format_version", 0), "format_version"),
+        (set_attribute("/entry/run", "status", "fine"), "status"),
+        (set_attribute("/entry/run", "start_time", "2026-05-04T09:30:00"), "offset"),
+        (set_attribute("/entry/run", "start_time", "yesterday"), "start_time"),
+        (set_attribute("/entry/run", "order", -1), "order"),
+        (set_attribute("/entry/run", "order", 1.5), "order"),
+        (set_attribute("/entry/run", "run_id", "seven"), "UUID"),
         (set_attribute("/entry/trace", "sample_rate_hz", float("nan")), "sample_rate_hz"),
         (set_attribute("/entry/trace", "sample_rate_hz", 0.0), "sample_rate_hz"),
         (set_attribute("/entry/trace", "signal", "weight"), "signal"),
@@ -209,7 +237,7 @@ def test_foreign_hdf5_and_missing_files_are_refused(tmp_path: Path) -> None:
     assert "no such file" in refused(path)
     with h5py.File(path, "w") as file:
         file["x"] = [1, 2, 3]
-    assert "format" in refused(path)
+    assert "/entry is missing" in refused(path)
 
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -130,7 +130,7 @@ def test_a_drift_is_judged_by_the_bounds_that_are_given(
     settings: dict[str, float], percent: float, error_mN: float, *, asks: bool
 ) -> None:
     first, later = SteadyForce(0, 100.0, error_mN), SteadyForce(7, 100.0 + percent, error_mN)
-    drift = Drift(later, first, parse(SentinelSettings, settings, "p.toml"))
+    drift = Drift(later, first, parse(SentinelSettings, settings, "p.toml").bounds)
     assert drift.percent == pytest.approx(percent)
     assert drift.error_percent == pytest.approx(error_mN * (1 + (1 + percent / 100) ** 2) ** 0.5)
     assert drift.needs_decision is asks
@@ -139,9 +139,9 @@ def test_a_drift_is_judged_by_the_bounds_that_are_given(
 
 def test_what_cannot_be_measured_is_asked_about() -> None:
     lost = SteadyForce(7, None, reason="12 samples are clipped")
-    assert Drift(lost, SteadyForce(0, 100.0, 1.0), SentinelSettings()).needs_decision
-    assert Drift(lost, None, SentinelSettings()).needs_decision
-    assert "12 samples are clipped" in str(Drift(lost, None, SentinelSettings()))
+    assert Drift(lost, SteadyForce(0, 100.0, 1.0), SentinelSettings().bounds).needs_decision
+    assert Drift(lost, None, SentinelSettings().bounds).needs_decision
+    assert "12 samples are clipped" in str(Drift(lost, None, SentinelSettings().bounds))
 
 
 def made(folder: Path, person: NullOperator | None, sentinel: dict[str, object]) -> dragrig.Made:

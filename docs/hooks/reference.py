@@ -121,6 +121,12 @@ def run_file() -> str:
                 for name, value in attributes.items()
             ],
         ),
+        f"`{schema.RUN}` has as attributes what the NeXus standard has no place for: also `reason`, `end_time`, "
+        "`operator`, `note`, `origin_mm`, `raw_sha256` and what the backend and the plan say of the run. What the "
+        "standard has a place for is there as well: `title`, `start_time`, `end_time`, the groups `sample`, `user`, "
+        "`instrument` and `provenance`; `nxcheck` of nexusformat has nothing to remark. In files of version 1, which "
+        f"are read too, `format` and `format_version` are attributes of `/`, and those of `{schema.RUN}`, the events "
+        f"and the settings are in `{schema.ENTRY}`.",
         "## Datasets of the trace",
         f"In `{schema.TRACE}`, each of as many samples as there are: `{'`, `'.join(schema.FRAME_DATASETS)}`, the "
         f"signal ({' or '.join(schema.SIGNALS)}), `position`, and the other recorded channels. Some have fixed units:",
@@ -134,8 +140,9 @@ def run_file() -> str:
             ("kind", "attributes of `/entry/protocol`"),
             [(kind, ", ".join(f"`{name}`" for name in names)) for kind, names in schema.PARAMETERS_OF_KIND.items()],
         ),
-        "## Events",
-        f"`{schema.EVENTS}` is a table of {', '.join(f'`{name}`' for name in schema.EVENT_FIELDS)}.",
+        "## Events and settings",
+        f"`{schema.LAYOUT.settings}` has the settings that the run was made with, as TOML. "
+        f"`{schema.LAYOUT.events}` is a table of {', '.join(f'`{name}`' for name in schema.EVENT_FIELDS)}.",
         "## The checksum",
         _plain(_whole_doc()),
     ]

@@ -26,12 +26,21 @@ from dragrig.config import DragrigError, OutputError, RunFileError, errors
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import BusyError, brief_error, free_bytes, lock_run, remove_file
 from dragrig.rig.runfile.model import Attribute, RunEnding, RunStatus
-from dragrig.rig.runfile.reader import as_run_file_error, layout_of, open_run, read_info, valid_count
+from dragrig.rig.runfile.reader import (
+    as_run_file_error,
+    events_of,
+    info_of,
+    layout_of,
+    open_run,
+    read_info,
+    valid_count,
+)
 from dragrig.rig.runfile.recorder import read_annotations
 from dragrig.rig.runfile.writer import (
     DIGEST_SAMPLES,
     TraceDigest,
     create_column,
+    mark_format,
     new_file,
     trace_sha256,
     write_ending,
@@ -83,15 +92,15 @@ def _repack(recording: Path, target: Path) -> None:
     with open_run(recording) as source:
         with as_run_file_error(recording):
             layout = layout_of(source)
-            late_attributes, ending = read_annotations(source)
+            late_attributes, ending = read_annotations(source, layout)
             if ending is None:
                 # Nobody saw this run end, so its whole header is read, and refused if damaged, before it counts as a
                 # run.
-                samples = layout.info(source, recording).samples
+                samples = info_of(source, layout, recording).samples
                 reason = f"the recording process ended before the run did; {samples} samples were recovered"
                 ending = RunEnding(RunStatus.RECOVERED, reason)
-            samples = valid_count(source, schema.VALID_SAMPLES, len(source[schema.TRACE][schema.TIME]))
-            events = layout.events(source)
+            samples = valid_count(source, layout.valid_counts[0], len(source[schema.TRACE][schema.TIME]))
+            events = events_of(source, layout)
         needed = sum(column.size * column.dtype.itemsize for column in source[schema.TRACE].values()) + SPARE_BYTES
         free = free_bytes(target.parent)
         if free < needed:
@@ -101,21 +110,34 @@ def _repack(recording: Path, target: Path) -> None:
             )
         with new_file(target) as file:
             with as_run_file_error(recording):
-                _copy_recorded_header(source, file, {**late_attributes, "status": str(ending.status)})
+                _copy_recorded_header(source, layout, file, {**late_attributes, "status": str(ending.status)})
             digest = _copy_recorded_trace(source, file, samples, recording)
             write_ending(file, events, ending, digest)
 
 
-def _copy_recorded_header(source: h5py.File, file: h5py.File, late_attributes: Mapping[str, Attribute]) -> None:
-    """Copy what was known before the first sample, whole groups by HDF5 itself, and add the late ones to `/entry`."""
-    added: dict[str, Mapping[str, Attribute]] = {"/": {}, schema.ENTRY: late_attributes, schema.TRACE: {}}
-    for path, attributes in added.items():
+def _copy_recorded_header(
+    source: h5py.File, layout: schema.Layout, file: h5py.File, late_attributes: Mapping[str, Attribute]
+) -> None:
+    """Copy what was known before the first sample, whole groups by HDF5 itself, and add what became known later.
+
+    A recording of an older layout becomes a file of today's.
+    """
+    for path in ("/", schema.ENTRY, schema.TRACE):
+        fixed = schema.FIXED_ATTRIBUTES[path]
         copy = file.require_group(path)
-        for name, value in {**source[path].attrs, **attributes}.items():
-            copy.attrs[name] = value
-    for path in (schema.PROTOCOL, schema.CAPSULE, schema.SPECIMEN, schema.SETTINGS):
+        for name, value in source[path].attrs.items():
+            if path == schema.TRACE or name in fixed:
+                copy.attrs[name] = value
+    run = file.require_group(schema.RUN)
+    recorded = {name: value for name, value in source[layout.run].attrs.items() if name != "default"}
+    for name, value in {**recorded, **late_attributes}.items():
+        run.attrs[name] = value
+    mark_format(run)
+    for path in (schema.PROTOCOL, schema.CAPSULE, schema.SPECIMEN):
         if path in source:
             source.copy(path, file, name=path)
+    if layout.settings in source:
+        source.copy(layout.settings, file, name=schema.LAYOUT.settings)
 
 
 def _copy_recorded_trace(source: h5py.File, file: h5py.File, samples: int, recording: Path) -> str:

@@ -39,7 +39,7 @@ class RecordedChannel:
 class RunHeader:
     """Everything known before the first sample.
 
-    `entry`, `protocol`, `capsule` and `specimen` hold the attributes of the groups of the same name (`/entry` itself
+    `entry`, `protocol`, `capsule` and `specimen` hold the attributes of the groups of the same name (`/entry/run`
     for `entry`), without `NX_class`, `default` and what the writer sets itself.
     """
 

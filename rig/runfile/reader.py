@@ -7,7 +7,6 @@ names the file as well.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
@@ -109,26 +108,30 @@ def to_python(value: object) -> Attribute:
     return value if isinstance(value, str | float | int | bool) else str(value)
 
 
-def checked_attributes(file: h5py.File, path: str) -> dict[str, Attribute]:
-    """Return the attributes of a group, once those that the layout requires are there and valid."""
+def checked_attributes(file: h5py.File, path: str, written_at: str = "") -> dict[str, Attribute]:
+    """Return the attributes of a group, once those that the layout requires are there and valid.
+
+    `written_at` is where today's layout has this group, if elsewhere.
+    """
     attributes = attributes_of(file["/"] if path == "/" else required_group(file, path))
     for name, fixed in schema.FIXED_ATTRIBUTES.get(path, {}).items():
         if name not in attributes:
             raise LayoutError(f"{path} lacks the attribute {name}")
         if attributes[name] != fixed:
             raise LayoutError(f"the attribute {name} of {path} is {attributes[name]!r:.60} instead of {fixed!r}")
-    check_attributes(path, attributes)
+    check_attributes(path, attributes, written_at or path)
     return attributes
 
 
-def check_attributes(path: str, attributes: Mapping[str, Attribute]) -> None:
+def check_attributes(path: str, attributes: Mapping[str, Attribute], written_at: str = "") -> None:
     """Raise `LayoutError` unless a group has the attributes that the layout requires, each of the right type."""
-    required = dict(schema.REQUIRED_ATTRIBUTES.get(path, {}))
+    always = schema.REQUIRED_ATTRIBUTES.get(written_at or path, {})
+    required = dict(always)
     if path == schema.PROTOCOL and "kind" in attributes:
         required |= dict.fromkeys(schema.PARAMETERS_OF_KIND.get(str(attributes["kind"]), ()), float)
     for name, kind in required.items():
         if name not in attributes:
-            reason = "" if name in schema.REQUIRED_ATTRIBUTES[path] else f", which the kind {attributes['kind']} needs"
+            reason = "" if name in always else f", which the kind {attributes['kind']} needs"
             raise LayoutError(f"{path} lacks the attribute {name}{reason}")
         _check_type(path, name, attributes[name], kind)
     for name, value in attributes.items():
@@ -177,7 +180,7 @@ def timestamp(name: str, value: Attribute) -> datetime:
         parsed = None
     if parsed is None or parsed.tzinfo is None:
         raise LayoutError(
-            f"the attribute {name} of /entry is {value!r:.60} instead of an ISO 8601 time with its offset"
+            f"the attribute {name} of the run is {value!r:.60} instead of an ISO 8601 time with its offset"
         )
     return parsed
 
@@ -194,45 +197,46 @@ def run_id_of(value: Attribute) -> str:
     try:
         UUID(str(value))
     except ValueError:
-        raise LayoutError(f"the attribute run_id of /entry is {value!r:.60} instead of a UUID") from None
+        raise LayoutError(f"the attribute run_id of the run is {value!r:.60} instead of a UUID") from None
     return str(value)
 
 
-def read_info_v1(file: h5py.File, path: Path) -> RunInfo:
-    """Read what a file of layout 1 states about its run: attributes and shapes only."""
+def info_of(file: h5py.File, layout: schema.Layout, path: Path) -> RunInfo:
+    """Read what an open file states about its run: attributes and shapes only."""
     checked_attributes(file, "/")
-    entry = checked_attributes(file, schema.ENTRY)
+    checked_attributes(file, schema.ENTRY)
+    run = checked_attributes(file, layout.run, schema.RUN)
     trace = checked_attributes(file, schema.TRACE)
     protocol = checked_attributes(file, schema.PROTOCOL)
     capsule = checked_attributes(file, schema.CAPSULE)
     specimen = checked_attributes(file, schema.SPECIMEN)
     one_allowed(schema.SPECIMEN, "fixture", specimen["fixture"], schema.FIXTURES)
     signal = one_allowed(schema.TRACE, "signal", trace["signal"], schema.SIGNALS)
-    samples, channels = _trace_shape(file, signal)
+    samples, channels = _trace_shape(file, layout, signal)
     header = RunHeader(
-        run_id=run_id_of(entry["run_id"]),
-        start_time=timestamp("start_time", entry["start_time"]),
-        order=int(entry["order"]),
-        backend=str(entry["backend"]),
+        run_id=run_id_of(run["run_id"]),
+        start_time=timestamp("start_time", run["start_time"]),
+        order=int(run["order"]),
+        backend=str(run["backend"]),
         kind=str(protocol.pop("kind")),
         sample_rate_hz=positive_rate(trace["sample_rate_hz"]),
         channels=channels,
-        entry={name: value for name, value in entry.items() if name not in schema.HEADER_ATTRIBUTES},
+        entry={name: value for name, value in run.items() if name not in schema.HEADER_ATTRIBUTES},
         protocol=_without_class(protocol),
         capsule=_without_class(capsule),
         specimen=_without_class(specimen),
-        settings_toml=str(to_python(required_dataset(file, schema.SETTINGS)[()])) if schema.SETTINGS in file else "",
+        settings_toml=str(to_python(required_dataset(file, layout.settings)[()])) if layout.settings in file else "",
     )
     return RunInfo(
         path=path,
-        format_version=schema.FORMAT_VERSION,
-        status=RunStatus(one_allowed(schema.ENTRY, "status", entry["status"], tuple(RunStatus))),
+        format_version=layout.version,
+        status=RunStatus(one_allowed(layout.run, "status", run["status"], tuple(RunStatus))),
         header=header,
         samples=samples,
-        reason=str(entry.get("reason", "")),
-        end_time=timestamp("end_time", entry["end_time"]) if entry.get("end_time") else None,
+        reason=str(run.get("reason", "")),
+        end_time=timestamp("end_time", run["end_time"]) if run.get("end_time") else None,
         checks=_without_class(attributes_of(required_group(file, schema.CHECKS))) if schema.CHECKS in file else {},
-        raw_sha256=str(entry.get("raw_sha256", "")),
+        raw_sha256=str(run.get("raw_sha256", "")),
     )
 
 
@@ -240,7 +244,7 @@ def _without_class(attributes: dict[str, Attribute]) -> dict[str, Attribute]:
     return {name: value for name, value in attributes.items() if name != "NX_class"}
 
 
-def read_trace_v1(file: h5py.File, info: RunInfo, last: int | None = None) -> Trace:
+def trace_of(file: h5py.File, info: RunInfo, last: int | None = None) -> Trace:
     """Read all samples, or the last so many; arrays are read-only."""
     rows = slice(0 if last is None else max(0, info.samples - last), info.samples)
     time = np.asarray(_column(file, schema.TIME, rows), dtype=np.float64)
@@ -275,21 +279,22 @@ def _check_rate(time: FloatArray, rate_hz: float) -> None:
         )
 
 
-def read_events_v1(file: h5py.File) -> tuple[RunEvent, ...]:
+def events_of(file: h5py.File, layout: schema.Layout) -> tuple[RunEvent, ...]:
     """Read the table of events, of a recording its valid rows; a file without a table has none."""
-    if schema.EVENTS not in file:
+    if layout.events not in file:
         return ()
-    table = required_dataset(file, schema.EVENTS)
+    table = required_dataset(file, layout.events)
     if table.ndim != 1 or table.dtype.names != schema.EVENT_FIELDS:
-        raise LayoutError(f"/entry/events is not a table of {', '.join(schema.EVENT_FIELDS)}")
+        raise LayoutError(f"{layout.events} is not a table of {', '.join(schema.EVENT_FIELDS)}")
     _require_plausible_size(table)
-    rows = table[: valid_count(file, schema.VALID_EVENTS, len(table)) if _is_unfinished(file) else None]
+    _, valid_events, _ = layout.valid_counts
+    rows = table[: valid_count(file, valid_events, len(table)) if _is_unfinished(file, layout) else None]
     return tuple(
         RunEvent(float(time), str(to_python(kind)), str(to_python(message))) for time, kind, message in rows.tolist()
     )
 
 
-def read_filtered_v1(file: h5py.File) -> FilteredTrace | None:
+def filtered_of(file: h5py.File) -> FilteredTrace | None:
     """Read the filtered trace, if one was stored."""
     if schema.FILTERED not in file:
         return None
@@ -320,13 +325,13 @@ def valid_count(file: h5py.File, path: str, default: int) -> int:
     return min(int(np.ravel(dataset[()])[0]), default) if isinstance(dataset, h5py.Dataset) else default
 
 
-def _is_unfinished(file: h5py.File) -> bool:
+def _is_unfinished(file: h5py.File, layout: schema.Layout) -> bool:
     """Tell whether a file is a recording, whose datasets may be longer than their valid part."""
-    entry = required_group(file, schema.ENTRY)
-    return "status" in entry.attrs and attribute_of(entry, "status") == RunStatus.RECORDING
+    run = required_group(file, layout.run)
+    return "status" in run.attrs and attribute_of(run, "status") == RunStatus.RECORDING
 
 
-def _trace_shape(file: h5py.File, signal: str) -> tuple[int, tuple[RecordedChannel, ...]]:
+def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[int, tuple[RecordedChannel, ...]]:
     for name in (schema.TIME, signal, "position", schema.COMMAND, schema.PHASE):
         required_dataset(file, f"{schema.TRACE}/{name}")
     lengths: dict[str, int] = {}
@@ -345,8 +350,8 @@ def _trace_shape(file: h5py.File, signal: str) -> tuple[int, tuple[RecordedChann
             channels.append(RecordedChannel(name, units, "float32" if dataset.dtype.itemsize == 4 else "float64"))
     channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
     samples = lengths[schema.TIME]
-    if _is_unfinished(file):
-        return valid_count(file, schema.VALID_SAMPLES, min(lengths.values())), tuple(channels)
+    if _is_unfinished(file, layout):
+        return valid_count(file, layout.valid_counts[0], min(lengths.values())), tuple(channels)
     for name, length in lengths.items():
         if length != samples:
             raise LayoutError(f"/entry/trace/{name} has {length} samples, /entry/trace/time {samples}")
@@ -397,28 +402,12 @@ def _require_plausible_size(dataset: h5py.Dataset) -> None:
         raise LayoutError(f"{dataset.name} claims {claimed} bytes, which the file does not hold")
 
 
-@dataclass(frozen=True, slots=True)
-class LayoutReader:
-    """How one version of the format is read."""
-
-    info: Callable[[h5py.File, Path], RunInfo]
-    trace: Callable[[h5py.File, RunInfo, int | None], Trace]
-    events: Callable[[h5py.File], tuple[RunEvent, ...]]
-    filtered: Callable[[h5py.File], FilteredTrace | None]
-
-
-LAYOUT_READERS: Mapping[int, LayoutReader] = {
-    1: LayoutReader(read_info_v1, read_trace_v1, read_events_v1, read_filtered_v1),
-}
-"""Every version that can be read; a new one is added, none is removed."""
-
-
 def read_info(path: Path) -> RunInfo:
     """Read what a run file states about its run, without its samples.
 
     Raises `RunFileError` when the file is missing, foreign, damaged, of a newer format, or lacks a required part.
     """
-    return _read(path, lambda layout, file: layout.info(file, path))
+    return _read(path, lambda layout, file: info_of(file, layout, path))
 
 
 def read_run(path: Path, info: RunInfo | None = None) -> Run:
@@ -435,9 +424,9 @@ def read_run(path: Path, info: RunInfo | None = None) -> Run:
         As `read_info` does, and when the samples break the format.
     """
 
-    def read(layout: LayoutReader, file: h5py.File) -> Run:
-        described = layout.info(file, path) if info is None else info
-        return Run(described, layout.trace(file, described, None), layout.events(file), layout.filtered(file))
+    def read(layout: schema.Layout, file: h5py.File) -> Run:
+        described = info_of(file, layout, path) if info is None else info
+        return Run(described, trace_of(file, described), events_of(file, layout), filtered_of(file))
 
     return _read(path, read)
 
@@ -448,15 +437,15 @@ def read_tail(path: Path, duration_s: float) -> Run:
     Raises `RunFileError` as `read_run` does.
     """
 
-    def read(layout: LayoutReader, file: h5py.File) -> Run:
-        info = layout.info(file, path)
+    def read(layout: schema.Layout, file: h5py.File) -> Run:
+        info = info_of(file, layout, path)
         last = max(1, round(duration_s * info.header.sample_rate_hz))
-        return Run(info, layout.trace(file, info, last), layout.events(file))
+        return Run(info, trace_of(file, info, last), events_of(file, layout))
 
     return _read(path, read)
 
 
-def _read(path: Path, read: Callable[[LayoutReader, h5py.File], ReadT]) -> ReadT:
+def _read(path: Path, read: Callable[[schema.Layout, h5py.File], ReadT]) -> ReadT:
     """Read from an opened file; again when a file that is being written changed meanwhile."""
     for attempts_left in reversed(range(MAX_LIVE_ATTEMPTS)):
         try:
@@ -509,19 +498,26 @@ def as_run_file_error(path: Path) -> Iterator[None]:
         ) from error
 
 
-def layout_of(file: h5py.File) -> LayoutReader:
-    """Return how a file is read, by its version."""
-    root = attributes_of(file)
-    if root.get("format") != schema.FORMAT:
-        raise LayoutError(f"the attribute format of / is not {schema.FORMAT!r}")
-    if "format_version" not in root:
-        raise LayoutError("/ lacks the attribute format_version")
-    version = root["format_version"]
-    if isinstance(version, int) and version in LAYOUT_READERS and not isinstance(version, bool):
-        return LAYOUT_READERS[version]
-    if isinstance(version, int) and version > max(LAYOUT_READERS):
-        raise RunFileError(
-            f"{file.filename}: has format_version {version}; this dragrig reads versions up to {max(LAYOUT_READERS)},"
-            " install a newer one"
-        )
-    raise LayoutError(f"the attribute format_version of / is {version!r} instead of a whole number from 1")
+def layout_of(file: h5py.File) -> schema.Layout:
+    """Return where a file has what, by its version."""
+    holder = schema.RUN if isinstance(file.get(schema.RUN), h5py.Group) else "/"
+    marks = attributes_of(file[holder])
+    if holder == "/" and "format" not in marks:
+        # Of the first version it would have the format here, of any later one these groups.
+        required_group(file, schema.ENTRY)
+        required_group(file, schema.RUN)
+    if marks.get("format") != schema.FORMAT:
+        raise LayoutError(f"the attribute format of {holder} is not {schema.FORMAT!r}")
+    if "format_version" not in marks:
+        raise LayoutError(f"{holder} lacks the attribute format_version")
+    version = marks["format_version"]
+    if isinstance(version, int) and not isinstance(version, bool):
+        if version > max(schema.LAYOUTS):
+            raise RunFileError(
+                f"{file.filename}: has format_version {version}; this dragrig reads versions up to "
+                f"{max(schema.LAYOUTS)}, install a newer one"
+            )
+        if version in schema.LAYOUTS and schema.LAYOUTS[version].marked == holder:
+            return schema.LAYOUTS[version]
+    known = next(number for number, layout in schema.LAYOUTS.items() if layout.marked == holder)
+    raise LayoutError(f"the attribute format_version of {holder} is {version!r} instead of {known}")

@@ -43,7 +43,6 @@ Columns = Mapping[str, npt.NDArray[np.generic]]
 
 RECORDING_CHUNK = 4096
 EVENTS_CHUNK = 64
-VALID_COUNTS = (schema.VALID_SAMPLES, schema.VALID_EVENTS, schema.VALID_ANNOTATION_BYTES)
 VERSION_BOUNDS = ("v110", "v110")
 """The oldest layout of HDF5 that can be written while others read."""
 MAX_CLOSE_S = 120.0
@@ -188,9 +187,9 @@ def _empty_recording(channels: tuple[RecordedChannel, ...]) -> bytes:
             write_dataset_attributes(
                 _growing_dataset(file, f"{schema.TRACE}/{name}", dtype, RECORDING_CHUNK), name, units
             )
-        _growing_dataset(file, schema.EVENTS, schema.event_dtype(), EVENTS_CHUNK)
-        _growing_dataset(file, schema.ANNOTATIONS, np.dtype("u1"), RECORDING_CHUNK)
-        for name in VALID_COUNTS:
+        _growing_dataset(file, schema.LAYOUT.events, schema.event_dtype(), EVENTS_CHUNK)
+        _growing_dataset(file, schema.LAYOUT.annotations, np.dtype("u1"), RECORDING_CHUNK)
+        for name in schema.LAYOUT.valid_counts:
             file.create_dataset(name, data=np.zeros(1, dtype="<u8"))
     return image.getvalue()
 
@@ -207,9 +206,9 @@ class RecordingFile:
         self._file = _open_for_swmr(path)
         self._trace = {name: self._file[schema.TRACE][name] for name in self._file[schema.TRACE]}
         self._sample_bytes = sum(int(dataset.dtype.itemsize) for dataset in self._trace.values())
-        self._events = self._file[schema.EVENTS]
-        self._annotations = self._file[schema.ANNOTATIONS]
-        self._valid = tuple(self._file[name] for name in VALID_COUNTS)
+        self._events = self._file[schema.LAYOUT.events]
+        self._annotations = self._file[schema.LAYOUT.annotations]
+        self._valid = tuple(self._file[name] for name in schema.LAYOUT.valid_counts)
         self.samples = 0
         """Samples written, flushed or not."""
 
@@ -274,7 +273,7 @@ def _open_for_swmr(path: Path) -> h5py.File:
 
 
 def entry_annotation(entry: Mapping[str, Attribute]) -> dict[str, object]:
-    """Return the annotation that adds attributes to `/entry`."""
+    """Return the annotation that adds attributes to the run."""
     return {"entry": dict(entry)}
 
 
@@ -285,13 +284,14 @@ def ending_annotation(ending: RunEnding) -> dict[str, object]:
     return {"ending": values}
 
 
-def read_annotations(file: h5py.File) -> tuple[dict[str, Attribute], RunEnding | None]:
-    """Read what became known during the run: attributes of `/entry`, and how the run ended if that was written."""
+def read_annotations(file: h5py.File, layout: schema.Layout) -> tuple[dict[str, Attribute], RunEnding | None]:
+    """Read what became known during the run: attributes of the run, and how the run ended if that was written."""
     entry: dict[str, Attribute] = {}
     ending: RunEnding | None = None
-    if schema.ANNOTATIONS in file:
-        valid = valid_count(file, schema.VALID_ANNOTATION_BYTES, len(file[schema.ANNOTATIONS]))
-        for line in file[schema.ANNOTATIONS][:valid].tobytes().splitlines():
+    if layout.annotations in file:
+        _, _, valid_bytes = layout.valid_counts
+        valid = valid_count(file, valid_bytes, len(file[layout.annotations]))
+        for line in file[layout.annotations][:valid].tobytes().splitlines():
             annotation = json.loads(line)
             entry.update(annotation.get("entry", {}))
             if values := annotation.get("ending"):
@@ -480,7 +480,7 @@ class Recorder:
         self._thread.events.append(event)
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
-        """Add attributes of `/entry` that become known while the run goes on."""
+        """Add attributes of the run that become known while the run goes on."""
         self._thread.annotations.append(entry_annotation(entry))
 
     def close(

@@ -4,6 +4,7 @@ import platform
 import re
 import subprocess
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
 from importlib.metadata import version
@@ -14,25 +15,62 @@ import numpy as np
 from dragrig.config import OutputError
 
 FORMAT = "dragrig-run"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 FINISHED_SUFFIX = ".h5"
 RECORDING_SUFFIX = ".recording.h5"
 LOCK_SUFFIX = ".recording.lock"
 PART_SUFFIX = ".part"
 
 ENTRY = "/entry"
+RUN = "/entry/run"
 TRACE = "/entry/trace"
 FILTERED = "/entry/filtered"
 PROTOCOL = "/entry/protocol"
 CAPSULE = "/entry/capsule"
 SPECIMEN = "/entry/specimen"
 CHECKS = "/entry/checks"
-SETTINGS = "/entry/settings"
-EVENTS = "/entry/events"
 
 TIME = "time"
 COMMAND = "command"
 PHASE = "phase"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where a version of the format has what the NeXus standard has no place for."""
+
+    version: int
+    marked: str
+    """Group with the attributes `format` and `format_version`."""
+    run: str
+    """Group with the attributes of the run, its events and settings, and what only a recording has."""
+
+    @property
+    def settings(self) -> str:
+        """The full settings the run was made with, as TOML."""
+        return f"{self.run}/settings"
+
+    @property
+    def events(self) -> str:
+        """The table of events."""
+        return f"{self.run}/events"
+
+    @property
+    def annotations(self) -> str:
+        """What became known during a recording, as lines of JSON."""
+        return f"{self.run}/annotations"
+
+    @property
+    def valid_counts(self) -> tuple[str, str, str]:
+        """How many samples, events and bytes of annotations of a recording are valid."""
+        return (f"{self.run}/valid_samples", f"{self.run}/valid_events", f"{self.run}/valid_annotation_bytes")
+
+
+LAYOUT = Layout(FORMAT_VERSION, RUN, RUN)
+"""As files are written."""
+LAYOUTS: Mapping[int, Layout] = {1: Layout(1, "/", ENTRY), FORMAT_VERSION: LAYOUT}
+"""Every version that can be read; a new one is added, none is removed."""
+
 FRAME_DATASETS = (TIME, COMMAND, PHASE)
 """The datasets of a trace that are not recorded quantities."""
 
@@ -56,7 +94,7 @@ FIXED_ATTRIBUTES: Mapping[str, Mapping[str, str]] = {
 }
 """Attributes that make a NeXus viewer find the force trace; every file has them."""
 
-NEXUS_CLASSES: Mapping[str, str] = dict.fromkeys((PROTOCOL, CAPSULE, SPECIMEN, CHECKS), "NXcollection")
+NEXUS_CLASSES: Mapping[str, str] = dict.fromkeys((RUN, PROTOCOL, CAPSULE, SPECIMEN, CHECKS), "NXcollection")
 """Classes of further groups; older files without them are read all the same."""
 
 LONG_NAMES: Mapping[str, str] = {
@@ -71,7 +109,7 @@ LONG_NAMES: Mapping[str, str] = {
 """Names for the axes of a viewer, to which the unit is added."""
 
 REQUIRED_ATTRIBUTES: Mapping[str, Mapping[str, type]] = {
-    ENTRY: {"run_id": str, "start_time": str, "order": int, "status": str, "backend": str},
+    RUN: {"run_id": str, "start_time": str, "order": int, "status": str, "backend": str},
     TRACE: {"signal": str, "sample_rate_hz": float},
     PROTOCOL: {"kind": str},
     CAPSULE: {"diameter_mm": float, "length_mm": float, "mass_g": float, "contact_angle_deg": float},
@@ -108,15 +146,10 @@ MAX_RATE_MISMATCH = 2.0
 """Factor by which the median time between samples may differ from the sample rate."""
 
 HEADER_ATTRIBUTES: frozenset[str] = frozenset(
-    {"NX_class", "default", "status", "reason", "end_time", "raw_sha256", "run_id", "start_time", "order", "backend"}
-)
-"""Attributes of `/entry` that have fields of their own in a `RunInfo` or `RunHeader` and are not in its `entry`."""
-
-VALID_SAMPLES = "/entry/valid_samples"
-VALID_EVENTS = "/entry/valid_events"
-VALID_ANNOTATION_BYTES = "/entry/valid_annotation_bytes"
-ANNOTATIONS = "/entry/annotations"
-"""Only in a recording: how much of it is valid, and what became known during the run, as lines of JSON."""
+    {"NX_class", "default", "format", "format_version", "status", "reason", "end_time", "raw_sha256", "run_id",
+     "start_time", "order", "backend"}
+)  # fmt: skip
+"""Attributes of the run that have fields of their own in a `RunInfo` or `RunHeader` and are not in its `entry`."""
 
 EVENT_KIND_BYTES = 16
 EVENT_MESSAGE_BYTES = 160
@@ -129,7 +162,7 @@ _KIND_PATTERN = re.compile(r"[a-z][a-z0-9_-]*")
 
 
 def event_dtype() -> np.dtype[np.void]:
-    """Row of `/entry/events`: fixed-length UTF-8, so that rows can be appended while a run is recorded."""
+    """Row of the table of events: fixed-length UTF-8, so that rows can be appended while a run is recorded."""
     import h5py
 
     return np.dtype(

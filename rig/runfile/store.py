@@ -178,7 +178,7 @@ class FolderSink:
         self._recorder.event(event)
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
-        """Take attributes of `/entry` that become known during the run."""
+        """Take attributes of `/entry/run` that become known during the run."""
         self._recorder.annotate(entry)
 
     def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
@@ -399,7 +399,7 @@ class MemorySink:
         self._events.append(event)
 
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
-        """Take attributes of `/entry` that become known during the run."""
+        """Take attributes of `/entry/run` that become known during the run."""
         self._header = replace(self._header, entry={**self._header.entry, **entry})
 
     def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:

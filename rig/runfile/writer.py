@@ -33,10 +33,11 @@ from dragrig.rig.runfile.reader import (
     LayoutError,
     as_run_file_error,
     check_attributes,
+    events_of,
+    layout_of,
     one_allowed,
     open_run,
     positive_rate,
-    read_events_v1,
     read_info,
     read_run,
     run_id_of,
@@ -118,18 +119,24 @@ def check_header(header: RunHeader) -> None:
 
 def write_header(file: h5py.File, header: RunHeader, status: RunStatus) -> None:
     """Write every group and attribute that is known before the first sample."""
-    file.attrs["format"] = schema.FORMAT
-    file.attrs["format_version"] = schema.FORMAT_VERSION
     groups = _groups(header, status)
     for path in dict.fromkeys((*schema.FIXED_ATTRIBUTES, *groups)):
         fixed = schema.FIXED_ATTRIBUTES.get(path) or {"NX_class": schema.NEXUS_CLASSES[path]}
         write_attributes(file.require_group(path), {**fixed, **groups.get(path, {})})
+    mark_format(file[schema.RUN])
     if header.settings_toml:
-        file[schema.SETTINGS] = header.settings_toml
+        file[schema.LAYOUT.settings] = header.settings_toml
+
+
+def mark_format(run: h5py.Group) -> None:
+    """Say what format a file has, and which version of it."""
+    run.attrs.update(
+        NX_class=schema.NEXUS_CLASSES[schema.RUN], format=schema.FORMAT, format_version=schema.FORMAT_VERSION
+    )
 
 
 def _groups(header: RunHeader, status: RunStatus) -> dict[str, Mapping[str, Attribute]]:
-    entry: dict[str, Attribute] = {
+    run: dict[str, Attribute] = {
         "run_id": header.run_id,
         "start_time": header.start_time.isoformat(),
         "order": header.order,
@@ -139,7 +146,7 @@ def _groups(header: RunHeader, status: RunStatus) -> dict[str, Mapping[str, Attr
     # What the run is about: force, or motor_force for a stage alone.
     signal = next(name for name in schema.SIGNALS if name in {channel.name for channel in header.channels})
     return {
-        schema.ENTRY: entry | dict(header.entry),
+        schema.RUN: run | dict(header.entry),
         schema.TRACE: {"signal": signal, "sample_rate_hz": float(header.sample_rate_hz)},
         schema.PROTOCOL: {"kind": header.kind, **header.protocol},
         schema.CAPSULE: header.capsule,
@@ -204,14 +211,14 @@ def clip_utf8(text: str, size: int) -> bytes:
 
 def write_ending(file: h5py.File, events: Sequence[RunEvent], ending: RunEnding, raw_sha256: str) -> None:
     """Write what is known once the last sample has been taken."""
-    entry = file[schema.ENTRY]
-    entry.create_dataset("events", data=event_rows(events))
-    entry.attrs["status"] = str(ending.status)
-    entry.attrs["raw_sha256"] = raw_sha256
+    file.create_dataset(schema.LAYOUT.events, data=event_rows(events))
+    run = file[schema.RUN].attrs
+    run["status"] = str(ending.status)
+    run["raw_sha256"] = raw_sha256
     if ending.reason:
-        entry.attrs["reason"] = ending.reason
+        run["reason"] = ending.reason
     if ending.end_time is not None:
-        entry.attrs["end_time"] = ending.end_time.isoformat()
+        run["end_time"] = ending.end_time.isoformat()
     if ending.checks:
         group = file.create_group(schema.CHECKS)
         group.attrs["NX_class"] = schema.NEXUS_CLASSES[schema.CHECKS]
@@ -226,7 +233,7 @@ def write_ending(file: h5py.File, events: Sequence[RunEvent], ending: RunEnding,
 def _write_nexus_fields(file: h5py.File) -> None:
     """Write, from the attributes, what the NeXus standard has as fields and groups, for programs that look there."""
     entry, specimen = file[schema.ENTRY], file[schema.SPECIMEN].attrs
-    attributes = {name: str(value) for name, value in entry.attrs.items()}
+    attributes = {name: str(value) for name, value in file[schema.RUN].attrs.items()}
     fields = {
         "title": f"{file[schema.PROTOCOL].attrs['kind']} of {specimen['name']}",
         "start_time": attributes["start_time"],
@@ -444,11 +451,12 @@ def store_filtered(path: Path, filtered: FilteredTrace, events: Sequence[RunEven
             label = schema.LONG_NAMES.get(name, name.replace("_", " "))
             dataset.attrs["long_name"] = f"filtered {label}" if name != schema.TIME else label
             dataset[:] = column
-        run_events = [event for event in read_events_v1(file) if event.kind != schema.FILTER_EVENT]
+        layout = layout_of(file)
+        run_events = [event for event in events_of(file, layout) if event.kind != schema.FILTER_EVENT]
         filter_events = [RunEvent(event.time_s, schema.FILTER_EVENT, event.message) for event in events]
-        if schema.EVENTS in file:
-            del file[schema.EVENTS]
-        file.create_dataset(schema.EVENTS, data=event_rows([*run_events, *filter_events]))
+        if layout.events in file:
+            del file[layout.events]
+        file.create_dataset(layout.events, data=event_rows([*run_events, *filter_events]))
 
     rewrite(path, edit, without=("filtered",))
 
