@@ -110,7 +110,7 @@ class RunQuery:
 def _matching_files(name: str | Path) -> list[Path]:
     path = Path(name)
     if path.is_dir():
-        return _run_files_in(path)
+        return require_run_files(path)
     if path.exists():
         return [path]
     if not glob.has_magic(str(name)):
@@ -122,7 +122,11 @@ def _matching_files(name: str | Path) -> list[Path]:
     return paths
 
 
-def _run_files_in(folder: Path) -> list[Path]:
+def require_run_files(folder: Path) -> list[Path]:
+    """Return the finished runs of a folder.
+
+    Raises `RunFileError` where it has none, with what is known of where they are.
+    """
     paths = sorted(path for path in folder.glob("*.h5") if not path.name.endswith(RECORDING_SUFFIX))
     if paths:
         return paths

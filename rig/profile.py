@@ -80,7 +80,9 @@ class MotionProfile:
         ends = np.cumsum(duration)
         velocity = np.concatenate(([0.0], np.cumsum(acceleration * duration)))
         velocity[np.abs(velocity) < 1e-9] = 0.0
-        travel = velocity[:-1] * duration + 0.5 * acceleration * duration**2
+        # An absurd distance is for its limits to refuse, not for a warning here.
+        with np.errstate(over="ignore", invalid="ignore"):
+            travel = velocity[:-1] * duration + 0.5 * acceleration * duration**2
         profile = cls(
             start_s=np.concatenate(([0.0], ends[:-1])) if chain else np.zeros(0),
             position_mm=np.concatenate(([0.0], np.cumsum(travel)[:-1])) if chain else np.zeros(0),

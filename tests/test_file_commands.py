@@ -171,12 +171,15 @@ def test_one_bad_file_does_not_keep_the_others_from_being_done(command: Command,
         (("recover", "nowhere"), "nowhere"),
         (("info", "nowhere"), "nowhere"),
         (("filter", "c/*.txt"), "pattern"),
+        (("table", "empty"), "holds no run files"),
+        (("show", "c/010-drag.h5", "--out", "x.gif"), "x.gif: pictures are written as .png, .svg, .pdf"),
     ],
 )
 def test_what_is_not_possible_is_reported_in_one_sentence(
     command: Command, practice: Path, words: tuple[str, ...], sentence: str
 ) -> None:
     (practice.parent / "taken").write_text("mine", "utf-8")
+    (practice.parent / "empty").mkdir()
     before = {path: path.read_bytes() for path in practice.parent.rglob("*") if path.is_file()}
     printed = command(*words, code=2)
     assert sentence in printed.err

@@ -70,11 +70,11 @@ def test_several_files_follow_each_other(importer: Importer) -> None:
 def test_settings_that_come_again_stand_in_a_file(importer: Importer) -> None:
     german("a.csv")
     Path("map.toml").write_text(
-        'kind = "pull"\n[columns]\ntime = {column = 1}\nforce = {column = "Kraft", unit = "N"}\n', "utf-8"
+        'kind = "drag"\n[columns]\ntime = {column = 1}\nforce = {column = "Kraft", unit = "N"}\n', "utf-8"
     )
-    importer("a.csv", "--settings", "map.toml", "--kind", "slide", "--out", "c")
+    importer("a.csv", "--settings", "map.toml", "--kind", "return", "--out", "c")
     (info,) = dragrig.campaign("c").runs
-    assert info.kind == "slide"
+    assert info.kind == "return"
     imported = dragrig.import_run("a.csv", "c", {"time": "1:s", "force": "Kraft:N"})
     assert dragrig.load(imported.path).info.header.order == 1
 
@@ -216,6 +216,7 @@ def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
         (("a.csv", "--map", "time=1:s", "--map", "force=Last:N"), "Last"),
         (("a.csv", "--map", "time=1:s", "--map", "force=Kraft:mV"), "factor"),
         (("a.csv", *MAP, "--set", "speed_mm_s"), "key=value"),
+        (("a.csv", *MAP, "--kind", "dragg"), "dragg is no kind of run; did you mean drag?"),
         (("a.csv", *MAP, "--kind", "drag"), "needs speed_mm_s, travel_mm, accel_mm_s2, rest_s, hold_s"),
         (("a.csv", *MAP, "--decimal", "x"), "decimal"),
         (("a.csv", *MAP, "--start-time", "yesterday"), "start_time"),

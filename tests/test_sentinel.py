@@ -211,7 +211,7 @@ def test_a_plan_keeps_its_sentinel_where_it_is_written_and_edited() -> None:
 
     plan = plan_of({"every": 2}, DRAG)
     form = form_from_plan(plan, "p.toml")
-    assert form.filled([step.values for step in form.steps]) == plan
+    assert form.filled([step.values for step in form.groups]) == plan
     assert build_programme(plan, Specimen(name="g"), 40.0, "p.toml").runs[0].sentinel
     with pytest.raises(DragrigError):
         plan_of({"drift_percent": -1}, DRAG)

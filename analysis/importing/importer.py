@@ -22,7 +22,7 @@ from dragrig.analysis.importing.conversion import (
 )
 from dragrig.analysis.importing.foreign import ForeignTable, ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
-from dragrig.config import Capsule, Fixture, ImportDataError, OutputError, Specimen, find_settings
+from dragrig.config import Capsule, Fixture, ImportDataError, OutputError, Specimen, find_settings, suggestion
 from dragrig.rig import (
     PARAMETERS_OF_KIND,
     AnyFloatArray,
@@ -102,6 +102,8 @@ def _import_table(path: Path, table: ForeignTable, target: Path, settings: Impor
 
     if table.export and not settings.columns.mapped():
         return _restore_export(table, target)
+    if settings.kind not in (kinds := protocol_kinds()):
+        raise ImportDataError(f"{path}: {settings.kind} is no kind of run; {suggestion(settings.kind, tuple(kinds))}")
     measured = convert_table(table, settings)
     header, events = _run_header(path, table, settings, measured)
     missing = [key for key in PARAMETERS_OF_KIND.get(header.kind, ()) if key not in header.protocol]

@@ -29,6 +29,7 @@ QUIET = "dragrig.quiet"
 
 BUG = 1
 BAD_INPUT = 2
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 def print_result(text: str) -> None:
@@ -80,6 +81,7 @@ def is_quiet() -> bool:
 
 def run_command_line(command: click.Command, arguments: Sequence[str] | None) -> int:
     """Run a command and return its exit code; an error is printed as one sentence."""
+    _open_closed_streams()
     _replace_unencodable()
     try:
         returned = command.main(args=arguments, prog_name="dragrig", standalone_mode=False)
@@ -93,6 +95,15 @@ def run_command_line(command: click.Command, arguments: Sequence[str] | None) ->
     return returned if isinstance(returned, int) else 0
 
 
+def _open_closed_streams() -> None:
+    """Give a program that was started without standard output or error somewhere to print to."""
+    nowhere = None
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            nowhere = nowhere or Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115  # lives as the process does
+            setattr(sys, name, nowhere)
+
+
 def _sentence_and_code(error: Exception) -> tuple[str, int]:
     code = BAD_INPUT
     match error:
@@ -104,6 +115,9 @@ def _sentence_and_code(error: Exception) -> tuple[str, int]:
             sentence = _usage_sentence(error)
         case OSError() if error.filename is not None:
             sentence = f"{error.filename}: {error.strerror}; check the path and who may use it"
+        case OSError() if error.errno in _FULL:
+            # Files are written by code that names them.
+            sentence = f"standard output takes no more ({error.strerror}); make room, or print elsewhere"
         case MemoryError():
             sentence = "not enough memory; use fewer samples, or close other programs"
         case _:

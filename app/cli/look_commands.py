@@ -5,6 +5,7 @@ import sys
 from dataclasses import dataclass
 from itertools import chain
 from math import isfinite
+from mimetypes import guess_type
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
@@ -47,10 +48,13 @@ def table_command(campaigns: tuple[Path, ...], as_json: bool) -> None:
     """
     from dragrig.analysis import pooled_rows
     from dragrig.present import campaign_table_document
+    from dragrig.run_inputs import require_run_files
 
     with ProgressMeter("measuring") as meter:
-        document = campaign_table_document(pooled_rows(campaigns, meter.at))
-    print_document(document, as_json=as_json)
+        rows = pooled_rows(campaigns, meter.at)
+    if not rows:
+        require_run_files(campaigns[0])
+    print_document(campaign_table_document(rows), as_json=as_json)
 
 
 def _data_root(folder: Path | None) -> Path:
@@ -196,6 +200,11 @@ class _PictureTarget:
 
 def _picture_target(out: Path | None, pictures: int, overwrite: bool) -> _PictureTarget:
     if out is None or out.is_dir() or out.suffix.lower() not in PICTURE_SUFFIXES:
+        if out is not None and not out.is_dir() and guess_type(out.name)[0] is not None:
+            raise click.UsageError(
+                f"{out}: pictures are written as {', '.join(PICTURE_SUFFIXES)}; name such a file, or a folder",
+                click.get_current_context(),
+            )
         return _PictureTarget(None, out, overwrite)
     if pictures > 1:
         raise click.UsageError(f"{pictures} pictures do not fit into {out}; name a folder", click.get_current_context())

@@ -216,7 +216,9 @@ def session_record_of_run(run_file: Path) -> SessionRecord:
     """
     settings = read_info(run_file).header.settings_toml
     if not settings:
-        raise RunFileError(f"{run_file}: contains no session settings, so its session cannot be repeated.")
+        raise RunFileError(
+            f"{run_file}: was not made by a session of dragrig, so no session can be repeated from it; name a plan."
+        )
     try:
         return parse(SessionRecord, tomllib.loads(settings), f"settings in {run_file}")
     except tomllib.TOMLDecodeError as error:
