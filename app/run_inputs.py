@@ -95,7 +95,7 @@ class RunQuery:
         specimens = {specimen_key(run), str(header.specimen["name"])}
         return (
             (not self.specimen or self.specimen in specimens)
-            and self.kind in {"", header.kind}
+            and self.kind in {"", header.kind, *(("sentinel",) if run.is_sentinel else ())}
             and self.operator.casefold() in str(header.entry.get("operator", "")).casefold()
             and (self.since is None or header.start_time >= self.since)
             and (self.until is None or header.start_time <= self.until)

@@ -18,6 +18,7 @@ from dragrig.rig.programme import Programme, build_programme
 from dragrig.rig.runfile import read_campaign, read_note
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.sentinel import Drift, SteadyForce
+from dragrig.run_inputs import RunQuery
 
 DRAG: dict[str, object] = {"kind": "drag", "speed_mm_s": 20.0, "travel_mm": 20.0, "hold_s": 0.5, "wait_s": 1}
 WATCH: dict[str, object] = {**DRAG, "speed_mm_s": 10.0}
@@ -180,6 +181,8 @@ def test_within_its_bound_nobody_is_asked(tmp_path: Path) -> None:
     assert not person.asked
     assert len(person.told) == 3
     assert [row.role for row in table_rows(tmp_path / "c")].count("sentinel") == 3
+    assert len(RunQuery(kind="sentinel").of(read_campaign(tmp_path / "c"))) == 3
+    assert len(RunQuery(kind="drag").of(read_campaign(tmp_path / "c"))) > 3
 
 
 def test_the_operator_may_end_and_a_resumed_campaign_asks_again_and_keeps_its_reference(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from dragrig.analysis.measures import (
 )
 from dragrig.cli.commands import dragrig_group
 from dragrig.config.errors import RunFileError
-from dragrig.present.campaign import campaign_table_document
+from dragrig.present.campaign import campaign_table_document, mean_tables
 from dragrig.present.document import FormattedNumber
 from dragrig.present.run import measures_table
 from dragrig.present.terminal import document_text
@@ -191,3 +191,10 @@ def test_a_run_tells_its_steady_force_with_the_force_at_rest_taken_off() -> None
     assert measured.steady_force.value is not None
     assert measured.rest_offset.value is not None
     assert shown.value == pytest.approx(measured.steady_force.value - measured.rest_offset.value)
+
+
+def test_runs_that_are_in_no_mean_are_counted() -> None:
+    (row,) = rows_of("A", 100.0)
+    without = replace(row, steady_force_mN=100.0, steady_above_rest_mN=None)
+    assert "at rest is not known" not in mean_tables([row])[0].caption
+    assert "and 2 runs whose force at rest is not known" in mean_tables([row, without, without])[0].caption

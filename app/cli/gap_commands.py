@@ -111,9 +111,9 @@ def diagnose_command(
     # Written before anything is printed: a reader such as head ends the command.
     write_report(document, report, overwrite=overwrite)
     drawn = () if figures is None else tuple(save_figures(document, figures, overwrite=overwrite))
-    print_document(document, as_json=as_json)
     if save_model is not None and model is None:
         print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
+    print_document(document, as_json=as_json)
     for name, file in (("model", model), ("report", report)):
         if file is not None and not as_json:
             print_result(f"{name:8}{display_path(file)}")

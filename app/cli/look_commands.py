@@ -101,7 +101,7 @@ def _parse_moment(context: click.Context, parameter: click.Parameter, text: str 
 @click.command("find")
 @click.argument("folder", required=False, type=click.Path(path_type=Path))
 @click.option("--specimen", metavar="NAME", default="", help="Name or id of the specimen.")
-@click.option("--kind", metavar="NAME", default="", help="Kind of run: drag, relaxation, ….")
+@click.option("--kind", metavar="NAME", default="", help="Kind of run: drag, relaxation, …, or sentinel.")
 @click.option("--operator", metavar="NAME", default="", help="Part of the operator's name.")
 @click.option("--since", metavar="DATE", callback=_parse_moment, help="Begun at this time or later.")
 @click.option("--until", metavar="DATE", callback=_parse_moment, help="Begun at this time or earlier.")

@@ -14,6 +14,7 @@ from dragrig.analysis import (
     SpecimensMean,
     SpeedMean,
     TableRow,
+    count_text,
     mean_over_specimens,
     mean_per_speed,
     value_with_error,
@@ -184,10 +185,15 @@ def _operator_of(run: RunInfo) -> str:
 def mean_tables(rows: Sequence[TableRow]) -> tuple[Table, ...]:
     """Tabulate the mean steady force of each specimen's repeats and, of several specimens, over them."""
     means = mean_per_speed(rows)
+    without_rest = sum(
+        row.counts and not row.role and row.steady_force_mN is not None and row.steady_above_rest_mN is None
+        for row in rows
+    )
+    no_rest = f", and {count_text(without_rest, 'run')} whose force at rest is not known" if without_rest else ""
     of_specimens = Table.of(
         "means",
         "Mean of steady − rest over the repeats on a specimen; ± is the 95 % interval by Student's t from their "
-        "scatter, n the runs; without bad and unfinished runs and sentinels",
+        f"scatter, n the runs; without bad and unfinished runs and sentinels{no_rest}",
         means,
         Field("specimen", "specimen", lambda mean: mean.specimen),
         Field("kind", "kind", lambda mean: mean.kind),
