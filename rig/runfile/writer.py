@@ -194,7 +194,7 @@ def create_column(group: h5py.Group, name: str, samples: int, dtype: np.dtype[np
 
 
 def event_rows(events: Sequence[RunEvent]) -> np.ndarray[tuple[int], np.dtype[np.void]]:
-    """Turn events into rows of `/entry/events`; text too long for a row ends in an ellipsis."""
+    """Turn events into rows of the table of events; text too long for a row ends in an ellipsis."""
     kind_bytes, message_bytes = schema.EVENT_KIND_BYTES, schema.EVENT_MESSAGE_BYTES
     rows = [(e.time_s, clip_utf8(e.kind, kind_bytes), clip_utf8(e.message, message_bytes)) for e in events]
     return np.array(rows, dtype=schema.event_dtype())
