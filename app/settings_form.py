@@ -1,14 +1,17 @@
-"""The rig settings of a lab as a form, and saved to their file with its comments; free of Qt."""
+"""Rig settings and specimen as forms; a lab's rig settings are saved to their file with its comments; free of Qt."""
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dragrig.config import (
+    UNSTATED,
     RigSettings,
     Settings,
     SettingsError,
+    Specimen,
     Table,
     merge_tables,
     mistakes_in,
@@ -183,3 +186,47 @@ def _value(field: FormField, text: str, group: str, default: object) -> object:
         return "" if field.kind is FieldKind.TEXT else default
     value = parse_field(field, text, group)
     return float(value) if field.kind is FieldKind.NUMBER and isinstance(value, int) else value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpecimenForm(Form):
+    """What only somebody at the rig can state of a specimen; one group, in which an empty field states nothing."""
+
+    def problems(self, values: Sequence[Mapping[str, str]]) -> dict[FieldPlace, str]:
+        """Return what is wrong with these values, by group and key."""
+        if problems := self.misread(values):
+            return problems
+        (group,) = self.groups
+        for path, problem in mistakes_in(Specimen, {"name": group.name, **self._stated(values)}).items():
+            key = path[0] if path else first_key_named(group, problem)
+            problems[0, key or group.fields[0].key] = problem
+        return problems
+
+    def assignments(self, values: Sequence[Mapping[str, str]]) -> tuple[str, ...]:
+        """Return what these values state as assignments, as `specimen.id="P7"`, a time of day with its date.
+
+        Raises
+        ------
+        SettingsError
+            For invalid values.
+        """
+        for place, problem in self.problems(values).items():
+            raise SettingsError(f"Specimen, {self.field_name(place)}: {problem}.")
+        stated = self._stated(values)
+        # A time of day is of now, whenever the session is made.
+        dated = Specimen.model_validate({"name": self.groups[0].name, **stated}).model_dump(mode="json")
+        return tuple(f"specimen.{key}={json.dumps(dated[key], ensure_ascii=False)}" for key in stated)
+
+    def _stated(self, values: Sequence[Mapping[str, str]]) -> dict[str, object]:
+        (group,), (texts,) = self.groups, values
+        read = {field.key: parse_field(field, texts[field.key].strip(), group.name) for field in group.fields}
+        return {key: value for key, value in read.items() if value is not None}
+
+
+def specimen_form() -> SpecimenForm:
+    """Return an empty form of a specimen."""
+    about = f"What is left empty is recorded as {UNSTATED}."
+    fields = (replace(field, default="", empty="") for field in form_fields(Specimen, sweeps=False))
+    return SpecimenForm(
+        groups=(FormGroup("specimen", about, tuple(field for field in fields if field.key != "name"), {}),)
+    )

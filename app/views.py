@@ -398,8 +398,13 @@ class RigDescription:
     data_root: str
 
 
-def preview_session(plan: Plan | str, rig: RigSelection) -> SessionPreview:
+def preview_session(plan: Plan | str, rig: RigSelection, specimen: Sequence[str] = ()) -> SessionPreview:
     """Check a plan without moving anything.
+
+    Parameters
+    ----------
+    specimen
+        What is stated of the specimen, as assignments.
 
     Raises
     ------
@@ -407,7 +412,7 @@ def preview_session(plan: Plan | str, rig: RigSelection) -> SessionPreview:
         For invalid settings.
     """
     stage = resolve_rig(**rig.choices()).rig.stage
-    checked = check(plan, **rig.choices())
+    checked = check(plan, **replace(rig, assignments=(*rig.assignments, *specimen)).choices())
     steps = plan.steps if isinstance(plan, Plan) else plan_form(plan).plan.steps
     return SessionPreview(checked, stage.lowest_mm, stage.highest_mm, _conditions(checked, steps))
 

@@ -381,8 +381,8 @@ def specimen_remark(specimen: Specimen) -> str:
     first = specimen.not_stated[0]
     return (
         f"specimen {specimen.name}, whose wall counts as {specimen.wall_thickness_mm:g} mm thick: not stated, and so "
-        f"recorded as {UNSTATED}, are {', '.join(specimen.not_stated)}; state them with --specimen FILE, or "
-        f"--set specimen.{first}=…"
+        f"recorded as {UNSTATED}, are {', '.join(specimen.not_stated)}; state them in the window's form, "
+        f"with --specimen FILE or --set specimen.{first}=…"
     )
 
 

@@ -1,5 +1,6 @@
 """The rig settings as a form: every mistake beside its field, and a saved file that keeps its comments."""
 
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -7,8 +8,9 @@ from windows import lab_in
 
 from dragrig.config.errors import SettingsError
 from dragrig.config.rig import RigSettings
-from dragrig.config.settings import read_settings_file
-from dragrig.settings_form import RigSettingsForm, rig_settings_form
+from dragrig.config.settings import parse_assignment, read_settings_file
+from dragrig.settings_form import RigSettingsForm, rig_settings_form, specimen_form
+from dragrig.setup import resolve
 from dragrig.views import FieldKind
 
 
@@ -119,3 +121,40 @@ def test_what_is_invalid_is_not_written(rig: Path) -> None:
     assert shipped.path is None
     with pytest.raises(SettingsError, match="dragrig init"):
         shipped.save(filled(shipped, name="other"))
+
+
+def test_what_is_stated_of_a_specimen_are_the_same_assignments_as_on_the_command_line() -> None:
+    form = specimen_form()
+    (empty,) = form.values()
+    assert form.assignments([empty]) == ()
+    stated = {
+        "id": "7",
+        "mounted_at": "2026-05-04T09:40:00+02:00",
+        "storage": 'Tyrode, "cold"',
+        "temperature_degC": "37",
+    }
+    assignments = form.assignments([{**empty, **stated}])
+    specimen = resolve("drag", assignments=assignments).specimen
+    assert (specimen.id, specimen.storage, specimen.temperature_degC) == ("7", 'Tyrode, "cold"', 37.0)
+    assert specimen.not_stated == ("excised_at",)
+    (dated,) = form.assignments([{**empty, "excised_at": "00:00"}])
+    assert (
+        datetime.fromisoformat(parse_assignment(dated)[1]).date() == datetime.now().astimezone().date()
+    )  # not of a later day
+
+
+def test_a_mistake_about_a_specimen_is_told_of_its_field() -> None:
+    form = specimen_form()
+    (empty,) = form.values()
+
+    def told(**texts: str) -> dict[str, str]:
+        return {key: problem for (_, key), problem in form.problems([{**empty, **texts}]).items()}
+
+    assert told() == {}
+    assert "time of day" in told(excised_at="this morning")["excised_at"]
+    assert "not a number" in told(temperature_degC="warm")["temperature_degC"]
+    assert "less than or equal to 60" in told(temperature_degC="310")["temperature_degC"]
+    late = {"excised_at": "2026-05-04T09:40", "mounted_at": "2026-05-04T09:15"}
+    assert "comes before" in told(**late)["mounted_at"]
+    with pytest.raises(SettingsError, match=r"^Specimen, Excised at: .*time of day"):
+        form.assignments([{**empty, "excised_at": "this morning"}])

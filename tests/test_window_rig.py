@@ -15,6 +15,7 @@ from pytestqt.qtbot import QtBot
 from dragrig.engine_host.messages import RigSelection
 from dragrig.rig.calibration import read_calibrations
 from dragrig.rig.operator import Answer
+from dragrig.rig.runfile import read_campaign
 from dragrig.window.main_window import MainWindow
 from dragrig.window.rig_page import SettingsView
 from dragrig.window.session_queue import QueueState
@@ -150,6 +151,7 @@ def test_the_force_sensor_is_calibrated_and_the_record_seen_before_it_is_stored(
     until(lambda: not calibrate.busy)
     assert "cancelled by operator" in calibrate.state.text()
     assert not window.notices.prompt.isVisible()
+    until(lambda: window.run.live.readings.about.text() == "live; idle")  # no prompt is open any more
     assert calibrate.record.isHidden()
 
     before = read_calibrations(lab)
@@ -157,7 +159,8 @@ def test_the_force_sensor_is_calibrated_and_the_record_seen_before_it_is_stored(
     assert not window.notices.complaint.isVisible()  # of the attempt before
     assert len(answer_all(window, until)) == 4
     assert "mN/V" in calibrate.record.answer.text()
-    assert "not stored yet" in calibrate.record.answer.text()
+    assert "stored" not in calibrate.record.answer.text()
+    assert "then store it or discard it" in calibrate.state.text()
     (points,) = calibrate.record.findChildren(QTableWidget)
     assert [points.item(row, 0).text() for row in range(4)] == ["0", "20", "50", "100"]
     assert read_calibrations(lab) == before
@@ -229,7 +232,7 @@ def test_settings_are_saved_and_the_engine_starts_again_once_nothing_runs(
     assert [entry.stage for entry in run.queue.entries] == [QueueState.COMPLETE, QueueState.WAITING]
     assert window.guard.text() == "guard: TRIPPED"  # not what the engine before said
     assert "reset the guard" in settings.state.text()
-    assert run.live.readings.limits.text() == "of 0 to 120 mm"
+    assert run.live.readings.limits.text() == "0 to 120 mm"
     arm(window, until)
     run.new.editor.put("travel_mm", "100")
     run.new.update_preview()
@@ -237,7 +240,7 @@ def test_settings_are_saved_and_the_engine_starts_again_once_nothing_runs(
     run.new.editor.put("travel_mm", "10")
     settings.editor.put("highest_mm", "150")
     press(settings.save)
-    assert run.live.readings.limits.text() == "of 0 to 150 mm"
+    assert run.live.readings.limits.text() == "0 to 150 mm"
 
 
 def test_settings_outside_of_a_lab_are_shown_and_cannot_be_changed(qtbot: QtBot) -> None:
@@ -248,3 +251,37 @@ def test_settings_outside_of_a_lab_are_shown_and_cannot_be_changed(qtbot: QtBot)
     assert not view.save.isEnabled()
     view.groups.setCurrentRow(1)
     assert view.heading.text() == "Stage"
+
+
+def test_a_specimen_is_stated_in_the_form_and_recorded(window: MainWindow, until: Until) -> None:
+    run, new = window.run, window.run.new
+    window.go_to(run)
+    new.plans.setCurrentIndex(new.plans.findData("blank"))
+    for key, text in {"speed_mm_s": "20", "travel_mm": "10", "rest_s": "0.2", "hold_s": "0.2", "wait_s": "0"}.items():
+        new.editor.put(key, text)
+    new.specimen.put("excised_at", "this morning")
+    new.update_preview()
+    assert new.specimen.problems["excised_at"].isVisibleTo(window)
+    assert not new.start.isEnabled()
+    new.specimen.put("excised_at", "2026-05-04T09:15")
+    new.specimen.put("id", "P7")
+    new.update_preview()
+    assert "not stated, and so recorded as unknown, are animal" in run.preview.conditions.text()
+    press(new.queue)
+    press(new.queue)
+    kept = run.queue.waiting_as_text()
+    run.queue.entries.pop()
+    run.queue.restore(kept)
+    assert [entry.job.specimen for entry in run.queue.entries] == 3 * [run.queue.entries[0].job.specimen]
+    del run.queue.entries[1:]
+    press(run.start_queue)
+    while run.session_running:
+        until(lambda: window.notices.prompt.isVisible() or not run.session_running)
+        if window.notices.prompt.isVisible():
+            press(window.notices.answers[Answer.DONE])
+    assert not window.notices.complaint.isVisible()  # the preview said it
+    assert "recorded as unknown" in run.log.toPlainText()
+    assert run.queue.entries[0].stage is QueueState.COMPLETE, run.queue.entries[0].reason
+    (made, *_) = read_campaign(Path(run.queue.entries[0].folder)).runs
+    assert (made.header.specimen["id"], made.header.specimen["animal"]) == ("P7", "unknown")
+    assert str(made.header.specimen["excised_at"]).startswith("2026-05-04T09:15")

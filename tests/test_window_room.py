@@ -101,6 +101,25 @@ def test_a_page_needs_no_scrolling_at_1024_by_650(window: MainWindow, page: int)
         assert is_whole(shown, window)
 
 
+def test_a_prompt_leaves_start_and_abort_on_the_screen(window: MainWindow) -> None:
+    """At 1024 by 650, whatever tab is shown: whoever is asked may also want to end the session."""
+    window.resize(SMALL)
+    window.take(GuardState(""))
+    window.notices.dismiss.click()
+    words = "The stage moves to the end of its travel to find its origin: take the capsule out of its path"
+    window.take(PromptShown(1, words, can_redo=True, can_skip=True, hands=True, can_measure=True))
+    run = window.run
+    window.go_to(run)
+    try:
+        for tab in map(run.tabs.widget, range(run.tabs.count())):
+            run.tabs.setCurrentWidget(tab)
+            QApplication.processEvents()
+            for shown in (run.new.start, run.new.queue, run.abort, run.start_queue, *window.notices.answers.values()):
+                assert is_whole(shown, window), (tab, shown)
+    finally:
+        window.notices.hide_prompt()
+
+
 def test_a_long_message_can_be_read_to_its_end(window: MainWindow) -> None:
     window.resize(SMALL)
     say_everything(window)

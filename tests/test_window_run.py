@@ -35,6 +35,7 @@ from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.views import plan_form
 from dragrig.window.main_window import MainWindow
+from dragrig.window.plots import TimePlot
 from dragrig.window.run_page import QueueView
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import Topic
@@ -141,6 +142,25 @@ def test_position_is_absolute_with_the_limits_wherever_it_is_shown(window: MainW
         assert plot.levels == (0.0, 150.0)
     assert live.run.latest.position_mm == pytest.approx(68.0, abs=0.1)
     fill(window, start_mm="")
+
+
+def test_a_plot_of_nothing_has_no_numbers(window: MainWindow) -> None:
+    def numbers(plot: TimePlot) -> bool:
+        return bool(plot._item.getAxis("left").style["showValues"])
+
+    fill(window, speed_mm_s="20")
+    preview, live = window.run.preview, window.run.live
+    assert numbers(preview.position)
+    assert numbers(preview.speed)
+    fill(window, speed_mm_s="fast")
+    assert not numbers(preview.position)
+    assert not numbers(preview.speed)
+    live.begin_session("another")
+    assert not numbers(live.force)
+    fill(window, speed_mm_s="20")
+    assert numbers(preview.speed)
+    assert preview.speed._item.getAxis("bottom").style["showValues"]
+    assert not preview.position._item.getAxis("bottom").style["showValues"]
 
 
 def test_a_plan_beyond_the_limits_cannot_be_started(window: MainWindow) -> None:
@@ -330,7 +350,7 @@ def test_the_stage_is_homed_jogged_and_touched_off_by_hand(window: MainWindow, u
     hand, notices, about = window.run.hand, window.notices, window.run.live.readings.about
     press(hand.home)
     until(notices.prompt.isVisible)
-    until(lambda: about.text() == "live; a prompt is open")  # of a motion by hand, not of a session
+    until(lambda: about.text() == "live; prompt open")  # of a motion by hand, not of a session
     press(notices.answers[Answer.ABORT])
     until(lambda: not hand.busy)
     until(lambda: about.text() == "live; idle")
@@ -407,6 +427,11 @@ def test_an_edited_plan_is_saved_and_opened_again(window: MainWindow, tmp_path: 
     assert (again.plan.name, again.values()[0]["travel_mm"]) == ("slow", "10")
     assert [line.protocol.summary() for line in (run.run for run in dragrig.check(again.plan).previews)] == [
         "drag 3 mm/s", "drag 7 mm/s"]  # fmt: skip
+    new.save_as(str(tmp_path / "plans" / "of a winter evening.toml"))
+    # The name of a plan becomes that of a folder, and has no blanks.
+    assert new.plan().name == "of-a-winter-evening"
+    assert new.plans.currentText() == new.plans.toolTip() == "of a winter evening"
+    assert new.start.isEnabled()
     new.editor.put("speed_mm_s", "nonsense")
     new.save_as(str(tmp_path / "plans" / "wrong.toml"))
     assert not (tmp_path / "plans" / "wrong.toml").exists()
@@ -578,12 +603,12 @@ def test_a_reading_is_live_or_grey_with_its_age_or_gone(window: MainWindow, unti
     window.run.new.update_preview()
     press(window.run.new.start)
     until(window.notices.prompt.isVisible)
-    until(lambda: shown.about.text() == "live; a prompt is open")
+    until(lambda: shown.about.text() == "live; prompt open")
     assert (position.text(), speed.text()) == ("40.00 mm", "–")
     press(window.notices.answers[Answer.DONE])
     until(lambda: moving(window) and speed.text() == "0.2 mm/s")
     assert 40.0 < float(position.text().split()[0]) < 50.0  # absolute, as the limits beside it
-    assert shown.limits.text() == "of 0 to 150 mm"
+    assert shown.limits.text() == "0 to 150 mm"
     assert shown.about.text().startswith("live; steady")
     press(window.stop_button)
     until(lambda: not window.run.session_running)

@@ -76,6 +76,8 @@ class SessionJob:
     """Folder of a campaign to resume, in place of the plan."""
     mirror: Path | None = None
     """Folder for a second copy of each finished file."""
+    specimen: tuple[str, ...] = ()
+    """What is stated of the specimen, as assignments: `specimen.id=P7`."""
 
 
 @dataclass(frozen=True, slots=True)

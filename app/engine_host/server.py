@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
+from dataclasses import replace
 from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -453,7 +454,8 @@ class EngineHost:
         )
         if job.resume is not None:
             return resume_campaign(job.resume, options, self._operator)
-        return start_campaign(resolve(job.plan, **self._rig.choices()), job.out, options, self._operator)
+        rig = replace(self._rig, assignments=(*self._rig.assignments, *job.specimen))
+        return start_campaign(resolve(job.plan, **rig.choices()), job.out, options, self._operator)
 
     def _reset(self) -> None:
         try:

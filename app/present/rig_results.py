@@ -192,7 +192,7 @@ def _calibration_document(
     stored: bool,
 ) -> Document:
     return Document(
-        title=f"{summary}; {'stored as' if stored else 'not stored yet:'} {entry.id}",
+        title=f"{summary}; stored as {entry.id}" if stored else summary,
         sections=(Section("points", "", (Table.of("points", "", points, *fields), Items(tuple(notes), remarks=True))),),
         data=to_json_object({"entry": entry.model_dump(), "points": points, "notes": notes}),
     )

@@ -92,8 +92,8 @@ class DiagnosisResults(QWidget):
         self.above.title(*legend)
         if diagnosis.shrink is not None and view.unit == "mN":
             floor_mN = diagnosis.shrink.noise_floor_mN
-            self.below.level(-floor_mN, "", aside=True)
-            self.below.level(floor_mN, "noise and run-to-run scatter", aside=True)
+            self.below.level(-floor_mN, "")
+            self.below.level(floor_mN, "noise and run-to-run scatter", at=0.85, above=True)
         self.above.fit()
         self.below.fit()
 

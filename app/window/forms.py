@@ -11,6 +11,7 @@ from dragrig.window.widgets import bare_widget, column, label, set_role
 DEFAULT_TEXT = "default"
 CHANGED_MARK = " ●"
 """Beside the name of a field that was changed."""
+_MIN_TEXT_PX = 240
 FieldEditor = QLineEdit | QPlainTextEdit | QComboBox | QCheckBox
 
 
@@ -134,6 +135,9 @@ class FormEditor(QWidget):
                 editor = QLineEdit(text)
                 editor.setCursorPosition(0)
                 editor.setPlaceholderText("required" if field.required else field.empty)
+                if field.kind is FieldKind.TEXT:
+                    # Below its name rather than too short to read in a narrow form.
+                    editor.setMinimumWidth(_MIN_TEXT_PX)
                 editor.textChanged.connect(lambda _: self.changed.emit())
         editor.setToolTip(_field_help(field))
         editor.setAccessibleName(field.name)

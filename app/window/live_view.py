@@ -121,7 +121,7 @@ class RigReadings(QWidget):
 
     def set_limits(self, lowest_mm: float, highest_mm: float) -> None:
         """Show the stage's limits beside the position."""
-        self.limits.setText(f"of {lowest_mm:g} to {highest_mm:g} mm")
+        self.limits.setText(f"{lowest_mm:g} to {highest_mm:g} mm")
 
     def show_values(
         self, force_mN: float | None, position_mm: float | None, speed_mm_s: float | None, about: str
@@ -178,7 +178,7 @@ class LiveView(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.run: LiveRun | None = None
-        self.title = ElidedLabel("No run yet: choose a plan, check the preview, and start.", "title")
+        self.title = ElidedLabel("No run yet. Start one on the left.", "title")
         self.readings = RigReadings()
         self._start_mm = 0.0
         self._recording = False
@@ -210,8 +210,7 @@ class LiveView(QWidget):
         """Show the stage's limits beside the position, and in its plot where they are in view."""
         self.readings.set_limits(lowest_mm, highest_mm)
         self.position.remove_levels()
-        for level, name in ((lowest_mm, "lower limit"), (highest_mm, "upper limit")):
-            self.position.level(level, name, in_view=False)
+        self.position.stage_limits(lowest_mm, highest_mm, in_view=False)
 
     def begin_session(self, title: str) -> None:
         """Show a title, and no longer the curves of the session before."""
@@ -219,6 +218,8 @@ class LiveView(QWidget):
         self.run = None
         for line in (self._raw, self._filtered, self._position, self._speed):
             line.points(np.zeros(0), np.zeros(0))
+        for panel in (self.force, self.position, self.speed):
+            panel.redraw()
 
     def begin(self, title: str) -> None:
         """Show a title."""

@@ -17,7 +17,6 @@ from PySide6.QtWidgets import (
     QMenu,
     QSpinBox,
     QSplitter,
-    QTabWidget,
     QToolButton,
     QTreeWidget,
     QTreeWidgetItem,
@@ -59,6 +58,7 @@ from dragrig.window.widgets import (
     parent_of,
     row,
     table,
+    tabs_of,
     top_items,
 )
 
@@ -428,8 +428,7 @@ class TraceOverlay(QWidget):
         panel.remove_levels()
         limits = dict.fromkeys(trace.limits_mm for trace in self.traces if trace.limits_mm is not None)
         for lowest_mm, highest_mm in limits if shown else ():
-            panel.level(lowest_mm, "lower limit", in_view=False)
-            panel.level(highest_mm, "upper limit", in_view=False)
+            panel.stage_limits(lowest_mm, highest_mm, in_view=False)
 
     def _legend_text(self, trace: ShownTrace) -> str:
         axis = self.axis.currentText()
@@ -574,9 +573,7 @@ class LookPage(QWidget):
             self.menu.addAction(f"{name} …", lambda chosen=name: self._choose_export_folder(chosen))
         self.export.setMenu(self.menu)
         self.export.setEnabled(False)
-        self.tabs = QTabWidget()
-        self.tabs.addTab(self.overlay, "&Traces")
-        self.tabs.addTab(self.steady, "&Steady forces")
+        self.tabs = tabs_of((self.overlay, "&Traces"), (self.steady, "&Steady forces"))
         self._selected: list[ShownRun] = []
         self._traces = FileWorker(self._refused, self)
         self._table = FileWorker(self._refused, self)

@@ -17,7 +17,6 @@ from PySide6.QtWidgets import (
     QButtonGroup,
     QComboBox,
     QMainWindow,
-    QSizePolicy,
     QStackedWidget,
     QWidget,
 )
@@ -32,7 +31,6 @@ from dragrig.engine_host import (
     GuardState,
     HostLost,
     HostReady,
-    OperatorWarning,
     PromptReply,
     PromptShown,
     Request,
@@ -54,6 +52,7 @@ from dragrig.window.widgets import (
     StoredSettings,
     Topic,
     apply_style,
+    ask_room_for_shown_page,
     bare_widget,
     button,
     card,
@@ -106,6 +105,8 @@ class GuiThreadCollector(QObject):
 
 
 _MAX_COMPLAINTS = 4
+_NOTICE_PX = 6
+"""Around what a notice says: it takes its room from the page."""
 
 
 class NoticeBar(QWidget):
@@ -123,8 +124,8 @@ class NoticeBar(QWidget):
         self._prompt: PromptShown | None = None
         self._complaints: dict[str, tuple[str, str]] = {}
         self.trip_text = MessageText(most_lines=2)
-        self.trip = card(self.trip_text, role="trip")
-        self.prompt_text = MessageText("title")
+        self.trip = card(self.trip_text, role="trip", margin=_NOTICE_PX)
+        self.prompt_text = MessageText("prompt")
         self.answers = {
             Answer.DONE: button("&Done", lambda: self._reply(Answer.DONE), "main", "Continue the session"),
             Answer.REDO: button("R&edo the last run", lambda: self._reply(Answer.REDO), help_="Its file is marked bad"),
@@ -134,14 +135,17 @@ class NoticeBar(QWidget):
             ),
             Answer.ABORT: button("A&bort", lambda: self._reply(Answer.ABORT), help_="End the session"),
         }
-        self.hands = ElidedLabel("", "faint")
-        self.prompt = card(self.prompt_text, row(self.hands, *self.answers.values(), stretch={0: 1}), role="notice")
+        self.hands = ElidedLabel("This must be done by hand at the rig.", "faint")
+        self.hands.hide()
+        words = column(self.prompt_text, self.hands)
+        words.setSpacing(0)
+        self.prompt = card(row(words, *self.answers.values(), stretch={0: 1}), role="notice", margin=_NOTICE_PX)
         self.lost_text = MessageText(most_lines=2)
         self.restart = button("Start the en&gine again", restart, "main", "Restart the process that controls the rig")
-        self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip")
+        self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip", margin=_NOTICE_PX)
         self.complaint_text = MessageText()
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
-        self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice")
+        self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice", margin=_NOTICE_PX)
         notices = column(self.lost, self.trip, self.prompt, self.complaint)
         notices.setSpacing(4)
         self.setLayout(notices)
@@ -157,7 +161,7 @@ class NoticeBar(QWidget):
         """Show a prompt."""
         self._prompt = prompt
         self.prompt_text.setText(f"{prompt.text}.")
-        self.hands.setText("This must be done by hand at the rig." if prompt.hands else "")
+        self.hands.setVisible(prompt.hands)
         self.answers[Answer.REDO].setVisible(prompt.can_redo)
         self.answers[Answer.SKIP].setVisible(prompt.can_skip)
         self.answers[Answer.MEASURE].setVisible(prompt.can_measure)
@@ -285,11 +289,8 @@ class MainWindow(QMainWindow):
 
     def go_to(self, page: QWidget) -> None:
         """Show a page."""
-        for other in map(self.pages.widget, range(self.pages.count())):
-            # Only the page that is shown asks for room.
-            shown = QSizePolicy.Policy.Preferred if other is page else QSizePolicy.Policy.Ignored
-            other.setSizePolicy(shown, shown)
         self.pages.setCurrentWidget(page)
+        ask_room_for_shown_page(self.pages)
         chosen = self._page_buttons.button(self.pages.indexOf(page))
         chosen.setChecked(True)
         chosen.setFocus()
@@ -314,8 +315,6 @@ class MainWindow(QMainWindow):
             case SessionFinished() | StageMoved() | CalibrationMeasured():
                 self.notices.hide_prompt()
                 self.notices.settle(Topic.CLOSING)
-            case OperatorWarning(sentence):
-                self.notices.complain(sentence, Topic.SESSION)
             case RequestRefused(sentence):
                 self.notices.hide_prompt()
                 self.notices.complain(sentence, Topic.GUARD)

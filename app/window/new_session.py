@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
+from PySide6.QtCore import QSignalBlocker, QTimer, Signal
 from PySide6.QtWidgets import QComboBox, QFormLayout, QLineEdit, QWidget
 
 from dragrig.config import DragrigError, Plan, to_toml
 from dragrig.engine_host import Pace, RigSelection
 from dragrig.present import BLUE, PURPLE, duration_text, size_text, write_text
+from dragrig.settings_form import specimen_form
 from dragrig.views import (
     FieldPlace,
     Form,
@@ -79,6 +80,10 @@ _PREVIEW_HEADER = (
 )
 
 
+_MIN_RUNS_PX = 112
+"""Its header, two runs, and the bar that scrolls it sideways."""
+
+
 class PlanPreview(QWidget):
     """Preview of a planned session, with the motion of the selected run."""
 
@@ -88,6 +93,7 @@ class PlanPreview(QWidget):
         self.findings = MessageText()
         self.conditions = MessageText(most_lines=2)
         self.runs = named(table(_PREVIEW_HEADER), "Runs of the plan")
+        self.runs.setMinimumHeight(_MIN_RUNS_PX)
         self.runs.currentCellChanged.connect(lambda index, *_: self._draw(index))
         self.position = TimePlot("Position", "mm")
         self.speed = TimePlot("Speed", "mm/s")
@@ -104,9 +110,11 @@ class PlanPreview(QWidget):
             self.speed.widget,
             self.runs,
             margin=8,
-            stretch={3: 3, 4: 2, 5: 3},
+            stretch={3: 1, 4: 1, 5: 1},
         )
-        self.setLayout(layout)
+        layout.setSpacing(4)
+        # What starts and ends a session stays in view below it, also under a prompt.
+        self.setLayout(column(scrolling(layout)))
 
     def show_session(self, session: SessionPreview) -> None:
         """Show the preview of a session."""
@@ -123,7 +131,7 @@ class PlanPreview(QWidget):
             limits = f"stage limits {session.lowest_mm:g} to {session.highest_mm:g} mm"
             self.findings.setText(f"Plan OK, within limits; {limits}.")
         set_role(self.findings, "wrong" if preflight.findings else "fine")
-        self.conditions.setText(session.conditions)
+        self.conditions.setText("\n".join((session.conditions, *(f"NOTE {text}." for text in preflight.remarks))))
         rows = [
             (
                 str(preview.run.index),
@@ -140,8 +148,7 @@ class PlanPreview(QWidget):
         ]
         fill_table(self.runs, rows)
         self.position.remove_levels()
-        for level, name in ((session.lowest_mm, "lower limit"), (session.highest_mm, "upper limit")):
-            self.position.level(level, name)
+        self.position.stage_limits(session.lowest_mm, session.highest_mm)
         self._clear_curves()
         if count:
             self.runs.setCurrentCell(0, 0)
@@ -160,8 +167,9 @@ class PlanPreview(QWidget):
         self._clear_curves()
 
     def _clear_curves(self) -> None:
-        for line in (self._position_line, self._speed_line):
+        for plot, line in ((self.position, self._position_line), (self.speed, self._speed_line)):
             line.points(np.zeros(0), np.zeros(0))
+            plot.redraw()
 
     def _draw(self, index: int) -> None:
         previews = () if self._session is None else self._session.preflight.previews
@@ -174,6 +182,8 @@ class PlanPreview(QWidget):
 
 
 _EDIT_DELAY_MS = 250
+_NOT_IN_A_NAME = re.compile(r"[^\w.-]+")
+"""What a file's name may have and the name of a plan may not, which folders and files of its runs are named after."""
 _MAX_UNDO = 100
 _SIMULATED_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "as fast as possible": "fast"}
 _DOUBLE_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "5 times faster": 5.0, "20 times faster": 20.0}
@@ -210,6 +220,9 @@ class NewSession(QWidget):
         self.changes = MessageText(most_lines=2)
         self.problem = MessageText("wrong", most_lines=2)
         self.undo = button("Undo", self.undo_edit, help_="Take back the last change of the form", keys="Ctrl+Z")
+        self.specimen = FormEditor()
+        self._specimen_form = specimen_form()
+        self.specimen.edit(self._specimen_form)
         self.operator = QLineEdit(stored.text("operator"))
         self.note = QLineEdit()
         self.mirror = QLineEdit(stored.text("mirror"))
@@ -228,8 +241,10 @@ class NewSession(QWidget):
         self._edit_timer = QTimer(self)
         self._edit_timer.setSingleShot(True)
         self._edit_timer.timeout.connect(self.update_preview)
-        self.editor.changed.connect(lambda: self._edit_timer.start(_EDIT_DELAY_MS))
+        for editor in (self.editor, self.specimen):
+            editor.changed.connect(lambda: self._edit_timer.start(_EDIT_DELAY_MS))
         self.plans.currentIndexChanged.connect(lambda _: self._load(str(self.plans.currentData())))
+        self.plans.currentTextChanged.connect(self.plans.setToolTip)
 
     @property
     def chosen_pace(self) -> Pace | None:
@@ -268,13 +283,18 @@ class NewSession(QWidget):
             return plan_form(str(self.plans.currentData())).plan
         return self._form.filled(self.editor.values())
 
+    def specimen_facts(self) -> tuple[str, ...]:
+        """Return what is stated of the specimen, as assignments; raises `SettingsError`."""
+        return self._specimen_form.assignments(self.specimen.values())
+
     def update_preview(self) -> None:
         """Preview the session."""
         self._edit_timer.stop()
         self._note_edit()
         self.session, refusal = None, ""
+        self.specimen.mark(self._specimen_form.problems(self.specimen.values()), {})
         try:
-            self.session = preview_session(self.plan(), self._rig)
+            self.session = preview_session(self.plan(), self._rig, self.specimen_facts())
         except DragrigError as error:
             refusal = str(error)
             self.refused.emit(refusal)
@@ -381,9 +401,10 @@ class NewSession(QWidget):
 
     def _lay_out(self) -> None:
         form = QFormLayout()
+        form.setContentsMargins(0, 0, 8, 0)
         form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
         form.addRow("Operator", named(self.operator, "Operator"))
-        form.addRow("Note", named(self.note, "Note"))
+        form.addRow("Session note", named(self.note, "Session note"))
         if self._paces:
             form.addRow("Pace", named(self.pace, "Pace"))
         mirror = named(self.mirror, "Mirror folder")
@@ -391,10 +412,10 @@ class NewSession(QWidget):
         self.plans.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.plans.setMinimumContentsLength(8)
         header = row(label("Plan"), self.plans, self.open, self.save, stretch={1: 1})
-        inside = bare_widget(column(self.editor, form, 1))
-        inside.setObjectName("bare")
-        fields = scrolling(inside)
-        fields.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        specimen = bare_widget(column(label("Specimen", "title"), self.specimen))
+        # Of a simulated one nobody can know more than its model.
+        specimen.setVisible(self._description.title != "SIMULATED")
+        fields = scrolling(column(self.editor, form, specimen, 1), across=False)
         buttons = row(self.undo, 1, self.queue, self.start)
         self.changes.hide()
         self.problem.hide()
@@ -419,7 +440,7 @@ class NewSession(QWidget):
     def save_as(self, path: str) -> None:
         """Write the plan in the form to a file, and edit that from then on."""
         try:
-            plan = self.plan().model_copy(update={"name": Path(path).stem})
+            plan = self.plan().model_copy(update={"name": _NOT_IN_A_NAME.sub("-", Path(path).stem)})
             # The dialog asks before it names a file that exists.
             write_text(to_toml(plan), Path(path), overwrite=True, make_folder=True)
         except DragrigError as error:

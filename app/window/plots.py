@@ -43,13 +43,15 @@ class TimePlot:
             axis.setStyle(tickAlpha=255, maxTickLevel=0)
             axis.setZValue(_AXIS_Z)
         item.getAxis("left").setWidth(84)
-        self._plot.setMinimumSize(200, 96)
+        self._plot.setMinimumSize(200, 88)
         self._item = item
         self._legend: tuple[tuple[str, str], ...] = ()
         self._legend_lines: list[str] = []
         self.set_quantity(quantity, unit)
         item.getViewBox().sigResized.connect(lambda _: self._fit_texts())
         self._lines: list[PlotLine] = []
+        self._empty, self._times_shown = False, True
+        self._follow_data()
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
 
     @property
@@ -120,10 +122,15 @@ class TimePlot:
             self._item.removeItem(line.drawn)
         self._lines = []
 
-    def level(self, value: float, text: str, *, aside: bool = False, in_view: bool = True) -> None:
-        """Draw a horizontal limit with a label in the middle, or above it near the right end.
+    def stage_limits(self, lowest_mm: float, highest_mm: float, *, in_view: bool = True) -> None:
+        """Draw the limits of the stage, whose labels do not cover each other where they are close."""
+        self.level(lowest_mm, "lower limit", at=0.88, in_view=in_view)
+        self.level(highest_mm, "upper limit", at=0.12, in_view=in_view)
 
-        It is always shown, or without `in_view` only where the lines come near it.
+    def level(self, value: float, text: str, *, at: float = 0.5, above: bool = False, in_view: bool = True) -> None:
+        """Draw a horizontal limit with a label at a share of its length, inwards of it or above.
+
+        It is always shown, or without `in_view` only where the lines come near it; not while there are no lines.
         """
         line = pyqtgraph.InfiniteLine(
             pos=value,
@@ -132,10 +139,11 @@ class TimePlot:
             label=text,
             labelOpts={
                 "color": GREY,
-                "position": 0.85 if aside else 0.5,
-                "anchors": [(0.5, 1.0)] * 2 if aside else None,
+                "position": at,
+                "anchors": [(0.5, 1.0)] * 2 if above else None,
             },
         )
+        line.setVisible(not self._empty)
         self._item.addItem(line, ignoreBounds=not in_view)
 
     @property
@@ -168,9 +176,10 @@ class TimePlot:
 
     def hide_times(self) -> None:
         """Hide the time axis; a plot below shows it."""
+        self._times_shown = False
         self._item.getAxis("bottom").setStyle(showValues=False)
         self._item.setLabel("bottom", "")
-        self._plot.setMinimumHeight(60)
+        self._plot.setMinimumHeight(52)
 
     def show_times(self, start: float, stop: float) -> None:
         """Set the time range [s]."""
@@ -208,8 +217,20 @@ class TimePlot:
         columns = max(_MIN_COLUMNS, int(self._item.getViewBox().width()))
         for line in self._lines:
             line.redraw(low, high, columns)
+        self._follow_data()
         # Now, not while painting: a new range would paint it twice.
         self._item.getViewBox().updateAutoRange()
+
+    def _follow_data(self) -> None:
+        """Show no numbers and no limits where nothing is drawn: they would be of nothing."""
+        empty = all(line.ends is None for line in self._lines)
+        if empty == self._empty:
+            return
+        self._empty = empty
+        self._item.getAxis("left").setStyle(showValues=not empty)
+        self._item.getAxis("bottom").setStyle(showValues=not empty and self._times_shown)
+        for line in self._level_lines():
+            line.setVisible(not empty)
 
 
 class PlotLine:

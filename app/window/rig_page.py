@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtWidgets import QComboBox, QListWidget, QSplitter, QTabWidget, QWidget
+from PySide6.QtWidgets import QComboBox, QListWidget, QSplitter, QWidget
 
 from dragrig.config import Calibration, DragrigError, SettingsError
 from dragrig.engine_host import (
@@ -31,6 +31,7 @@ from dragrig.window.widgets import (
     row,
     scrolling,
     set_role,
+    tabs_of,
 )
 
 NO_LAB = "There is no lab folder: make one with dragrig init, and open the window there."
@@ -57,10 +58,7 @@ class SettingsView(QWidget):
         self.changes = MessageText(most_lines=2)
         self.undo = button("&Undo changes", self.read, help_="Show the settings as they are in the file")
         self.save = button("Sa&ve", self._save, "main", "Write the changes to the lab's rig file")
-        inside = bare_widget(column(self.editor, 1))
-        inside.setObjectName("bare")
-        fields = scrolling(inside)
-        fields.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        fields = scrolling(column(self.editor, 1), across=False)
         right = column(self.heading, fields, self.changes, self.problem, stretch={1: 1})
         self.setLayout(
             column(
@@ -229,10 +227,7 @@ class CalibrateView(QWidget):
         self.record = DocumentView()
         self.store = button("St&ore", self._store, "main", "Add it to the lab's history; it applies from then on")
         self.discard = button("Discar&d", self._discard, help_="Forget the result")
-        inside = bare_widget(column(self.editor, 1))
-        inside.setObjectName("bare")
-        fields = scrolling(inside)
-        fields.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        fields = scrolling(column(self.editor, 1), across=False)
         left = card(column(self.sensor, fields, row(1, self.cancel, self.start), stretch={1: 1}))
         self.deciding = bare_widget(row(1, self.discard, self.store))
         right = bare_widget(column(self.state, self.record, self.deciding, 0, margin=8, stretch={1: 1, 3: 1}))
@@ -394,7 +389,5 @@ class RigPage(QWidget):
         self.setObjectName("page")
         self.settings = SettingsView(rig)
         self.calibrate = CalibrateView(ask, stop, operator)
-        self.tabs = QTabWidget()
-        self.tabs.addTab(self.settings, "&Settings")
-        self.tabs.addTab(self.calibrate, "&Calibrate")
+        self.tabs = tabs_of((self.settings, "&Settings"), (self.calibrate, "&Calibrate"))
         self.setLayout(column(self.tabs, margin=8))

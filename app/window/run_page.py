@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QPlainTextEdit,
     QProgressBar,
     QSplitter,
-    QTabWidget,
     QTreeWidget,
     QTreeWidgetItem,
     QWidget,
@@ -23,6 +22,7 @@ from dragrig.config import DragrigError
 from dragrig.engine_host import (
     MAX_OVERRIDE_SPEED_MM_S,
     AbortSession,
+    CalibrationMeasured,
     Event,
     ExamineRig,
     GuardState,
@@ -32,6 +32,7 @@ from dragrig.engine_host import (
     HostReady,
     JogStage,
     LiveSamples,
+    OperatorWarning,
     PauseSession,
     PromptShown,
     QueuedRun,
@@ -74,7 +75,9 @@ from dragrig.window.widgets import (
     named,
     parent_of,
     row,
+    scrolling,
     table,
+    tabs_of,
     top_items,
 )
 
@@ -168,7 +171,8 @@ class HandView(QWidget):
         touch = flow(self.touch, _titled("within", self.most), _titled("until", self.force),
                      _titled("at", self.approach), _titled("then back by", self.back))  # fmt: skip
         off_switch = row(label("Pressed limit switch that home or jog may leave"), self.override, 1)
-        self.setLayout(column(self.state, card(row(self.home, 1)), card(jog), off_switch, card(touch), 1, margin=8))
+        motions = column(self.state, card(row(self.home, 1)), card(jog), off_switch, card(touch), 1, margin=8)
+        self.setLayout(column(scrolling(motions)))
         self._show_state()
 
     def allow(self, *, idle: bool, armed: bool) -> None:
@@ -467,13 +471,14 @@ class RunPage(QWidget):
         self.log.setReadOnly(True)
         self.log.setTabChangesFocus(True)
         self.log.setMaximumBlockCount(_LOG_LINES)
-        self.tabs = QTabWidget()
-        self.tabs.addTab(self.preview, "Previe&w")
-        self.tabs.addTab(self.live, "Li&ve")
-        self.tabs.addTab(self.queue_view, "Q&ueue")
-        self.tabs.addTab(self.hand, "By ha&nd")
-        self.tabs.addTab(self.devices, "Devi&ces")
-        self.tabs.addTab(self.log, "Log (&X)")
+        self.tabs = tabs_of(
+            (self.preview, "Previe&w"),
+            (self.live, "Li&ve"),
+            (self.queue_view, "Q&ueue"),
+            (self.hand, "By ha&nd"),
+            (self.devices, "Devi&ces"),
+            (self.log, "Log (&X)"),
+        )
         self._lay_out()
         self._connect(engine)
         self.new.begin()
@@ -523,7 +528,7 @@ class RunPage(QWidget):
     def enqueue(self, session: SessionPreview) -> QueuedSession | None:
         """Append the plan in the form to the queue."""
         try:
-            plan = self.new.plan()
+            plan, specimen = self.new.plan(), self.new.specimen_facts()
         except DragrigError as error:
             self.complained.emit(str(error), Topic.SESSION)
             return None
@@ -534,6 +539,7 @@ class RunPage(QWidget):
             self.new.note.text(),
             self.new.chosen_pace,
             mirror=self.new.chosen_mirror,
+            specimen=specimen,
         )
         entry = QueuedSession(job, plan.name, session.preflight.duration_s, len(session.preflight.previews))
         self.queue.add(entry)
@@ -588,7 +594,7 @@ class RunPage(QWidget):
         match event:
             case RigIdle(reading):
                 running = "a session is running" if self.session_running else "idle"
-                self.live.show_idle(reading, "a prompt is open" if self._asked else running)
+                self.live.show_idle(reading, "prompt open" if self._asked else running)
                 return
             case HostReady():
                 self._engine.ask(WatchRig(self.devices.watch.isChecked()))
@@ -615,7 +621,9 @@ class RunPage(QWidget):
         match event:
             case PromptShown():
                 self._asked = True
-            case GuardState() | RunStarted() | SessionFinished() | StageMoved() | RequestRefused() | HostLost():
+            case RunStarted() | SessionFinished() | StageMoved() | CalibrationMeasured():
+                self._asked = False
+            case GuardState() | RequestRefused() | HostLost():
                 self._asked = False
             case _:
                 pass
@@ -635,6 +643,9 @@ class RunPage(QWidget):
                 self.queue.run_finished(event)
                 self.live.end_run(f"Run {order}, {event.status.value}: {run.summary}")
                 self._show_warnings(event)
+            case OperatorWarning(sentence):
+                # It was said in the preview, and hides nothing of the page here.
+                self.write_log(sentence)
             case SentinelCompared(_, sentence):
                 self.live.begin(sentence)
                 self.write_log(f"{sentence}.")

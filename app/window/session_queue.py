@@ -116,6 +116,7 @@ def _entry_as_json(entry: QueuedSession) -> dict[str, object]:
         "note": job.note,
         "pace": job.pace,
         "mirror": mirror,
+        "specimen": job.specimen,
         "planned_s": entry.planned_s,
         "run_count": entry.run_count,
     }
@@ -180,6 +181,7 @@ class SessionQueue:
                     str(kept["note"]),
                     kept["pace"],
                     mirror=Path(kept["mirror"]) if kept["mirror"] else None,
+                    specimen=tuple(map(str, kept.get("specimen", ()))),
                 )
                 self.add(QueuedSession(job, plan.name, float(kept["planned_s"]), int(kept["run_count"])))
 

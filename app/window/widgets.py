@@ -34,6 +34,7 @@ from PySide6.QtWidgets import (
     QPushButton,
     QScrollArea,
     QSizePolicy,
+    QStackedWidget,
     QTableWidget,
     QTableWidgetItem,
     QTabWidget,
@@ -65,7 +66,7 @@ from dragrig.present import (
 )
 
 WidgetT = TypeVar("WidgetT", bound=QWidget)
-TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 24
+TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 22
 SURFACE_COLOUR = "#F3F5F7"
 STOP_COLOUR = "#B00020"
 """For the stop button alone; with white text, legible with any colour vision."""
@@ -109,6 +110,7 @@ QTreeWidget, QTableWidget, QListWidget {{ background: {PAPER}; border: 1px solid
     alternate-background-color: {SURFACE_COLOUR};
     selection-background-color: #CFE6F5; selection-color: {BLACK}; }}
 QTableWidget::item {{ padding: 0 7px; }}
+QTreeWidget::item {{ padding: 3px 0; }}
 QTableWidget::item:selected {{ background: #CFE6F5; color: {BLACK}; }}
 QHeaderView::section {{ background: {SURFACE_COLOUR}; border: none; border-bottom: 1px solid {GRID}; padding: 5px 7px;
     color: {GREY}; }}
@@ -117,7 +119,7 @@ QTabBar::tab:selected {{ color: {BLACK}; font-weight: 600; border-bottom: 3px so
 QTabWidget::pane {{ border: 1px solid {GRID}; border-radius: 6px; background: {PAPER}; }}
 QScrollArea, QWidget#bare {{ background: transparent; border: none; }}
 QPlainTextEdit#message {{ background: transparent; border: none; padding: 0; }}
-QPlainTextEdit#message[role="title"] {{ font-size: {TITLE_PX}px; font-weight: 600; }}
+QPlainTextEdit#message[role="prompt"] {{ font-size: 17px; font-weight: 600; }}
 QPlainTextEdit#message[role="wrong"] {{ color: {STOP_COLOUR}; font-weight: 600; }}
 QPlainTextEdit#message[role="fine"] {{ color: #00664B; font-weight: 600; }}
 QProgressBar {{ background: {GRID}; border: none; border-radius: 4px; text-align: center; min-height: 22px; }}
@@ -370,12 +372,17 @@ def flow(*widgets: QWidget) -> QWidget:
     return made
 
 
-def scrolling(widget: QWidget) -> QScrollArea:
-    """Return a widget in an area that scrolls where there is less room than it needs."""
+def scrolling(content: QWidget | QLayout, *, across: bool = True) -> QScrollArea:
+    """Return content in an area that scrolls where there is less room than it needs; sideways only with `across`."""
     area = QScrollArea()
     area.setWidgetResizable(True)
     area.setFrameShape(QFrame.Shape.NoFrame)
-    area.setWidget(widget)
+    if isinstance(content, QLayout):
+        content = bare_widget(content)
+        content.setObjectName("bare")
+    area.setWidget(content)
+    if not across:
+        area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
     return area
 
 
@@ -413,11 +420,28 @@ def column(*widgets: QWidget | QLayout | int, margin: int = 0, stretch: Mapping[
     return made
 
 
-def card(*widgets: QWidget | QLayout | int, role: str = "card", across: bool = False) -> QFrame:
+def card(*widgets: QWidget | QLayout | int, role: str = "card", margin: int = 10) -> QFrame:
     """Return a framed group."""
     made = QFrame()
     made.setProperty("role", role)
-    made.setLayout(row(*widgets, margin=10) if across else column(*widgets, margin=10))
+    made.setLayout(column(*widgets, margin=margin))
+    return made
+
+
+def ask_room_for_shown_page(stack: QStackedWidget | QTabWidget) -> None:
+    """Let only the page that is shown ask for room."""
+    for at in range(stack.count()):
+        policy = QSizePolicy.Policy.Preferred if at == stack.currentIndex() else QSizePolicy.Policy.Ignored
+        stack.widget(at).setSizePolicy(policy, policy)
+
+
+def tabs_of(*pages: tuple[QWidget, str]) -> QTabWidget:
+    """Return pages as tabs, of which only the one that is shown asks for room."""
+    made = QTabWidget()
+    for page, title in pages:
+        made.addTab(page, title)
+    ask_room_for_shown_page(made)
+    made.currentChanged.connect(lambda _: ask_room_for_shown_page(made))
     return made
 
 
@@ -603,9 +627,7 @@ class DocumentView(QWidget):
 
 
 def _section_area(section: Section) -> QScrollArea:
-    inside = bare_widget(column(*_widgets(section.content), 1, margin=10))
-    inside.setObjectName("bare")
-    return scrolling(inside)
+    return scrolling(column(*_widgets(section.content), 1, margin=10))
 
 
 def _widgets(blocks: tuple[Block, ...]) -> Iterator[QWidget]:
