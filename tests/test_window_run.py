@@ -163,6 +163,18 @@ def test_a_plot_of_nothing_has_no_numbers(window: MainWindow) -> None:
     assert not preview.position._item.getAxis("bottom").style["showValues"]
 
 
+def test_what_came_while_another_tab_was_shown_is_drawn(window: MainWindow, until: Until) -> None:
+    fill(window, speed_mm_s="20")
+    run, live = window.run, window.run.live
+    press(run.new.start)
+    run.tabs.setCurrentWidget(run.queue_view)
+    until(lambda: not run.session_running)
+    until(lambda: live.run is not None and live.run.latest.phase == "hold")
+    assert live._speed.drawn.getData()[1] is None or not len(live._speed.drawn.getData()[1])
+    run.tabs.setCurrentWidget(live)
+    assert np.nanmax(live._speed.drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
+
+
 def test_a_plan_beyond_the_limits_cannot_be_started(window: MainWindow) -> None:
     fill(window, travel_mm="900")
     assert "NOT ALLOWED" in window.run.preview.findings.text()

@@ -8,6 +8,7 @@ from threading import Thread
 import numpy as np
 import numpy.typing as npt
 from PySide6.QtCore import QTimer
+from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import QCheckBox, QWidget
 
 from dragrig.analysis import SavgolSettings, SavgolStream, default_filter_settings
@@ -205,6 +206,11 @@ class LiveView(QWidget):
         )
         self.setLayout(layout)
         Thread(target=preload_filter, name="warm-up", daemon=True).start()
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Draw what came while another tab was shown."""
+        super().showEvent(event)
+        self._draw()
 
     def set_limits(self, lowest_mm: float, highest_mm: float) -> None:
         """Show the stage's limits beside the position, and in its plot where they are in view."""

@@ -583,7 +583,7 @@ class LookPage(QWidget):
         right = QWidget()
         right.setLayout(column(row(self.state, 1, self.export), self.tabs))
         splitter.addWidget(right)
-        splitter.setSizes([450, 1000])
+        splitter.setSizes([450, 800])
         splitter.setStretchFactor(1, 1)
         self.setLayout(column(splitter, margin=8))
         self.browser.chosen.connect(self._show_selected)

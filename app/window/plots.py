@@ -15,7 +15,9 @@ from dragrig.window.widgets import SMALL_PX
 
 PlotValues = npt.NDArray[np.floating]
 _MIN_COLUMNS = 200
-_LEAST_LEGEND_PX = 300
+_AXIS_PX = 84
+"""Width of the numbers and the label beside a plot."""
+_LEAST_LEGEND_PX = 100
 _LEGEND_MARK_LETTERS = 4
 """Room for the mark before an entry, and between entries."""
 _AXIS_Z = -1000.0
@@ -42,7 +44,7 @@ class TimePlot:
             axis.setTickPen(GRID)
             axis.setStyle(tickAlpha=255, maxTickLevel=0)
             axis.setZValue(_AXIS_Z)
-        item.getAxis("left").setWidth(84)
+        item.getAxis("left").setWidth(_AXIS_PX)
         self._plot.setMinimumSize(200, 88)
         self._item = item
         self._legend: tuple[tuple[str, str], ...] = ()
@@ -80,7 +82,7 @@ class TimePlot:
 
     def _wrap_legend(self) -> None:
         """Write as many entries on a line as there is room for."""
-        room = max(self._item.getViewBox().width(), _LEAST_LEGEND_PX)
+        room = max(self._plot.viewport().width() - _AXIS_PX, _LEAST_LEGEND_PX)
         lines: list[str] = []
         left = 0.0
         for text, colour in self._legend:
@@ -98,6 +100,8 @@ class TimePlot:
         self._item.setTitle("<br>".join(lines), size=f"{SMALL_PX}px", color=BLACK)
         height = 6 + 1.6 * SMALL_PX * max(len(lines), 1)
         self._item.titleLabel.setMaximumHeight(height)
+        # Or the plot could not become narrower than its legend is now.
+        self._item.titleLabel.setMinimumWidth(0)
         self._item.layout.setRowFixedHeight(0, height)
 
     def set_quantity(self, quantity: str, unit: str) -> None:

@@ -473,6 +473,9 @@ def table(header: Sequence[str]) -> QTableWidget:
     made.horizontalHeader().setStretchLastSection(True)
     made.horizontalHeader().setHighlightSections(False)
     made.horizontalHeader().setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+    # Where the columns before it leave no room, the last has this width.
+    made.horizontalHeader().ensurePolished()
+    made.horizontalHeader().setDefaultSectionSize(made.horizontalHeader().sectionSizeHint(len(header) - 1))
     return made
 
 
