@@ -473,7 +473,7 @@ def move_by_hand(person: Person) -> None:
 def run_sessions(person: Person) -> None:
     """Start, answer, watch, pause, stop."""
     window, run = person.window, person.window.run
-    person.type_in(run.new.editor.editors["speed_mm_s"], "5, 10, 20")
+    person.type_in(run.new.editor.editors["speed_mm_s"], "5, 2, 20")
     person.click(run.new.note)
     person.key(Qt.Key.Key_Return, CONTROL)
     person.asked("Lay a fresh specimen")
@@ -493,7 +493,7 @@ def run_sessions(person: Person) -> None:
     person.tab(run.tabs, run.live)
     person.step("paused, live tab")
     person.answer()
-    person.until(lambda: "Run 2" in run.live.title.text() and run.live.run.latest.speed_mm_s > 5)
+    person.until(lambda: "Run 2" in run.live.title.text() and run.live.run.latest.speed_mm_s > 1)
     person.key(Qt.Key.Key_Escape)
     person.until(lambda: not run.session_running)
     person.live_for(1.5)
@@ -603,6 +603,7 @@ def view_runs(person: Person) -> None:
     # The menu takes the click for itself until it is left.
     QTimer.singleShot(600, at_the_menu)
     person.click(look.export)
+    person.window.activateWindow()
 
 
 def diagnose(person: Person) -> None:

@@ -11,11 +11,13 @@ from windows import WAIT_MS, dressed, lab_in, require_qt
 
 require_qt()
 
+from diagnoses import STRIBECK
 from PySide6.QtCore import QPoint, QRect, QSettings, QSize
 from PySide6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 from dragrig.engine_host.messages import GuardState, HostLost, PromptShown, RigSelection
+from dragrig.views import completed
 from dragrig.window.main_window import MainWindow
 from dragrig.window.widgets import StoredSettings
 
@@ -99,6 +101,24 @@ def test_a_page_needs_no_scrolling_at_1024_by_650(window: MainWindow, page: int)
     run = window.run
     for shown in (run.new.start, run.new.queue, run.abort, run.start_queue) if page == 0 else ():
         assert is_whole(shown, window)
+
+
+@pytest.mark.parametrize("size", [SMALL, QSize(1500, 1000)], ids=["1024 by 650", "1500 by 1000"])
+def test_a_diagnosis_fits_the_window_and_scrolls_within_its_tab(window: MainWindow, size: QSize) -> None:
+    window.resize(size)
+    window.take(GuardState(""))
+    window.notices.dismiss.click()
+    results = window.diagnose.results
+    results.show_diagnosis(completed(STRIBECK))
+    results.show()
+    window.go_to(window.diagnose)
+    for at in range(results.view.tabs.count()):
+        results.view.tabs.setCurrentIndex(at)
+        for _ in range(3):
+            QApplication.processEvents()
+        assert window.room.verticalScrollBar().maximum() == 0, results.view.tabs.tabText(at)
+        assert is_whole(results.next, window)
+    results.hide()
 
 
 def test_a_prompt_leaves_start_and_abort_on_the_screen(window: MainWindow) -> None:

@@ -25,8 +25,8 @@ from dragrig.window.plots import TimePlot
 from dragrig.window.widgets import (
     DocumentView,
     ElidedLabel,
+    MessageText,
     StoredSettings,
-    bare_widget,
     button,
     card,
     choose_path,
@@ -34,6 +34,7 @@ from dragrig.window.widgets import (
     label,
     named,
     row,
+    scrolling,
 )
 
 
@@ -46,14 +47,14 @@ class DiagnosisResults(QWidget):
         super().__init__()
         self.diagnosis: Diagnosis | None = None
         self.view = DocumentView()
-        self.next_words = label("", wrap=True)
+        self.next_words = MessageText(most_lines=2)
         self.next = button("Add to &queue", self.next_wanted.emit, "main", "Append the plan and show its preview")
         self.runs = named(QComboBox(), "Run to show")
         self.runs.currentIndexChanged.connect(self._draw_run)
         self.above, self.below = TimePlot("Force", "mN"), TimePlot("Residual", "mN")
         self.above.hide_times()
         self.above.follow(self.below)
-        self.before_after = bare_widget(
+        self.before_after = scrolling(
             column(self.runs, self.above.widget, self.below.widget, margin=8, stretch={1: 3, 2: 2})
         )
         recommended = row(label("Next experiment", "title"), self.next_words, self.next, stretch={1: 1})

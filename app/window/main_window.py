@@ -18,6 +18,7 @@ from PySide6.QtWidgets import (
     QComboBox,
     QMainWindow,
     QStackedWidget,
+    QVBoxLayout,
     QWidget,
 )
 
@@ -211,6 +212,17 @@ class NoticeBar(QWidget):
         if self._prompt is not None:
             self._answer(self._prompt.question, answer)
             self.hide_prompt()
+
+
+class _AnyHeight(QVBoxLayout):
+    """A layout of what can be lower than it would like to be.
+
+    An area that scrolls would give a page with wrapped text the height that it likes at its width, and not the least.
+    """
+
+    def hasHeightForWidth(self) -> bool:
+        """Whether the height follows from the width."""
+        return False
 
 
 class MainWindow(QMainWindow):
@@ -490,8 +502,12 @@ class MainWindow(QMainWindow):
         top.addWidget(self.stop_button)
         state = row(self.guard, self.run.live.readings, stretch={1: 1})
         state.setContentsMargins(10, 0, 10, 4)
+        shown = _AnyHeight()
+        shown.setContentsMargins(0, 0, 0, 0)
+        shown.addWidget(self.pages)
         # A page that needs more room than there is scrolls; what is above it stays.
-        body = column(top, state, self.notices, scrolling(self.pages), stretch={3: 1})
+        self.room = scrolling(shown)
+        body = column(top, state, self.notices, self.room, stretch={3: 1})
         body.setSpacing(0)
         self.setCentralWidget(bare_widget(body))
         self.setMinimumSize(MIN_WIDTH_PX, MIN_HEIGHT_PX)

@@ -605,7 +605,7 @@ class DocumentView(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.answer = label("", "title", wrap=True)
-        self.lead = label("", wrap=True)
+        self.lead = MessageText()
         self.tabs = QTabWidget()
         self.setLayout(column(self.answer, self.lead, self.tabs, stretch={2: 1}))
 
