@@ -118,7 +118,7 @@ class GapLocation:
     present
         Whether there is a gap.
     p
-        p-value of the excess, or of its concentration in one place, corrected for all axes.
+        p-value of the excess, or of its concentration in one place, corrected for all axes by Bonferroni's method.
     rms
         Root mean excess of all runs, in expected standard deviations.
     locations

@@ -1,7 +1,8 @@
 """Excess of residuals over noise and repeatability, in bins fixed beforehand, and its significance by permutation.
 
 Whole runs are permuted, because blocks of one run are not independent. Excess energies have long tails; therefore
-their square roots, with sign, are compared, and p-values are familywise over all bins of an axis.
+their square roots, with sign, are compared. p-values are familywise over all bins of an axis, by the largest statistic
+of each permutation (max-T; Westfall and Young, Resampling-Based Multiple Testing, 1993).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -449,6 +450,7 @@ def _sign_flip_sums(values: FloatArray, generator: np.random.Generator) -> Float
 
 
 def _familywise_p(statistic: FloatArray) -> FloatArray:
+    """Return single-step max-T p-values of the first row against the largest of each other row, shape `(K,)`."""
     observed, largest = statistic[0], statistic[1:].max(axis=1)
     at_least = (largest[:, None] >= observed - 1e-12).sum(axis=0)
     return np.asarray((1 + at_least) / (1 + largest.size))

@@ -47,6 +47,8 @@ from dragrig.present import (
     unit_text,
 )
 from dragrig.present.diagnosis_sentences import (
+    OVERALL_CORRECTION,
+    PLACE_CORRECTION,
     axis_texts,
     calibration_sentence,
     detection_limit_sentence,
@@ -250,8 +252,8 @@ def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
 def _location_section(diagnosis: Diagnosis) -> Section:
     basis = (
         "Excess is what exceeds noise and run-to-run scatter once the model's own parameters fit this specimen. The "
-        "p-value of a place is the probability of so much excess there by chance, corrected for all places compared "
-        "on its axis; that of the whole is corrected for all axes."
+        f"p-value of a place is the probability of so much excess there by chance, {PLACE_CORRECTION}; that of the "
+        f"excess anywhere is {OVERALL_CORRECTION}."
     )
 
     return Section(
@@ -265,12 +267,13 @@ def _location_section(diagnosis: Diagnosis) -> Section:
                 "A map of channels, protocols and phases; below it, shares of the excess along speed, position, "
                 "session, strain and frequency.",
                 "Above, how far each channel exceeds what is expected of it, in standard deviations, and how much of "
-                "the residual each coordinate predicts. Below, shares of the excess, in colour where significant.",
+                "the residual each coordinate predicts. Below, shares of the excess, in colour where significant: "
+                f"p-values are {PLACE_CORRECTION}.",
                 lambda: present.location_figure(diagnosis.where),
             ),
             Table.of(
                 "location",
-                "",
+                f"The p-value of a place is {PLACE_CORRECTION}; that of the excess anywhere is {OVERALL_CORRECTION}",
                 axis_texts(diagnosis.where),
                 Field("axis", "axis", lambda axis: axis.axis),
                 Field("where", "most of the excess", lambda axis: axis.where),

@@ -322,7 +322,8 @@ def _location_title(where: GapLocation) -> str:
 
 def _location_subtitle(where: GapLocation, name: str) -> str:
     excess = (
-        f"excess over noise, repeatability and tolerance: {excess_text(where)}, {p_value_text(where.p)} for the whole"
+        f"excess over noise, repeatability and tolerance: {excess_text(where)}, {p_value_text(where.p)} for the whole "
+        "(Bonferroni); p of places by max-T"
     )
     return "  ·  ".join(part for part in (shortened_to_width(name, SMALL_PT, 4.5), excess) if part)
 

@@ -202,6 +202,9 @@ MIN_SHOWN_SHARE = 0.01
 """Smaller shares are omitted."""
 NOT_SIGNIFICANT = " (not significant)"
 ANYWHERE = "anywhere"
+PLACE_CORRECTION = "corrected for all places of its axis by max-T permutation of whole runs (Westfall and Young)"
+OVERALL_CORRECTION = "corrected for all axes by Bonferroni's method"
+"""How p-values are corrected, named alike in text, table and figure."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,19 +31,20 @@ for (const table of document.querySelectorAll("table.sortable")) {
     button.addEventListener("click", () => sort(head, column));
   });
 }
-// A table that is wider than the text takes the width of the window; where that is too little as well, it is stacked: a
-// row is its cells one after the other, each with its heading. On paper it is a table again, in small print.
+// A table that is wider than the text takes the width of the window, then smaller letters as well; where both are too
+// little, it is stacked: a row is its cells one after the other, each with its heading. On paper it is a table again.
+const steps = [["broad"], ["broad", "dense"], ["stacked"]];
 const asTables = () => {
-  for (const box of document.querySelectorAll(".broad, .stacked")) box.classList.remove("broad", "stacked");
+  for (const box of document.querySelectorAll(".broad, .stacked")) box.classList.remove(...steps.flat());
 };
 const fit = () => {
   asTables();
-  for (const step of ["broad", "stacked"]) {
+  for (const step of steps) {
     const wide = [...document.querySelectorAll(".scroll:has(> table.sortable)")].filter(
       (box) => box.scrollWidth > box.clientWidth + 1);
     for (const box of wide) {
-      box.classList.remove("broad");
-      box.classList.add(step);
+      box.classList.remove(...steps.flat());
+      box.classList.add(...step);
     }
   }
 };
