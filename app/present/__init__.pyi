@@ -54,6 +54,7 @@ from .drawing import SMALL_PT as SMALL_PT
 from .drawing import TEXT_PT as TEXT_PT
 from .drawing import CurveLabel as CurveLabel
 from .drawing import LineStyle as LineStyle
+from .drawing import PanelLayout as PanelLayout
 from .drawing import draw_line as draw_line
 from .drawing import figure_style as figure_style
 from .drawing import fit_y_range as fit_y_range

@@ -47,6 +47,7 @@ from dragrig.present.run_figures import (
     CHANNEL_LABELS,
     RAW_FORCE,
     WIDTH_IN,
+    PanelLayout,
     TraceCurve,
     TracePanel,
     draw_panel_column,
@@ -379,7 +380,8 @@ def _pair_sheet(pair: RunPair, names: tuple[str, str], height_in: float) -> Figu
     backend_b = "model" if pair.b_is_model else pair.b.info.header.backend
     backends = " / ".join(dict.fromkeys((pair.a.info.header.backend, backend_b)))
     title = f"{condition[:1].upper()}{condition[1:]}"
-    return new_figure(WIDTH_IN, height_in, title, "  ·  ".join(parts), "; ".join(pair.remarks), backends)
+    subtitle, problem = "  ·  ".join(parts), "; ".join(pair.remarks)
+    return new_figure(WIDTH_IN, height_in, title, subtitle, problem, backends, layout=PanelLayout)
 
 
 def _shift_text(shift_s: float) -> str:

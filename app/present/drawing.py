@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Final, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, fontManager
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.text import Annotation, Text
@@ -158,12 +160,89 @@ class LabelledLayout(ConstrainedLayoutEngine):
 
     def execute(self, fig: Figure) -> None:
         """Lay the axes out, then their labels."""
+        self._place_axes(fig)
+        for axes, along, labels in self.rows:
+            _spread_row(axes, 0 if along == "x" else 1, labels)
+
+    def _place_axes(self, fig: Figure) -> None:
         super().execute(fig)
         for axes in filter(Axes.get_in_layout, fig.axes):
             axes.set_position(Bbox(np.round(axes.get_position(original=True).get_points(), _LAYOUT_DECIMALS)))
             axes.set_in_layout(True)  # what is placed by hand is not laid out again
-        for axes, along, labels in self.rows:
-            _spread_row(axes, 0 if along == "x" else 1, labels)
+
+
+PANEL_NAMES_IN: Final = 0.4
+"""Room for the names above a column of panels."""
+PANEL_FOOT_IN: Final = 0.6
+"""Room for the numbers and the label of a time axis."""
+PANEL_GAP_IN: Final = 0.15
+"""Between panels with a time axis in common, and between columns."""
+Y_LABEL_IN: Final = 0.36
+"""Room for a y label beside its axis' numbers."""
+
+
+class PanelLayout(LabelledLayout):
+    """Columns of panels at places that follow from their heights and from the width of their y axes' numbers.
+
+    Of all that stands around the panels only those numbers are measured, so that it takes a fraction of the time of
+    constrained layout. Every column has room for names above it. The y labels of a column stand in line.
+    """
+
+    def _place_axes(self, fig: Figure) -> None:
+        columns: dict[int, list[tuple[Axes, SubplotSpec]]] = {}
+        for axes in fig.axes:
+            spec = axes.get_subplotspec()
+            if spec is not None:
+                columns.setdefault(spec.get_topmost_subplotspec().colspan.start, []).append((axes, spec))
+        width, height = fig.get_size_inches().tolist()
+        left, foot, wide, tall = self.get()["rect"]
+        numbers = {place: max(_y_numbers_in(axes) for axes, _ in stack) for place, stack in columns.items()}
+        shares = {place: _width_share(stack[0][1]) for place, stack in columns.items()}
+        margins = sum(numbers.values()) + Y_LABEL_IN * len(columns) + PANEL_GAP_IN * (len(columns) - 1)
+        begin = left * width
+        for place in sorted(columns):
+            begin += numbers[place] + Y_LABEL_IN
+            room = (wide * width - margins) * shares[place] / sum(shares.values())
+            for axes, low, high in _stacked(columns[place], foot * height, (foot + tall) * height):
+                corners = np.array([[begin / width, low / height], [(begin + room) / width, high / height]])
+                axes.set_position(Bbox(np.round(corners, _LAYOUT_DECIMALS)))
+                axes.set_in_layout(True)
+                axes.yaxis.set_label_coords(-(numbers[place] + 0.12) / room, 0.5)
+            begin += room + PANEL_GAP_IN
+
+
+def _y_numbers_in(axes: Axes) -> float:
+    """Width [inch] of the numbers of a y axis, with its ticks."""
+    axes.yaxis.set_label_coords(0.0, 0.5)  # nearer than the numbers, and without a search for its place
+    box = axes.yaxis.get_tightbbox()
+    return 0.0 if box is None else max(float(axes.bbox.x0 - box.x0), 0.0) / DPI
+
+
+def _width_share(spec: SubplotSpec) -> float:
+    top = spec.get_topmost_subplotspec()
+    return float(np.asarray(top.get_gridspec().get_width_ratios(), dtype=np.float64)[top.colspan.start])
+
+
+def _stacked(
+    stack: Sequence[tuple[Axes, SubplotSpec]], low_in: float, high_in: float
+) -> Iterator[tuple[Axes, float, float]]:
+    """Yield the panels of a column with their lower and upper ends [inch]; those of one grid stand close.
+
+    The grids of a column are equally high.
+    """
+    grids = [spec.get_gridspec() for _, spec in stack]
+    heights = [np.asarray(grid.get_height_ratios(), dtype=np.float64) for grid in grids]
+    shares = [
+        float(ratios[spec.rowspan.start] / ratios.sum() if grids.count(grid) > 1 else 1.0)
+        for (_, spec), grid, ratios in zip(stack, grids, heights, strict=True)
+    ]
+    gaps = [PANEL_GAP_IN if upper is lower else PANEL_FOOT_IN + PANEL_GAP_IN for upper, lower in pairwise(grids)]
+    room = high_in - low_in - PANEL_NAMES_IN - PANEL_FOOT_IN - sum(gaps)
+    high = high_in - PANEL_NAMES_IN
+    for (axes, _), share, gap in zip(stack, shares, [*gaps, 0.0], strict=True):
+        low = high - room * share / sum(shares)
+        yield axes, low, high
+        high = low - gap
 
 
 def new_figure(
@@ -175,8 +254,9 @@ def new_figure(
     backend: str = "",
     *,
     narrow: bool = False,
+    layout: type[LabelledLayout] = LabelledLayout,
 ) -> Figure:
-    """Return an empty figure on an Agg canvas of its own, known to no window system, with constrained layout.
+    """Return an empty figure on an Agg canvas of its own, known to no window system.
 
     Parameters
     ----------
@@ -191,6 +271,8 @@ def new_figure(
         current `FigureForm`, whose column, where it has one, comes before `width_in`, and has no title.
     narrow
         Whether it fits a single column: it has no panels side by side.
+    layout
+        How its axes are placed: by constraints, or as columns of panels.
     """
     form = current_figure_form()
     backend = backend or form.badge
@@ -203,9 +285,7 @@ def new_figure(
     figure = Figure(figsize=(width_in, height), dpi=DPI)
     FigureCanvasAgg(figure)
     edge_x, edge_y = MARGIN_IN / width_in, MARGIN_IN / height
-    figure.set_layout_engine(
-        LabelledLayout((edge_x, edge_y, 1 - 2 * edge_x, 1 - (header_in + 0.1) / height - edge_y), form)
-    )
+    figure.set_layout_engine(layout((edge_x, edge_y, 1 - 2 * edge_x, 1 - (header_in + 0.1) / height - edge_y), form))
     left, room_in, title_in = 1.4 * edge_x, width_in - 2.8 * MARGIN_IN, width_in - 2.8 * MARGIN_IN
     if backend:
         badge = {"boxstyle": "round,pad=0.45", "facecolor": _BADGES.get(backend, BLACK), "edgecolor": "none"}

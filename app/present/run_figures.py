@@ -21,6 +21,7 @@ from dragrig.present import (
     VERMILLION,
     CurveLabel,
     LineStyle,
+    PanelLayout,
     draw_line,
     figure_style,
     fit_y_range,
@@ -214,13 +215,24 @@ def merge_ramp(parts: Sequence[PhaseInterval]) -> tuple[PhaseInterval, ...]:
     return tuple(merged)
 
 
-def shade_phases(axes: Axes, parts: Sequence[PhaseInterval], tints: Sequence[str] = PHASE_TINTS) -> None:
+def shade_phases(axes: Axes, parts: Sequence[PhaseInterval]) -> None:
     """Shade each stretch over the axes' whole height."""
+    _draw_phases(axes, parts, PHASE_TINTS, (0.0, 1.0))
+
+
+def _draw_phases(axes: Axes, parts: Sequence[PhaseInterval], tints: Sequence[str], ends: tuple[float, float]) -> None:
+    """Fill each stretch between two heights of the axes, as shares of it; what lies above them is not cut off."""
     for number, tint in enumerate(tints):
         bars = [(part.start_s, part.end_s - part.start_s) for part in parts if part.phase == number]
         if bars:
             axes.broken_barh(
-                bars, (0, 1), transform=axes.get_xaxis_transform(), facecolor=tint, edgecolor="none", zorder=0
+                bars,
+                (ends[0], ends[1] - ends[0]),
+                transform=axes.get_xaxis_transform(),
+                facecolor=tint,
+                edgecolor="none",
+                zorder=0,
+                clip_on=ends[1] <= 1.0,
             )
 
 
@@ -231,10 +243,13 @@ def name_phases(axes: Axes, parts: Sequence[PhaseInterval]) -> None:
     stretches only the longest of each phase is named.
     """
     band = 0.07 / panel_size_in(axes)[1]
-    inside = axes.inset_axes((0.0, 1.0, 1.0, band), sharex=axes)
-    inside.set_axis_off()
-    shade_phases(inside, parts, PHASE_BAND_COLOURS)
     low, high = axes.get_xlim()
+    inside = [
+        replace(part, start_s=max(part.start_s, low), end_s=min(part.end_s, high))
+        for part in parts
+        if part.end_s > low and part.start_s < high
+    ]
+    _draw_phases(axes, inside, PHASE_BAND_COLOURS, (1.0, 1.0 + band))
     named = _longest_phases(parts, (low, high))
     middles = [(max(part.start_s, low) + min(part.end_s, high)) / 2 for part in named]
     names = [CurveLabel(middle, part.name, GREY) for middle, part in zip(middles, named, strict=True)]
@@ -517,7 +532,6 @@ def draw_panel_column(
         shade_phases(axes, parts)
     name_phases(stack[0], merge_ramp(parts) if name_ramp else parts)
     draw_event_marks(stack, marks)
-    stack[0].figure.align_ylabels(stack)
     return stack
 
 
@@ -574,7 +588,8 @@ def run_sheet(info: RunInfo, height_in: float, bad_reason: str | None = None, *,
     complete = "  ·  complete" if info.status is RunStatus.COMPLETE else ""
     problem = run_problem(info, bad_reason)
     subtitle, backend = run_subtitle(info) + complete, info.header.backend
-    return new_figure(WIDTH_IN, height_in, run_title(info), subtitle, problem, backend, narrow=narrow)
+    title = run_title(info)
+    return new_figure(WIDTH_IN, height_in, title, subtitle, problem, backend, narrow=narrow, layout=PanelLayout)
 
 
 def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, bad_reason: str | None = None) -> Figure:
