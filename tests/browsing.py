@@ -5,10 +5,13 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Literal
+from xml.etree import ElementTree as ET
 
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -82,6 +85,29 @@ def must_sort(browser: Browser, file: Path, table: str, column: int) -> None:
             page.keyboard.press(key)
             assert head.get_attribute("aria-sort") == order
             assert _numbers(page, table, column) == wanted
+        assert heard.messages == []
+
+
+def must_save_its_figure(browser: Browser, file: Path) -> None:
+    """Save the first figure from the page: 180 mm wide, as an SVG with all its letters, and as a PNG of 600 dpi."""
+    with opened(browser, file.as_uri()) as (page, heard):
+        buttons = page.locator("figure .save").first.locator("button")
+        for place, width in ((0, "180mm"), (1, 4252)):
+            with page.expect_download() as download:
+                buttons.nth(place).click()
+            saved = Path(download.value.path()).read_bytes()
+            if place == 0:
+                svg = ET.fromstring(saved)
+                ids = {element.get("id") for element in svg.iter()}
+                letters = {element.get("href", "")[1:] for element in svg.iter() if element.tag.endswith("}use")}
+                assert svg.get("width") == width
+                assert letters
+                assert letters <= ids, "letters are missing"
+            else:
+                with Image.open(BytesIO(saved)) as picture:
+                    assert picture.width == width
+                    assert picture.info["dpi"] == pytest.approx((600, 600), abs=0.1)
+                    assert len(picture.convert("L").getcolors(256) or ()) > 2, "nothing is drawn"
         assert heard.messages == []
 
 

@@ -198,10 +198,11 @@ def test_missing_numbers_have_no_number_to_sort_by() -> None:
 
 
 def test_a_campaigns_page_is_presentable(browser: "Browser", campaign_page: Path) -> None:
-    from browsing import must_be_presentable, must_sort
+    from browsing import must_be_presentable, must_save_its_figure, must_sort
 
     must_be_presentable(browser, campaign_page)
     must_sort(browser, campaign_page, "#runs table", 5)
+    must_save_its_figure(browser, campaign_page)
 
 
 def test_a_link_to_a_run_opens_it_and_all_open_at_once(browser: "Browser", campaign_page: Path) -> None:

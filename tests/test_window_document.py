@@ -1,6 +1,11 @@
 """Any document in the window: the answer, a tab for each section, tables and figures."""
 
+import re
+from pathlib import Path
+
 import pytest
+from PIL import Image
+from pypdf import PdfReader
 from windows import require_qt
 
 require_qt()
@@ -50,3 +55,25 @@ def test_the_result_of_the_docs_is_shown(qapp: QApplication) -> None:
     (table,) = view.findChildren(QTableWidget)
     assert table.item(0, 1).text() == "101.23 ± 0.31"
     assert view.findChildren(DrawnFigure)
+
+
+def test_a_figure_is_saved_as_wide_as_two_columns_of_a_journal(qapp: QApplication, tmp_path: Path) -> None:
+    (drawing,) = drawn(example_document()).figures()
+    figure = DrawnFigure(drawing)
+    for ending in ("pdf", "svg", "png"):
+        figure.save(str(tmp_path / f"curve.{ending}"))
+    page = PdfReader(tmp_path / "curve.pdf").pages[0]
+    assert float(page.mediabox.width) == pytest.approx(180 * 72 / 25.4, abs=1.0)
+    with Image.open(tmp_path / "curve.png") as picture:
+        assert picture.info["dpi"] == pytest.approx((600, 600), abs=0.1)
+        assert picture.width == pytest.approx(180 / 25.4 * 600, abs=1)
+        assert len(picture.convert("L").getcolors(256) or ()) > 2, "nothing is drawn"
+    size = re.search(r'\bwidth="([\d.]+)pt"', (tmp_path / "curve.svg").read_text("utf-8"))
+    assert size is not None
+    assert float(size[1]) == pytest.approx(180 * 72 / 25.4, abs=0.1)
+
+
+def test_a_figure_that_cannot_be_saved_says_so(view: DocumentView, tmp_path: Path) -> None:
+    (figure,) = view.findChildren(DrawnFigure)
+    figure.save(str(tmp_path / "nowhere" / "curve.pdf"))
+    assert any("cannot be written" in label.text() for label in view.findChildren(QLabel))

@@ -85,14 +85,17 @@ from .exam_figures import isolability_figure as isolability_figure
 from .files import PAPER_MODEL_FILE as PAPER_MODEL_FILE
 from .files import PAPER_REPORT_FILE as PAPER_REPORT_FILE
 from .files import PAPER_TABLES as PAPER_TABLES
+from .files import PRINT_DPI as PRINT_DPI
 from .files import drawn as drawn
 from .files import existing_files as existing_files
 from .files import require_writable as require_writable
 from .files import save_figure as save_figure
 from .files import save_figure_in as save_figure_in
 from .files import save_figures as save_figures
+from .files import svg_of_width as svg_of_width
 from .files import svg_text as svg_text
 from .files import unused_path as unused_path
+from .files import write_picture as write_picture
 from .files import write_text as write_text
 from .files import write_texts as write_texts
 from .friction_model import model_document as model_document

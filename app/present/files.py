@@ -29,6 +29,8 @@ FIGURE_FORMATS: Mapping[str, Mapping[str, str | None]] = {
 """Endings of files that can be written, and what such a file says of itself: never when it was made."""
 PRINT_DPI = 600
 """Resolution of pictures for print."""
+_MM_PER_POINT = 25.4 / 72
+_SVG_WIDTH = re.compile(r'\bwidth="([0-9.]+)pt"')
 _SVG_SIZE = re.compile(rb'\b(width|height)="([0-9.]+)pt"')
 
 
@@ -115,11 +117,7 @@ def save_figure(figure: "Figure", path: Path, overwrite: bool = False) -> Path:
         raise OutputError(f"{path}: a picture is written as {', '.join(FIGURE_FORMATS)}; change the name's ending.")
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: is there already; choose another name or say --overwrite.")
-    content = _figure_bytes(figure, ending)
-    try:
-        _write_whole(content, path)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror}); choose a folder that can.") from error
+    write_picture(_figure_bytes(figure, ending), path)
     return path
 
 
@@ -153,6 +151,22 @@ def svg_text(figure: "DocumentFigure") -> str:
     if isinstance(figure.drawing, str):
         return figure.drawing
     return _figure_bytes(figure.drawing(), ".svg").decode("utf-8")
+
+
+def svg_of_width(svg: str, width_mm: float) -> str:
+    """Return a drawn figure as an SVG document that is so wide."""
+    size = _SVG_WIDTH.search(svg)
+    if size is None:
+        raise ValueError("the drawing does not say how wide it is")
+    return _scaled_svg(svg.encode(), width_mm / _MM_PER_POINT / float(size[1])).decode()
+
+
+def write_picture(content: bytes, path: Path) -> None:
+    """Write a picture, over one that is there; raises `OutputError` when the folder cannot be written to."""
+    try:
+        _write_whole(content, path)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written ({error.strerror}); choose a folder that can.") from error
 
 
 def drawn(document: "Document", progress: Progress = no_progress, workers: int | None = 1) -> "Document":

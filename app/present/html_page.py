@@ -13,7 +13,7 @@ from markupsafe import Markup, escape
 from dragrig.present import Block, Document, figure_form, svg_text
 from dragrig.rig import software_version
 
-_NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±]) (?=[\d−-])|(?<=\w) (?=[=<±] )")
+_NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±′]) (?=[\d−-])|(?<=\w) (?=[=<±] )")
 _APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")
 _CODE = re.compile(r"`([^`]+)`")
 

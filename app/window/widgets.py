@@ -3,22 +3,29 @@
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
+from functools import partial
+from pathlib import Path
 from typing import TypeVar
 
-from PySide6.QtCore import QByteArray, QPoint, QRect, QSettings, QSize, Qt
+from PySide6.QtCore import QBuffer, QByteArray, QIODevice, QMarginsF, QPoint, QRect, QSettings, QSize, QSizeF, Qt
 from PySide6.QtGui import (
     QColor,
     QFont,
     QFontDatabase,
+    QImage,
     QKeySequence,
+    QPageSize,
+    QPaintDevice,
     QPainter,
     QPaintEvent,
     QPalette,
+    QPdfWriter,
     QResizeEvent,
     QShortcut,
     QTextLayout,
     QTextOption,
 )
+from PySide6.QtSvg import QSvgRenderer
 from PySide6.QtSvgWidgets import QSvgWidget
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -44,6 +51,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from dragrig.config import DragrigError, OutputError
 from dragrig.present import (
     BLACK,
     BLUE,
@@ -52,6 +60,7 @@ from dragrig.present import (
     GRID,
     PALE,
     PAPER,
+    PRINT_DPI,
     VERMILLION,
     Block,
     Code,
@@ -59,10 +68,13 @@ from dragrig.present import (
     Facts,
     Figure,
     Items,
+    JournalColumn,
     Section,
     Table,
     Text,
     TextKind,
+    svg_of_width,
+    write_picture,
 )
 
 WidgetT = TypeVar("WidgetT", bound=QWidget)
@@ -648,8 +660,10 @@ def _widgets(blocks: tuple[Block, ...]) -> Iterator[QWidget]:
             case Table():
                 yield from _table(block)
             case Figure():
-                yield DrawnFigure(block)
+                figure = DrawnFigure(block)
+                yield figure
                 yield label(_plain(block.caption), "faint", wrap=True)
+                yield figure.saving
             case Section():
                 yield label(_plain(block.heading), "title", wrap=True)
                 yield from _widgets(block.content)
@@ -676,6 +690,46 @@ def _fit_height(shown: QTableWidget, rows: int) -> None:
     shown.setFixedHeight(shown.horizontalHeader().sizeHint().height() + ROW_PX * rows + 20)
 
 
+_PICTURES: Mapping[str, str] = {"pdf": "PDF", "svg": "SVG", "png": f"PNG, {PRINT_DPI} dpi"}
+"""Endings of the files that a figure can be saved in, and what they are called."""
+
+
+def picture_of_width(svg: str, width_mm: float, ending: str) -> bytes:
+    """Return a drawn figure as the content of a PDF, SVG or PNG file, so wide in print.
+
+    Raises `OutputError` for another ending.
+    """
+    if ending not in _PICTURES:
+        raise OutputError(f".{ending}: a figure is saved as {', '.join(_PICTURES)}; change the name's ending.")
+    if ending == "svg":
+        return svg_of_width(svg, width_mm).encode()
+    renderer = QSvgRenderer(QByteArray(svg.encode()))
+    drawn_size = renderer.defaultSize()
+    size_mm = QSizeF(width_mm, width_mm * drawn_size.height() / max(drawn_size.width(), 1))
+    content = QBuffer()
+    content.open(QIODevice.OpenModeFlag.WriteOnly)
+    if ending == "pdf":
+        page = QPdfWriter(content)
+        page.setPageSize(QPageSize(size_mm, QPageSize.Unit.Millimeter, "", QPageSize.SizeMatchPolicy.ExactMatch))
+        page.setPageMargins(QMarginsF(0.0, 0.0, 0.0, 0.0))
+        _paint(renderer, page)
+    else:
+        dots_per_mm = PRINT_DPI / 25.4
+        picture = QImage((size_mm * dots_per_mm).toSize(), QImage.Format.Format_RGB32)
+        picture.setDotsPerMeterX(round(1000 * dots_per_mm))
+        picture.setDotsPerMeterY(round(1000 * dots_per_mm))
+        picture.fill(Qt.GlobalColor.white)
+        _paint(renderer, picture)
+        picture.save(content, "PNG")
+    return bytes(content.data().data())
+
+
+def _paint(renderer: QSvgRenderer, on: QPaintDevice) -> None:
+    painter = QPainter(on)
+    renderer.render(painter)
+    painter.end()
+
+
 class DrawnFigure(QSvgWidget):
     """A figure as wide as there is room, its proportions kept."""
 
@@ -691,6 +745,41 @@ class DrawnFigure(QSvgWidget):
         policy.setHeightForWidth(True)
         self.setSizePolicy(policy)
         self.setMinimumSize(QSize(MIN_FIGURE_WIDTH_PX, self.heightForWidth(MIN_FIGURE_WIDTH_PX)))
+        self._name, self._svg = figure.name, figure.drawing
+        self._answer = label("", "faint", wrap=True)
+        width = f"{JournalColumn.DOUBLE.width_mm:.0f} mm wide, which fits two columns of most journals"
+        self.saving = bare_widget(
+            row(
+                *(
+                    button(f"Save as {words}…", partial(self._ask_where, ending), "", f"The figure {width}")
+                    for ending, words in _PICTURES.items()
+                ),
+                self._answer,
+                stretch={len(_PICTURES): 1},
+            )
+        )
+        """What saves it."""
+
+    def _ask_where(self, ending: str) -> None:
+        choose_path(
+            self,
+            "Save the figure",
+            f"{self._name}.{ending}",
+            self.save,
+            filter_=f"{ending.upper()} (*.{ending})",
+            folder=False,
+            new_file=ending,
+        )
+
+    def save(self, path: str) -> None:
+        """Write the figure as its name's ending says, as wide as two columns of a journal, and say what came of it."""
+        ending = Path(path).suffix.lower().removeprefix(".")
+        try:
+            write_picture(picture_of_width(self._svg, JournalColumn.DOUBLE.width_mm, ending), Path(path))
+        except DragrigError as error:
+            self._answer.setText(str(error))
+        else:
+            self._answer.setText(f"Saved: {path}")
 
     def hasHeightForWidth(self) -> bool:
         """Whether the height follows from the width."""
