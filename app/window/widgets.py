@@ -13,6 +13,7 @@ from PySide6.QtGui import (
     QFont,
     QFontDatabase,
     QImage,
+    QImageWriter,
     QKeySequence,
     QPageSize,
     QPaintDevice,
@@ -720,7 +721,7 @@ def picture_of_width(svg: str, width_mm: float, ending: str) -> bytes:
         picture.setDotsPerMeterY(round(1000 * dots_per_mm))
         picture.fill(Qt.GlobalColor.white)
         _paint(renderer, picture)
-        picture.save(content, "PNG")
+        QImageWriter(content, QByteArray(b"png")).write(picture)
     return bytes(content.data().data())
 
 
