@@ -437,7 +437,9 @@ def resume_campaign(
         for recording in recover(folder):
             if recording.outcome is RecoveryOutcome.IN_USE:
                 raise OutputError(f"{recording.recording}: is being recorded; resume the campaign after its session.")
-        record, before = latest_session_record(folder), read_campaign(folder)
+        (record, damaged), before = latest_session_record(folder), read_campaign(folder)
+        for problem in damaged:
+            options.tell(f"{problem.rstrip('.')}. The session before it is resumed.")
         # Rests of a dry run take no wall time, so that its last run may end in the future.
         ended = [run.end_time or run.header.start_time for run in before.runs]
         origin = max([datetime.now().astimezone(), record.begun_at + timedelta(seconds=1), *ended])

@@ -86,6 +86,19 @@ def test_a_session_is_made_again_from_a_run_file_alone(run: Runner, tmp_path: Pa
             np.testing.assert_array_equal(after.trace.channels[name], channel)
 
 
+def test_a_torn_session_record_leaves_the_one_before(run: Runner, tmp_path: Path) -> None:
+    run(*QUICK, "--yes", "--out", "c")
+    record, newer = next((tmp_path / "c").glob("session-*")), tmp_path / "c" / "session-20990101-000000Z.toml"
+    newer.write_bytes(record.read_bytes()[:300])
+    mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+    resumed = run.json_answer("--resume", "c", "--yes")
+    assert newer.name in resumed.err
+    assert "The session before it is resumed." in resumed.err
+    for path in (tmp_path / "c").glob("session-*"):
+        path.write_bytes(b"plan = [")
+    assert newer.name in run.json_answer("--resume", "c", "--yes", code=2).err
+
+
 def test_prompts_are_answered_on_standard_input(run: Runner, tmp_path: Path) -> None:
     entry = (*QUICK, "--set", "prompt_each=true", "--set", "repeats=3", "--set", "way_back=by_hand")
     made = run(*entry, "--out", "c", typed="done\nredo\nd\nd\nskip\nd\n")

@@ -16,6 +16,7 @@ from dragrig.config.errors import OutputError
 from dragrig.rig.runfile import Finisher, Recorder, left_recordings, read_info, read_run, recover, verify
 from dragrig.rig.runfile.finisher import RecoveryOutcome
 from dragrig.rig.runfile.model import RunStatus
+from dragrig.rig.runfile.schema import journal_path
 
 BOUND_S = 0.25
 
@@ -75,7 +76,8 @@ def test_a_recording_whose_writer_lives_is_left_alone(tmp_path: Path) -> None:
 
 def test_a_recording_that_cannot_be_read_stays_as_it_is(tmp_path: Path) -> None:
     left = record(tmp_path / "run.h5", 1000)
-    left.write_bytes(left.read_bytes()[:3000])
+    for file in (left, journal_path(left)):
+        file.write_bytes(file.read_bytes()[:3000])
     record(tmp_path / "whole.h5", 500)
     before = left.read_bytes()
     outcomes = {recovered.recording.name: recovered.outcome for recovered in recover(tmp_path)}
@@ -86,9 +88,10 @@ def test_a_recording_that_cannot_be_read_stays_as_it_is(tmp_path: Path) -> None:
 
 def test_another_run_in_the_way_is_never_replaced(tmp_path: Path) -> None:
     left = record(tmp_path / "run.h5", 1000)
-    aside = left.rename(tmp_path / "aside")
+    aside = {file: file.rename(tmp_path / f"aside-{file.name}") for file in (left, journal_path(left))}
     recover(record(tmp_path / "run.h5", 500))
-    aside.rename(left)
+    for file, elsewhere in aside.items():
+        elsewhere.rename(file)
     (recovered,) = recover(tmp_path)
     assert recovered.outcome is RecoveryOutcome.LEFT
     assert "another run" in recovered.message

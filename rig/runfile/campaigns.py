@@ -1,5 +1,7 @@
 """A campaign: a folder of run files; beside them, marks that exclude bad runs, and the settings of each session."""
 
+import errno
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -197,10 +199,14 @@ class SessionRecord(Settings):
 
 
 def write_session_record(record: SessionRecord, folder: Path) -> Path:
-    """Write the record into the campaign's folder; raises `OSError`."""
+    """Write the record into the campaign's folder, synced.
+
+    Raises `FileExistsError` where there is a record of that second, `OutputError` where the disk refuses.
+    """
     path = folder / record.file_name()
-    with path.open("x", encoding="utf-8", newline="\n") as file:
-        file.write(to_toml(record))
+    if path.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    replace_text(path, to_toml(record))
     return path
 
 
@@ -237,9 +243,18 @@ def read_session_records(folder: Path) -> tuple[tuple[SessionRecord, ...], tuple
     return tuple(records), tuple(errors)
 
 
-def latest_session_record(folder: Path) -> SessionRecord:
-    """Return a campaign's newest record; raises `RunFileError` when there is none, `SettingsError` when damaged."""
-    paths = sorted(folder.glob(RECORD_PATTERN))
+def latest_session_record(folder: Path) -> tuple[SessionRecord, tuple[str, ...]]:
+    """Return a campaign's newest record that can be read, and what is wrong with newer ones.
+
+    Raises `RunFileError` when there is no record, `SettingsError` when none can be read.
+    """
+    paths = sorted(folder.glob(RECORD_PATTERN), reverse=True)
     if not paths:
         raise RunFileError(f"{folder}: contains no session-….toml, so there is no session to resume.")
-    return read_settings_file(SessionRecord, paths[-1])
+    damaged: list[str] = []
+    for path in paths:
+        try:
+            return read_settings_file(SessionRecord, path), tuple(damaged)
+        except SettingsError as error:
+            damaged.append(reason_of(error))
+    raise SettingsError(damaged[0])

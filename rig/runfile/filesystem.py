@@ -107,7 +107,7 @@ def replace_text(path: Path, text: str) -> None:
     """Write a small text file, atomically in place of an earlier one; raises `OutputError`."""
     part = part_path(path)
     try:
-        part.write_text(text, "utf-8")
+        part.write_text(text, "utf-8", newline="\n")
         move_into_place(part, path)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror}); ask for permission") from error

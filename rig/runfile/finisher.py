@@ -35,7 +35,7 @@ from dragrig.rig.runfile.reader import (
     read_info,
     valid_count,
 )
-from dragrig.rig.runfile.recorder import read_annotations
+from dragrig.rig.runfile.recorder import read_annotations, rebuild
 from dragrig.rig.runfile.writer import (
     DIGEST_SAMPLES,
     TraceDigest,
@@ -50,11 +50,12 @@ SPARE_BYTES = 1 << 20
 """Space that a finished file may need beyond its samples uncompressed."""
 
 
-def finish(recording: Path) -> Path:
+def finish(recording: Path, *, after_crash: bool = False) -> Path:
     """Turn a recording into its run file and remove it; return the run file.
 
-    A recording whose end was never written is finished as recovered. Nothing is removed before the run file is synced
-    and in place, and a second call finds the work done.
+    A recording whose end was never written is finished as recovered. Nothing is removed before the run file is synced,
+    in place, and read back; a second call finds the work done. After a crash, which may have been a power cut, the
+    recording is made anew from its journal first.
 
     Raises
     ------
@@ -65,10 +66,13 @@ def finish(recording: Path) -> Path:
     RunFileError
         When the recording cannot be read, or another run has the name of its run file.
     """
-    target = schema.finished_path(recording)
+    target, journal = schema.finished_path(recording), schema.journal_path(recording)
     with lock_run(recording):
-        if not recording.exists() and target.exists():
+        if not (recording.exists() or journal.exists()) and target.exists():
             return target
+        if after_crash and journal.exists():
+            _require_room(target, journal.stat().st_size)
+            rebuild(recording)
         if target.exists():
             with open_run(target) as file, as_run_file_error(target):
                 whole = trace_sha256(file[schema.TRACE]) == read_info(target).raw_sha256
@@ -78,14 +82,25 @@ def finish(recording: Path) -> Path:
                 )
         else:
             _repack(recording, target)
+            _expect_read_back(target, recording)
         try:
             remove_file(recording)
+            remove_file(journal)
         except OSError as error:
             raise OutputError(
                 f"{recording}: its run file {target.name} is whole and in place, but the disk refuses to remove the "
                 f"recording ({brief_error(error)}); check the disk, then `dragrig recover`"
             ) from error
     return target
+
+
+def _require_room(target: Path, needed_bytes: int) -> None:
+    free = free_bytes(target.parent)
+    if free < needed_bytes:
+        raise OutputError(
+            f"{target}: {free / 1e6:.1f} MB are free and up to {needed_bytes / 1e6:.1f} MB needed; make room, then"
+            " `dragrig recover`"
+        )
 
 
 def _repack(recording: Path, target: Path) -> None:
@@ -102,17 +117,30 @@ def _repack(recording: Path, target: Path) -> None:
             samples = valid_count(source, layout.valid_counts[0], len(source[schema.TRACE][schema.TIME]))
             events = events_of(source, layout)
         needed = sum(column.size * column.dtype.itemsize for column in source[schema.TRACE].values()) + SPARE_BYTES
-        free = free_bytes(target.parent)
-        if free < needed:
-            raise OutputError(
-                f"{target}: {free / 1e6:.1f} MB are free and up to {needed / 1e6:.1f} MB needed; make room, then"
-                " `dragrig recover`"
-            )
+        _require_room(target, needed)
         with new_file(target) as file:
             with as_run_file_error(recording):
                 _copy_recorded_header(source, layout, file, {**late_attributes, "status": str(ending.status)})
             digest = _copy_recorded_trace(source, file, samples, recording)
             write_ending(file, events, ending, digest)
+
+
+def _expect_read_back(target: Path, recording: Path) -> None:
+    """Read a finished file back from the disk; remove it and raise `OutputError` where its samples have changed."""
+    try:
+        if hasattr(os, "posix_fadvise"):
+            with target.open("rb") as file:
+                os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+        with open_run(target) as file, as_run_file_error(target):
+            whole = trace_sha256(file[schema.TRACE]) == read_info(target).raw_sha256
+    except RunFileError:
+        whole = False
+    if not whole:
+        remove_file(target)
+        raise OutputError(
+            f"{target}: the disk does not return what was written; {recording.name} is kept: check the disk, copy the "
+            "folder to another, then `dragrig recover`"
+        )
 
 
 def _copy_recorded_header(
@@ -179,7 +207,9 @@ def left_recordings(place: Path) -> tuple[Path, ...]:
     """Return the recordings in a folder and those below it, sorted by name; or `place`, if it is a recording."""
     if schema.is_recording(place):
         return (place,) if place.is_file() else ()
-    return tuple(sorted(place.rglob(f"*{schema.RECORDING_SUFFIX}")))
+    left = {*place.rglob(f"*{schema.RECORDING_SUFFIX}")}
+    # A power cut may have kept the journal alone.
+    return tuple(sorted({*left, *map(schema.recording_path, place.rglob(f"*{schema.JOURNAL_SUFFIX}"))}))
 
 
 def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) -> list[RecoveredRecording]:
@@ -199,7 +229,7 @@ def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) ->
     for recording in left_recordings(place):
         progress(recording)
         try:
-            path = finish(recording)
+            path = finish(recording, after_crash=True)
             result = RecoveredRecording(recording, RecoveryOutcome.FINISHED, path, read_info(path).samples)
         except BusyError as error:
             result = RecoveredRecording(recording, RecoveryOutcome.IN_USE, message=str(error))

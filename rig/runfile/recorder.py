@@ -1,8 +1,8 @@
 """The recorder: takes samples from the acquiring thread and has them on file within a flush interval.
 
 A ring buffer hands the samples to a thread that owns the recording: SWMR, uncompressed, every dataset created
-beforehand. Whatever moment its process dies at, what was flushed can be read up to `valid_samples`; a second thread
-syncs what was flushed to the disk itself.
+beforehand. Whatever moment its process dies at, what was flushed can be read up to `valid_samples`. Against a power cut
+everything goes into a journal as well, which a second thread syncs to the disk; `rebuild` makes the recording of it.
 """
 
 import json
@@ -25,8 +25,18 @@ import numpy.typing as npt
 
 from dragrig.config import OutputError, RecordingError, RunFileError
 from dragrig.rig.runfile import schema
-from dragrig.rig.runfile.filesystem import brief_error, free_bytes, lock_run, remove_quietly
+from dragrig.rig.runfile.filesystem import (
+    brief_error,
+    free_bytes,
+    lock_run,
+    move_into_place,
+    remove_quietly,
+    rename_into_place,
+    sync_file,
+    sync_folder,
+)
 from dragrig.rig.runfile.hdf5 import abandon_hdf5_file
+from dragrig.rig.runfile.journal import FrameKind, Journal, read_event_rows, read_frames, split_samples
 from dragrig.rig.runfile.model import Attribute, RecordedChannel, RunEnding, RunEvent, RunHeader, RunStatus
 from dragrig.rig.runfile.reader import LayoutError, valid_count
 from dragrig.rig.runfile.writer import (
@@ -49,6 +59,8 @@ MAX_CLOSE_S = 120.0
 """How long the end of a run waits for a disk that does not answer."""
 FLUSH_S = 0.1
 """Wall time between flushes: what a killed process loses at most, besides the time that a flush takes."""
+CONCURRENT_SYNCS = 5
+"""Syncs under way at once: a disk that takes half a second for each still has one begin with each flush."""
 RESERVE_BYTES = 64 << 20
 RING_SAMPLES = 1 << 18
 
@@ -123,16 +135,23 @@ class SampleRing:
 
 
 class FileSyncer:
-    """Calls `fsync` in a thread of its own; requests during a sync become one, and its error is raised by the next."""
+    """Calls `fsync` in threads of its own; an error is raised by the next request.
+
+    Several may be under way at once: what was written just after a long sync began would otherwise wait for two.
+    Requests that find all of them busy become a single one.
+    """
 
     def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        self._path = path
         self._change = Condition()
         self._requested = False
         self._closed = False
         self._error: OSError | None = None
-        self._thread = Thread(target=self._sync, name=f"sync of {path.name}", daemon=True)
-        self._thread.start()
+        self._threads = [
+            Thread(target=self._sync, name=f"sync of {path.name}", daemon=True) for _ in range(CONCURRENT_SYNCS)
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def request(self) -> None:
         """Request a sync of all that was written so far."""
@@ -146,33 +165,72 @@ class FileSyncer:
         """End after the last requested sync."""
         with self._change:
             self._closed = True
-            self._change.notify()
-        self._thread.join()
+            self._change.notify_all()
+        for thread in self._threads:
+            thread.join()
 
     def _sync(self) -> None:
         try:
-            while True:
-                with self._change:
-                    self._change.wait_for(lambda: self._requested or self._closed)
-                    if not self._requested:
-                        return
-                    self._requested = False
-                os.fsync(self._descriptor)
+            while self._await_request():
+                sync_file(self._path)
         except OSError as error:
             with self._change:
                 self._error = error
-        finally:
-            os.close(self._descriptor)
+
+    def _await_request(self) -> bool:
+        with self._change:
+            self._change.wait_for(lambda: self._requested or self._closed)
+            requested, self._requested = self._requested, False
+            return requested
 
 
-def create_recording(path: Path, header: RunHeader) -> None:
-    """Make a recording without samples; it gets its name once it is whole."""
-    part = schema.part_path(path)
+def create_recording(path: Path, header: RunHeader) -> Journal:
+    """Make a recording without samples, and return its journal, synced; it gets its name once both are whole."""
+    part, journal_path = schema.part_path(path), schema.journal_path(path)
     try:
         part.write_bytes(_empty_recording(header.channels))
         with h5py.File(part, "r+", libver=VERSION_BOUNDS, locking=False) as file:
             write_header(file, header, RunStatus.RECORDING)
-        part.replace(path)
+        journal = Journal(journal_path, part.read_bytes())
+        try:
+            sync_file(journal_path)
+            rename_into_place(part, path)
+            sync_folder(path.parent)
+        except BaseException:
+            journal.close()
+            remove_quietly(journal_path)
+            raise
+        return journal
+    finally:
+        remove_quietly(part)
+
+
+def rebuild(recording: Path) -> None:
+    """Make a recording anew from its journal, up to the first frame that the disk did not keep.
+
+    Leaves the recording as it is where nothing of the journal can be read. Call it with the run locked. Raises
+    `OSError` when the disk refuses.
+    """
+    journal = schema.journal_path(recording)
+    frames = read_frames(journal)
+    kind, image = next(frames, (None, b""))
+    if kind is not FrameKind.EMPTY_RECORDING:
+        return
+    part = schema.part_path(recording)
+    try:
+        part.write_bytes(image)
+        file = RecordingFile(part)
+        for kind, body in frames:
+            match kind:
+                case FrameKind.SAMPLES:
+                    file.append(split_samples(body, file.types))
+                case FrameKind.EVENTS:
+                    file.append_event_rows(read_event_rows(body))
+                case FrameKind.ANNOTATIONS:
+                    file.append_annotation_text(body)
+        file.flush()
+        file.close()
+        move_into_place(part, recording)
     finally:
         remove_quietly(part)
 
@@ -199,13 +257,16 @@ def _growing_dataset(file: h5py.File, path: str, dtype: np.dtype[np.generic], ch
 
 
 class RecordingFile:
-    """An open recording, owned by one thread."""
+    """An open recording, owned by one thread; what is appended goes to its journal first, where it has any."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, journal: Journal | None = None) -> None:
         self.path = path
+        self._journal = journal
         self._file = _open_for_swmr(path)
         self._trace = {name: self._file[schema.TRACE][name] for name in self._file[schema.TRACE]}
-        self._sample_bytes = sum(int(dataset.dtype.itemsize) for dataset in self._trace.values())
+        self.types: Mapping[str, np.dtype[np.generic]] = {name: column.dtype for name, column in self._trace.items()}
+        """Type of each column of the trace, by name."""
+        self._sample_bytes = sum(dtype.itemsize for dtype in self.types.values())
         self._events = self._file[schema.LAYOUT.events]
         self._annotations = self._file[schema.LAYOUT.annotations]
         self._valid = tuple(self._file[name] for name in schema.LAYOUT.valid_counts)
@@ -219,6 +280,8 @@ class RecordingFile:
 
     def append(self, columns: Columns) -> None:
         """Append samples to every dataset of the trace."""
+        if self._journal is not None:
+            self._journal.append_samples(columns)
         end = self.samples + len(columns[schema.TIME])
         for name, dataset in self._trace.items():
             dataset.resize((end,))
@@ -226,13 +289,24 @@ class RecordingFile:
         self.samples = end
 
     def append_events(self, events: Sequence[RunEvent]) -> None:
+        """Append events to their table."""
+        self.append_event_rows(event_rows(events))
+
+    def append_event_rows(self, rows: np.ndarray[tuple[int], np.dtype[np.void]]) -> None:
         """Append rows to the table of events."""
-        _extend(self._events, event_rows(events))
+        if self._journal is not None:
+            self._journal.append_events(rows)
+        _extend(self._events, rows)
 
     def append_annotations(self, annotations: Sequence[Mapping[str, object]]) -> None:
         """Append what became known during the run, one line of JSON each."""
-        text = "".join(f"{json.dumps(line)}\n" for line in annotations)
-        _extend(self._annotations, np.frombuffer(text.encode(), dtype="u1"))
+        self.append_annotation_text("".join(f"{json.dumps(line)}\n" for line in annotations).encode())
+
+    def append_annotation_text(self, text: bytes) -> None:
+        """Append lines of JSON that became known during the run."""
+        if self._journal is not None:
+            self._journal.append_annotations(text)
+        _extend(self._annotations, np.frombuffer(text, dtype="u1"))
 
     def flush(self) -> None:
         """Hand everything to the operating system, then record how much of it is valid."""
@@ -245,10 +319,14 @@ class RecordingFile:
     def close(self) -> None:
         """Close the file; what was not flushed before does not count as valid."""
         self._file.close()
+        if self._journal is not None:
+            self._journal.close()
 
     def discard(self) -> None:
         """Let go of the file without writing to it again, after the disk refused data."""
         abandon_hdf5_file(self._file)
+        if self._journal is not None:
+            self._journal.close()
 
 
 def _extend(dataset: h5py.Dataset, rows: np.ndarray[tuple[int], np.dtype[np.generic]]) -> None:
@@ -302,7 +380,7 @@ def read_annotations(file: h5py.File, layout: schema.Layout) -> tuple[dict[str, 
 
 @dataclass(frozen=True, slots=True)
 class DiskSpace:
-    """Disk space that a run needs: its samples still to come, its finished copy, and a reserve."""
+    """Disk space that a run needs: its samples still to come, twice (journal), its finished copy, and a reserve."""
 
     folder: Path
     reserve_bytes: int
@@ -311,7 +389,7 @@ class DiskSpace:
     def shortage(self, written_bytes: int) -> str | None:
         """Return a sentence about the missing space, or None while there is enough."""
         total = max(self.run_bytes, written_bytes)
-        needed = total - written_bytes + total + self.reserve_bytes
+        needed = 2 * (total - written_bytes) + total + self.reserve_bytes
         free = free_bytes(self.folder)
         if free >= needed:
             return None
@@ -332,7 +410,7 @@ class WriterThread(Thread):
         self.events: deque[RunEvent] = deque()
         self.annotations: deque[Mapping[str, object]] = deque()
         self._file, self._ring, self._space, self._flush_s = file, ring, space, flush_s
-        self._syncer = FileSyncer(file.path)
+        self._syncer = FileSyncer(schema.journal_path(file.path))
 
     def run(self) -> None:
         """Write, flush, close."""
@@ -528,13 +606,12 @@ class Recorder:
 
 
 def _create_recording_file(recording: Path, header: RunHeader, space: DiskSpace) -> RecordingFile:
-    for path in (recording, schema.finished_path(recording)):
+    for path in (recording, schema.journal_path(recording), schema.finished_path(recording)):
         if path.exists():
             raise OutputError(f"{path}: there is a run file already; choose another name")
     if (shortage := space.shortage(0)) is not None:
         raise RecordingError(shortage)
     try:
-        create_recording(recording, header)
-        return RecordingFile(recording)
+        return RecordingFile(recording, create_recording(recording, header))
     except (OSError, RuntimeError) as error:
         raise OutputError(f"{recording}: could not be made ({brief_error(error)}); choose another folder") from error

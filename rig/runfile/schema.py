@@ -18,6 +18,7 @@ FORMAT = "dragrig-run"
 FORMAT_VERSION = 2
 FINISHED_SUFFIX = ".h5"
 RECORDING_SUFFIX = ".recording.h5"
+JOURNAL_SUFFIX = ".recording.journal"
 LOCK_SUFFIX = ".recording.lock"
 PART_SUFFIX = ".part"
 
@@ -191,8 +192,8 @@ def is_recording(path: Path) -> bool:
 
 def run_name(path: Path) -> str:
     """Return the stem that a run's file, its recording, lock and mark share."""
-    suffix = RECORDING_SUFFIX if is_recording(path) else FINISHED_SUFFIX
-    return path.name.removesuffix(suffix)
+    suffixes = (RECORDING_SUFFIX, JOURNAL_SUFFIX, FINISHED_SUFFIX)
+    return path.name.removesuffix(next((suffix for suffix in suffixes if path.name.endswith(suffix)), ""))
 
 
 def finished_path(path: Path) -> Path:
@@ -203,6 +204,11 @@ def finished_path(path: Path) -> Path:
 def recording_path(path: Path) -> Path:
     """Return the path of a run's recording."""
     return path.with_name(run_name(path) + RECORDING_SUFFIX)
+
+
+def journal_path(path: Path) -> Path:
+    """Return the path of the journal of a run's recording."""
+    return path.with_name(run_name(path) + JOURNAL_SUFFIX)
 
 
 def part_path(path: Path) -> Path:
