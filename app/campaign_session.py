@@ -20,6 +20,7 @@ from dragrig.config import (
     CommissioningRecord,
     DragrigError,
     OutputError,
+    RigSettings,
     reason_of,
     rig_file_of,
 )
@@ -58,7 +59,16 @@ from dragrig.rig import (
     write_session_record,
 )
 from dragrig.session_state import SessionState, StatePublisher, session_lock
-from dragrig.setup import HARDWARE_BACKEND, Pace, Setup, contact_position, open_backend, resolve_pace
+from dragrig.setup import (
+    HARDWARE_BACKEND,
+    Pace,
+    Setup,
+    contact_position,
+    load_settings,
+    open_backend,
+    resolve_pace,
+    within_lab,
+)
 
 ResultT = TypeVar("ResultT")
 
@@ -480,6 +490,8 @@ def _run_campaign(
 ) -> Made:
     """Carry out a session with its state published, and its files mirrored where a mirror is named."""
     observer, folder = person or NullOperator(), options.folder
+    for difference in setup.differences:
+        options.tell(f"{difference}.")
     state = SessionState(plan=setup.plan.name, backend=setup.backend, double=setup.double)
     publisher = StatePublisher(observer, observer, folder, state)
     mirror = None if options.mirror is None else _open_mirror(options.mirror, folder, options.tell, before)
@@ -550,17 +562,23 @@ def _store_opener(
 def _setup_from_record(record: SessionRecord, folder: Path) -> Setup:
     rig_file = rig_file_of(folder)
     rig_folder = rig_file.parent if rig_file is not None else None
+    rig: RigSettings = record.rig
+    differences: tuple[str, ...] = ()
+    if rig_file is not None:
+        hardware = record.backend == HARDWARE_BACKEND
+        rig, differences = within_lab(record.rig, load_settings(RigSettings, "rig", rig_file)[0], hardware=hardware)
     return Setup(
         plan=record.plan,
         plan_source=f"{folder}, plan {record.plan.name}",
         plan_folder=record.beside,
-        rig=record.rig,
+        rig=rig,
         specimen=record.specimen,
         model=record.model,
         rig_folder=rig_folder,
         contact_mm=contact_position(rig_folder, record.contact_mm),
         backend=record.backend,
         double=record.double,
+        differences=differences,
     )
 
 

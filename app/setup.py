@@ -306,6 +306,42 @@ def settings_folder(source: str) -> Path | None:
     return path.absolute().parent if path.is_file() else None
 
 
+_STAGE_LIMITS: Mapping[str, Callable[[float, float], float]] = {
+    "lowest_mm": max,
+    "highest_mm": min,
+    "max_speed_mm_s": min,
+    "max_accel_mm_s2": min,
+}
+
+
+def within_lab(rig: RigSettings, lab: RigSettings, *, hardware: bool) -> tuple[RigSettings, tuple[str, ...]]:
+    """Return a rig that a run or a campaign was made with, as a lab lets it run today, and what differs from then.
+
+    The lab's backend, data root, card and drive stand, on hardware its encoder and force sensor as well; of each two
+    limits of stage and guard the stricter counts. Each difference is a phrase. Raises `SettingsError` where the
+    stored rig cannot be run within the lab's limits at all.
+    """
+    then, now = rig.model_dump(mode="json"), lab.model_dump(mode="json")
+    own = ("backend", "data", "hardware", *(("encoder", "force_sensor") if hardware else ()))
+    stage = {key: stricter(then["stage"][key], now["stage"][key]) for key, stricter in _STAGE_LIMITS.items()}
+    stage["stop_accel_mm_s2"] = now["stage"]["stop_accel_mm_s2"]
+    guard = {key: min(then["guard"][key], limit) for key, limit in now["guard"].items()}
+    today = {**then, **{key: now[key] for key in own}, "stage": {**then["stage"], **stage}, "guard": guard}
+    differences = tuple(
+        f"{part}.{key} is {_shown(today[part][key])} in this lab, not {_shown(then[part][key])} as then"
+        for part in ("stage", "guard", "encoder", "force_sensor")
+        for key in today[part]
+        if today[part][key] != then[part][key]
+    )
+    if hardware and today["hardware"] != then["hardware"]:
+        differences += ("card and drive are used as this lab's rig file says, which is not as then",)
+    return parse(RigSettings, today, "the stored rig within this lab's limits"), differences
+
+
+def _shown(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 @dataclass(frozen=True, slots=True)
 class Assignments:
     """Assignments sorted by what they change; `texts` are the assignments as typed."""
@@ -363,6 +399,8 @@ class Setup(RigSetup):
     specimen: Specimen
     contact_mm: float | None = None
     """Absolute position of the contact found by touch-off; None where it is not known."""
+    differences: tuple[str, ...] = ()
+    """How the rig differs from the stored one of the run or campaign that is repeated."""
 
     def with_rig(self, assignments: Sequence[str]) -> "Setup":
         """Return this with assignments to the rig applied; raises `SettingsError` for any other."""
@@ -414,12 +452,17 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
     if (capsule := choices.get("capsule")) is not None:
         # The plan may be elsewhere, and files in it are relative to it.
         changes.steps["capsule"] = str(Path(capsule).absolute() if Path(capsule).is_file() else capsule)
-    double = choices.get("double", False)
-    if before is not None:
-        rig_settings = rig_settings if choices.get("rig") else before.rig
-        double = double or (before.double and choices.get("backend") in {None, before.backend})
+    default_backend = rig_settings.backend
+    differences: tuple[str, ...] = ()
+    if before is not None and not choices.get("rig"):
+        if rig is None:
+            rig_settings, default_backend = before.rig, before.backend
+        else:
+            hardware = (choices.get("backend") or default_backend) == HARDWARE_BACKEND
+            rig_settings, differences = within_lab(before.rig, rig_settings, hardware=hardware)
     rig_changed = changes.applied_to(rig_settings, "rig")
-    backend = choices.get("backend") or (rig_changed.backend if before is None else before.backend)
+    backend = choices.get("backend") or (rig_changed.backend if before is None else default_backend)
+    double = choices.get("double", False) or (before is not None and before.double and backend == before.backend)
     specimen_choice = choices.get("specimen")
     if specimen_choice is None and backend == HARDWARE_BACKEND and (before is None or before.backend != backend):
         # A real specimen is what somebody states; that of the simulated rig would be an invention.
@@ -446,6 +489,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
         rig_folder=rig_folder,
         backend=backend,
         double=double,
+        differences=differences,
     )
 
 

@@ -19,6 +19,7 @@ from runfiles import header
 from dragrig import campaign_session as campaigns
 from dragrig.campaign_session import SessionOptions
 from dragrig.cli import main
+from dragrig.config import RIG_FILE
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.runfile import Recorder, mark_bad, read_campaign, read_run
 from dragrig.rig.runfile.model import RunInfo, RunStatus
@@ -84,6 +85,23 @@ def test_a_session_is_made_again_from_a_run_file_alone(run: Runner, tmp_path: Pa
         before, after = read_run(tmp_path / row["file"]), read_run(tmp_path / second["file"])
         for name, channel in before.trace.channels.items():
             np.testing.assert_array_equal(after.trace.channels[name], channel)
+
+
+def test_a_lab_runs_a_stored_rig_within_its_own_limits_and_says_so(run: Runner, tmp_path: Path) -> None:
+    made = run(*QUICK, "--yes", "--out", "c", "--set", "rig.stage.max_speed_mm_s=60")
+    file = made["runs"][0]["file"]
+    (tmp_path / RIG_FILE).write_text("[stage]\nhighest_mm = 60.0\n[guard]\nforce_limit_mN = 100.0\n", "utf-8")
+    again = run.json_answer(file, "--yes", "--out", "again", code=4)
+    assert "limit of 100 mN" in json.loads(again.out)["reason"]
+    assert "guard.force_limit_mN is 100 in this lab, not 8000 as then." in again.err
+    assert "stage.highest_mm is 60 in this lab, not 150 as then." in again.err
+    assert "max_speed" not in again.err
+    assert resolve(tmp_path / file, folder=tmp_path).rig.stage.max_speed_mm_s == 60
+    refused = run.json_answer(file, "--yes", "--out", "refused", "--set", "travel_mm=30", code=2).err
+    assert "60" in refused
+    mark_bad(tmp_path / file, "capsule slipped off")
+    resumed = run.json_answer("--resume", "c", "--yes", code=4)
+    assert "guard.force_limit_mN is 100 in this lab, not 8000 as then." in resumed.err
 
 
 def test_a_torn_session_record_leaves_the_one_before(run: Runner, tmp_path: Path) -> None:

@@ -118,7 +118,7 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
         setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further, has_drive=is_real
     )
     remark = specimen_remark(setup.specimen) if is_real else ""
-    return replace(checked, remarks=(remark, *checked.remarks) if remark else checked.remarks)
+    return replace(checked, remarks=(*setup.differences, *((remark,) if remark else ()), *checked.remarks))
 
 
 def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[SetupChoices]) -> tuple[Run, ...]:
