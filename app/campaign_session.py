@@ -66,6 +66,7 @@ from dragrig.setup import (
     contact_position,
     load_settings,
     open_backend,
+    require_shipped_dialect,
     resolve_pace,
     within_lab,
 )
@@ -562,9 +563,10 @@ def _store_opener(
 def _setup_from_record(record: SessionRecord, folder: Path) -> Setup:
     rig_file = rig_file_of(folder)
     rig_folder = rig_file.parent if rig_file is not None else None
-    rig: RigSettings = record.rig
     differences: tuple[str, ...] = ()
-    if rig_file is not None:
+    if rig_file is None:
+        rig = require_shipped_dialect(record.rig, str(folder))
+    else:
         hardware = record.backend == HARDWARE_BACKEND
         rig, differences = within_lab(record.rig, load_settings(RigSettings, "rig", rig_file)[0], hardware=hardware)
     return Setup(

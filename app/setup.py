@@ -153,6 +153,7 @@ DEFAULT_SETTINGS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "m
 HARDWARE_BACKEND = "hardware"
 """The backend of the real rig, to which no effects can be added."""
 CALIBRATED_QUANTITIES = ("force", "encoder")
+SHIPPED_DIALECTS = ("nikki", "copley", "modbus")
 
 
 class RigChoices(TypedDict, total=False):
@@ -306,6 +307,16 @@ def settings_folder(source: str) -> Path | None:
     return path.absolute().parent if path.is_file() else None
 
 
+def require_shipped_dialect(rig: RigSettings, source: str) -> RigSettings:
+    """Refuse a stored rig that names a module of somebody's own, which would be run; raises `SettingsError`."""
+    if (dialect := rig.hardware.drive.dialect) not in SHIPPED_DIALECTS:
+        raise SettingsError(
+            f"{source}: names the drive's dialect {dialect!r}, a module of somebody's own; run it in the folder of a "
+            "lab, whose rig file says how its drive is spoken to."
+        )
+    return rig
+
+
 _STAGE_LIMITS: Mapping[str, Callable[[float, float], float]] = {
     "lowest_mm": max,
     "highest_mm": min,
@@ -456,7 +467,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
     differences: tuple[str, ...] = ()
     if before is not None and not choices.get("rig"):
         if rig is None:
-            rig_settings, default_backend = before.rig, before.backend
+            rig_settings, default_backend = require_shipped_dialect(before.rig, str(plan)), before.backend
         else:
             hardware = (choices.get("backend") or default_backend) == HARDWARE_BACKEND
             rig_settings, differences = within_lab(before.rig, rig_settings, hardware=hardware)

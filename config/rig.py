@@ -15,6 +15,8 @@ from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 from dragrig.config.settings import Settings
 
 _PFI = "an input terminal, PFI0 to PFI15, without the device's name"
+_DEVICE_SEGMENT = r"[\w+-][\w.:+-]*"
+_PORT = rf"(\\\\\.\\)?(?i:COM)\d+|/dev/({_DEVICE_SEGMENT}/)*{_DEVICE_SEGMENT}|socket://[^/?#\s]+:\d+"
 _INPUT_RANGES_V = (0.2, 1.0, 5.0, 10.0)
 _MAX_LOOP_GAIN = 0.75
 """Gain times dead time of a loop around an integrator: it oscillates at π/2, and rings above about half of that."""
@@ -265,8 +267,9 @@ class DriveSettings(Settings):
 
     mode: Literal["position", "velocity"] = "position"
     """Position commands over serial, or a velocity voltage; the latter only with a heartbeat relay."""
-    port: str = Field(default="COM1", min_length=1)
-    """Serial port, or socket://host:port."""
+    # Other addresses of pyserial's write files (spy://) or load modules (alt://).
+    port: Annotated[str, _name_like(_PORT, "a serial port, as COM3 or /dev/ttyUSB0, or socket://host:port")] = "COM1"
+    """Serial port, as COM3 or /dev/ttyUSB0, or socket://host:port."""
     dialect: str = "nikki"
     """Protocol of the drive: nikki, copley, modbus, or any module that Python can import."""
     baud: int = Field(default=38_400, ge=1200, le=4_000_000)

@@ -5,6 +5,9 @@ import csv
 import io
 import json
 import re
+import struct
+import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,6 +30,7 @@ from dragrig.analysis.importing.foreign import (
     split_unit,
 )
 from dragrig.config import ImportDataError, suggestion
+from dragrig.rig import refuse_foreign_storage
 
 if TYPE_CHECKING:
     import h5py
@@ -39,6 +43,11 @@ SAMPLED_LINES = 400
 SAMPLED_BYTES = 4096
 MAX_MATRIX_COLUMNS = 64
 """A matrix with more columns is an image or a grid, not a table."""
+
+MAX_UNPACKED_BYTES = 2 << 30
+"""Largest size of a packed file's content: 250 kS/s of a force and a position for nine minutes."""
+MAX_UNPACKED_TEXT_BYTES = MAX_UNPACKED_BYTES // 16
+"""The same of a spreadsheet, whose cells take some sixteen times their text."""
 
 SPREADSHEET_ENDINGS = frozenset({".xlsx", ".xlsm", ".xls", ".ods"})
 _UNSUPPORTED_ENDINGS = {
@@ -404,6 +413,8 @@ def read_parquet(path: Path) -> ForeignTable:
     from pyarrow import parquet
 
     with _damage_reported(path, "Parquet"):
+        metadata = parquet.read_metadata(path)
+        _require_bounded(path, 8 * metadata.num_rows * metadata.num_columns)
         table = parquet.read_table(path)
     columns = GroupedColumns()
     for column, cells in zip(table.schema, table.columns, strict=True):
@@ -423,6 +434,7 @@ def read_spreadsheet(path: Path, settings: ImportSettings) -> ForeignTable:
     from python_calamine import CalamineWorkbook
 
     with _damage_reported(path, "spreadsheet"):
+        _require_bounded(path, _zipped_bytes(path), MAX_UNPACKED_TEXT_BYTES)
         book = CalamineWorkbook.from_path(str(path))
         sheets = {name: book.get_sheet_by_name(name).to_python(skip_empty_area=False) for name in book.sheet_names}
     if settings.table and settings.table not in sheets:
@@ -472,6 +484,7 @@ def _json_columns(group: str, tree: Mapping[str, object]) -> Iterator[tuple[str,
 def read_npz(path: Path) -> ForeignTable:
     """Read a NumPy archive; raises `ImportDataError` when it is none."""
     with _damage_reported(path, "NumPy"), path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        _require_bounded(path, _zipped_bytes(path))
         arrays = {str(name): archive[name] for name in archive.files}
     export = str(arrays.pop("metadata", ""))
     return _foreign_table(path, list(_grouped_columns("", arrays)), export=export)
@@ -491,8 +504,11 @@ def read_mat(path: Path, table: str = "") -> ForeignTable:
     with _damage_reported(path, "MAT"):
         if h5py.is_hdf5(path):
             with h5py.File(path, "r") as file:
+                refuse_foreign_storage(file)
+                _require_bounded(path, _hdf5_bytes(file))
                 variables = _hdf5_tree(file)
         else:
+            _require_bounded(path, _mat5_bytes(path))
             contents = loadmat(path, simplify_cells=True)
             variables = {str(name): value for name, value in contents.items() if not str(name).startswith("__")}
     run = variables.get("run")
@@ -513,6 +529,8 @@ def read_tdms(path: Path, table: str = "") -> ForeignTable:
     columns = GroupedColumns()
     increments: dict[str, set[float]] = {}
     with _damage_reported(path, "TDMS"):
+        groups = TdmsFile.read_metadata(path).groups()
+        _require_bounded(path, 8 * sum(len(channel) for group in groups for channel in group.channels()))
         for group in TdmsFile.read(path).groups():
             for channel in group.channels():
                 units = str(channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription") or "")
@@ -526,6 +544,8 @@ def _damage_reported(path: Path, file_kind: str) -> Iterator[None]:
     """Readers report damage as almost any class of exception; each means the same to the user."""
     try:
         yield
+    except ImportDataError:
+        raise
     except Exception as error:
         if isinstance(error, OSError) and error.strerror:
             raise ImportDataError(f"{path}: cannot be read ({error.strerror}); check the path.") from error
@@ -533,6 +553,56 @@ def _damage_reported(path: Path, file_kind: str) -> Iterator[None]:
         raise ImportDataError(
             f"{path}: is damaged or no {file_kind} file ({reason:.100}); export it anew or as CSV."
         ) from error
+
+
+def _require_bounded(path: Path, unpacked_bytes: int, limit_bytes: int | None = None) -> None:
+    """Refuse a packed file before it fills the memory; raises `ImportDataError`."""
+    limit_bytes = MAX_UNPACKED_BYTES if limit_bytes is None else limit_bytes
+    if unpacked_bytes > limit_bytes:
+        raise ImportDataError(
+            f"{path}: unpacks to {unpacked_bytes / 1e9:.1f} GB or more, and {limit_bytes / 1e9:.1f} GB is the limit; "
+            "export fewer columns or a shorter piece."
+        )
+
+
+def _zipped_bytes(path: Path) -> int:
+    if not zipfile.is_zipfile(path):
+        return path.stat().st_size
+    with zipfile.ZipFile(path) as archive:
+        return sum(entry.file_size for entry in archive.infolist())
+
+
+def _hdf5_bytes(group: "h5py.Group") -> int:
+    import h5py
+
+    sizes = [0]
+    group.visititems(lambda _, item: sizes.append(item.nbytes if isinstance(item, h5py.Dataset) else 0))
+    return sum(sizes)
+
+
+def _mat5_bytes(path: Path) -> int:
+    """Unpack the compressed elements of a MAT file of version 5 piece by piece, and return their size up to the limit.
+
+    MathWorks, MAT-File Format: a header of 128 bytes whose last two tell the byte order; then elements, each with its
+    type (15: compressed) and its number of bytes in front.
+    """
+    total = 0
+    with path.open("rb") as file:
+        order = "<" if file.read(_MAT5_HEADER_BYTES)[-2:] == b"IM" else ">"
+        while len(tag := file.read(8)) == 8 and total <= MAX_UNPACKED_BYTES:
+            kind, size = struct.unpack(f"{order}II", tag)
+            body = file.read(size)
+            if kind != _MAT5_COMPRESSED:
+                total += size
+                continue
+            unpacker = zlib.decompressobj()
+            while body and not unpacker.eof and total <= MAX_UNPACKED_BYTES:
+                total += len(unpacker.decompress(body, 1 << 20))
+                body = unpacker.unconsumed_tail
+    return total
+
+
+_MAT5_HEADER_BYTES, _MAT5_COMPRESSED = 128, 15
 
 
 def _hdf5_tree(group: "h5py.Group") -> dict[str, object]:

@@ -129,6 +129,31 @@ class UnfinishedFile:
         return len(view)
 
 
+class ForeignStorageError(Exception):
+    """A file takes its content from other files."""
+
+
+def refuse_foreign_storage(file: "h5py.File") -> None:
+    """Refuse a file with links to or data in other files, with which it could hand over any file of this computer.
+
+    Raises `ForeignStorageError` for external links, external storage and virtual datasets.
+    """
+    import h5py
+
+    def foreign(name: bytes, link: h5py.h5l.LinkInfo) -> str | None:
+        if link.type == h5py.h5l.TYPE_EXTERNAL:
+            return f"{name.decode('utf-8', 'replace')} is a link into another file"
+        item = h5py.h5o.open(file.id, name) if link.type == h5py.h5l.TYPE_HARD else None
+        if isinstance(item, h5py.h5d.DatasetID):
+            made = item.get_create_plist()
+            if made.get_external_count() or made.get_layout() == h5py.h5d.VIRTUAL:
+                return f"{name.decode('utf-8', 'replace')} is stored in another file"
+        return None
+
+    if (found := file.id.links.visit(foreign, info=True)) is not None:
+        raise ForeignStorageError(found)
+
+
 def is_open_for_writing(path: Path) -> bool:
     """Tell whether an HDF5 file says that it is, or was when its writer died, open for writing."""
     with path.open("rb") as file:

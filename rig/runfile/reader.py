@@ -19,7 +19,13 @@ from dragrig.config import DragrigError, RunFileError
 from dragrig.rig import AnyFloatArray, FloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import brief_error
-from dragrig.rig.runfile.hdf5 import UnfinishedFile, find_damaged_text, is_open_for_writing
+from dragrig.rig.runfile.hdf5 import (
+    ForeignStorageError,
+    UnfinishedFile,
+    find_damaged_text,
+    is_open_for_writing,
+    refuse_foreign_storage,
+)
 from dragrig.rig.runfile.model import (
     PHASE_NAMES,
     Attribute,
@@ -472,6 +478,7 @@ def open_run(path: Path) -> Iterator[h5py.File]:
             else:
                 file = h5py.File(path, "r", locking="best-effort")
             stack.enter_context(file)
+            refuse_foreign_storage(file)
         yield file
 
 
@@ -485,6 +492,10 @@ def as_run_file_error(path: Path) -> Iterator[None]:
         raise
     except LayoutError as error:
         raise RunFileError(f"{path}: {error}; this is not a whole run file, {restore}") from error
+    except ForeignStorageError as error:
+        raise RunFileError(
+            f"{path}: {error}, which is never read; ask for a file that holds all of its data"
+        ) from error
     except BlockingIOError as error:
         raise RunFileError(f"{path}: is being written by another program; close it there") from error
     except PermissionError as error:
