@@ -138,12 +138,6 @@ class ForceInputSettings(Settings):
             raise ValueError("per_V must not be 0")
         return self
 
-    @model_validator(mode="after")
-    def _has_gain(self) -> Self:
-        if self.per_V == 0:
-            raise ValueError("per_V must not be 0")
-        return self
-
     @property
     def overload_V(self) -> float:
         """Voltage from which the sensor counts as overloaded."""
