@@ -137,3 +137,12 @@ def test_less_than_a_second_left_is_said_so(capsys: pytest.CaptureFixture[str]) 
         clock.now = 6.0
         meter.advance(95.0)
     assert capsys.readouterr().err == "work: 95 %, less than 1 s left\n"
+
+
+def test_loading_before_the_work_does_not_make_it_look_long(capsys: pytest.CaptureFixture[str]) -> None:
+    clock = Clock()
+    with ProgressMeter("work", 10, quiet=False, clock=clock) as meter:
+        for moment in (30.0, 40.0, 50.0, 60.0):
+            clock.now = moment
+            meter.advance(1.0)
+    assert capsys.readouterr().err.splitlines()[-1] == "work: 40 %, 1 min 00 s left"

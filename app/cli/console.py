@@ -7,8 +7,10 @@ import sys
 import tempfile
 import time
 import traceback
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar
 
@@ -245,6 +247,8 @@ class ProgressMeter:
         self._clock = clock
         self._started = clock()
         self._paused_at: float | None = None
+        self._course: list[tuple[float, float]] = [(0.0, 0.0)]
+        """Shares of the total and when they were done, rising."""
         self._above = above
         self._shown = not (is_quiet() if quiet is None else quiet)
         self._bar: tuple[Progress, TaskID] | None = None
@@ -271,6 +275,8 @@ class ProgressMeter:
             self._started += self._clock() - self._paused_at
             self._paused_at = None
         elapsed_s = self._clock() - self._started
+        if self._done > self._course[-1][0] * self._total:
+            self._course.append((self._done / self._total, elapsed_s))
         if not self._shown or elapsed_s < SILENT_FIRST_S:
             return
         with self._silent_once_closed():
@@ -310,10 +316,15 @@ class ProgressMeter:
         click.echo(f"{self._label}: {100 * self._done / self._total:.0f} %{left and f', {left}'}", err=True)
 
     def _left(self, elapsed_s: float) -> str:
-        """Return the time left at the mean pace; earlier than a tenth nobody knows it."""
+        """Return the time left at the pace of the latter half of what is done; before a tenth nobody knows it.
+
+        The first half may have been loading and starting processes, or another kind of work.
+        """
         if not _PACE_KNOWN_FROM * self._total <= self._done < self._total or self._done <= 0:
             return ""
-        left_s = elapsed_s * (self._total - self._done) / self._done
+        share = self._done / self._total
+        half, half_s = self._course[max(0, bisect_right(self._course, (share / 2, inf)) - 1)]
+        left_s = (elapsed_s - half_s) / (share - half) * (1.0 - share)
         return f"{'less than 1 s' if left_s < 1 else duration_text(left_s)} left"
 
     @contextmanager
