@@ -95,6 +95,9 @@ class SupportsLiveLook(Protocol):
     def look(self) -> AbstractContextManager[LiveRig]:
         """Open the card's signals; the drive is not needed."""
 
+    def check_port(self) -> RigCheck:
+        """List the serial ports that exist, and look whether the drive's is among them."""
+
     def check_enable(self) -> RigCheck:
         """Switch the drive on for a moment, at a standstill, and look whether it obeys its enable line."""
 
@@ -273,6 +276,7 @@ def look_at_rig(backend: SupportsLiveLook, rig: RigSettings, confirm: Callable[[
             hold, release = (partial(_press, switch=switch, on=on) for on in (True, False))
             touched = guide.watch(f"Press the {SWITCH_NAMES[switch]} for a second and release it", hold, release)
             yield judge_switch(touched, switch, getattr(rig.hardware.card.lines, switch))
+    yield backend.check_port()
     confirm(Prompt("Hands out: the drive is switched on for a second, and the stage holds where it stands"))
     try:
         yield backend.check_enable()

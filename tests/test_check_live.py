@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from rig_faults import Bench
+from serial.tools.list_ports import comports
 
 from dragrig import api
 from dragrig.cli import main
@@ -31,6 +32,7 @@ from dragrig.rig.commissioning import (
 )
 from dragrig.rig.devices import BackendRequest, RigCheck
 from dragrig.rig.guard import Guard
+from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.operator import Answer, NullOperator, Prompt, reset_guard
 from dragrig.setup import create_lab, resolve_rig
 from dragrig.sim_backend.doubles.backend import DoubleBackend
@@ -118,7 +120,8 @@ def found(faults: FaultInjector, rig: RigSettings | None = None) -> dict[str, Ri
 def test_a_rig_that_is_wired_as_it_should_be_passes() -> None:
     result = found(FaultInjector())
     assert list(result) == [
-        "switches at rest", "encoder", "force", "e-stop", "lower limit switch", "upper limit switch", "enable",
+        "switches at rest", "encoder", "force", "e-stop", "lower limit switch", "upper limit switch",
+        "serial port", "enable",
     ]  # fmt: skip
     assert all(finding.passed for finding in result.values()), result
 
@@ -161,7 +164,7 @@ def test_the_command_stores_what_it_found_and_ends_without_a_person(
     capsys.readouterr()
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n" * 10))
     assert main([*command, "--operator", "A. Person", "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["signals"]) == 7
+    assert len(json.loads(capsys.readouterr().out)["signals"]) == 8
     record = read_commissioning(lab)
     assert record is not None
     assert (record.operator, record.made_on, record.passed) == ("A. Person", "hardware double", True)
@@ -216,7 +219,8 @@ def test_a_press_that_is_over_before_the_answer_counts(faulty_rig: Bench) -> Non
     passed = {signal.name: signal.passed for signal in record.signals}
     assert passed == {
         "switches at rest": True, "encoder": False, "force": True, "e-stop": True,
-        "lower limit switch": True, "upper limit switch": False, "enable": True,
+        "lower limit switch": True, "upper limit switch": False, "serial port": True,
+        "enable": True,
     }  # fmt: skip
 
 
@@ -301,3 +305,17 @@ def test_a_pressed_limit_switch_names_the_way_off_it() -> None:
             reset_guard(backend, Guard(RigSettings().guard, 0.001), Person())
     finally:
         backend.close()
+
+
+def test_a_port_that_is_not_there_is_found_with_those_that_are() -> None:
+    ports = [found.device for found in comports()]
+    for port, there in (
+        ("/dev/no-such-port", False),
+        ("socket://10.0.0.2:4001", True),
+        *((name, True) for name in ports),
+    ):
+        hardware = {"drive": {"port": port}}
+        rig = RigSettings.model_validate({"hardware": hardware})
+        finding = HardwareBackend(BackendRequest(rig, FrictionModelSettings(), connect=False)).check_port()
+        assert (finding.name, finding.passed) == ("serial port", there)
+        assert all(name in finding.detail for name in (port, *ports))

@@ -49,6 +49,7 @@ from dragrig.rig.hardware.drive import (
     StageDevices,
     VelocityModeStage,
     Watchdog,
+    serial_ports,
     write_safeguards,
     write_travel,
 )
@@ -497,6 +498,19 @@ class HardwareBackend:
         lines = self._open_card()
         with _connected(self._sampler).watch() as read:
             yield CardLook(read, lines, Scaling.from_settings(self._rig, self._calibrations))
+
+    def check_port(self) -> RigCheck:
+        """List the serial ports that exist, and look whether the drive's is among them."""
+        port, ports = self._rig.hardware.drive.port, serial_ports()
+        known = ", ".join(f"{name} ({what})" for name, what in ports.items()) or "none"
+        if "://" in port:
+            return RigCheck("serial port", True, f"the drive is reached at {port}; serial ports here: {known}")
+        here = any(Path(name).resolve() == Path(port).resolve() or name.lower() == port.lower() for name in ports)
+        if here or Path(port).exists():
+            return RigCheck("serial port", True, f"the drive is on {port}; serial ports here: {known}")
+        return RigCheck(
+            "serial port", False, f"hardware.drive.port is {port}, and here is {known}: connect it, or name it"
+        )
 
     def check_enable(self) -> RigCheck:
         """Switch the drive on for a moment, at a standstill, and look whether it obeys its enable line."""

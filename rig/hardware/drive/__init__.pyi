@@ -1,4 +1,5 @@
 from .link import DriveLink as DriveLink
+from .link import serial_ports as serial_ports
 from .monitor import StageDevices as StageDevices
 from .monitor import Watchdog as Watchdog
 from .position_mode import PositionModeStage as PositionModeStage

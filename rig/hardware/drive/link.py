@@ -396,11 +396,16 @@ def _open_port(settings: DriveSettings) -> serial.Serial:
         ) from error
 
 
-def _other_ports_text(port: str) -> str:
-    """Name the serial ports of this computer, where it is its port that was looked for."""
+def serial_ports() -> dict[str, str]:
+    """Return the serial ports of this computer and what they say of themselves, by name."""
     from serial.tools.list_ports import comports
 
+    return {found.device: found.description for found in sorted(comports(), key=lambda found: str(found.device))}
+
+
+def _other_ports_text(port: str) -> str:
+    """Name the serial ports of this computer, where it is its port that was looked for."""
     if "://" in port:
         return ""
-    ports = sorted(f"{found.device} ({found.description})" for found in comports() if found.device != port)
+    ports = [f"{name} ({what})" for name, what in serial_ports().items() if name != port]
     return f"; this computer has {', '.join(ports)}" if ports else "; this computer has no other serial port"
