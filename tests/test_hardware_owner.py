@@ -11,14 +11,13 @@ import pytest
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import CardSettings, DriveSettings, HardwareSettings
-from dragrig.rig.hardware.backend import RigLock, lock_name, machine_lock_folder
+from dragrig.rig.hardware.backend import RigLock, lock_name
 
 HOLDER = """
-import sys, time
-from pathlib import Path
+import sys
 from dragrig.config.rig import HardwareSettings
 from dragrig.rig.hardware.backend import RigLock
-with RigLock(HardwareSettings(), Path(sys.argv[1])):
+with RigLock(HardwareSettings(), sys.argv[1]):
     print("held", flush=True)
     sys.stdin.readline()
 print("let go", flush=True)
@@ -49,10 +48,10 @@ def test_a_second_program_is_refused_and_told_who_holds_the_rig(
     holder: "subprocess.Popen[str]", tmp_path: Path
 ) -> None:
     with pytest.raises(DeviceError, match=rf"Dev1 and COM1: process {holder.pid} uses this rig") as refused:
-        RigLock(rig(), tmp_path)
+        RigLock(rig(), str(tmp_path))
     assert str(refused.value).count(".") == 1
-    RigLock(rig(port="COM2"), tmp_path).close()
-    RigLock(rig(device="Dev2"), tmp_path).close()
+    RigLock(rig(port="COM2"), str(tmp_path)).close()
+    RigLock(rig(device="Dev2"), str(tmp_path)).close()
 
 
 def test_a_rig_that_was_let_go_is_free_while_its_program_lives(holder: "subprocess.Popen[str]", tmp_path: Path) -> None:
@@ -61,24 +60,24 @@ def test_a_rig_that_was_let_go_is_free_while_its_program_lives(holder: "subproce
     holder.stdin.write("\n")
     holder.stdin.flush()
     assert holder.stdout.readline() == "let go\n"
-    RigLock(rig(), tmp_path).close()
+    RigLock(rig(), str(tmp_path)).close()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 def test_a_killed_program_holds_nothing(holder: "subprocess.Popen[str]", tmp_path: Path) -> None:
     os.kill(holder.pid, signal.SIGKILL)
     holder.wait()
-    with RigLock(rig(), tmp_path), pytest.raises(DeviceError, match=str(os.getpid())):
-        RigLock(rig(), tmp_path)
+    with RigLock(rig(), str(tmp_path)), pytest.raises(DeviceError, match=str(os.getpid())):
+        RigLock(rig(), str(tmp_path))
 
 
 def test_letting_go_twice_frees_nobody_elses_rig(tmp_path: Path) -> None:
-    first = RigLock(rig(), tmp_path)
+    first = RigLock(rig(), str(tmp_path))
     first.close()
-    with RigLock(rig(), tmp_path):
+    with RigLock(rig(), str(tmp_path)):
         first.close()
         with pytest.raises(DeviceError, match=f"process {os.getpid()}"):
-            RigLock(rig(), tmp_path)
+            RigLock(rig(), str(tmp_path))
 
 
 def test_one_rig_has_one_name_however_its_port_is_spelled(tmp_path: Path) -> None:
@@ -94,15 +93,20 @@ def test_one_rig_has_one_name_however_its_port_is_spelled(tmp_path: Path) -> Non
     assert len(names) == 3
 
 
-def test_every_user_of_the_machine_comes_to_the_same_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    if not any(Path(path).is_dir() for path in ("/run/lock", "/var/lock")):
-        pytest.skip("this machine has no folder for locks")
-    before = machine_lock_folder()
+@pytest.mark.skipif(sys.platform != "linux", reason="a file elsewhere")
+def test_a_lock_is_no_file_that_somebody_could_plant_or_remove(
+    holder: "subprocess.Popen[str]", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    assert machine_lock_folder() == before
+    assert not list(tmp_path.iterdir())
+    held = Path(f"/proc/{holder.pid}/fd")
+    assert not any("lock" in str(descriptor.readlink()) for descriptor in held.iterdir())
+    for _ in range(300):  # who asks in vain leaves no trace that would end the telling or the lock
+        with pytest.raises(DeviceError, match="uses this rig"):
+            RigLock(rig(), str(tmp_path))
 
 
-def test_a_folder_that_refuses_is_told(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("", "utf-8")
-    with pytest.raises(DeviceError, match="check who may write there"):
-        RigLock(rig(), tmp_path / "taken")
+def test_a_long_name_has_a_lock_too(tmp_path: Path) -> None:
+    long = rig(port=f"socket://{'h' * 200}:4001")
+    with RigLock(long, str(tmp_path)), pytest.raises(DeviceError, match="uses this rig"):
+        RigLock(long, str(tmp_path))

@@ -1,10 +1,13 @@
 """The hardware backend: opens card, drive, stage and sampler of a rig under one lock, checks and closes them."""
 
 import contextlib
+import errno
 import gc
+import hashlib
 import os
 import re
-import stat
+import socket
+import struct
 import sys
 import tempfile
 import time
@@ -56,18 +59,21 @@ from dragrig.rig.hardware.drive import (
 from dragrig.rig.hardware.lines import CardLines
 from dragrig.rig.hardware.sync import MotionSamplingSync
 
-_LOCK_FOLDERS = (Path("/run/lock"), Path("/var/lock"))
-_SHARED_FOLDER = 0o777
-_SHARED_FILE = 0o666
+_PEER = struct.Struct("3i")
+"""Process, user and group of the other side of a socket (man 7 unix, SO_PEERCRED)."""
+_MAX_SOCKET_NAME_BYTES = 100
 
 
 class RigLock:
     """The lock of one program on one rig, from construction to `close`.
 
+    On Linux it is a name of the kernel's (man 7 unix, abstract sockets): it ends with its process, and there is no file
+    that somebody could plant, link elsewhere or remove. Elsewhere it is a lock on a file in a folder of this machine.
+
     Parameters
     ----------
-    folder
-        Folder of this machine's locks; default: one that all its users share.
+    scope
+        Locks of different scopes know nothing of each other.
 
     Raises
     ------
@@ -75,28 +81,14 @@ class RigLock:
         When another program, or this one elsewhere, holds the rig (with its process id), or no lock can be made.
     """
 
-    def __init__(self, hardware: HardwareSettings, folder: Path | None = None) -> None:
-        path = (folder or machine_lock_folder()) / f"{lock_name(hardware)}.lock"
-        rig = f"{hardware.card.device} and {hardware.drive.port}"
-        self._lock = FileLock(path, timeout=0, mode=_SHARED_FILE, thread_local=False)
-        self._note = path.with_suffix(".pid")
+    def __init__(self, hardware: HardwareSettings, scope: str = "") -> None:
+        name, rig = f"{scope}{lock_name(hardware)}", f"{hardware.card.device} and {hardware.drive.port}"
         try:
-            if not path.parent.is_dir():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                path.parent.chmod(_SHARED_FOLDER)
-            self._lock.acquire()
-        except Timeout:
-            raise DeviceError(
-                f"{rig}: {_describe_holder(self._note)} uses this rig; end it, or wait until it is done."
-            ) from None
+            self._release = _hold_name(name) if sys.platform == "linux" else _hold_file(name)
+        except _HeldError as error:
+            raise DeviceError(f"{rig}: {error} uses this rig; end it, or wait until it is done.") from None
         except OSError as error:
-            raise DeviceError(
-                f"{rig}: the lock {path} cannot be made ({error.strerror}): check who may write there."
-            ) from error
-        # The process id is information for a person only; the lock holds without it.
-        with contextlib.suppress(OSError):
-            self._note.write_text(str(os.getpid()), "ascii")
-            self._note.chmod(_SHARED_FILE)
+            raise DeviceError(f"{rig}: no lock can be made ({error}): check who may write there.") from error
 
     def __enter__(self) -> Self:
         return self
@@ -106,10 +98,47 @@ class RigLock:
 
     def close(self) -> None:
         """Release the rig. Safe to call twice."""
-        if self._lock.is_locked:
-            with contextlib.suppress(OSError):  # the next holder writes its own
-                self._note.unlink(missing_ok=True)
-            self._lock.release()
+        self._release()
+
+
+class _HeldError(Exception):
+    """Who holds a rig."""
+
+
+def _hold_name(name: str) -> Callable[[], None]:
+    if len(name.encode()) > _MAX_SOCKET_NAME_BYTES:
+        name = hashlib.sha256(name.encode()).hexdigest()
+    address = f"\0dragrig {name}"
+    holder = socket.socket(socket.AF_UNIX)
+    try:
+        holder.bind(address)
+        holder.listen()
+    except OSError as error:
+        holder.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
+        raise _HeldError(_holder_of(address)) from None
+    return holder.close
+
+
+def _holder_of(address: str) -> str:
+    with socket.socket(socket.AF_UNIX) as asking, contextlib.suppress(OSError):
+        asking.setblocking(False)
+        asking.connect(address)
+        pid, _, _ = _PEER.unpack(asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
+        return f"process {pid}"
+    return "another program"
+
+
+def _hold_file(name: str) -> Callable[[], None]:
+    folder = Path(os.environ.get("PROGRAMDATA", tempfile.gettempdir())) / "dragrig"
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / f"{re.sub(r'[^A-Za-z0-9.]+', '_', name)}.lock", timeout=0, thread_local=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise _HeldError("another program") from None
+    return lock.release
 
 
 def lock_name(hardware: HardwareSettings) -> str:
@@ -119,22 +148,6 @@ def lock_name(hardware: HardwareSettings) -> str:
         port = str(Path(port).resolve())
     parts = (hardware.card.server, hardware.card.device, port)
     return "-".join(re.sub(r"[^a-z0-9.]+", "_", part.lower()).strip("_") for part in parts if part)
-
-
-def machine_lock_folder() -> Path:
-    """Return the folder that keeps the locks of this machine for all who use it."""
-    if sys.platform == "win32":
-        return Path(os.environ.get("PROGRAMDATA", tempfile.gettempdir())) / "dragrig"
-    # Not whether this user may write there but whether every user may: all have to get the same folder.
-    shared = (path for path in _LOCK_FOLDERS if path.is_dir() and path.stat().st_mode & stat.S_IWOTH)
-    return next(shared, Path(tempfile.gettempdir())) / "dragrig"
-
-
-def _describe_holder(note: Path) -> str:
-    try:
-        return f"process {int(note.read_text('ascii'))}"
-    except (OSError, ValueError):
-        return "another program"
 
 
 CHECK_DURATION_S = 0.5
