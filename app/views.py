@@ -41,7 +41,7 @@ from dragrig.config import (
     shipped_files,
 )
 from dragrig.engine_host import RigSelection
-from dragrig.present import Document, Figure, Section, drawn, unused_path
+from dragrig.present import Document, drawn, unused_path
 from dragrig.rig import (
     AnyFloatArray,
     FloatArray,
@@ -761,19 +761,13 @@ def completed(diagnosis: Diagnosis, source: str = "") -> CompletedDiagnosis:
 def _identified(task: DiagnosisTask, progress: Progress) -> CompletedIdentification:
     """Identify a campaign and write model and pictures, as `dragrig identify` does."""
     from dragrig.api import identified_folder, identify, write_identified_files
-    from dragrig.present import identification_document, joint_fit_figure
+    from dragrig.present import identification_document
 
     identified = identify(task.campaign, nominal=task.nominal, progress=progress)
     result = identified.result
     folder, why_not = identified_folder(Path(task.campaign)), identified.why_no_model
     files = write_identified_files(identified, folder, with_model=why_not is None, overwrite=False)
     document = identification_document(result)
-    if result.joint is not None:
-        joint = result.joint
-        figure = Figure(
-            "joint-fit", "Joint fit", "What the runs say of each parameter", lambda: joint_fit_figure(joint)
-        )
-        document = replace(document, sections=(*document.sections, Section("figure", "Picture", (figure,))))
     lead = (*document.lead, f"Written to {folder}: {', '.join(path.name for path in files)}.")
     return CompletedIdentification(drawn(replace(document, problem=why_not or "", lead=lead)), files)
 
