@@ -90,7 +90,7 @@ SOON_CUT_OFF = (*SOON_SILENT, "rig.hardware.drive.reply_s=0.4")
 def sentence(fault: str) -> re.Pattern[str]:
     """What docs/faults.md has the person see; `…` stands for whatever differs from case to case."""
     rows = [line.split("|")[1:-1] for line in DOCS.read_text("utf-8").splitlines() if line.startswith("|")]
-    (shown,) = [row[1].strip(" `") for row in rows if row[0].strip() == fault]
+    (shown,) = [row[1].strip(" `") for row in rows if row[0].strip() == fault and row[1].strip().startswith("`")]
     return re.compile(".+?".join(re.escape(part) for part in shown.split("…")), re.DOTALL)
 
 

@@ -102,7 +102,7 @@ def calibrated(faulty_rig: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ({"force_constant_V": 1e-9}, "force sensor", "repeats 0.000 V"),
         ({"force_constant_V": 4.9}, "force sensor", "repeats 4.900 V"),
         ({"force_dead": True}, "force sensor", "of noise at"),
-        ({"force_rail_V": 5.0, "force_added_mN": 7000.0}, "force sensor", "of noise at 5.000 V"),
+        ({"force_rail_V": 5.0, "force_added_mN": 7000.0}, "force sensor", "of noise at 5.00"),
         ({"sensor_open": True}, "force sensor", "the end of its range"),
         ({"force_tone_mN": 200.0, "force_tone_hz": 16_000.0}, "aliases", "tone of 16000 Hz"),
         ({"encoder_jitter_counts": 200}, "encoder", "while nothing moved"),

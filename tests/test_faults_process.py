@@ -169,6 +169,9 @@ def fill(disk: Path) -> Path:
             return filler
 
 
+FULL_DISK = ("disk full", "disk full to the last byte", "disk refuses data")
+
+
 def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Bench, small_disk: Path) -> None:
     folder = small_disk / "campaign"
     running = begin(faulty_rig, out=folder, assignments=["rig.recording.reserve_mb=1", "speed_mm_s=3"])
@@ -178,7 +181,7 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Benc
     filler = fill(small_disk)
     ended = running.end()
     assert ended.exit_code == 5
-    assert any(sentence(fault).fullmatch(ended.message) for fault in ("disk full", "disk refuses data")), ended.message
+    assert any(sentence(fault).fullmatch(ended.message) for fault in FULL_DISK), ended.message
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert not ended.stage.enabled
     filler.unlink()

@@ -236,8 +236,8 @@ def test_what_is_not_mapped_is_kept_and_what_clashes_renamed(tmp_path: Path) -> 
 def test_a_command_of_its_own_is_kept_beside_the_position(tmp_path: Path) -> None:
     rows = "\n".join(f"{k / 10},{k},{k + 0.5},{k}" for k in range(50))
     source = csv(tmp_path, f"t,x,c,F\n{rows}")
-    run = imported(source, tmp_path, "time=t:s", "position=x:mm", "command=c:mm", "force=F:mN", kind="pull")
-    assert run.info.kind == "pull"
+    run = imported(source, tmp_path, "time=t:s", "position=x:mm", "command=c:mm", "force=F:mN", kind="motion")
+    assert run.info.kind == "motion"
     assert run.trace.command[0] == 0.5
     assert "stands for it" not in messages(run)
 

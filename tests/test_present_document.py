@@ -89,7 +89,7 @@ def test_a_page_shows_everything_and_escapes_it() -> None:
     assert '<span class="badge simulated">simulated</span>runs/first' in page
     assert "How to read this" in page
     assert '<span class="file">dragrig show</span>' in page
-    assert '<td class="number" data-number="101.234">101.2 ± 0.3</td>' in page
+    assert '<td class="number" data-number="101.234" data-heading="force, mN">101.2\u00a0±\u00a00.3</td>' in page
     assert '<a href="#detail">0.50</a>' in page
     assert '<details id="detail">' in page
     assert '<path d="M0 0l10 10"/>' in page

@@ -40,7 +40,7 @@ def test_the_terminal_shows_it(document: Document) -> None:
 
 def test_the_page_shows_it_with_its_figure(document: Document) -> None:
     page = render_page(document)
-    assert "87.50 ± 0.42" in page
+    assert "87.50\u00a0±\u00a00.42" in page
     assert 'aria-label="A bar for each run: its mean force."' in page
 
 

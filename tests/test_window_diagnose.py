@@ -30,7 +30,7 @@ from dragrig.views import CompletedDiagnosis, completed
 from dragrig.window.diagnose_page import DiagnosisResults
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueueState
-from dragrig.window.widgets import DrawnFigure, StoredSettings
+from dragrig.window.widgets import DrawnFigure, MessageText, StoredSettings
 
 LONG_MS = 600_000
 """A diagnosis on a busy machine."""
@@ -120,6 +120,7 @@ def test_a_diagnosis_shows_everything_that_the_terminal_prints(qtbot: QtBot, dia
     blank = {figure.name: BLANK for figure in without_runs.figures()}
     results.show_diagnosis(CompletedDiagnosis(diagnosis, without_runs.with_drawings(blank)))
     shown = [label.text() for label in results.findChildren(QLabel)]
+    shown += [message.toPlainText() for message in results.findChildren(MessageText)]
     for table in results.findChildren(QTableWidget):
         shown += [table.horizontalHeaderItem(at).text() for at in range(table.columnCount())]
         shown += [table.item(row, at).text() for row in range(table.rowCount()) for at in range(table.columnCount())]

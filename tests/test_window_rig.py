@@ -35,7 +35,8 @@ def hardware(request):
 """
 )
 """A rig whose stage stands on its upper limit switch whenever it is opened."""
-PATIENT = ("rig.guard.stale_data_s=5", "rig.hardware.hang_s=5", "rig.hardware.drive.reply_s=2",
+PATIENT = ("rig.guard.stale_data_s=5", "rig.guard.following_error_mm=100", "rig.guard.encoder_silent_mm=100",
+           "rig.hardware.card.buffer_s=20", "rig.hardware.hang_s=5", "rig.hardware.drive.reply_s=2",
            "rig.hardware.drive.silence_s=5")  # fmt: skip
 """A rig that waits as long as may be set, for a busy machine is no fault."""
 
@@ -229,7 +230,9 @@ def test_settings_are_saved_and_the_engine_starts_again_once_nothing_runs(
     assert window.engine.pid == pid
     answer_all(window, until)
     assert window.engine.pid != pid
-    assert [entry.stage for entry in run.queue.entries] == [QueueState.COMPLETE, QueueState.WAITING]
+    assert [entry.stage for entry in run.queue.entries] == [QueueState.COMPLETE, QueueState.WAITING], run.queue.entries[
+        0
+    ].reason
     assert window.guard.text() == "guard: TRIPPED"  # not what the engine before said
     assert "reset the guard" in settings.state.text()
     assert run.live.readings.limits.text() == "0 to 120 mm"
