@@ -15,7 +15,7 @@ from dragrig.config.errors import OutputError
 from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import PlannedRun
-from dragrig.rig.runfile import mark_bad
+from dragrig.rig.runfile import mark_bad, unmark
 from dragrig.rig.runfile.schema import mark_path, part_path
 from dragrig.rig.runfile.store import Mirror, copy_verified
 
@@ -107,6 +107,23 @@ def test_marks_on_runs_are_mirrored_with_them(tmp_path: Path) -> None:
     assert again.mirrored is not None
     assert mark.name in again.mirrored.copied
     assert filecmp.cmp(mark, tmp_path / "second" / "runs" / mark.name, shallow=False)
+
+
+def test_marks_that_change_or_are_withdrawn_do_so_in_the_mirror(tmp_path: Path) -> None:
+    (tmp_path / "second").mkdir()
+    made = dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1], mirror=tmp_path / "second")
+    assert made.mirrored is not None
+    [first, *_] = sorted((tmp_path / "runs").glob("*.h5"))
+    copy = tmp_path / "second" / "runs" / mark_path(first).name
+    for reason in ("the capsule slipped", "the specimen tore"):
+        mark_bad(first, reason)
+        again = dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
+        assert again.mirrored is not None
+        assert again.mirrored.whole, again.mirrored.missing
+        assert reason in copy.read_text("utf-8")
+    unmark(first)
+    dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
+    assert not copy.exists()
 
 
 def test_a_missing_mirror_is_reported_at_once(tmp_path: Path) -> None:

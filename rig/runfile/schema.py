@@ -21,6 +21,8 @@ RECORDING_SUFFIX = ".recording.h5"
 JOURNAL_SUFFIX = ".recording.journal"
 LOCK_SUFFIX = ".recording.lock"
 PART_SUFFIX = ".part"
+MARK_SUFFIX, NOTE_SUFFIX = ".mark.toml", ".note.txt"
+"""Of what a person says of a run, which may change or be withdrawn."""
 
 ENTRY = "/entry"
 RUN = "/entry/run"
@@ -223,12 +225,12 @@ def lock_path(path: Path) -> Path:
 
 def mark_path(path: Path) -> Path:
     """Return the path of a run's mark."""
-    return path.with_name(run_name(path) + ".mark.toml")
+    return path.with_name(run_name(path) + MARK_SUFFIX)
 
 
 def note_path(path: Path) -> Path:
     """Return the path of the note on a run."""
-    return path.with_name(run_name(path) + ".note.txt")
+    return path.with_name(run_name(path) + NOTE_SUFFIX)
 
 
 @cache

@@ -208,6 +208,8 @@ class MirrorReport:
 class Mirror:
     """Copies files into a folder of the mirror, one after the other, on a thread of its own.
 
+    Marks and notes follow what a person says: they are replaced, and removed at the end where they were withdrawn.
+
     Parameters
     ----------
     root
@@ -260,6 +262,16 @@ class Mirror:
             if self._copy(file):
                 self._retry_missing()
         self._retry_missing()
+        with contextlib.suppress(OSError):  # said of the files by then
+            self._remove_withdrawn()
+
+    def _remove_withdrawn(self) -> None:
+        """Remove marks and notes on mirrored runs that are no longer beside their originals."""
+        for suffix in (schema.MARK_SUFFIX, schema.NOTE_SUFFIX):
+            for copy in self.folder.glob(f"*{suffix}"):
+                run = self._submitted.get(copy.name.removesuffix(suffix) + schema.FINISHED_SUFFIX)
+                if run is not None and run.exists() and not run.with_name(copy.name).exists():
+                    copy.unlink()
 
     def _retry_missing(self) -> None:
         for name in tuple(self._missing):
@@ -269,7 +281,8 @@ class Mirror:
         try:
             self._require_mirror()
             copy = self.folder / file.name
-            copy_verified(file, copy, self._count_step, replaces=is_same_recording(file, copy))
+            said = file.name.endswith((schema.MARK_SUFFIX, schema.NOTE_SUFFIX))
+            copy_verified(file, copy, self._count_step, replaces=said or is_same_recording(file, copy))
         except (OSError, OutputError) as error:
             reason = brief_error(error)
             if self._missing.get(file.name) != reason:
