@@ -1,6 +1,6 @@
 """Measures of one run, each with its standard error or the reason why it is missing, and a campaign's table of them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from math import hypot, nan, sqrt
@@ -192,11 +192,14 @@ class TableRow:
     remark: str = ""
     campaign: str = ""
     """Folder of the campaign, where the rows are of several."""
+    run_id: str = ""
+    copy_of: str = ""
+    """File of the same run in an earlier row."""
 
     @property
     def counts(self) -> bool:
-        """Whether the run may be averaged with others: complete, and not marked as bad."""
-        return not self.bad and self.status in COMPLETE_STATUSES
+        """Whether the run may be averaged with others: complete, not marked as bad, and no copy of another row's."""
+        return not self.bad and not self.copy_of and self.status in COMPLETE_STATUSES
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +265,7 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
         except RunFileError as error:
             rows.append(_unreadable_row(info.path, error))
     progress(len(campaign.runs), len(campaign.runs))
-    rows = _with_drifts(rows)
+    rows = _with_drifts(_with_copies(rows))
     rows.extend(_unreadable_row(path, error) for path, error in campaign.unreadable)
     rows.extend(TableRow(path.name, status=RunStatus.RECORDING.value) for path in campaign.recordings)
     return tuple(rows)
@@ -276,10 +279,25 @@ def pooled_rows(folders: Sequence[Path], progress: Progress = no_progress) -> tu
     distinct = tuple({folder.resolve(): folder for folder in folders}.values())
     if len(distinct) == 1:
         return table_rows(distinct[0], progress)
-    return tuple(replace(row, campaign=str(folder)) for folder in distinct for row in table_rows(folder, progress))
+    rows = (replace(row, campaign=str(folder)) for folder in distinct for row in table_rows(folder, progress))
+    return tuple(_with_copies(rows))
 
 
-def _with_drifts(rows: Sequence[TableRow]) -> list[TableRow]:
+def _with_copies(rows: Iterable[TableRow]) -> Iterator[TableRow]:
+    """Say of a run that lies twice that it counts once."""
+    files: dict[str, str] = {}
+    for row in rows:
+        if row.run_id in files and not row.copy_of:
+            first = files[row.run_id]
+            remark = "; ".join(filter(None, (row.remark, f"the same run as {first}, which counts once")))
+            yield replace(row, copy_of=first, remark=remark)
+        else:
+            if row.run_id:
+                files.setdefault(row.run_id, row.file)
+            yield row
+
+
+def _with_drifts(rows: Iterable[TableRow]) -> list[TableRow]:
     """Compare each sentinel with the first of its specimen that counts."""
     first: dict[str, SteadyForce] = {}
     compared: list[TableRow] = []
@@ -329,6 +347,7 @@ def table_row(run: Run, bad: str | None = None) -> TableRow:
         bad=bad is not None,
         mark=bad or "",
         remark="; ".join(f"no {name}: {estimate.reason}" for name, estimate in named.items() if estimate.reason),
+        run_id=header.run_id,
     )
 
 

@@ -5,6 +5,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from uuid import uuid4
 
 import h5py
 import numpy as np
@@ -112,6 +113,9 @@ def test_over_specimens_n_is_the_specimens_not_the_runs() -> None:
 def test_campaigns_are_pooled_by_the_specimens_ids(campaign: Path, tmp_path: Path) -> None:
     again = tmp_path / "again"
     shutil.copytree(campaign, again)
+    for path in again.glob("*.h5"):
+        with h5py.File(path, "r+") as file:
+            file["entry"].attrs["run_id"] = str(uuid4())
     with h5py.File(again / "014-drag.h5", "r+") as file:
         file["entry/specimen"].attrs["id"] = "pig-2"
     rows = pooled_rows([campaign, again, campaign])
@@ -123,6 +127,18 @@ def test_campaigns_are_pooled_by_the_specimens_ids(campaign: Path, tmp_path: Pat
     assert shown.exit_code == 0, shown.output
     assert [mean["specimens"] for mean in json.loads(shown.stdout)["means_over_specimens"]].count(2) == 1
     assert len(dragrig.table([campaign, again])) == 16
+
+
+def test_a_run_that_lies_twice_counts_once(campaign: Path, tmp_path: Path) -> None:
+    before = mean_per_speed(table_rows(campaign))
+    shutil.copytree(campaign, tmp_path / "again")
+    assert mean_per_speed(pooled_rows([campaign, tmp_path / "again"])) == before
+    shutil.copy(campaign / "014-drag.h5", campaign / "copy.h5")
+    rows = table_rows(campaign)
+    assert mean_per_speed(rows) == before
+    (copy,) = (row for row in rows if row.copy_of)
+    assert {copy.file, copy.copy_of} == {"014-drag.h5", "copy.h5"}
+    assert "the same run as" in document_text(campaign_table_document(rows))
 
 
 def test_speeds_that_differ_by_rounding_are_one_row() -> None:
