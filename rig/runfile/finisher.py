@@ -74,9 +74,7 @@ def finish(recording: Path, *, after_crash: bool = False) -> Path:
             _require_room(target, journal.stat().st_size)
             rebuild(recording)
         if target.exists():
-            with open_run(target) as file, as_run_file_error(target):
-                whole = trace_sha256(file[schema.TRACE]) == read_info(target).raw_sha256
-            if not whole or read_info(recording).header.run_id != read_info(target).header.run_id:
+            if not _is_whole(target) or read_info(recording).header.run_id != read_info(target).header.run_id:
                 raise RunFileError(
                     f"{target}: has the name of {recording.name}'s run file, but is another run; move one"
                 )
@@ -125,14 +123,19 @@ def _repack(recording: Path, target: Path) -> None:
             write_ending(file, events, ending, digest)
 
 
+def _is_whole(target: Path) -> bool:
+    """Tell whether a run file's samples have the checksum that it states; raises `RunFileError`."""
+    with open_run(target) as file, as_run_file_error(target):
+        return trace_sha256(file[schema.TRACE]) == read_info(target).raw_sha256
+
+
 def _expect_read_back(target: Path, recording: Path) -> None:
     """Read a finished file back from the disk; remove it and raise `OutputError` where its samples have changed."""
     try:
         if hasattr(os, "posix_fadvise"):
             with target.open("rb") as file:
                 os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-        with open_run(target) as file, as_run_file_error(target):
-            whole = trace_sha256(file[schema.TRACE]) == read_info(target).raw_sha256
+        whole = _is_whole(target)
     except RunFileError:
         whole = False
     if not whole:
