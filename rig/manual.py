@@ -214,7 +214,10 @@ class ManualControl:
         require_jog(distance_mm, speed, override, stage.limits)
         profile = self._stroke(distance_mm, speed, _HOLD_AFTER_JOG_S)
         if override is not None:
-            text = f"Check the rig. {self._move_text(distance_mm, speed)}, its {override} limit switch overridden"
+            self._require_pressed(override)
+            text = (
+                f"Check the rig. {self._move_text(distance_mm, speed)}, its {LIMIT_SWITCH_CAUSES[override]} overridden"
+            )
             self.confirm(Prompt(text, hands=self._backend.needs_hands))
             with self._overridden(override):
                 stage.enable()
@@ -300,25 +303,34 @@ class ManualControl:
         Afterwards the guard is tripped again if the switch still is pressed, and in any case if the motion failed.
         """
         stage = self._backend.stage
-        fault = stage.state().fault
-        if fault is None:
-            raise DeviceError(f"the {side} limit switch is not pressed, so there is nothing to override.")
-        if fault.cause is not LIMIT_SWITCH_CAUSES[side]:
-            raise TrippedError(f"{fault.message}; only the {side} limit switch can be overridden here.")
+        self._require_pressed(side)
         stage.override_limit(side)
         still_tripped = self._guard.override(side, stage.state())
         if still_tripped is not None:
             stage.disable()
-            raise TrippedError(f"{still_tripped.message}; only the {side} limit switch is overridden.")
+            raise TrippedError(f"{still_tripped.message}; only the {LIMIT_SWITCH_CAUSES[side]} is overridden.")
         try:
             yield
         except BaseException:
-            self._guard.latch(Trip(LIMIT_SWITCH_CAUSES[side], f"the move off the {side} limit switch ended early"))
+            self._guard.latch(
+                Trip(LIMIT_SWITCH_CAUSES[side], f"the move off the {LIMIT_SWITCH_CAUSES[side]} ended early")
+            )
             raise
         self._guard.reset(stage.state())
 
+    def _require_pressed(self, side: TravelEnd) -> None:
+        """Raise unless the limit switch of a side, and nothing else, forbids motion."""
+        fault, switch = self._backend.stage.state().fault, LIMIT_SWITCH_CAUSES[side]
+        if fault is None:
+            raise DeviceError(f"the {switch} is not pressed, so there is nothing to override.")
+        if fault.cause is not switch:
+            raise TrippedError(f"{fault.message}; only the {switch} can be overridden here.")
+
     def _move_text(self, distance_mm: float, speed_mm_s: float) -> str:
-        begin_mm = self.position_mm
+        state = self._backend.stage.state()
+        if not state.homed:
+            return f"The stage moves by {distance_mm:+.3f} mm at {speed_mm_s:g} mm/s from where it stands"
+        begin_mm = state.position_mm
         return f"The stage moves from {begin_mm:.3f} to {begin_mm + distance_mm:.3f} mm at {speed_mm_s:g} mm/s"
 
     def _acquire(
@@ -369,7 +381,9 @@ def require_jog(distance_mm: float, speed_mm_s: float | None, override: TravelEn
     if override is None:
         return
     if (distance_mm > 0) is not (override is TravelEnd.LOW):
-        raise SettingsError(f"distance_mm = {distance_mm:g}: moves onto the {override} limit switch, not off it.")
+        raise SettingsError(
+            f"distance_mm = {distance_mm:g}: moves onto the {LIMIT_SWITCH_CAUSES[override]}, not off it."
+        )
     if speed_mm_s is not None and speed_mm_s > MAX_OVERRIDE_SPEED_MM_S:
         raise SettingsError(
             f"speed_mm_s = {speed_mm_s:g}: off a limit switch the limit is {MAX_OVERRIDE_SPEED_MM_S:g} mm/s."

@@ -264,7 +264,7 @@ def test_homing_that_is_stopped_says_so(cold: VoltageRig) -> None:
     cold.stage.enable()
     stopper = threading.Thread(target=lambda: (until(lambda: cold.is_under_way), cold.stage.stop()))
     stopper.start()
-    with pytest.raises(DeviceError, match="before the low limit switch"):
+    with pytest.raises(DeviceError, match="before the lower limit switch"):
         cold.stage.home()
     stopper.join()
     cold.await_standstill()

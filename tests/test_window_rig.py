@@ -109,13 +109,13 @@ def test_the_stage_is_driven_off_a_pressed_limit_switch(
         hand.distance.setValue(1.0)
         press(hand.jog)
         assert answer_all(window, until) == []
-        assert "onto the high limit switch" in hand.state.text()
-        for distance, end in ((-0.5, "the guard stays tripped"), (-4.0, "The high limit switch is free")):
+        assert "onto the upper limit switch" in hand.state.text()
+        for distance, end in ((-0.5, "the guard stays tripped"), (-4.0, "The upper limit switch is free")):
             hand.override.setCurrentText("high")
             hand.distance.setValue(distance)
             press(hand.jog)
             (prompt,) = answer_all(window, until)
-            assert "its high limit switch overridden" in prompt
+            assert "its upper limit switch overridden" in prompt
             assert hand.state.text().startswith(f"The stage is at {101.0 + distance:.3f} mm")
             assert end in hand.state.text()
             # The override was for this motion alone, and the guard waits for a person.

@@ -97,9 +97,9 @@ class TerminalOperator:
     def _answer(self, prompt: Prompt) -> Answer:
         self._meter.pause()
         names = ", ".join(f"[{answer.value[0]}]{answer.value[1:]}" for answer in prompt.choices)
-        click.echo(f"\n{prompt.text}.", err=True)
+        click.echo(f"\n{_wrapped(f'{prompt.text}.')}", err=True)
         if prompt.run is not None and prompt.run.mounting not in prompt.text:
-            click.echo(f"  Next run: {prompt.run.mounting}.", err=True)
+            click.echo(_wrapped(f"  Next run: {prompt.run.mounting}."), err=True)
         if prompt.hands:
             _discard_typed_input()
         while True:
@@ -277,6 +277,9 @@ class LiveLine:
                 text = look().text
             except DragrigError as error:
                 text = reason_of(error)
+            if self._ended.is_set():
+                # The answer's Enter has moved the cursor: the line above is the answer now.
+                return
             columns = shutil.get_terminal_size().columns
             # To the line above and back to where the answer is typed.
             click.echo(f"\x1b7\x1b[1A\r\x1b[2K  {text[: columns - 3]}\x1b8", err=True, nl=False)
@@ -319,6 +322,13 @@ class KeyWatch:
                 self._pressed(key)
         finally:
             restore()
+
+
+def _wrapped(text: str) -> str:
+    """Break a text between words where a terminal would break it within them."""
+    if not sys.stderr.isatty():
+        return text
+    return click.wrap_text(text, width=shutil.get_terminal_size().columns)
 
 
 def _is_own_terminal() -> bool:

@@ -71,6 +71,7 @@ from dragrig.engine_host.messages import (
 )
 from dragrig.present import encoder_calibration_document, force_calibration_document
 from dragrig.rig import (
+    LIMIT_SWITCH_CAUSES,
     AcquisitionOutcome,
     Answer,
     Backend,
@@ -503,7 +504,11 @@ class EngineHost:
         if move.trip is not None:
             self._trip(move.trip.message)
             return f"The stage is at {move.position_mm:.3f} mm, and the guard stays tripped: {move.trip.message}."
-        freed = f" The {motion.override} limit switch is free: reset the guard." if motion.override is not None else ""
+        freed = (
+            f" The {LIMIT_SWITCH_CAUSES[motion.override]} is free: reset the guard."
+            if motion.override is not None
+            else ""
+        )
         return f"The stage is at {move.position_mm:.3f} mm.{freed}"
 
     def _calibrate(self, job: CalibrationJob) -> CalibrationMeasured:

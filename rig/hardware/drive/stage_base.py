@@ -517,9 +517,8 @@ class MonitoredStage(ABC):
             extremes, max_mm_s = profile.extremes(), self._drive.homing_speed_mm_s
             further_mm = -extremes.lowest_mm if self._override is TravelEnd.LOW else extremes.highest_mm
             if not further_mm <= POSITION_TOLERANCE_MM:
-                raise DeviceError(
-                    f"the {self._override} limit switch is overridden for a move away from it only: reverse the travel."
-                )
+                switch = LIMIT_SWITCH_CAUSES[self._override]
+                raise DeviceError(f"the {switch} is overridden for a move away from it only: reverse the travel.")
             if not extremes.speed_mm_s <= max_mm_s * (1 + 1e-9):
                 raise DeviceError(
                     f"off an overridden limit switch the stage moves at {max_mm_s:g} mm/s at most, not at "

@@ -55,7 +55,7 @@ class IndexSearch:
         lines = self._card.lines
         if not ((lines.limit_low if side is TravelEnd.LOW else lines.limit_high) and self._card.encoder.z):
             raise SettingsError(
-                f"homing in velocity mode needs the {side} limit switch and the index pulse: name them in "
+                f"homing in velocity mode needs the {LIMIT_SWITCH_CAUSES[side]} and the index pulse: name them in "
                 f"hardware.card.lines.limit_{side} and hardware.card.encoder.z."
             )
         direction = -1.0 if side is TravelEnd.LOW else 1.0
@@ -64,7 +64,7 @@ class IndexSearch:
             planned_at = self._creep(
                 direction * (travel_mm + _HOMING_OVERTRAVEL_MM),
                 lambda: self._is_pressed(side),
-                f"the {side} limit switch was found: see what stopped the stage",
+                f"the {LIMIT_SWITCH_CAUSES[side]} was found: see what stopped the stage",
                 planned_at,
             )
         # Passed from the switch alone, because the place of an index pulse is repeatable from one side only.
