@@ -375,7 +375,8 @@ class Assignments:
                 others[first] = merge_tables(others[first], nested_table(rest, value))
                 texts[first] = (*texts[first], text)
             else:
-                raise SettingsError(f"--set {text}: {first} is none of rig, model, specimen and plan.")
+                hint = f": write rig.{text}" if first in RigSettings.model_fields else ""
+                raise SettingsError(f"--set {text}: {first} is none of rig, model, specimen and plan{hint}.")
         return cls(steps, others, texts)
 
     def applied_to(self, settings: SettingsT, name: str) -> SettingsT:

@@ -376,6 +376,7 @@ def require_jog(distance_mm: float, speed_mm_s: float | None, override: TravelEn
     """Raise `SettingsError` for a jog that is not allowed at any position."""
     if not isfinite(distance_mm) or distance_mm == 0:
         raise SettingsError(f"distance_mm = {distance_mm:g}: must be a distance other than 0.")
+    _require_shorter_than_travel("distance_mm", distance_mm, limits)
     if speed_mm_s is not None:
         require_speed(speed_mm_s, limits)
     if override is None:
@@ -390,6 +391,15 @@ def require_jog(distance_mm: float, speed_mm_s: float | None, override: TravelEn
         )
 
 
+def _require_shorter_than_travel(name: str, distance_mm: float, limits: StageLimits) -> None:
+    travel_mm = limits.highest_mm - limits.lowest_mm
+    if abs(distance_mm) > travel_mm:
+        raise SettingsError(
+            f"{name} = {distance_mm:g}: the stage travels {travel_mm:g} mm at most, from {limits.lowest_mm:g} to "
+            f"{limits.highest_mm:g} mm (stage.lowest_mm and highest_mm of the rig file)."
+        )
+
+
 def require_touch_off(force_mN: float, speed_mm_s: float, most_mm: float, back_mm: float, limits: StageLimits) -> None:
     """Raise `SettingsError` for a touch-off that is not allowed at any position."""
     if not (isfinite(force_mN) and force_mN > 0):
@@ -397,6 +407,7 @@ def require_touch_off(force_mN: float, speed_mm_s: float, most_mm: float, back_m
     require_speed(speed_mm_s, limits)
     if not isfinite(most_mm) or most_mm == 0:
         raise SettingsError(f"most_mm = {most_mm:g}: must be a distance other than 0.")
+    _require_shorter_than_travel("most_mm", most_mm, limits)
     if not (isfinite(back_mm) and back_mm >= 0):
         raise SettingsError(f"back_mm = {back_mm:g}: must be 0 or more; it counts away from the contact.")
 

@@ -87,7 +87,10 @@ def test_at_a_real_rig_yes_does_not_look(
         (["touch-off", "--speed", "101"], 2, "100 at most"),
         (["jog", "5", "--speed", "101"], 2, "100 at most"),
         (["jog", "nan"], 2, "a distance other than 0"),
+        (["jog", "151"], 2, "travels 150 mm at most"),
+        (["touch-off", "--most", "-151"], 2, "travels 150 mm at most"),
         (["jog", "5", "--set", "speed_mm_s=3"], 2, "only rig"),
+        (["jog", "5", "--set", "guard.stale_data_s=1"], 2, "write rig.guard.stale_data_s=1"),
         (["jog", "5", "--double"], 2, "has no double"),
     ],
 )

@@ -381,8 +381,8 @@ def test_the_stage_is_homed_jogged_and_touched_off_by_hand(window: MainWindow, u
     hand.distance.setValue(12.5)
     assert done(hand.jog) == "The stage is at 12.500 mm."
     hand.distance.setValue(1000.0)
-    assert "outside its travel" in done(hand.jog)
-    assert "outside its travel" in notices.complaint_text.text()
+    assert "travels 150 mm at most" in done(hand.jog)
+    assert "travels 150 mm at most" in notices.complaint_text.text()
     hand.force.setValue(20.0)
     assert done(hand.touch).startswith("Contact at ")
     assert (lab / "contact.toml").is_file()

@@ -227,7 +227,7 @@ class ScanTiming:
     rate_hz: float
     """Samples per second of every input."""
     conversion_s: float
-    """Time from the conversion of an input to that of the next in a scan."""
+    """Time from the conversion of an input to that of the next in a scan; 0 with the force input alone."""
 
 
 class SampledTasks:
@@ -256,7 +256,9 @@ class SampledTasks:
             self.analog = _analog_input(task, connection, (card.force, *card.inputs), rate_hz, card.buffer_s)
             self.analog.commit()
             self.encoder.commit()
-            self.timing = ScanTiming(float(task.timing.samp_clk_rate), 1.0 / float(task.timing.ai_conv_rate))
+            # A driver need not know the convert clock of a card that converts its only input once a sample.
+            conversion_s = 1.0 / float(task.timing.ai_conv_rate) if card.inputs else 0.0
+            self.timing = ScanTiming(float(task.timing.samp_clk_rate), conversion_s)
             self._tasks = stack.pop_all()
 
     def start(self, start_clock: Callable[[Callable[[], None]], None]) -> None:
