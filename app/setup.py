@@ -153,7 +153,6 @@ DEFAULT_SETTINGS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "m
 HARDWARE_BACKEND = "hardware"
 """The backend of the real rig, to which no effects can be added."""
 CALIBRATED_QUANTITIES = ("force", "encoder")
-SHIPPED_DIALECTS = ("nikki", "copley", "modbus")
 
 
 class RigChoices(TypedDict, total=False):
@@ -309,6 +308,8 @@ def settings_folder(source: str) -> Path | None:
 
 def require_shipped_dialect(rig: RigSettings, source: str) -> RigSettings:
     """Refuse a stored rig that names a module of somebody's own, which would be run; raises `SettingsError`."""
+    from dragrig.rig.hardware.dialects.base import SHIPPED_DIALECTS
+
     if (dialect := rig.hardware.drive.dialect) not in SHIPPED_DIALECTS:
         raise SettingsError(
             f"{source}: names the drive's dialect {dialect!r}, a module of somebody's own; run it in the folder of a "

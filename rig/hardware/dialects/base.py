@@ -196,7 +196,8 @@ class Dialect(ABC):
         return 0.0
 
 
-SHIPPED = "nikki, copley or modbus"
+SHIPPED_DIALECTS = ("nikki", "copley", "modbus")
+_KNOWN = f"{', '.join(SHIPPED_DIALECTS[:-1])} or {SHIPPED_DIALECTS[-1]}"
 
 
 def find_dialect(name: str) -> Dialect:
@@ -206,14 +207,14 @@ def find_dialect(name: str) -> Dialect:
     """
     if not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", name):
         raise SettingsError(
-            f"hardware.drive.dialect = '{name}' is no module's name: use {SHIPPED}, or a module of your own."
+            f"hardware.drive.dialect = '{name}' is no module's name: use {_KNOWN}, or a module of your own."
         )
     beside = f"{__package__}.{name}"
     try:
         module = importlib.import_module(beside if "." not in name and importlib.util.find_spec(beside) else name)
     except ModuleNotFoundError as error:
         raise SettingsError(
-            f"hardware.drive.dialect = '{name}' is not known ({error}): use {SHIPPED}, or put your own where "
+            f"hardware.drive.dialect = '{name}' is not known ({error}): use {_KNOWN}, or put your own where "
             "Python finds it."
         ) from error
     dialect = getattr(module, "DIALECT", None)
