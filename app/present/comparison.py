@@ -61,7 +61,7 @@ def comparison_document(comparison: Comparison) -> Document:
             Section("pairs", "Pairs of runs", (_pair_table(comparison.pairs),)),
             Section("unpaired", "Without a partner", (unpaired,)),
             Section("excluded", "Left out", (left_out,)),
-            Section("remarks", "", (Items(comparison.remarks, remarks=True),)),
+            Section("remarks", "Remarks", (Items(comparison.remarks, remarks=True),)),
         ),
         data=comparison_json(comparison),
     )

@@ -96,7 +96,7 @@ def identification_document(identification: Identification) -> Document:
                     ),
                 ),
             ),
-            Section("remarks", "", (Items(identification.remarks, remarks=True),)),
+            Section("remarks", "Remarks", (Items(identification.remarks, remarks=True),)),
         ),
         data=identification_json(identification),
     )

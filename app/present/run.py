@@ -168,12 +168,13 @@ def run_document(run: Run, bad_reason: str | None = None) -> Document:
 
 
 def _main_force_text(measures: RunMeasures) -> str:
-    """Return the steady force with its interval; of a run without one, its peak and where it ends."""
-    steady = measures.steady_force
+    """Return the steady force with its interval, above that at rest if that is known; else peak and hold."""
+    steady, above_rest = measures.steady_force, measures.steady_above_rest
     if steady.value is not None:
-        interval = range_text(steady.interval, steady.standard_error)
-        force = value_with_error(steady.value, steady.standard_error)
-        return f"steady force {force} mN" + (f" (95 %: {interval} mN)" if interval else "")
+        shown, zero = (steady, "as recorded") if above_rest.value is None else (above_rest, "above rest")
+        interval = range_text(shown.interval, shown.standard_error)
+        force = value_with_error(shown.value, shown.standard_error)
+        return f"steady force {force} mN {zero}" + (f" (95 %: {interval} mN)" if interval else "")
     ends = {"peak": measures.peak_force, "at the end of the hold": measures.hold_force}
     known = [f"{name} {value_with_error(end.value, end.standard_error)} mN" for name, end in ends.items() if end.value]
     return f"no steady force; {', '.join(known)}" if known else f"no steady force, for {steady.reason}"

@@ -334,6 +334,7 @@ class MainWindow(QMainWindow):
             case HostLost(exit_code):
                 self.reset.setEnabled(False)
                 self.guard.setText("guard: no engine")
+                set_role(self.guard, "wrong")
                 self.notices.engine_lost(exit_code)
             case _:
                 pass

@@ -635,7 +635,7 @@ class DocumentView(QWidget):
             if page not in pages.values():
                 page.deleteLater()
         for section in document.content:
-            self.tabs.addTab(_section_area(section), section.heading or document.title)
+            self.tabs.addTab(_section_area(section), section.heading or "Result")
         for title, page in pages.items():
             self.tabs.addTab(page, title)
         # A single section without a heading says nothing that the answer does not.
