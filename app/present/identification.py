@@ -415,7 +415,7 @@ def _drag_blocks(drag: DragResult) -> tuple[Block, ...]:
         Text("" if drag.boundary is None else drag.boundary.sentence),
         Table.of(
             "drag-r2",
-            "",
+            "Eq. 15 compares spreads: it exceeds 1 where the model varies more than the measurement",
             drag.determination,
             Field("band", "R² of the model", lambda band: band.band),
             Field("speeds", "speeds", lambda band: band.speeds, shortest()),

@@ -480,6 +480,7 @@ class NewSession(QWidget):
         edited = self._edited.get(name)
         same = edited is not None and [list(texts) for texts in edited] == [list(texts) for texts in form.values()]
         self._form, self._shown_plan = form, name
+        self.plans.setToolTip(self.plans.currentText())
         self.editor.edit(form, edited if same else None)
         self._edited[name] = self.editor.values()
         self.update_preview()

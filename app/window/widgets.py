@@ -127,7 +127,8 @@ QTreeWidget::item {{ padding: 3px 0; }}
 QTableWidget::item:selected {{ background: #CFE6F5; color: {BLACK}; }}
 QHeaderView::section {{ background: {SURFACE_COLOUR}; border: none; border-bottom: 1px solid {GRID}; padding: 5px 7px;
     color: {GREY}; }}
-QTabBar::tab {{ background: transparent; padding: 8px 16px; border: none; color: {GREY}; }}
+QTabBar::tab {{ background: transparent; padding: 8px 11px; border: none; color: {GREY}; }}
+QTabBar QToolButton {{ padding: 0; }}
 QTabBar::tab:selected {{ color: {BLACK}; font-weight: 600; border-bottom: 3px solid {BLUE}; }}
 QTabWidget::pane {{ border: 1px solid {GRID}; border-radius: 6px; background: {PAPER}; }}
 QScrollArea, QWidget#bare {{ background: transparent; border: none; }}
