@@ -19,6 +19,7 @@ from dragrig.config import (
     DeviceError,
     SettingsError,
 )
+from dragrig.end_signals import rig_open
 from dragrig.rig import (
     JOG_SPEED_MM_S,
     Answer,
@@ -222,7 +223,7 @@ def commission(
         connect=False,
         pace=resolve_pace(pace, double=setup.double).times_faster,
     )
-    with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
+    with rig_open(), closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         if not isinstance(backend, SupportsLiveLook):
             raise SettingsError(
                 f"check --live: backend {setup.backend} has no wires to look at; choose --backend hardware."
@@ -276,7 +277,7 @@ def run_on_bench(
     request = BackendRequest(
         setup.rig, setup.model, paced.real_time, None, setup.calibrations(), pace=paced.times_faster
     )
-    with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
+    with rig_open(), closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         guard = Guard(setup.rig.guard, 1e-3 * setup.rig.encoder.resolution_um)
         engine = Engine(backend, setup.rig, guard)
         look = idle_reader(backend, timed=paced.real_time or backend.needs_hands)

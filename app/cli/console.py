@@ -90,6 +90,8 @@ def run_command_line(command: click.Command, arguments: Sequence[str] | None) ->
         sys.stdout.flush()
     except SystemExit:
         return 0  # click's exit when the reader of standard output has closed it, as `head` does
+    except KeyboardInterrupt:
+        return print_error("aborted", AbortedError.exit_code)
     except Exception as error:  # noqa: BLE001  # the last place where an error can become a sentence
         if isinstance(error, OSError) and _is_reader_gone(error):
             return 0
