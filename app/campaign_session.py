@@ -4,7 +4,7 @@ import queue
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from itertools import count
@@ -64,7 +64,7 @@ from dragrig.setup import (
     Setup,
     contact_position,
     load_settings,
-    open_backend,
+    opened_rig,
     require_shipped_dialect,
     resolve_pace,
     within_lab,
@@ -255,7 +255,7 @@ def run_session(
         pace=pace.times_faster,
         first_run_at=options.first_run_at,
     )
-    with rig_open(), closing(open_backend(setup.backend, request, double=setup.double)) as backend:
+    with opened_rig(setup.backend, request, double=setup.double) as backend:
         further = len(backend.sampler.channels) - 2
         preflight(
             left,
