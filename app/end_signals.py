@@ -5,6 +5,7 @@ opened, closed or written here is broken off by none of them: a signal ends the 
 """
 
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -38,6 +39,9 @@ class EndSignals:
         self._opened = 0
         self._at_prompt = False
         self._ending_since_s = -_ONE_PRESS_S
+        self._report_unraisable = sys.unraisablehook
+        self.interrupted = False
+        """Whether `KeyboardInterrupt` was raised outside of `rig_open`: an error that follows may be made of it."""
         self.reason = ""
         """The first signal that came while a rig was open; empty while none did."""
 
@@ -45,12 +49,15 @@ class EndSignals:
         if threading.current_thread() is threading.main_thread():
             for number in _present_signals():
                 self._earlier[number] = signal.signal(number, self._take)
+            self._report_unraisable, sys.unraisablehook = sys.unraisablehook, self._raise_later
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._earlier.items():
             is_last = self._last and number is signal.SIGINT
             signal.signal(number, signal.SIG_IGN if is_last else signal.SIG_DFL if handler is None else handler)
+        if self._earlier:
+            sys.unraisablehook = self._report_unraisable
 
     @contextmanager
     def aborting(self, abort: Callable[[str], None]) -> Iterator[None]:
@@ -91,7 +98,7 @@ class EndSignals:
         reason = "Ctrl-C" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
         if not self._opened:
             if time.monotonic() - self._ending_since_s >= _ONE_PRESS_S:
-                self._ending_since_s = time.monotonic()
+                self._ending_since_s, self.interrupted = time.monotonic(), True
                 raise KeyboardInterrupt
             return
         self.reason = self.reason or reason
@@ -101,6 +108,14 @@ class EndSignals:
             raise KeyboardInterrupt
         if self._abort is not None:
             self._abort(self.reason)
+
+    def _raise_later(self, unraisable: "sys.UnraisableHookArgs", /) -> None:
+        if unraisable.exc_type is not KeyboardInterrupt:
+            self._report_unraisable(unraisable)
+            return
+        # It was raised where Python drops what is raised, in a destructor or a callback, and would be lost.
+        self._ending_since_s = -_ONE_PRESS_S
+        signal.raise_signal(signal.SIGINT)
 
 
 def _present_signals() -> list[signal.Signals]:

@@ -8,10 +8,8 @@ from collections.abc import Sequence
 
 from dragrig.cli.commands import dragrig_group
 from dragrig.cli.console import run_command_line
-from dragrig.end_signals import EndSignals
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, `sys.argv` unless given, and return its exit code."""
-    with EndSignals(last=arguments is None):
-        return run_command_line(dragrig_group, arguments)
+    return run_command_line(dragrig_group, arguments)
