@@ -16,6 +16,8 @@ from typing import Self
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 _ONE_PRESS_S = 2.0
 """A key that is held, or pressed again and again, counts once in this time."""
+_DROPPED_S = 0.01
+"""When what was raised in vain is raised again."""
 _Handler = Callable[[int, FrameType | None], object] | int | None
 
 
@@ -113,9 +115,12 @@ class EndSignals:
         if unraisable.exc_type is not KeyboardInterrupt:
             self._report_unraisable(unraisable)
             return
-        # It was raised where Python drops what is raised, in a destructor or a callback, and would be lost.
+        # It was raised where Python drops what is raised, in a destructor or a callback, and would be lost; so it would
+        # be here, which is such a place too.
         self._ending_since_s = -_ONE_PRESS_S
-        signal.raise_signal(signal.SIGINT)
+        later = threading.Timer(_DROPPED_S, signal.raise_signal, (signal.SIGINT,))
+        later.daemon = True
+        later.start()
 
 
 def _present_signals() -> list[signal.Signals]:

@@ -42,6 +42,8 @@ COMPILED["PYTHONPYCACHEPREFIX"] = str(Path(tempfile.gettempdir()) / "dragrig-byt
 EXIT_CODES = {0, 2, 3, 4, 5}
 """Exit codes of the program, as `dragrig run --help` has them."""
 START_S = 3.0
+ORPHANS_S = 0.5
+"""What a process had started may outlive it by as long."""
 LOADED = ("in run_command_line", "dragrig: ")
 """What shows that the program itself was running."""
 SLOWLY = ("--set", "wait_s=0", "--set", "rest_s=0.2", "--set", "speed_mm_s=4", "--set", "travel_mm=12")
@@ -120,6 +122,7 @@ def sent(process: "subprocess.Popen[bytes]", way: str) -> float:
 def left_behind(process: "subprocess.Popen[bytes]", out: Path) -> str:
     """Say what a process left: processes of its session, the campaign's lock, recordings."""
     left = []
+    time.sleep(ORPHANS_S)
     for other in psutil.process_iter():
         try:
             if os.getsid(other.pid) == process.pid and other.pid != process.pid:

@@ -12,6 +12,7 @@ import pytest
 from dragrig import campaign_session
 from dragrig.campaign_session import PromptRelay, SessionOptions, run_on_worker, run_session
 from dragrig.config.errors import PlanError, RecordingError
+from dragrig.end_signals import EndSignals
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import Preflight, preflight
 from dragrig.rig.reading import Reading
@@ -177,6 +178,25 @@ def test_a_signal_while_the_rig_is_opened_ends_the_session_before_anything_moves
     monkeypatch.setattr(campaign_session, "preflight", pressed)
     result = carried_out(NullOperator())
     assert (result.status, result.reason, result.runs) == (RunStatus.ABORTED, "Ctrl-C", ())
+
+
+class PressingAsItGoes:
+    """Something whose destructor is under way when Ctrl-C comes: Python drops what is raised there."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        threading.Event().wait(0.1)
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
+def test_a_ctrl_c_that_meets_a_destructor_is_not_lost() -> None:
+    def work() -> None:
+        PressingAsItGoes()
+        threading.Event().wait(10)
+
+    with EndSignals() as signals, pytest.raises(KeyboardInterrupt):
+        work()
+    assert signals.interrupted
 
 
 def test_an_error_of_the_operator_ends_the_session() -> None:
