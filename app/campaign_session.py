@@ -1,17 +1,15 @@
 """Carrying out a plan: the session on its worker thread, its campaign folder, and resuming an interrupted campaign."""
 
 import queue
-import signal
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from itertools import count
 from pathlib import Path
 from threading import Event as Signal
-from types import FrameType
 from typing import Protocol, TypeVar
 
 from dragrig.config import (
@@ -24,6 +22,7 @@ from dragrig.config import (
     reason_of,
     rig_file_of,
 )
+from dragrig.end_signals import EndSignals, rig_open
 from dragrig.rig import (
     Answer,
     Backend,
@@ -65,7 +64,7 @@ from dragrig.setup import (
     Setup,
     contact_position,
     load_settings,
-    open_backend,
+    opened_rig,
     require_shipped_dialect,
     resolve_pace,
     within_lab,
@@ -78,7 +77,6 @@ _IDLE_MEAN_S = 0.1
 """Five periods of the mains."""
 MIRROR_ANSWER_S = 10.0
 """How long a mirror may take to answer before a session."""
-_END_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 
 
 @dataclass(slots=True)
@@ -114,14 +112,14 @@ class PromptRelay:
         pending.answered.wait()
         return pending.answer
 
-    def answer_next(self, within_s: float) -> None:
-        """Answer the next prompt, if there is one in this time; Ctrl-C at a prompt ends the session."""
+    def answer_next(self, within_s: float, signals: EndSignals) -> None:
+        """Answer the next prompt, if there is one in this time; Ctrl-C at or before a prompt ends the session."""
         try:
             pending = self._prompts.get(timeout=within_s)
         except queue.Empty:
             return
         try:
-            with _signal_handler(signal.default_int_handler):
+            with signals.prompting():
                 pending.answer = self._operator.ask(replace(pending.prompt, look=pending.prompt.look or self._look))
         except (KeyboardInterrupt, EOFError):
             pending.answer = Answer.ABORT
@@ -162,16 +160,12 @@ def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], ope
             errors.append(error)
 
     worker = threading.Thread(target=run, name="session")
-
-    def abort_on_signal(number: int, frame: FrameType | None) -> None:
-        del frame
-        abort("Ctrl-C" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}")
-
-    with _signal_handler(abort_on_signal):
+    with rig_open() as signals:
         worker.start()
         try:
-            while worker.is_alive():
-                operator.answer_next(_POLL_S)
+            with signals.aborting(abort):
+                while worker.is_alive():
+                    operator.answer_next(_POLL_S, signals)
         finally:
             if worker.is_alive():
                 abort("its host failed")
@@ -179,23 +173,6 @@ def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], ope
     if errors:
         raise errors[0]
     return results[0]
-
-
-@contextmanager
-def _signal_handler(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may handle signals
-        return
-    present = [signal.Signals[name] for name in _END_SIGNALS if name in signal.Signals.__members__]
-    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
-        # Under nohup a session outlives its terminal.
-        present.remove(signal.SIGHUP)
-    before = {number: signal.signal(number, handler) for number in present}
-    try:
-        yield
-    finally:
-        for number, earlier in before.items():
-            signal.signal(number, signal.SIG_DFL if earlier is None else earlier)
 
 
 class SessionOperator(Operator, SessionObserver, Protocol):
@@ -278,7 +255,7 @@ def run_session(
         pace=pace.times_faster,
         first_run_at=options.first_run_at,
     )
-    with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
+    with opened_rig(setup.backend, request, double=setup.double) as backend:
         further = len(backend.sampler.channels) - 2
         preflight(
             left,

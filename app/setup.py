@@ -1,6 +1,7 @@
 """What a session runs with: backend, pace, rig, plan, specimen, model, found by name or file and changed by --set."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from inspect import getattr_static
@@ -37,6 +38,7 @@ from dragrig.config import (
     rig_file_of,
     suggestion,
 )
+from dragrig.end_signals import rig_open
 from dragrig.rig import (
     Backend,
     BackendRequest,
@@ -121,20 +123,45 @@ def open_backend(name: str, request: BackendRequest, *, double: bool = False) ->
     DeviceError
         When it cannot be loaded, or returns no backend.
     """
+    return _load_backend(name, double=double)(request)
+
+
+@contextmanager
+def opened_rig(name: str, request: BackendRequest, *, double: bool = False) -> Iterator[Backend]:
+    """Open a rig, and close it whatever happens: no signal breaks off either. Raises as `open_backend`."""
+    # It takes seconds, nothing is open yet, and Ctrl-C may break it off.
+    open_devices = _load_backend(name, double=double)
+    with rig_open(), closing(open_devices(request)) as backend:
+        yield backend
+
+
+def _load_backend(name: str, *, double: bool) -> Callable[[BackendRequest], Backend]:
     entry = find_backend(name, double=double)
-    try:
+
+    @contextmanager
+    def explained() -> Iterator[None]:
+        try:
+            yield
+        except DragrigError:
+            raise
+        except Exception as error:  # an add-on's own code can fail in any way
+            raise DeviceError(
+                f"backend {name} ({entry.value}) cannot be opened ({type(error).__name__}: {error}); is it installed "
+                "completely?"
+            ) from error
+
+    with explained():
         factory: Callable[[BackendRequest], object] = entry.load()
-        backend = factory(request)
-    except DragrigError:
-        raise
-    except Exception as error:  # an add-on's own code can fail in any way
-        raise DeviceError(
-            f"backend {name} ({entry.value}) cannot be opened ({type(error).__name__}: {error}); is it installed "
-            "completely?"
-        ) from error
-    if not _is_backend(backend):
-        raise DeviceError(f"backend {name} ({entry.value}) returns a {type(backend).__name__}, which is no backend.")
-    return backend
+
+    def open_devices(request: BackendRequest) -> Backend:
+        with explained():
+            backend = factory(request)
+        if not _is_backend(backend):
+            kind = type(backend).__name__
+            raise DeviceError(f"backend {name} ({entry.value}) returns a {kind}, which is no backend.")
+        return backend
+
+    return open_devices
 
 
 def _is_backend(candidate: object) -> TypeGuard[Backend]:

@@ -55,6 +55,7 @@ class TripCause(StrEnum):
     SENSOR_OPEN = "sensor open circuit"
     SENSOR_DEAD = "sensor dead"
     ENCODER_SILENT = "encoder silent"
+    NO_MOTION = "no motion"
     ENCODER_JUMP = "encoder jump"
     ENCODER_ERROR = "encoder error"
     OVERRUN = "overrun"

@@ -164,7 +164,7 @@ class RunningAcquisition:
         if fault := self._fault() or self._without_override(block.fault):
             trip = self._guard.latch(fault)
         else:
-            trip = self._guard.inspect(block, reading.command, extremes, self._rate_hz)
+            trip = self._guard.inspect(block, reading.command, extremes, self._rate_hz, self._stopped_drive_travel_mm)
         # The stage brakes from the end of this block, so the command has to as well.
         self._end_index = block.end_index
         self.trip(trip)
@@ -180,6 +180,13 @@ class RunningAcquisition:
             self.trip(self._guard.latch(fault))
         elif not cancel.is_set():
             self._compare_travel()
+
+    def _stopped_drive_travel_mm(self) -> float:
+        attempt(self._stage.stop)
+        try:
+            return abs(self._stage.state().drive_mm - self._drive_from_mm)
+        except DeviceError:
+            return nan
 
     def _compare_travel(self) -> None:
         """Compare drive and encoder at the standstill after the motion."""

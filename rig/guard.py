@@ -2,9 +2,11 @@
 
 It starts tripped, so that nothing moves before a person has looked at the rig, and it trips once: whatever follows a
 trip does not replace its reason. It watches force, position, speed, following error, an encoder that shows no counts
-while the setpoint moves (a cable off, a broken wire, a stuck stage), and one that jumps as no stage can.
+while the setpoint moves (a cable off, a broken wire, a stuck stage), and one that jumps as no stage can. A stage that
+never set out, by its drive's own account, is told from a silent encoder.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
 
@@ -32,6 +34,8 @@ class EncoderSilence:
 
     travel_mm: float
     duration_s: float
+    from_rest: bool = False
+    """Whether it has shown none since the command stood still."""
 
 
 NO_SILENCE = EncoderSilence(0.0, 0.0)
@@ -54,6 +58,7 @@ class EncoderSilenceMonitor:
     _command_mm: float = nan
     _moved_index: int | None = None
     _travel_mm: float = 0.0
+    _has_counted: bool = False
 
     def add(self, block: Block, command: AnyFloatArray, extremes: BlockExtremes, rate_hz: float) -> EncoderSilence:
         """Take the next block and its command [mm], shape `(n,)`; return the silence at its end.
@@ -61,7 +66,7 @@ class EncoderSilenceMonitor:
         A silence within a block that also has counts is returned with the next block.
         """
         if extremes.max_position_mm - extremes.min_position_mm > self.dither_mm:
-            self._counting = (block, command)
+            self._counting, self._has_counted = (block, command), True
             return NO_SILENCE
         if self._counting is not None:
             self._begin_after_last_count(*self._counting, rate_hz)
@@ -69,6 +74,7 @@ class EncoderSilenceMonitor:
         low_mm = min(self._min_position_mm, extremes.min_position_mm)
         high_mm = max(self._max_position_mm, extremes.max_position_mm)
         if high_mm - low_mm > self.dither_mm or isnan(self._command_mm):
+            self._has_counted |= not isnan(self._command_mm)
             self._begin(extremes.min_position_mm, extremes.max_position_mm, float(command[0]))
         else:
             self._min_position_mm, self._max_position_mm = low_mm, high_mm
@@ -87,8 +93,9 @@ class EncoderSilenceMonitor:
         self._command_mm, self._moved_index, self._travel_mm = command_mm, None, 0.0
 
     def _continue(self, first_index: int, command: AnyFloatArray, rate_hz: float) -> EncoderSilence:
-        if self._travel_mm == 0 and command[0] == self._command_mm == command[-1]:
-            # The command stands still, as for most of a session.
+        if command[0] == command[-1]:
+            # The command stands still, as for most of a session; what it moved before counts when it goes on.
+            self._has_counted, self._moved_index = False, None
             return NO_SILENCE
         travel = np.abs(command - self._command_mm)
         self._travel_mm = max(self._travel_mm, float(travel.max()))
@@ -96,7 +103,8 @@ class EncoderSilenceMonitor:
             return NO_SILENCE
         if self._moved_index is None:
             self._moved_index = first_index + int((travel > 0).argmax())
-        return EncoderSilence(self._travel_mm, (first_index + len(command) - self._moved_index) / rate_hz)
+        duration_s = (first_index + len(command) - self._moved_index) / rate_hz
+        return EncoderSilence(self._travel_mm, duration_s, from_rest=not self._has_counted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,11 +186,25 @@ class Guard:
             self._overridden = None
         self._override_next_motion = False
 
-    def inspect(self, block: Block, command: AnyFloatArray, extremes: BlockExtremes, rate_hz: float) -> Trip | None:
-        """Check a block; return the trip that it causes, None when it is fine or the guard is latched already."""
+    def inspect(
+        self,
+        block: Block,
+        command: AnyFloatArray,
+        extremes: BlockExtremes,
+        rate_hz: float,
+        drive_travel_mm: Callable[[], float] = lambda: nan,
+    ) -> Trip | None:
+        """Check a block; return the trip that it causes, None when it is fine or the guard is latched already.
+
+        Parameters
+        ----------
+        drive_travel_mm
+            Stops the stage, and returns how far the drive has moved by its own account; NaN where it has none. Called
+            when the encoder is silent, to tell it from a stage that does not move.
+        """
         if self._trip is not None:
             return None
-        self._trip = self._check(block, command, extremes, rate_hz)
+        self._trip = self._check(block, command, extremes, rate_hz, drive_travel_mm)
         return self._trip
 
     def latch(self, trip: Trip) -> Trip | None:
@@ -192,7 +214,14 @@ class Guard:
         self._trip = trip
         return trip
 
-    def _check(self, block: Block, command: AnyFloatArray, extremes: BlockExtremes, rate_hz: float) -> Trip | None:
+    def _check(
+        self,
+        block: Block,
+        command: AnyFloatArray,
+        extremes: BlockExtremes,
+        rate_hz: float,
+        drive_travel_mm: Callable[[], float],
+    ) -> Trip | None:
         largest_mN = max(extremes.max_force_mN, -extremes.min_force_mN)
         if not isfinite(largest_mN + extremes.max_position_mm):
             return Trip(TripCause.NOT_A_NUMBER, "a sample of force or position is not a number")
@@ -206,7 +235,7 @@ class Guard:
                 self._check_position(extremes.min_position_mm, extremes.max_position_mm)
                 or self._check_jump(block, rate_hz)
                 or self._check_speed(block, rate_hz)
-                or self._check_silence(block, command, extremes, rate_hz)
+                or self._check_silence(block, command, extremes, rate_hz, drive_travel_mm)
                 or self._check_following(extremes.following_error_mm, command, rate_hz)
             )
         self._previous_command = command
@@ -262,7 +291,12 @@ class Guard:
         return Trip(TripCause.SPEED, f"speed of {speed:.1f} mm/s is over the limit of {limit:.1f} mm/s")
 
     def _check_silence(
-        self, block: Block, command: AnyFloatArray, extremes: BlockExtremes, rate_hz: float
+        self,
+        block: Block,
+        command: AnyFloatArray,
+        extremes: BlockExtremes,
+        rate_hz: float,
+        drive_travel_mm: Callable[[], float],
     ) -> Trip | None:
         silence, settings = self._silence.add(block, command, extremes, rate_hz), self._settings
         if silence.travel_mm <= settings.encoder_silent_mm or silence.duration_s <= settings.encoder_silent_s:
@@ -270,10 +304,15 @@ class Guard:
         lag_mm = settings.following_error_per_speed_s * self._commanded_speed(command, rate_hz)
         if silence.travel_mm <= settings.encoder_silent_mm + lag_mm:
             return None
+        moved = f"for {1000 * silence.duration_s:.0f} ms, while the command moved by {silence.travel_mm:.2f} mm"
+        if silence.from_rest and drive_travel_mm() <= settings.encoder_error_mm:
+            return Trip(
+                TripCause.NO_MOTION,
+                f"neither drive nor encoder moved {moved}; the drive begins too late, or the stage is blocked",
+            )
         return Trip(
             TripCause.ENCODER_SILENT,
-            f"the encoder showed no count for {1000 * silence.duration_s:.0f} ms, while the command moved by "
-            f"{silence.travel_mm:.2f} mm; check its cable, and whether the stage is blocked",
+            f"the encoder showed no count {moved}; check its cable, and whether the stage is blocked",
         )
 
     def _check_following(self, error_mm: float, command: AnyFloatArray, rate_hz: float) -> Trip | None:

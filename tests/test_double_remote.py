@@ -1,5 +1,6 @@
 """The doubles in another process: NI's real client over gRPC, the control socket, and how the process ends."""
 
+import signal
 import subprocess
 import sys
 import threading
@@ -28,6 +29,7 @@ from simulated import NEVER, acquire, rest, settings, stroke
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import CardSettings, RigSettings
+from dragrig.config.settings import to_toml
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.card.sampler import CardSampler
@@ -300,6 +302,53 @@ def test_the_sampler_records_through_another_process_and_says_when_that_is_gone(
             deque(iter(lambda: sampler.read(NEVER), None), maxlen=0)
         sampler.stop()
         connection.close()
+
+
+READER = """
+import sys
+from pathlib import Path
+from simulated import NEVER, acquire, rest
+from dragrig.config.errors import StaleDataError
+from dragrig.config.rig import RigSettings
+from dragrig.config.settings import read_settings_file
+from dragrig.rig.hardware.card.connection import Connection
+from dragrig.rig.hardware.card.sampler import CardSampler
+from dragrig.rig.hardware.sync import MotionSamplingSync
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock
+rig = read_settings_file(RigSettings, Path(sys.argv[1]))
+sampler = CardSampler(Connection(rig.hardware.card, 0.3), rig, {}, MotionSamplingSync(), DoubleClock())
+sampler.arm(acquire(rest(3.0)))
+sampler.start()
+while True:
+    try:
+        block = sampler.read(NEVER)
+    except StaleDataError:
+        continue
+    if block is None:
+        break
+    print(block.first_index, block.end_index, flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes cannot be stopped there")
+def test_a_program_that_stood_still_for_longer_than_a_call_may_take_loses_no_sample(tmp_path: Path) -> None:
+    with RemoteDoubles(rig(1000.0)) as doubles:
+        (tmp_path / "rig.toml").write_text(to_toml(doubles.rig()), "utf-8")
+        program, here = [sys.executable, "-c", READER, str(tmp_path / "rig.toml")], Path(__file__).parent
+        with subprocess.Popen(program, stdout=subprocess.PIPE, text=True, cwd=here) as reader:
+            assert reader.stdout is not None
+            blocks = [reader.stdout.readline()]
+            for place_s in (0.01, 0.02, 0.03):
+                time.sleep(place_s)  # into the wait for the next block
+                reader.send_signal(signal.SIGSTOP)
+                time.sleep(0.6)
+                reader.send_signal(signal.SIGCONT)
+                blocks.append(reader.stdout.readline())
+            blocks += reader.stdout
+        assert reader.returncode == 0
+    first, end = zip(*(map(int, block.split()) for block in blocks if block), strict=True)
+    assert first == (0, *end[:-1])
+    assert end[-1] == 3000
 
 
 class Caller:

@@ -132,7 +132,11 @@ def test_an_encoder_that_dithers_in_short_blocks_has_no_speed() -> None:
 
 
 def driven(
-    guard: Guard, profile: MotionProfile, shown: Callable[[FloatArray], FloatArray], block_s: float
+    guard: Guard,
+    profile: MotionProfile,
+    shown: Callable[[FloatArray], FloatArray],
+    block_s: float,
+    drive_travel_mm: Callable[[], float] = lambda: math.nan,
 ) -> Trip | None:
     """Let the guard see a motion whose encoder shows `shown` of the command, until it trips."""
     assert guard.reset(CLEAR) is None
@@ -142,7 +146,7 @@ def driven(
         time = np.arange(first, first + per_block) / RATE
         command = profile.position(time).astype(np.float32)
         block = Block(first, {"force": np.zeros(per_block, np.float32), "position": shown(time)})
-        if trip := guard.inspect(block, command, BlockExtremes.of(block, command), RATE):
+        if trip := guard.inspect(block, command, BlockExtremes.of(block, command), RATE, drive_travel_mm):
             return trip
     return None
 
@@ -194,6 +198,34 @@ def test_a_late_start_is_no_silence(offset_s: float, late_s: float, speed: float
     profile = MotionProfile.from_pieces([stationary_piece(0.2 + offset_s, Phase.REST), *trapezoid(60.0, speed, accel)])
     settings = GuardSettings(following_error_mm=5.0)
     assert driven(Guard(settings), profile, lambda time: profile.position(time - late_s), 0.05) is None
+
+
+@pytest.mark.parametrize(
+    ("drive_mm", "stuck_s", "cause"),
+    [
+        (0.0, 0.0, TripCause.NO_MOTION),
+        (0.7, 0.0, TripCause.ENCODER_SILENT),
+        (math.nan, 0.0, TripCause.ENCODER_SILENT),
+        (0.0, 0.3, TripCause.ENCODER_SILENT),
+    ],
+    ids=["neither moved", "the drive moved", "nobody knows", "it had counted before"],
+)
+def test_a_stage_that_never_set_out_is_told_from_a_silent_encoder(
+    drive_mm: float, stuck_s: float, cause: TripCause
+) -> None:
+    stroke = (stationary_piece(0.2, Phase.REST), *trapezoid(20.0, 20.0, 400.0))
+    once, twice = MotionProfile.from_pieces(stroke), MotionProfile.from_pieces((*stroke, *stroke))
+    for profile, rest_s in ((once, 0.0), (twice, once.duration_s)):
+        # Of two strokes, the second one is late.
+        trip = driven(
+            Guard(GuardSettings(), 0.001),
+            profile,
+            lambda time, profile=profile, rest_s=rest_s: profile.position(np.minimum(time, rest_s + stuck_s)),
+            0.05,
+            lambda: drive_mm,
+        )
+        assert trip is not None
+        assert trip.cause is cause
 
 
 @given(st.lists(st.integers(-3, 3), min_size=400, max_size=400), st.integers(1, 60))

@@ -5,12 +5,16 @@ import signal
 import threading
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any, Self
 
 import pytest
 
+from dragrig import campaign_session
 from dragrig.campaign_session import PromptRelay, SessionOptions, run_on_worker, run_session
 from dragrig.config.errors import PlanError, RecordingError
+from dragrig.end_signals import EndSignals
 from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.programme import Preflight, preflight
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import RunHeader, RunStatus
 from dragrig.rig.runfile.store import MemorySink, MemoryStore
@@ -118,6 +122,81 @@ def test_ctrl_c_closes_an_open_prompt() -> None:
     result = carried_out(PressingCtrlC())
     assert (result.status, result.runs) == (RunStatus.ABORTED, ())
     assert result.reason == "ended at a prompt"
+
+
+class HoldingCtrlC(NullOperator):
+    """Holds Ctrl-C down from the first prompt on, until the context ends."""
+
+    def __init__(self) -> None:
+        self.let_go, self.tidy = threading.Event(), False
+        self.pressing = threading.Thread(target=self.press)
+
+    def __enter__(self) -> Self:
+        # What comes before and after the session counts for nothing.
+        self.before = signal.signal(signal.SIGINT, lambda *_: None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.let_go.set()
+        self.pressing.join()
+        signal.signal(signal.SIGINT, self.before)
+
+    def press(self) -> None:
+        while not self.let_go.wait(0.0005):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.pressing.start()
+        try:
+            threading.Event().wait(30)
+        finally:
+            # As a terminal that is put in order again.
+            threading.Event().wait(0.05)
+            self.tidy = True
+        return Answer.DONE
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
+def test_a_ctrl_c_that_is_held_at_a_prompt_ends_the_session_in_good_order() -> None:
+    with HoldingCtrlC() as person:
+        result = carried_out(person)
+    assert (result.status, result.runs) == (RunStatus.ABORTED, ())
+    assert person.tidy
+    assert not any(thread.name == "session" for thread in threading.enumerate())
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
+def test_a_signal_while_the_rig_is_opened_ends_the_session_before_anything_moves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def pressed(*arguments: Any, **named: Any) -> Preflight:
+        os.kill(os.getpid(), signal.SIGINT)
+        return preflight(*arguments, **named)
+
+    monkeypatch.setattr(campaign_session, "preflight", pressed)
+    result = carried_out(NullOperator())
+    assert (result.status, result.reason, result.runs) == (RunStatus.ABORTED, "Ctrl-C", ())
+
+
+class PressingAsItGoes:
+    """Something whose destructor is under way when Ctrl-C comes: Python drops what is raised there."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        threading.Event().wait(0.1)
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
+def test_a_ctrl_c_that_meets_a_destructor_is_not_lost() -> None:
+    def work() -> None:
+        PressingAsItGoes()
+        threading.Event().wait(10)
+
+    with EndSignals() as signals, pytest.raises(KeyboardInterrupt):
+        work()
+    assert signals.interrupted
 
 
 def test_an_error_of_the_operator_ends_the_session() -> None:

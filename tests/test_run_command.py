@@ -185,6 +185,20 @@ def test_ctrl_c_stops_the_stage_within_a_tenth_of_a_second(waiting: "subprocess.
     assert abs((info.header.start_time - sent).total_seconds() + noticed_s) < 10.0
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches a whole console there")
+def test_a_ctrl_c_that_is_held_counts_once(waiting: "subprocess.Popen[str]", tmp_path: Path) -> None:
+    until_it_records(tmp_path / "c")
+    while waiting.poll() is None:
+        waiting.send_signal(signal.SIGINT)
+        time.sleep(0.01)
+    answer, remarks = waiting.communicate()
+    assert waiting.returncode == 3, remarks
+    assert json.loads(answer)["status"] == "aborted"
+    assert "Traceback" not in remarks
+    (info,) = read_campaign(tmp_path / "c").runs
+    assert (info.status, info.reason) == (RunStatus.ABORTED, "Ctrl-C")
+
+
 def test_a_tripped_campaign_can_be_resumed(run: Runner, tmp_path: Path) -> None:
     words = (*QUICK, "--yes", "--out", "c")
     answer = run.json_answer(*words, "--set", "rig.guard.force_limit_mN=100", code=4)

@@ -1,7 +1,6 @@
 """Move the stage by hand (home, jog, touch off), look at the rig's wiring, and calibrate force sensor and encoder."""
 
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 from math import isfinite
@@ -53,7 +52,7 @@ from dragrig.rig import (
     write_commissioning,
     write_contact,
 )
-from dragrig.setup import Pace, RigChoices, RigSetup, open_backend, resolve_pace, resolve_rig
+from dragrig.setup import Pace, RigChoices, RigSetup, opened_rig, resolve_pace, resolve_rig
 
 ResultT = TypeVar("ResultT")
 PointT = TypeVar("PointT", LoadReading, TravelReading)
@@ -222,7 +221,7 @@ def commission(
         connect=False,
         pace=resolve_pace(pace, double=setup.double).times_faster,
     )
-    with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
+    with opened_rig(setup.backend, request, double=setup.double) as backend:
         if not isinstance(backend, SupportsLiveLook):
             raise SettingsError(
                 f"check --live: backend {setup.backend} has no wires to look at; choose --backend hardware."
@@ -276,7 +275,7 @@ def run_on_bench(
     request = BackendRequest(
         setup.rig, setup.model, paced.real_time, None, setup.calibrations(), pace=paced.times_faster
     )
-    with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
+    with opened_rig(setup.backend, request, double=setup.double) as backend:
         guard = Guard(setup.rig.guard, 1e-3 * setup.rig.encoder.resolution_um)
         engine = Engine(backend, setup.rig, guard)
         look = idle_reader(backend, timed=paced.real_time or backend.needs_hands)

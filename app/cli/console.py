@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Self, TypeVar
 import click
 
 from dragrig.config import AbortedError, DragrigError
+from dragrig.end_signals import EndSignals
 from dragrig.present import duration_text, to_json_value
 
 if TYPE_CHECKING:
@@ -85,16 +86,21 @@ def run_command_line(command: click.Command, arguments: Sequence[str] | None) ->
     """Run a command and return its exit code; an error is printed as one sentence."""
     _open_closed_streams()
     _replace_unencodable()
-    try:
-        returned = command.main(args=arguments, prog_name="dragrig", standalone_mode=False)
-        sys.stdout.flush()
-    except SystemExit:
-        return 0  # click's exit when the reader of standard output has closed it, as `head` does
-    except Exception as error:  # noqa: BLE001  # the last place where an error can become a sentence
-        if isinstance(error, OSError) and _is_reader_gone(error):
-            return 0
-        return print_error(*_sentence_and_code(error))
-    return returned if isinstance(returned, int) else 0
+    with EndSignals(last=arguments is None) as signals:
+        try:
+            returned = command.main(args=arguments, prog_name="dragrig", standalone_mode=False)
+            sys.stdout.flush()
+        except SystemExit:
+            return 0  # click's exit when the reader of standard output has closed it, as `head` does
+        except KeyboardInterrupt:
+            return print_error(*_sentence_and_code(click.Abort()))
+        except Exception as error:  # noqa: BLE001  # the last place where an error can become a sentence
+            if isinstance(error, OSError) and _is_reader_gone(error):
+                return 0
+            known = isinstance(error, DragrigError | click.ClickException)
+            # Libraries make errors of their own of Ctrl-C.
+            return print_error(*_sentence_and_code(click.Abort() if signals.interrupted and not known else error))
+        return returned if isinstance(returned, int) else 0
 
 
 def _open_closed_streams() -> None:

@@ -134,13 +134,14 @@ class RequestReceiver:
     def __init__(self, connection: "Connection[Event, Request]", silence_s: float = SILENCE_TIMEOUT_S) -> None:
         self._connection = connection
         self._silence_s = silence_s
-        self._requests: queue.SimpleQueue[tuple[int, Request] | None] = queue.SimpleQueue()
+        # No SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
+        self._requests: queue.Queue[tuple[int, Request] | None] = queue.Queue()
         self._lock = Lock()
         # Numbers of the request received last, of the current one, and of the last one that an abort applies to.
         self._received = self._current = self._aborted = 0
         self._abort: Callable[[str], None] | None = None
         self._abort_reason = ""
-        self._answers: dict[int, queue.SimpleQueue[Answer]] = {}
+        self._answers: dict[int, queue.Queue[Answer]] = {}
         self.gone = Signal()
         self.pause = Signal()
         Thread(target=self._receive_all, name="receiver", daemon=True).start()
@@ -169,7 +170,7 @@ class RequestReceiver:
 
         `idle` is called again and again meanwhile.
         """
-        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        answers: queue.Queue[Answer] = queue.Queue()
         with self._lock:
             self._answers[question] = answers
             if self._is_aborted:

@@ -1,7 +1,6 @@
 """The application and its main window: rig banner, pages, stop button, notices."""
 
 import gc
-import signal
 import sys
 import time
 from collections.abc import Callable
@@ -23,6 +22,7 @@ from PySide6.QtWidgets import (
 )
 
 from dragrig.config import DragrigError
+from dragrig.end_signals import rig_open
 from dragrig.engine_host import (
     SILENCE_TIMEOUT_S,
     Answer,
@@ -539,6 +539,6 @@ def show_window(rig: RigSelection, lab: Path | None) -> int:
     application = qt_application()
     window = MainWindow(rig, lab)
     window.show()
-    # Python handles the signal when the engine's timer next runs Python code.
-    signal.signal(signal.SIGINT, lambda *_: window.close_in_order("Ctrl-C"))
-    return int(application.exec())
+    # Python handles a signal when the engine's timer next runs Python code.
+    with rig_open() as signals, signals.aborting(window.close_in_order):
+        return int(application.exec())

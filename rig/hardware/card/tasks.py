@@ -26,13 +26,19 @@ from nidaqmx.constants import (
     TaskMode,
     TerminalConfiguration,
 )
-from nidaqmx.errors import DaqError, DaqReadError
+from nidaqmx.errors import DaqError, DaqReadError, RpcError
 from nidaqmx.stream_readers import AnalogMultiChannelReader, CounterReader
 from nidaqmx.stream_writers import AnalogSingleChannelWriter
 
 from dragrig.config import AnalogInputSettings, CardSettings, DeviceError, ForceInputSettings, RigSettings
 from dragrig.rig import FloatArray
-from dragrig.rig.hardware.card.connection import OVERWRITTEN_CODE, READ_TIMEOUT_CODE, Connection, driver_errors_wrapped
+from dragrig.rig.hardware.card.connection import (
+    OVERWRITTEN_CODE,
+    READ_TIMEOUT_CODE,
+    Connection,
+    driver_errors_wrapped,
+    has_lost_reply,
+)
 
 _CALL_TIMEOUT_S = 0.1
 _PART_S, _MAX_WAIT_S = 0.05, 1.0
@@ -57,6 +63,10 @@ class OverwrittenError(Exception):
     """The next sample is no longer in the buffer."""
 
 
+class LostReplyError(Exception):
+    """The server's reply did not come in time, and with it samples that it had read."""
+
+
 class BufferedInput:
     """A continuous task whose samples are counted from its first one. Belongs to one thread at a time.
 
@@ -71,7 +81,7 @@ class BufferedInput:
     def __init__(self, task: nidaqmx.Task, stream_read: StreamRead) -> None:
         self._task = task
         self._stream_read = stream_read
-        self._skipped = False
+        self._skipped = self._reply_lost = False
         # So that samples that were not fetched in time cost a gap and not the rest of the run.
         task.in_stream.overwrite = OverwriteMode.OVERWRITE_UNREAD_SAMPLES
 
@@ -93,7 +103,13 @@ class BufferedInput:
 
         A short read leaves them contiguous at the beginning of `into`, channel after channel.
 
-        Raises `OverwrittenError` when the next sample was overwritten: call `skip_to`.
+        Raises
+        ------
+        OverwrittenError
+            When the next sample was overwritten: call `skip_to`.
+        LostReplyError
+            When it is not known how far the server read: call `skip_to` with the next sample. A program that stood
+            still finds a call's time over when it goes on, so only the second one in a row is the server's silence.
         """
         try:
             arrived = self._stream_read(into, samples, timeout_s)
@@ -103,6 +119,12 @@ class BufferedInput:
             if error.error_code != READ_TIMEOUT_CODE:
                 raise
             arrived = error.samps_per_chan_read if isinstance(error, DaqReadError) else 0
+        except RpcError as error:
+            if self._reply_lost or not has_lost_reply(error):
+                raise
+            self._reply_lost = True
+            raise LostReplyError from error
+        self._reply_lost = False
         if self._skipped and arrived:
             self._read_from(ReadRelativeTo.CURRENT_READ_POSITION, 0)
             self._skipped = False
@@ -187,6 +209,9 @@ class SampleFetcher:
                 self._counts_held += self._encoder.read(into, missing, READ_TIMEOUT_S)
         except OverwrittenError:
             self.skip_to_newest()
+        except LostReplyError:
+            self._analog.skip_to(self.next_index + self._volts_held)
+            self._encoder.skip_to(self.next_index + self._counts_held)
         return self._complete_batch()
 
     def fetch_newest(self, samples: int) -> SampleBatch:
