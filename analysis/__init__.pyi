@@ -160,6 +160,7 @@ from .wording import capitalise as capitalise
 from .wording import count_text as count_text
 from .wording import join_names as join_names
 from .wording import percent_text as percent_text
+from .wording import printable as printable
 from .wording import range_text as range_text
 from .wording import rounded_to_error as rounded_to_error
 from .wording import significant_text as significant_text

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.estimates import Progress, no_progress
+from dragrig.analysis.wording import printable
 from dragrig.config import AnalysisError, OutputError, RunFileError
 from dragrig.rig import PHASE_NAMES, Attribute, Run
 
@@ -206,7 +207,7 @@ def write_csv(part: Path, content: ExportContent, style: CsvStyle, progress: Pro
     options = csv.WriteOptions(include_header=False, delimiter=style.delimiter, quoting_style="none")
     with part.open("wb") as file:
         for key, value in content.metadata.items():
-            file.write(f"# {key}: {json.dumps(value, ensure_ascii=False)}\n".encode())
+            file.write(f"# {key}: {printable(json.dumps(value, ensure_ascii=False))}\n".encode())
         file.write((style.delimiter.join(names) + "\n").encode())
         for start in range(0, rows, CSV_CHUNK_ROWS):
             progress(start, rows)

@@ -1,5 +1,6 @@
-"""Numbers, counts and names as sentences write them, for analysis and `present` alike."""
+"""Numbers, counts, names and foreign texts as they are written for a reader, for analysis and `present` alike."""
 
+import unicodedata
 from collections.abc import Sequence
 from decimal import Decimal
 from math import floor, isfinite, log10
@@ -12,6 +13,31 @@ EXACT, EXACT_DIGITS = 1e-6, 8
 """An error below this share of the value is rounding: it is not written, and the value with so many digits at most."""
 MAX_DECIMALS = 9
 """What needs more decimal places is written with an exponent."""
+
+_HIDDEN_CATEGORIES = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+"""Of Unicode: control and format characters, halves of pairs, separators of lines and paragraphs."""
+_HARMLESS = frozenset("\n\t\u00ad\u200c\u200d")
+"""Of these what ordinary text holds: line break, tab, soft hyphen, and the joiners of scripts and emoji."""
+
+
+def printable(text: str) -> str:
+    """Return a text whose hidden characters are written out as JSON does it, by number.
+
+    Whoever filled in a note or named a file could otherwise drive a terminal with it (colours, the title, the
+    clipboard), overwrite what stands before it, or turn the order of letters round.
+    """
+    if text.isprintable():
+        return text
+    return "".join(_written_out(letter) if _is_hidden(letter) else letter for letter in text)
+
+
+def _is_hidden(letter: str) -> bool:
+    return unicodedata.category(letter) in _HIDDEN_CATEGORIES and letter not in _HARMLESS
+
+
+def _written_out(letter: str) -> str:
+    units = letter.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[at : at + 4]}" for at in range(0, len(units), 4))
 
 
 def significant_text(value: float, digits: int = 3) -> str:

@@ -61,6 +61,7 @@ from .settings import mistakes_in as mistakes_in
 from .settings import nested_table as nested_table
 from .settings import parse as parse
 from .settings import parse_assignment as parse_assignment
+from .settings import parse_toml as parse_toml
 from .settings import parse_value as parse_value
 from .settings import read_settings_file as read_settings_file
 from .settings import read_toml as read_toml

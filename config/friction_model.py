@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, ModelWrapValidatorHandler, model_serializer, model_validator
 
 from dragrig.config.errors import SettingsError
-from dragrig.config.settings import Settings
+from dragrig.config.settings import Settings, parse
 
 
 class EffectSettings(Settings):
@@ -61,7 +61,7 @@ def _parse_effect(text: str) -> EffectSettings:
         values[key.strip()] = number
     if not name.strip():
         raise SettingsError(f"--effect {text}: names no effect; dragrig gap effects lists them.")
-    return EffectSettings(id=name.strip(), parameters=values)
+    return parse(EffectSettings, {"id": name.strip(), "parameters": values}, f"--effect {text}")
 
 
 class IdentifiedValue(Settings):

@@ -4,7 +4,7 @@ A validation error is one sentence that names the file, the key and what is allo
 """
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -19,6 +19,8 @@ from dragrig.config.errors import SettingsError
 
 _MAX_FILE_BYTES = 4 * 1024 * 1024
 _MAX_TEXT_CHARACTERS = 4096
+_MAX_NESTING = 32
+"""Lists and tables within each other."""
 _EXPECTED_SHAPES = {
     "model_type": "a table of keys",
     "dict_type": "a table of keys",
@@ -62,15 +64,46 @@ def read_toml(path: Path) -> Table:
     try:
         if path.stat().st_size > _MAX_FILE_BYTES:
             raise SettingsError(f"{path}: larger than 4 MB, which no settings file is; check the path.")
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        text = path.read_bytes().decode("utf-8-sig")
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read ({error.strerror}); check the path.") from error
     except UnicodeDecodeError as error:
         raise SettingsError(f"{path}: is not UTF-8 text at byte {error.start}; save it as UTF-8.") from error
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> Table:
+    """Return the table in a text; what no settings hold is refused here, before anything walks through it.
+
+    Raises `SettingsError` for what is not TOML, nested beyond `_MAX_NESTING`, or holds whole numbers beyond 64 bits,
+    which Python's own reader takes and TOML does not have.
+    """
+    too_deep = f"{source}: is nested too deeply to be settings."
+    try:
+        table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{path}: is not valid TOML: {error}.") from error
+        raise SettingsError(f"{source}: is not valid TOML: {error}.") from error
     except RecursionError as error:
-        raise SettingsError(f"{path}: is nested too deeply to be a settings file.") from error
+        raise SettingsError(too_deep) from error
+    except ValueError as error:  # a whole number of thousands of digits
+        raise SettingsError(f"{source}: holds a number that is too long: {error}.") from error
+    level: list[object] = [table]
+    for _ in range(_MAX_NESTING):
+        if not level:
+            return table
+        if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in level):
+            raise SettingsError(f"{source}: holds a whole number of more than 64 bits, which TOML does not have.")
+        level = [entry for value in level for entry in _members(value)]
+    raise SettingsError(too_deep)
+
+
+def _members(value: object) -> Collection[object]:
+    match value:
+        case dict():
+            return value.values()
+        case list():
+            return value
+    return ()
 
 
 def to_toml(settings: BaseModel) -> str:
@@ -146,8 +179,8 @@ def merge_tables(table: Mapping[str, object], changes: Mapping[str, object]) -> 
 def parse_value(text: str) -> object:
     """Return the value of `--set key=value`: a TOML value, or else the text itself."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {text}", "")["value"]
+    except SettingsError:
         return text
 
 
@@ -155,7 +188,7 @@ def parse_assignment(text: str) -> tuple[tuple[str, ...], object]:
     """Split `a.b=3` into its path and its value; raises `SettingsError`."""
     key, equals, value = text.partition("=")
     path = tuple(part.strip() for part in key.split("."))
-    if not equals or not all(path):
+    if not equals or not all(path) or len(path) > _MAX_NESTING:
         raise SettingsError(f"--set {text}: is not of the form key=value, as in speed_mm_s=5.")
     return path, parse_value(value.strip())
 
@@ -235,7 +268,7 @@ def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tupl
         raise SettingsError(f"{name_or_path}: {missing}; check the path.")
     shipped = shipped_files(kind)
     if name_or_path in shipped:
-        return tomllib.loads(shipped[name_or_path].read_text("utf-8")), f"shipped {kind} {name_or_path}"
+        return parse_toml(shipped[name_or_path].read_text("utf-8"), name_or_path), f"shipped {kind} {name_or_path}"
     if path.is_file():
         raise SettingsError(f"{name_or_path}: is a file whose name does not end in .toml, as one of a {kind} must.")
     missing = "is a folder" if path.is_dir() else "there is no such file"

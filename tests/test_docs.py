@@ -14,7 +14,7 @@ from browsing import opened
 from playwright.sync_api import Browser
 
 from dragrig.cli import main
-from dragrig.cli.commands import dragrig_group
+from dragrig.cli.commands import dragrig_group, gap_group
 from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.runfile import schema
 
@@ -122,6 +122,40 @@ def test_every_command_of_the_tutorial_runs(
     assert float(before) > 4 * float(after), "the gap does not visibly close"
     assert Path("gap.html").stat().st_size > 10_000
     assert Path("first.html").stat().st_size > 10_000
+
+
+PAGES = (ROOT / "README.md", *sorted(path for path in DOCS.rglob("*.md") if "decisions" not in path.parts))
+
+
+def shown_commands(page: Path) -> list[list[str]]:
+    """The command lines in the blocks of a page, without `dragrig` itself."""
+    blocks = re.findall(r"```(?:sh|powershell)\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    plain = [re.sub(r"\$\(.*?\)|\$\w+", "1", re.sub(r"\S+ -m uv run ", "", line)) for line in lines]
+    parts = [part for line in plain for part in re.split(r"&&|;|[{}]", line)]
+    return [words[1:] for part in parts if (words := shlex.split(part, comments=True))[:1] == ["dragrig"]]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_that_a_page_shows_is_one(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names of commands, options and choices; what the files in it hold is nobody's concern here."""
+    monkeypatch.chdir(tmp_path)
+    for words in shown_commands(page):
+        command: click.Command = dragrig_group
+        context, rest = click.Context(command), list(words)
+        while isinstance(command, click.Group) and rest and not rest[0].startswith("-"):
+            _, found, rest = command.resolve_command(context, rest)
+            assert found is not None, words
+            command = found
+        command.make_context("dragrig", rest)
+
+
+def test_the_readme_lists_every_command_once() -> None:
+    rows = re.findall(r"^\| [a-z ]+ \| (`.*`) \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)
+    listed = re.findall(r"`([^`]+)`", " ".join(rows))
+    gap = [f"gap {name}" for name in gap_group.list_commands(click.Context(gap_group))]
+    every = [name for name in dragrig_group.list_commands(click.Context(dragrig_group)) if name != "gap"]
+    assert sorted(listed) == sorted([*every, *gap])
 
 
 def test_the_worked_protocol_runs_as_it_stands(tmp_path: Path) -> None:

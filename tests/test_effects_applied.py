@@ -79,6 +79,7 @@ def test_effects_come_back_from_a_file_and_from_what_is_typed(effects: list[Effe
         ("stribeck:ratio", "is not of the form id:parameter=number,…"),
         ("stribeck:ratio=much", "is not of the form id:parameter=number,…"),
         (":ratio=1", "is not of the form id:parameter=number,…"),
+        ("x" * 5000, "must not be longer than 4096 characters"),
         ("", "names no effect; dragrig gap effects lists them."),
     ],
 )

@@ -1,8 +1,15 @@
 """A file from somebody else is only data: it reaches no other file, no module, no port, and not all of the memory."""
 
+import csv
+import json
+import os
+import re
+import shutil
+import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import h5py
 import numpy as np
@@ -16,7 +23,9 @@ from dragrig.analysis.importing import readers
 from dragrig.cli import main
 from dragrig.config.errors import ImportDataError, RunFileError, SettingsError
 from dragrig.config.rig import DriveSettings
+from dragrig.rig import mark_bad, write_note
 from dragrig.rig.runfile import finish, read_run
+from dragrig.session_state import SessionState
 from dragrig.setup import resolve
 
 SECRET = b"0123456789abcdef" * 512
@@ -125,3 +134,132 @@ def test_a_mat_file_of_two_compressed_variables_is_measured_whole(tmp_path: Path
     path = tmp_path / "two.mat"
     savemat(path, {"first": np.zeros(1000), "second": np.arange(1000.0)}, do_compression=True)
     assert 16_000 <= readers._mat5_bytes(path) < 17_000
+
+
+HOSTILE = (
+    "\x1b[35mred\x1b]0;title\x07\x1b]8;;http://x\x1b\\link\x1b]52;c;QUFB\x07\x9b2J\x85\x08\x08\rover\u202eelif\u2066"
+    "<b>bold</b><script>alert(1)</script>{{ 1 }} [red]=1+1"
+)
+"""What drives a terminal, turns letters round, is HTML, a template, rich's own markup, and begins a formula."""
+
+
+def make_hostile(file: h5py.File) -> None:
+    """Put what drives a terminal into every text of a run file that may be any text."""
+    fixed = {"NX_class", "default", "format", "status", "run_id", "start_time", "end_time", "signal", "axes", "fixture",
+             "units", "names", "raw_sha256", "role", "surface"}  # fmt: skip
+
+    def spoil(_: str, item: h5py.Group | h5py.Dataset) -> None:
+        for name, value in item.attrs.items():
+            if isinstance(value, str) and name not in fixed:
+                item.attrs[name] = f"{value}{HOSTILE[:40]}" if name in {"kind", "backend"} else HOSTILE
+
+    file.visititems(spoil)
+    run, trace = file["entry/run"], file["entry/trace"]
+    run.attrs["reason"] = HOSTILE
+    for group in ("run", "protocol", "capsule", "specimen", "checks"):
+        file["entry"][group].attrs[HOSTILE[:40]] = HOSTILE
+    events = np.zeros(2, run["events"].dtype)
+    events["message"], events["kind"] = HOSTILE.encode()[:150], HOSTILE[:9].encode()
+    del run["events"]
+    run["events"] = events
+    channel = HOSTILE[:12]
+    trace[channel] = np.zeros(trace["time"].shape, "<f4")
+    trace[channel].attrs["units"] = HOSTILE
+
+
+@pytest.fixture(scope="module")
+def hostile_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("root") / "c"
+    short = ["--set", "travel_mm=10", "--set", "hold_s=0.5", "--set", "speed_mm_s=[10.0, 20.0]"]
+    assert main(["run", "drag", "--yes", "--out", str(folder), "--note", HOSTILE, "--operator", HOSTILE, *short]) == 0
+    for number, path in enumerate(sorted(folder.glob("*.h5"))):
+        with h5py.File(path, "r+") as file:
+            make_hostile(file)
+        path.rename(folder / f"={number}\x1b]0;x\x07\u202e.h5")
+    first, second, *_ = sorted(folder.glob("*.h5"))
+    mark_bad(first, HOSTILE)
+    write_note(second, HOSTILE)
+    (folder / f"damaged{HOSTILE.replace('/', '')[:60]}.h5").write_bytes(b"no run")
+    (folder / f"cut{HOSTILE[:10]}.recording.h5").write_bytes(b"no recording")
+    state = SessionState(plan=HOSTILE, backend=HOSTILE, doing="asking", said=HOSTILE)
+    (folder / "session-state.json").write_text(state.model_dump_json(), "utf-8")
+    return folder
+
+
+def hidden_letters(text: str) -> set[str]:
+    """The letters of a text that are not to be seen and do something: controls, and what turns the order round."""
+    harmless = "\n\t\u00a0\u2009\u202f"
+    return {letter for letter in text if not letter.isprintable() and letter not in harmless}
+
+
+SHOWN = (
+    ["info"], ["info", "--json"], ["info", "--verify"], ["table", "."], ["table", ".", "--json"], ["list", ".."],
+    ["list", "..", "--json"], ["find", ".."], ["mark", "--bad", HOSTILE], ["mark", "--note", HOSTILE], ["filter"],
+    ["filter", "--json"], ["export", "--out", "exported"], ["watch", ".", "--once"], ["watch", ".", "--once", "--json"],
+    ["recover", "."], ["run", f"no{HOSTILE[:30]}.toml"], [HOSTILE], ["info", f"no{HOSTILE}.h5"],
+    ["check", "drag", "--set", f"{HOSTILE}=1"], ["import", f"no{HOSTILE}.csv"],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("command", SHOWN, ids=lambda words: ascii(" ".join(words)[:24]))
+def test_what_a_file_says_is_shown_and_drives_no_terminal(
+    command: list[str],
+    hostile_campaign: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "root" / "c"
+    shutil.copytree(hostile_campaign, folder)
+    monkeypatch.chdir(folder)
+    takes_files = command[0] in {"info", "mark", "filter", "export"} and not command[-1].startswith("no")
+    files = [str(path) for path in sorted(folder.glob("*.h5"))] if takes_files else []
+    code = main([*command, *files])
+    output = capsys.readouterr()
+    assert code in {0, 2}, output.err
+    assert hidden_letters(output.out) | hidden_letters(output.err) == set()
+    assert r"\u001b" in output.out + output.err
+    if "--json" in command:
+        json.loads(output.out)
+
+
+def test_a_page_and_its_figures_show_what_a_file_says(
+    hostile_campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = max(hostile_campaign.glob("=*.h5"))
+    assert main(["report", str(run), "--out", "run.html", "--quiet"]) == 0
+    page = Path("run.html").read_text("utf-8")
+    assert hidden_letters(page) == set()
+    assert "<script>alert" not in page
+    assert "<img" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;{{ 1 }} [red]=1+1" in page
+    assert r"\u001b]0;title\u0007" in page
+    assert main(["show", str(run), "--out", "run.svg", "--quiet"]) == 0
+    ET.parse("run.svg")
+
+
+def test_a_spreadsheet_computes_nothing_that_a_file_says(
+    hostile_campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    runs = sorted(hostile_campaign.glob("=*.h5"))[1::2]
+    assert main(["compare", *map(str, runs[:1] * 2), "--out", "compared", "--quiet"]) == 0
+    with Path("compared/comparison.csv").open(encoding="utf-8", newline="") as file:
+        cells = [cell for row in csv.reader(file) for cell in row]
+    assert any(cell.startswith("'=") for cell in cells)
+    assert not any(cell.startswith(("=", "@")) for cell in cells)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")
+def test_a_terminal_is_driven_by_the_program_alone(hostile_campaign: Path) -> None:
+    keyboard, screen = os.openpty()
+    command = [sys.executable, "-m", "dragrig", "watch", str(hostile_campaign), "--once"]
+    subprocess.run(command, stdout=screen, stderr=screen, env=os.environ | {"TERM": "xterm-256color"}, check=True)
+    os.close(screen)
+    shown = os.read(keyboard, 1 << 16).decode()
+    os.close(keyboard)
+    own_styles = re.compile(r"\x1b\[(0|1|2|1;3[123])m")
+    assert own_styles.search(shown)
+    assert r"\u001b[35mred" in shown
+    assert hidden_letters(own_styles.sub("", shown).replace("\r\n", "\n")) == set()

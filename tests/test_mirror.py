@@ -10,6 +10,7 @@ import pytest
 
 import dragrig
 from dragrig.analysis import filter_file
+from dragrig.campaign_session import MIRROR_ANSWER_S
 from dragrig.cli import main
 from dragrig.config.errors import OutputError
 from dragrig.rig.engine import AcquisitionOutcome
@@ -162,6 +163,20 @@ def test_another_file_of_the_same_name_is_never_replaced(tmp_path: Path) -> None
 def test_a_mirror_out_of_reach_is_refused_before_the_session(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="there is no such folder; make it, mount the disk"):
         dragrig.run("blank", out=tmp_path / "runs", mirror=tmp_path / "gone", assignments=FAST[:1])
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_mirror_whose_disk_hangs_is_refused_before_the_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert MIRROR_ANSWER_S == 10.0
+    monkeypatch.setattr("dragrig.campaign_session.MIRROR_ANSWER_S", 0.2)
+    ended, look = threading.Event(), Path.is_dir
+    hangs = tmp_path / "hangs"
+    monkeypatch.setattr(Path, "is_dir", lambda path: look(path) if path != hangs else ended.wait(600))
+    with pytest.raises(OutputError, match="its disk has not answered for"):
+        dragrig.run("blank", out=tmp_path / "runs", mirror=hangs, assignments=FAST[:1])
+    ended.set()
     assert not (tmp_path / "runs").exists()
 
 

@@ -59,6 +59,9 @@ def mutated(draw: st.DrawFn) -> tuple[str, bytes]:
 @example(("plan", b"name = 'p'\n[[steps]]\nkind = 'drag'\nspeed_mm_s = []\n"))
 @example(("plan", b"name = 'p'\n[[steps]]\nkind = 'drag'\nspeed_mm_s = 1979-05-27\n"))
 @example(("rig", b"a = " + b"[" * 5000))
+@example(("rig", b"a = " + b"[" * 500 + b"]" * 500))
+@example(("plan", b"seed = " + b"9" * 5000))
+@example(("plan", b"seed = 0x" + b"f" * 5000))
 @example(("plan", b"\xff\xfe"))
 def test_any_change_to_a_shipped_file_is_used_or_refused(tmp_path: Path, change: tuple[str, bytes]) -> None:
     kind, data = change
@@ -105,6 +108,9 @@ def test_any_values_are_used_or_refused(kind: str, data: st.DataObject) -> None:
         ("name = 'p'\n[[stpes]]\nkind='drag'\n", ["stpes", "did you mean steps?"]),
         ("name = 'p'\n", ["steps is missing"]),
         ("\u0000", ["own.toml", "not valid TOML"]),
+        (f"name = 'p'\nseed = {'9' * 5000}\n", ["own.toml", "a number that is too long"]),
+        (f"name = 'p'\nseed = 0x{'f' * 5000}\n", ["own.toml", "a whole number of more than 64 bits"]),
+        (f"name = 'p'\nseed = {'[' * 100}{']' * 100}\n", ["own.toml", "nested too deeply"]),
     ],
 )
 def test_an_invalid_plan_is_reported_in_one_sentence(

@@ -1,5 +1,6 @@
 """Following a campaign from elsewhere: what is seen while it runs, when it waits, when it is over."""
 
+import errno
 import json
 import socket
 import struct
@@ -27,7 +28,7 @@ from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.session_state import LOCK_FILE, STATE_FILE, SessionState, read_state, session_lock
 from dragrig.setup import resolve
-from dragrig.watch import CampaignState, CampaignWatch, serve_state_page
+from dragrig.watch import HIDDEN_TAB_S, CampaignState, CampaignWatch, serve_state_page
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -49,6 +50,8 @@ class Onlooker(NullOperator):
         self._folder = folder
         self.asked: list[CampaignState] = []
         self.recorded: list[CampaignState] = []
+        self.state_written_ns: set[int] = set()
+        """When the state file was written that is there while samples are taken."""
         self.process: subprocess.Popen[str] | None = None
         self.followed = ""
 
@@ -64,6 +67,7 @@ class Onlooker(NullOperator):
         return Answer.DONE
 
     def reads(self, reading: Reading) -> None:
+        self.state_written_ns.add((self._folder / STATE_FILE).stat().st_mtime_ns)
         if reading.time[-1] > 0.5 and not self.recorded:
             watch = CampaignWatch(self._folder)
             while (state := watch.look()).recording is None or not state.recording.samples:
@@ -110,6 +114,10 @@ def test_a_run_is_shown_while_it_is_recorded(seen: Onlooker) -> None:
     assert 1 < len(recording.recent_s) == len(recording.recent_mN) < 700
 
 
+def test_the_state_is_written_once_a_run_and_never_while_it_samples(seen: Onlooker) -> None:
+    assert len(seen.state_written_ns) == 4
+
+
 def test_following_from_another_process_ends_with_the_campaign(seen: Onlooker) -> None:
     assert seen.process is not None
     assert seen.process.returncode == 0
@@ -118,6 +126,7 @@ def test_following_from_another_process_ends_with_the_campaign(seen: Onlooker) -
 
 def test_an_ended_campaign_shows_its_status(seen: Onlooker, capsys: pytest.CaptureFixture[str]) -> None:
     folder = seen.asked[0].folder
+    before = {path: path.stat().st_mtime_ns for path in (folder, *folder.iterdir())}
     assert main(["watch", str(folder), "--once", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["doing"], answer["status"], answer["recording"], answer["left_s"]) == (
@@ -129,6 +138,7 @@ def test_an_ended_campaign_shows_its_status(seen: Onlooker, capsys: pytest.Captu
     assert [row["kind"] for row in answer["finished"]] == ["blank", "return", "blank", "return"]
     assert main(["watch", str(folder)]) == 0
     assert capsys.readouterr().out == "two: 4 of 4 runs, ended, complete\n"
+    assert {path: path.stat().st_mtime_ns for path in (folder, *folder.iterdir())} == before
 
 
 def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path) -> None:
@@ -139,6 +149,21 @@ def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path
     result = CampaignWatch(tmp_path).look()
     assert (result.doing, result.over, result.left_s) == ("died", True, None)
     assert "dragrig recover" in result.message
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="its locks are other calls")
+def test_without_locks_the_last_state_is_shown(seen: Onlooker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def flock(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    state = read_state(seen.asked[0].folder)
+    assert isinstance(state, SessionState)
+    (tmp_path / "session-1.toml").touch()
+    (tmp_path / LOCK_FILE).touch()
+    (tmp_path / STATE_FILE).write_text(state.model_copy(update={"doing": "waiting"}).model_dump_json(), "utf-8")
+    assert CampaignWatch(tmp_path).look().doing == "died"
+    monkeypatch.setattr("fcntl.flock", flock)
+    assert CampaignWatch(tmp_path).look().doing == "waiting"
 
 
 @pytest.mark.parametrize("content", ["", "{}", '{"plan": 1', "\x00"])
@@ -272,6 +297,33 @@ def test_every_tab_is_told_the_end(seen: Onlooker) -> None:
         assert waiting.is_alive()
         assert ask("phone") == "ended"
         waiting.join()
+
+
+def test_a_tab_that_asks_no_more_is_not_waited_for_without_end(seen: Onlooker, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert HIDDEN_TAB_S == 70.0
+    monkeypatch.setattr("dragrig.watch.HIDDEN_TAB_S", 0.3)
+    with serve_state_page(0) as page:
+        page.show(seen.recorded[0])
+        urlopen(f"{page.address}state.json?tab=asleep").close()
+        asked_s = time.monotonic()
+        page.wait_for_tabs()
+        assert time.monotonic() - asked_s > 0.1
+
+
+def test_a_page_without_an_answer_says_since_when_and_goes_on_asking(seen: Onlooker, browser: "Browser") -> None:
+    from browsing import PHONE_PX, opened
+    from playwright.sync_api import expect
+
+    with serve_state_page(0) as server:
+        server.show(seen.recorded[0])
+        port = server.port
+        with opened(browser, f"http://127.0.0.1:{port}/", PHONE_PX) as (page, _):
+            expect(page.locator("#run")).to_have_text("1 of 4", timeout=600_000)
+            page.route("**/state.json*", lambda asked: asked.abort())
+            expect(page.locator("#state")).to_contain_text("No answer from dragrig watch since", timeout=600_000)
+            expect(page.locator("#run")).to_have_text("1 of 4")
+            page.unroute("**/state.json*")
+            expect(page.locator("#state")).to_contain_text("Records", timeout=600_000)
 
 
 def test_the_time_left_follows_the_pace(tmp_path: Path) -> None:

@@ -12,14 +12,15 @@ from windows import WAIT_MS, dressed, lab_in, require_qt
 require_qt()
 
 from diagnoses import STRIBECK
-from PySide6.QtCore import QPoint, QRect, QSettings, QSize
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtCore import QPoint, QRect, QSettings, QSize, Qt
+from PySide6.QtWidgets import QApplication, QLabel, QToolTip, QWidget
 from pytestqt.qtbot import QtBot
 
 from dragrig.engine_host.messages import GuardState, HostLost, PromptShown, RigSelection
 from dragrig.views import completed
 from dragrig.window.main_window import MainWindow
-from dragrig.window.widgets import StoredSettings
+from dragrig.window.plots import TimePlot
+from dragrig.window.widgets import StoredSettings, label
 
 SMALL = QSize(1024, 650)
 LONG = f"/runs/{'without-a-blank-' * 40}/a-run.h5 because {'of one thing and another ' * 30}"
@@ -73,6 +74,21 @@ def test_notices_never_change_the_windows_size(window: MainWindow, size: QSize) 
     assert window.size() == size
     assert is_whole(window.notices.restart, window)
     window.notices.lost.hide()
+
+
+def test_what_somebody_elses_file_says_is_text_and_no_html(window: MainWindow) -> None:
+    note = "<b>bold</b><img src='http://x/y.png'>"
+    QToolTip.showText(window.mapToGlobal(QPoint(9, 9)), note, window)
+    tip = next(
+        item for item in QApplication.topLevelWidgets() if isinstance(item, QLabel) and item.inherits("QTipLabel")
+    )
+    assert (tip.text(), tip.textFormat()) == (note, Qt.TextFormat.PlainText)
+    QToolTip.hideText()
+    plot = TimePlot(note, note)
+    plot.set_x_quantity(note, note)
+    for side in ("left", "bottom"):
+        assert "<img" not in plot._item.getAxis(side).labelString()
+    assert label(note).textFormat() == Qt.TextFormat.PlainText
 
 
 def test_everything_fits_the_smallest_window(window: MainWindow) -> None:
@@ -168,7 +184,8 @@ from windows import lab_in
 from PySide6.QtCore import QSettings
 from dragrig.engine_host.messages import GuardState, RigSelection
 from dragrig.window.main_window import MainWindow, qt_application
-from dragrig.window.widgets import StoredSettings
+from dragrig.window.plots import TimePlot
+from dragrig.window.widgets import StoredSettings, label
 
 if __name__ == "__main__":
     application = qt_application()

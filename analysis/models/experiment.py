@@ -9,7 +9,6 @@ those of a programmed stroke from 1 µm counts to a small part of a sample. A mo
 better, the spline is taken.
 """
 
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -20,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
 from dragrig.analysis import ForcePulse, Mask, attribute_number, clipped_samples, force_pulses, in_phase
-from dragrig.config import AnalysisError, Capsule, Fixture
+from dragrig.config import AnalysisError, Capsule, Fixture, SettingsError, parse_toml
 from dragrig.rig import Contact, FloatArray, IndexArray, Phase, Run, protocol_kinds
 from dragrig.sim_backend.friction import (
     ENCODER_JITTER_MM,
@@ -87,8 +86,8 @@ class _RunSettings(BaseModel):
 def encoder_count_mm(settings_toml: str) -> float:
     """Return the encoder's count [mm] in a run's settings, at least `MIN_COUNT_MM`, also the default."""
     try:
-        settings = _RunSettings.model_validate(tomllib.loads(settings_toml))
-    except (tomllib.TOMLDecodeError, ValidationError):
+        settings = _RunSettings.model_validate(parse_toml(settings_toml, "the run's settings"))
+    except (SettingsError, ValidationError):
         return MIN_COUNT_MM
     return max(1e-3 * settings.rig.encoder.resolution_um, MIN_COUNT_MM)
 

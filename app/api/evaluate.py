@@ -352,6 +352,13 @@ def import_run(
 
 Comparable = str | Path | Run | Iterable[Run]
 """A campaign's folder, a run file, a run in memory, or several."""
+
+
+def _no_formula(cell: object) -> object:
+    """Have a spreadsheet show as text what it would compute: names of files may begin with an equals sign."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@")) else cell
+
+
 COMPARISON_TABLE, COMPARISON_OVERVIEW = "comparison.csv", "overview"
 
 
@@ -437,7 +444,8 @@ def write_comparison(
     table = folder / COMPARISON_TABLE
     if not overwrite:
         table = unused_path(table, table.suffix)
-    yield write_text(comparison_frame(comparison).to_csv(index=False, lineterminator="\n"), table, overwrite=overwrite)
+    frame = comparison_frame(comparison).map(_no_formula)
+    yield write_text(frame.to_csv(index=False, lineterminator="\n"), table, overwrite=overwrite)
     names = comparison.a.name, comparison.b.name
     for done, pair in enumerate(drawable, start=1):
         progress(done, total)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import click
 
 from dragrig import __version__
+from dragrig.cli.console import echo
 
 
 class CommandEntry(NamedTuple):
@@ -171,7 +172,7 @@ class LazyGroup(click.Group):
 def dragrig_group(ctx: click.Context) -> None:
     """Run a linear-motor drag tester, real or simulated, and analyse what it records."""
     if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
+        echo(ctx.get_help())
 
 
 @click.group("gap", cls=LazyGroup, sections=GAP_SECTIONS, invoke_without_command=True)
@@ -179,4 +180,4 @@ def dragrig_group(ctx: click.Context) -> None:
 def gap_group(ctx: click.Context) -> None:
     """Diagnose where and why measurements differ from the friction model."""
     if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
+        echo(ctx.get_help())

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Self, TypeVar
 
 import click
 
+from dragrig.analysis import printable
 from dragrig.config import AbortedError, DragrigError
 from dragrig.end_signals import EndSignals
 from dragrig.present import duration_text, to_json_value
@@ -35,14 +36,23 @@ BAD_INPUT = 2
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
+def echo(text: str = "", *, err: bool = False, newline: bool = True) -> None:
+    """Print a text; what would drive the terminal instead of being read is written out.
+
+    Everything that commands print goes through here, or through the text of `rich` (`present.terminal`), which does
+    the same: texts of files and names of files may hold anything.
+    """
+    click.echo(printable(text), err=err, nl=newline)  # noqa: TID251  # this is where
+
+
 def print_result(text: str) -> None:
     """Print a result on standard output."""
-    click.echo(text)
+    echo(text)
 
 
 def print_json(value: object) -> None:
     """Print a result as JSON on standard output: dataclasses as objects, NaN and infinities as null."""
-    click.echo(json.dumps(to_json_value(value), indent=2, allow_nan=False))
+    echo(json.dumps(to_json_value(value), indent=2, allow_nan=False))
 
 
 def print_document(document: "Document", *, as_json: bool) -> None:
@@ -67,13 +77,13 @@ def write_report(document: "Document", path: Path | None, *, overwrite: bool) ->
 
 def print_json_line(value: object) -> None:
     """Print a result as one line of JSON."""
-    click.echo(json.dumps(to_json_value(value), allow_nan=False))
+    echo(json.dumps(to_json_value(value), allow_nan=False))
 
 
 def print_remark(text: str) -> None:
     """Print a remark on standard error, unless --quiet."""
     if not is_quiet():
-        click.echo(text, err=True)
+        echo(text, err=True)
 
 
 def is_quiet() -> bool:
@@ -136,7 +146,7 @@ def _sentence_and_code(error: Exception) -> tuple[str, int]:
 def print_error(sentence: str, code: int = BAD_INPUT) -> int:
     """Print an error as one line on standard error; return the exit code."""
     line = " ".join(sentence.splitlines())
-    click.echo(f"dragrig: {line}{'' if line.endswith(('.', '?')) else '.'}", err=True)
+    echo(f"dragrig: {line}{'' if line.endswith(('.', '?')) else '.'}", err=True)
     return code
 
 
@@ -185,7 +195,7 @@ def _bug_sentence(error: Exception) -> str:
     with tempfile.NamedTemporaryFile(
         "w", prefix="dragrig-bug-", suffix=".log", delete=False, encoding="utf-8"
     ) as report:
-        report.write(f"{sys.argv}\n{sys.version}\n\n{text}")
+        report.write(printable(f"{sys.argv}\n{sys.version}\n\n{text}"))
     return f"a bug ({type(error).__name__}: {str(error)[:120]}); please report it with the details in {report.name}."
 
 
@@ -293,7 +303,9 @@ class ProgressMeter:
                 self._bar = _start_bar(self._total, self._above)
             progress, task = self._bar
             left = self._left(elapsed_s)
-            progress.update(task, completed=self._done, total=self._total, description=self._label, left=left)
+            progress.update(
+                task, completed=self._done, total=self._total, description=printable(self._label), left=left
+            )
 
     def to(self, done: float, label: str | None = None) -> None:
         """Set how much of the total is done."""
@@ -310,16 +322,16 @@ class ProgressMeter:
             return
         with self._silent_once_closed():
             if self._bar is not None:
-                self._bar[0].console.print(text, markup=False, highlight=False, soft_wrap=True)
+                self._bar[0].console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
             else:
-                click.echo(text, err=True)
+                echo(text, err=True)
 
     def _print_line(self, elapsed_s: float) -> None:
         if elapsed_s < self._next_line_s or not 0 < self._done < self._total:
             return
         self._next_line_s = elapsed_s + min(elapsed_s, _MAX_LINE_INTERVAL_S)
         left = self._left(elapsed_s)
-        click.echo(f"{self._label}: {100 * self._done / self._total:.0f} %{left and f', {left}'}", err=True)
+        echo(f"{self._label}: {100 * self._done / self._total:.0f} %{left and f', {left}'}", err=True)
 
     def _left(self, elapsed_s: float) -> str:
         """Return the time left at the pace of the latter half of what is done; before a tenth nobody knows it.

@@ -456,12 +456,13 @@ def state_texts(state: "CampaignState") -> dict[str, str]:
 
 def state_table(state: "CampaignState") -> "Table":
     """Return a state as a table for the terminal."""
-    from rich.markup import escape
     from rich.table import Table
+
+    from dragrig.present.terminal import rich_text
 
     table = Table.grid(padding=(0, 2))
     loud = {"asking": "bold yellow", "died": "bold red", "ended": "bold"}.get(state.doing, "bold green")
+    styles = {"state": loud, "message": loud, "force": "bold"}
     for name, text in state_texts(state).items():
-        styled = f"[{loud}]{escape(text)}[/]" if name in {"state", "message"} else escape(text)
-        table.add_row(f"[dim]{name}[/]", f"[bold]{styled}[/]" if name == "force" else styled)
+        table.add_row(rich_text(name, "dim"), rich_text(text, styles.get(name, "")))
     return table

@@ -14,6 +14,7 @@ from dragrig.cli.console import (
     BAD_INPUT,
     ProgressMeter,
     display_path,
+    echo,
     print_document,
     print_error,
     print_json,
@@ -269,7 +270,7 @@ def _print_mirror_state(made: "Made") -> None:
 def _print_warning(sentence: str) -> None:
     # From the mirror's thread, and even with --quiet: a missing copy must be known.
     with suppress(OSError):  # the terminal may be closed; copying goes on
-        click.echo(f"\n{sentence}", err=True)
+        echo(f"\n{sentence}", err=True)
 
 
 @click.command("recover")

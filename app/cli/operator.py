@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Self
 import click
 import numpy as np
 
-from dragrig.cli.console import ProgressMeter, is_quiet
+from dragrig.analysis import printable
+from dragrig.cli.console import ProgressMeter, echo, is_quiet
 from dragrig.config import DragrigError, reason_of
 from dragrig.present import duration_text
 from dragrig.rig import (
@@ -97,18 +98,18 @@ class TerminalOperator:
     def _answer(self, prompt: Prompt) -> Answer:
         self._meter.pause()
         names = ", ".join(f"[{answer.value[0]}]{answer.value[1:]}" for answer in prompt.choices)
-        click.echo(f"\n{_wrapped(f'{prompt.text}.')}", err=True)
+        echo(f"\n{_wrapped(f'{prompt.text}.')}", err=True)
         if prompt.run is not None and prompt.run.mounting not in prompt.text:
-            click.echo(_wrapped(f"  Next run: {prompt.run.mounting}."), err=True)
+            echo(_wrapped(f"  Next run: {prompt.run.mounting}."), err=True)
         if prompt.hands:
             _discard_typed_input()
         while True:
             with LiveLine(prompt.look):
-                click.echo(f"  {names}: ", err=True, nl=False)
+                echo(f"  {names}: ", err=True, newline=False)
                 line = sys.stdin.readline() if sys.stdin is not None else ""  # None when it was closed before the start
             if not line:
                 why = "this needs hands at the rig" if prompt.hands else "--yes answers every such prompt with done"
-                click.echo(f"\nNobody answers on standard input; {why}.", err=True)
+                echo(f"\nNobody answers on standard input; {why}.", err=True)
                 return Answer.ABORT
             typed = line.strip().lower() or Answer.DONE.value
             for answer in prompt.choices:
@@ -118,7 +119,7 @@ class TerminalOperator:
     def show_finding(self, finding: RigCheck) -> None:
         """Print what was found of a signal."""
         if not self._quiet:
-            click.echo(f"  {'ok' if finding.passed else 'FAILED'}: {finding.name}: {finding.detail}.", err=True)
+            echo(f"  {'ok' if finding.passed else 'FAILED'}: {finding.name}: {finding.detail}.", err=True)
 
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Start the progress bar."""
@@ -262,7 +263,7 @@ class LiveLine:
 
     def __enter__(self) -> None:
         if self._look is not None:
-            click.echo(err=True)  # the line's place
+            echo(err=True)  # the line's place
             self._thread = threading.Thread(target=self._show, args=(self._look,), name="live line", daemon=True)
             self._thread.start()
 
@@ -282,7 +283,8 @@ class LiveLine:
                 return
             columns = shutil.get_terminal_size().columns
             # To the line above and back to where the answer is typed.
-            click.echo(f"\x1b7\x1b[1A\r\x1b[2K  {text[: columns - 3]}\x1b8", err=True, nl=False)
+            shown = printable(text)[: columns - 3]
+            click.echo(f"\x1b7\x1b[1A\r\x1b[2K  {shown}\x1b8", err=True, nl=False)  # noqa: TID251  # drives the cursor
 
 
 class KeyWatch:

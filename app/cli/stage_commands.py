@@ -5,7 +5,7 @@ from typing import Unpack
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import print_document, print_json, print_remark, print_result
+from dragrig.cli.console import echo, print_document, print_json, print_remark, print_result
 
 
 @click.command("home")
@@ -113,7 +113,7 @@ def touch_off_command(
 def calibrate_group(ctx: click.Context) -> None:
     """Calibrate force sensor or encoder; the result is added to the lab's history and applies from then on."""
     if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
+        echo(ctx.get_help())
 
 
 def _parse_numbers(context: click.Context, parameter: click.Parameter, value: str) -> tuple[float, ...]:

@@ -25,6 +25,7 @@ from matplotlib.textpath import TextPath
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.transforms import Bbox
 
+from dragrig.analysis import printable
 from dragrig.present.document import (
     BLACK,
     BLUE,
@@ -328,6 +329,7 @@ def sequential_colours(count: int) -> tuple[str, ...]:
 
 def text_width_in(text: str, size_pt: float) -> float:
     """Width [inch] that a text takes when drawn upright."""
+    text = printable(text)
     if not text.strip():
         return 0.0
     # The outline's points, its control points included, are quick to bound and hardly wider than the outline itself.
@@ -532,7 +534,7 @@ def _spread_row(axes: Axes, index: int, labels: Sequence[Annotation]) -> None:
 
 def shortened_to_width(text: str, size_pt: float, room_in: float, *, bold: bool = False) -> str:
     """Return the text on one line, cut off with an ellipsis where it would be wider than the room for it."""
-    text = " ".join(text.splitlines())
+    text = printable(" ".join(text.splitlines()))
     room_in /= 1.15 if bold else 1.02
     if text_width_in(text, size_pt) <= room_in:
         return text

@@ -10,7 +10,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dragrig.analysis import Progress, no_progress
+from dragrig.analysis import Progress, no_progress, printable
 from dragrig.config import OutputError
 from dragrig.parallel import open_executor, parallel_map_with_progress
 from dragrig.present import current_figure_form, figure_form
@@ -194,10 +194,14 @@ def _svg_text_in(form: "FigureForm", figure: "DocumentFigure") -> str:
 
 
 def _figure_bytes(figure: "Figure", ending: str) -> bytes:
+    from matplotlib.text import Text as MatplotlibText
+
     from dragrig.present.drawing import PRINT_SCALE, figure_style, lay_out, layout_of
 
     printed = layout_of(figure).form.column is not None
     content = io.BytesIO()
+    for text in figure.findobj(MatplotlibText):
+        text.set_text(printable(text.get_text()))
     with figure_style():
         lay_out(figure)
         if printed and ending == ".png":

@@ -10,6 +10,7 @@ from zlib import crc32
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from dragrig.analysis import printable
 from dragrig.present import Block, Document, figure_form, svg_text
 from dragrig.rig import software_version
 
@@ -44,7 +45,7 @@ def render_template(template: str, context: Mapping[str, object]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        finalize=typographic_apostrophes,
+        finalize=_finished_text,
     )
     environment.filters["prose"] = prose
     environment.filters["unbroken"] = without_breaks
@@ -53,7 +54,7 @@ def render_template(template: str, context: Mapping[str, object]) -> str:
 
 def prose(text: str) -> Markup:
     """Return a sentence as HTML: what stands between backticks as code, and no line break before a unit."""
-    escaped = str(escape(typographic_apostrophes(without_breaks(text))))
+    escaped = str(escape(_finished_text(without_breaks(text))))
     return _markup(_CODE.sub(r'<span class="file">\1</span>', escaped))
 
 
@@ -62,9 +63,9 @@ def without_breaks(text: str) -> str:
     return _NO_BREAK.sub("\u00a0", text)
 
 
-def typographic_apostrophes(value: object) -> object:
-    """Replace the straight apostrophes of a text by typographic ones."""
-    return _APOSTROPHE.sub("\u2019", value) if type(value) is str else value
+def _finished_text(value: object) -> object:
+    """Write out a text's hidden characters, which could turn its order round, and set its apostrophes."""
+    return _APOSTROPHE.sub("\u2019", printable(value)) if type(value) is str else value
 
 
 def _kind_of(block: Block) -> str:
@@ -122,7 +123,7 @@ def inline_svg(text: str, shows: str) -> InlineSvg:
     glyphs = dict(_extract_glyphs(root))
     size = root.attrib["viewBox"]
     root.attrib.clear()
-    root.attrib.update({"viewBox": size, "role": "img", "aria-label": shows})
+    root.attrib.update({"viewBox": size, "role": "img", "aria-label": printable(shows)})
     return InlineSvg(_serialise(root), glyphs)
 
 

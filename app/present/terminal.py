@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
+from dragrig.analysis import printable
 from dragrig.present import Bar, BarPart, Block, Code, Document, Facts, Figure, Items, Section, Table, Text, TextKind
 
 if TYPE_CHECKING:
@@ -35,15 +36,22 @@ def document_text(document: Document, width: int = PIPE_WIDTH) -> str:
     return text.getvalue()
 
 
+def rich_text(text: str, style: str = "") -> "RichText":
+    """Return a text for rich; what would drive the terminal instead of being read is written out."""
+    from rich.text import Text as RichText
+
+    return RichText(printable(text), style=style)
+
+
 def _print(document: Document, console: "Console") -> None:
     from rich.text import Text as RichText
 
     head = [document.source] if document.source and not document.answer else []
     head += [f"! {document.problem}"] if document.problem else []
     lines = [*head, *document.lead]
-    console.print(RichText(_plain(document.answer or document.title), style="bold"), soft_wrap=True)
+    console.print(rich_text(_plain(document.answer or document.title), "bold"), soft_wrap=True)
     for line in lines:
-        console.print(RichText(_plain(line)), soft_wrap=True)
+        console.print(rich_text(_plain(line)), soft_wrap=True)
     for section in document.content:
         for part in _section(section, level=0):
             console.print(part, soft_wrap=isinstance(part, RichText))
@@ -51,37 +59,33 @@ def _print(document: Document, console: "Console") -> None:
 
 def _section(section: Section, level: int) -> "Iterator[RenderableType]":
     """Yield a blank line, the heading and the blocks; nothing of a section that a terminal leaves out."""
-    from rich.text import Text as RichText
-
     parts: list[RenderableType] = []
     for block in section.content:
         if isinstance(block, Table) and block.caption and parts:
-            parts.append(RichText(""))
+            parts.append(rich_text(""))
         parts += _block(block, level)
     if section.collapsed or not parts:
         return
-    yield RichText("")
+    yield rich_text("")
     if section.heading:
-        yield RichText(section.heading, style="bold" if level == 0 else "underline")
+        yield rich_text(section.heading, "bold" if level == 0 else "underline")
     yield from parts
 
 
 def _block(block: Block, level: int) -> "Iterator[RenderableType]":
-    from rich.text import Text as RichText
-
     match block:
         case Text() if block.kind is not TextKind.EXPLANATION:
-            yield RichText(_plain(block.text))
+            yield rich_text(_plain(block.text))
         case Items():
             mark = "! " if block.remarks else "  "
-            yield from (RichText(f"{mark}{_plain(item)}") for item in block.items[: block.brief])
+            yield from (rich_text(f"{mark}{_plain(item)}") for item in block.items[: block.brief])
             if block.brief is not None and len(block.items) > block.brief:
-                yield RichText(f"  and {len(block.items) - block.brief} more")
+                yield rich_text(f"  and {len(block.items) - block.brief} more")
         case Facts():
             width = max(map(len, block.values))
-            yield from (RichText(f"  {name:{width}}  {value}") for name, value in block.values.items() if value)
+            yield from (rich_text(f"  {name:{width}}  {value}") for name, value in block.values.items() if value)
         case Code():
-            yield from (RichText(f"  {line}") for line in block.text.splitlines())
+            yield from (rich_text(f"  {line}") for line in block.text.splitlines())
         case Table():
             yield from _table(block)
         case Section():
@@ -92,7 +96,6 @@ def _block(block: Block, level: int) -> "Iterator[RenderableType]":
 
 def _table(block: Table) -> "Iterator[RenderableType]":
     from rich.table import Table as RichTable
-    from rich.text import Text as RichText
 
     headings = [column.heading for column in block.columns]
     table = RichTable(
@@ -104,47 +107,43 @@ def _table(block: Table) -> "Iterator[RenderableType]":
         title_style="none",
     )
     for heading, numeric in zip(headings, block.numeric, strict=True):
-        table.add_column(RichText(heading), justify="right" if numeric else "left", overflow="fold")
+        table.add_column(rich_text(heading), justify="right" if numeric else "left", overflow="fold")
     for row in block.brief_cells:
-        table.add_row(*(RichText(cell.text) for cell in row))
+        table.add_row(*(rich_text(cell.text) for cell in row))
     if block.caption:
-        yield RichText(block.caption, style="italic")
+        yield rich_text(block.caption, "italic")
     yield table
     if block.omitted_text:
-        yield RichText(block.omitted_text)
+        yield rich_text(block.omitted_text)
 
 
 def _bars(bars: Sequence[Bar]) -> "Iterator[RenderableType]":
     """Yield each whole, its bar, whose parts differ in shading as well as in colour, and their names below it."""
-    from rich.text import Text as RichText
-
     for bar in bars:
         ends, whole = [0], max(1.0, sum(part.share for part in bar.parts))
         for end in accumulate(part.share for part in bar.parts):
             ends.append(max(round(BAR_WIDTH * end / whole), ends[-1] + 1))
-        drawn = RichText("  ")
+        drawn = rich_text("  ")
         for number, part in enumerate(bar.parts):
             shade = "░" if part.hatched else "█▓"[number % 2]
             drawn.append(shade * (ends[number + 1] - ends[number]), style=part.colour)
-        yield RichText(f"  {bar.whole}:")
+        yield rich_text(f"  {bar.whole}:")
         yield drawn
         yield from _names_below(bar.parts, ends)
 
 
 def _names_below(parts: Sequence[BarPart], starts: Sequence[int]) -> "list[RichText]":
     """Write each part's name and share from where the part begins, on the first line where there is room for it."""
-    from rich.text import Text as RichText
-
     lines: list[RichText] = []
     for part, start in zip(parts, starts, strict=False):
         name = f"{part.name} {part.size}"
         place = 2 + max(0, min(start, NAMES_WIDTH - len(name)))
         line = next((line for line in lines if len(line) + 2 <= place), None)
         if line is None:
-            line = RichText()
+            line = rich_text("")
             lines.append(line)
         line.append(" " * (place - len(line)))
-        line.append(name, style=part.colour)
+        line.append_text(rich_text(name, part.colour))
     return lines
 
 

@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
     QApplication,
     QButtonGroup,
     QComboBox,
+    QLabel,
     QMainWindow,
     QStackedWidget,
     QVBoxLayout,
@@ -67,7 +68,7 @@ from dragrig.window.widgets import (
 COLLECT_INTERVAL_MS = 200
 _LEAST_MEANING_PX = 16
 """The banner's title says what matters; the rest of it gives way to the buttons."""
-_SHOW, _WHEEL = QEvent.Type.Show, QEvent.Type.Wheel
+_SHOW, _WHEEL, _POLISH = QEvent.Type.Show, QEvent.Type.Wheel, QEvent.Type.Polish
 MIN_WIDTH_PX, MIN_HEIGHT_PX = 940, 500
 """A Full HD screen at twice the size has 960 by 540; nothing that is shown asks for more."""
 
@@ -340,7 +341,12 @@ class MainWindow(QMainWindow):
                 pass
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Stop the stage on Escape wherever the focus is, also in a dialog; keep the wheel off fields in passing."""
+        """Stop the stage on Escape wherever the focus is, also in a dialog; keep the wheel off fields in passing.
+
+        Tooltips are shown as text: Qt takes a note of somebody else's that looks like HTML for it.
+        """
+        if event.type() is _POLISH and isinstance(watched, QLabel) and watched.inherits("QTipLabel"):
+            watched.setTextFormat(Qt.TextFormat.PlainText)
         if isinstance(watched, QComboBox | QAbstractSpinBox) and event.type() in {_SHOW, _WHEEL}:
             # A wheel would give it the focus first.
             watched.setFocusPolicy(Qt.FocusPolicy.StrongFocus)

@@ -9,6 +9,7 @@ import pyqtgraph
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QWidget
 
+from dragrig.analysis import printable
 from dragrig.present import BLACK, GREY, GRID, PAPER
 from dragrig.window.trace_pyramid import TracePath, TracePyramid
 from dragrig.window.widgets import SMALL_PX
@@ -24,6 +25,11 @@ _AXIS_Z = -1000.0
 _LABEL_STYLE = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
 _LETTER_PX = 0.62 * SMALL_PX
 """Width of a letter of an axis label, on average."""
+
+
+def _as_html(text: str) -> str:
+    """Return a text for pyqtgraph, which takes titles and labels of axes as HTML."""
+    return html.escape(printable(text))
 
 
 class TimePlot:
@@ -86,7 +92,7 @@ class TimePlot:
         lines: list[str] = []
         left = 0.0
         for text, colour in self._legend:
-            entry = f'<span style="color:{colour}">▬</span> {html.escape(text)}'
+            entry = f'<span style="color:{colour}">▬</span> {_as_html(text)}'
             width = (len(text) + _LEGEND_MARK_LETTERS) * _LETTER_PX
             if lines and width <= left:
                 lines[-1] += f" &nbsp; {entry}"
@@ -111,14 +117,14 @@ class TimePlot:
 
     def set_x_quantity(self, quantity: str, unit: str) -> None:
         """Change the label of the horizontal axis."""
-        self._item.setLabel("bottom", f"{quantity} ({unit})" if unit else quantity, **_LABEL_STYLE)
+        self._item.setLabel("bottom", _as_html(f"{quantity} ({unit})" if unit else quantity), **_LABEL_STYLE)
 
     def _label_fits(self) -> None:
         """Label the vertical axis with as much as a low plot has room for."""
         whole = f"{self._quantity} ({self._unit})" if self._unit else self._quantity
         room = self._item.getViewBox().height()
         fits = (text for text in (whole, self._unit) if len(text) * _LETTER_PX <= room)
-        self._item.setLabel("left", next(fits, ""), **_LABEL_STYLE)
+        self._item.setLabel("left", _as_html(next(fits, "")), **_LABEL_STYLE)
 
     def remove_lines(self) -> None:
         """Remove all lines."""

@@ -52,6 +52,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from dragrig.analysis import printable
 from dragrig.config import DragrigError, OutputError
 from dragrig.present import (
     BLACK,
@@ -497,7 +498,7 @@ def fill_table(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: 
     """Fill a table with text; numbers are aligned right, except in the last column or without `numbers`."""
     target.setRowCount(len(rows))
     for row_index, cells in enumerate(rows):
-        for index, text in enumerate(cells):
+        for index, text in enumerate(map(printable, cells)):
             item = QTableWidgetItem(text)
             item.setToolTip(text)
             # The last column takes the remaining width.
@@ -636,7 +637,7 @@ class DocumentView(QWidget):
             if page not in pages.values():
                 page.deleteLater()
         for section in document.content:
-            self.tabs.addTab(_section_area(section), section.heading or "Result")
+            self.tabs.addTab(_section_area(section), _plain(section.heading or "Result"))
         for title, page in pages.items():
             self.tabs.addTab(page, title)
         # A single section without a heading says nothing that the answer does not.
@@ -656,9 +657,10 @@ def _widgets(blocks: tuple[Block, ...]) -> Iterator[QWidget]:
                 mark = "! " if block.remarks else "• "
                 yield label("\n".join(f"{mark}{_plain(item)}" for item in block.items), wrap=True)
             case Facts():
-                yield label("\n".join(f"{name}: {value}" for name, value in block.values.items() if value), wrap=True)
+                facts = (f"{name}: {value}" for name, value in block.values.items() if value)
+                yield label(printable("\n".join(facts)), wrap=True)
             case Code():
-                yield label(block.text)
+                yield label(printable(block.text))
             case Table():
                 yield from _table(block)
             case Figure():
@@ -794,4 +796,4 @@ class DrawnFigure(QSvgWidget):
 
 
 def _plain(text: str) -> str:
-    return text.replace("`", "")
+    return printable(text.replace("`", ""))

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -22,7 +21,9 @@ from dragrig.config import (
     SettingsError,
     Specimen,
     parse,
+    parse_toml,
     read_settings_file,
+    read_toml,
     reason_of,
     to_toml,
 )
@@ -62,11 +63,12 @@ def read_mark(path: Path) -> RunMark | None:
     if not target.exists():
         return None
     try:
-        table = tomllib.loads(target.read_text("utf-8"))
+        table = read_toml(target)
         return RunMark(str(table["bad"]), datetime.fromisoformat(str(table["marked_at"])))
-    except (OSError, ValueError, KeyError) as error:
+    except (SettingsError, ValueError, KeyError) as error:
+        why = str(error).removeprefix(f"{target}: ").rstrip(".")
         raise RunFileError(
-            f"{target}: is not a mark ({error}); write it anew with `dragrig mark --bad REASON` or remove it"
+            f"{target}: is not a mark ({why}); write it anew with `dragrig mark --bad REASON` or remove it"
         ) from error
 
 
@@ -225,10 +227,8 @@ def session_record_of_run(run_file: Path) -> SessionRecord:
         raise RunFileError(
             f"{run_file}: was not made by a session of dragrig, so no session can be repeated from it; name a plan."
         )
-    try:
-        return parse(SessionRecord, tomllib.loads(settings), f"settings in {run_file}")
-    except tomllib.TOMLDecodeError as error:
-        raise RunFileError(f"{run_file}: its settings are damaged ({error}).") from error
+    source = f"settings in {run_file}"
+    return parse(SessionRecord, parse_toml(settings, source), source)
 
 
 def read_session_records(folder: Path) -> tuple[tuple[SessionRecord, ...], tuple[str, ...]]:

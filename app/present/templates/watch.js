@@ -1,7 +1,12 @@
 "use strict";
 const DOING = { preparing: "Makes the rig ready", asking: "Waits for a person", waiting: "Rests", recording: "Records",
   between: "Between two runs", ended: "Over", died: "Died" };
-const put = (id, text) => { const one = document.getElementById(id); if (one.textContent !== text) one.textContent = text; };
+const printable = (text) => String(text).replace(/(?![\n\t\u00ad\u200c\u200d])[\p{Cc}\p{Cf}\p{Cs}\p{Zl}\p{Zp}]/gu,
+  (letter) => [...letter].map((unit) => `\\u${unit.codePointAt(0).toString(16).padStart(4, "0")}`).join(""));
+const put = (id, raw) => {
+  const one = document.getElementById(id), text = printable(raw);
+  if (one.textContent !== text) one.textContent = text;
+};
 const spell = (seconds) => {
   if (seconds === null || seconds === undefined) return "";
   const whole = Math.round(seconds), minutes = Math.floor(whole / 60);
@@ -46,11 +51,11 @@ const show = (state) => {
     const row = body.insertRow();
     [one.order, one.kind, one.reason ? `${one.status}: ${one.reason}` : one.status, one.samples, one.file].forEach((text, place) => {
       const cell = row.insertCell();
-      cell.textContent = text;
+      cell.textContent = printable(text);
       cell.className = place === 3 ? "number" : "still";
     });
   }
-  document.title = `${DOING[state.doing]} · ${state.campaign}`;
+  document.title = printable(`${DOING[state.doing]} · ${state.campaign}`);
 };
 const asked = new URLSearchParams({
   tab: Math.random().toString(36).slice(2), token: new URLSearchParams(location.search).get("token") ?? "",
