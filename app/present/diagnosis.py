@@ -432,8 +432,8 @@ def r2_table(shrink: GapReduction, *, named: bool) -> Table:
     else:
         rows.append(("as printed", "the paper's", published.R2_BELOW, published.R2_ABOVE))
     caption = (
-        "Eq. 15 exceeds 1 where the model varies more than the measurement. The paper's values are as printed, for another "
-        "gut; its measurements are not published"
+        "Eq. 15 exceeds 1 where the model varies more than the measurement. The paper's values are as printed, for "
+        "another gut; its measurements are not published"
     )
     return Table("r2", caption, columns, tuple(rows))
 
