@@ -32,6 +32,7 @@ from .excess import CHANNELS as CHANNELS
 from .excess import PROTOCOLS as PROTOCOLS
 from .features import DecisionInputs as DecisionInputs
 from .features import VerdictCalibration as VerdictCalibration
+from .isolability import CONFUSED_POSITION_SIN2 as CONFUSED_POSITION_SIN2
 from .isolability import CONFUSED_SIN2 as CONFUSED_SIN2
 from .isolability import DETECTABLE_D_PRIME as DETECTABLE_D_PRIME
 from .isolability import EffectPair as EffectPair

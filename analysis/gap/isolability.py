@@ -214,6 +214,8 @@ def order_by_similarity(names: Sequence[str], sin2: Mapping[frozenset[str], floa
     return tuple(names[index] for index in order)
 
 
+CONFUSED_POSITION_SIN2 = 1.0 - MIN_POSITION_SHARE
+"""A rival of an effect on the position that leaves a smaller share of its squares may be named in its place."""
 CONFUSED_SIN2 = 0.17
 """A rival that leaves a smaller share of an effect's squares is hardly distinguishable: a real effect of the same kind
 deviates by up to 0.41 of the norm from the catalogue's best fit (`bench/forms.py`), hence by 0.17 of its squares."""
@@ -427,7 +429,7 @@ def _position_pair(pair: tuple[str, str], trials: Mapping[str, Sequence[_Positio
         for truth, shares in zip(pair, remaining, strict=True)
     ]
     sin2 = min(*remaining[0], *remaining[1])
-    confused = sin2 < 1.0 - MIN_POSITION_SHARE or min(d_primes) < DETECTABLE_D_PRIME
+    confused = sin2 < CONFUSED_POSITION_SIN2 or min(d_primes) < DETECTABLE_D_PRIME
     return EffectPair(
         pair, "position", sin2, (median(remaining[0]), median(remaining[1])), (d_primes[0], d_primes[1]), confused
     )

@@ -5,7 +5,14 @@ from pathlib import Path
 
 from dragrig import present
 from dragrig.analysis import as_sentence, capitalise
-from dragrig.analysis.gap import CONFUSED_SIN2, DETECTABLE_D_PRIME, Isolability, display_name, isolability_sentences
+from dragrig.analysis.gap import (
+    CONFUSED_POSITION_SIN2,
+    CONFUSED_SIN2,
+    DETECTABLE_D_PRIME,
+    Isolability,
+    display_name,
+    isolability_sentences,
+)
 from dragrig.present import (
     Column,
     Document,
@@ -36,8 +43,9 @@ def isolability_document(isolability: Isolability) -> Document:
     angles = (
         "The parameters of the specimen, what differs from run to run, and details that any model is a little wrong in "
         "have taken from each effect what they can. What remains of one effect has an angle to the best that another "
-        f"can do. A sin² below {CONFUSED_SIN2:.2f} is marked: a real effect differs from the catalogue's form of it by "
-        "as much."
+        f"can do. Marked are a sin² below {CONFUSED_SIN2:.2f} of effects on the force, by which a real effect differs "
+        f"from the catalogue's form of it, one below {CONFUSED_POSITION_SIN2:.2f} of effects on the position, and a d′ "
+        f"below {DETECTABLE_D_PRIME:g}."
     )
     visibility = (
         "d′ is the norm of what remains of an effect, in standard deviations of noise. From "
