@@ -16,7 +16,7 @@ from dragrig.engine_host import PHASE_NAMES, IdleReading, LiveSamples
 from dragrig.present import BLUE, GREEN, PALE, PURPLE, duration_text
 from dragrig.window.plots import TimePlot
 from dragrig.window.trace_pyramid import TracePyramid
-from dragrig.window.widgets import ElidedLabel, column, label, row, set_role
+from dragrig.window.widgets import ElidedLabel, column, label, row, scrolling, set_role
 
 MIN_BLOCK_S = 0.0005
 """Samples closer than this are stored as the min and max of blocks this long; the run file has them all."""
@@ -204,7 +204,7 @@ class LiveView(QWidget):
             margin=8,
             stretch={1: 6, 2: 4, 3: 5},
         )
-        self.setLayout(layout)
+        self.setLayout(column(scrolling(layout)))
         Thread(target=preload_filter, name="warm-up", daemon=True).start()
 
     def showEvent(self, event: QShowEvent) -> None:

@@ -145,7 +145,7 @@ class NoticeBar(QWidget):
         self.lost_text = MessageText(most_lines=2)
         self.restart = button("Start the en&gine again", restart, "main", "Restart the process that controls the rig")
         self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip", margin=_NOTICE_PX)
-        self.complaint_text = MessageText()
+        self.complaint_text = MessageText(most_lines=2)
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
         self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice", margin=_NOTICE_PX)
         notices = column(self.lost, self.trip, self.prompt, self.complaint)
