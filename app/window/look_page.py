@@ -57,6 +57,7 @@ from dragrig.window.widgets import (
     named,
     parent_of,
     row,
+    scrolling,
     table,
     tabs_of,
     top_items,
@@ -370,15 +371,10 @@ class TraceOverlay(QWidget):
         filter_ = bare_widget(row(label("Filter window"), self.window_ms, label("order"), self.order))
         shown = bare_widget(row(label("Channel"), self.channel, label("against"), self.axis))
         controls = flow(shown, self.raw, filter_, self.cursors, self.fit)
-        layout = column(
-            controls,
-            self.channel_plot.widget,
-            self.speed_plot.widget,
-            self.values,
-            margin=8,
-            stretch={1: 6, 2: 4, 3: 4},
-        )
-        self.setLayout(layout)
+        for panel, height_px in ((self.channel_plot, 190), (self.speed_plot, 100)):
+            panel.widget.setMinimumHeight(height_px)
+        plots = column(self.channel_plot.widget, self.speed_plot.widget, self.values, stretch={0: 6, 1: 4, 2: 4})
+        self.setLayout(column(controls, scrolling(plots), margin=8, stretch={1: 1}))
         self._add_shortcuts()
 
     def show_traces(self, traces: Sequence[ShownTrace]) -> None:
