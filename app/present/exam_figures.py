@@ -188,7 +188,7 @@ def exam_promises_figure(promises: PromiseScore) -> Figure:
         figure = new_figure(
             9.0,
             6.4,
-            "Predicted closure of the gap against fresh runs",
+            "Gap closure: predicted, and on fresh runs",
             "Share of the gap that closes; fresh runs: the same specimen at other speeds and strains",
         )
         axes = _diagonal_panel(figure, low, 1.05)

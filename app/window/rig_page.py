@@ -234,7 +234,7 @@ class CalibrateView(QWidget):
         splitter = QSplitter(Qt.Orientation.Horizontal)
         splitter.addWidget(left)
         splitter.addWidget(right)
-        splitter.setSizes([400, 600])
+        splitter.setSizes([340, 660])
         splitter.setStretchFactor(1, 1)
         splitter.setChildrenCollapsible(False)
         self.setLayout(column(splitter))
