@@ -4,6 +4,7 @@ from .errors import DeviceError as DeviceError
 from .errors import DragrigError as DragrigError
 from .errors import ImportDataError as ImportDataError
 from .errors import OutputError as OutputError
+from .errors import OverrunError as OverrunError
 from .errors import PlanError as PlanError
 from .errors import RecordingError as RecordingError
 from .errors import RunFileError as RunFileError

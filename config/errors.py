@@ -65,6 +65,10 @@ class StaleDataError(DeviceError):
     """The sampler delivered nothing for longer than the guard allows."""
 
 
+class OverrunError(StaleDataError):
+    """The sampler delivered nothing, because samples were lost before they were read."""
+
+
 def reason_of(error: DragrigError) -> str:
     """Return an error's message without its full stop, for use in another sentence."""
     return str(error).rstrip(".")

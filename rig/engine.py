@@ -27,6 +27,7 @@ from dragrig.config import (
     AbortedError,
     DeviceError,
     DragrigError,
+    OverrunError,
     RecordingError,
     RigSettings,
     StaleDataError,
@@ -212,7 +213,8 @@ class RunningAcquisition:
         if fault is not None and fault.cause is TripCause.WATCHDOG:
             self.trip(self._guard.latch(Trip(fault.cause, f"{fault.message}; {reason_of(error)}")))
         elif isinstance(error, StaleDataError):
-            self.trip(self._guard.latch(Trip(TripCause.STALE_DATA, reason_of(error))))
+            cause = TripCause.OVERRUN if isinstance(error, OverrunError) else TripCause.STALE_DATA
+            self.trip(self._guard.latch(Trip(cause, reason_of(error))))
         else:
             self.end(RunStatus.FAILED, reason_of(error))
 
@@ -294,6 +296,7 @@ class RunningAcquisition:
             self._sink.annotate({"command_t0_uncertainty_s": uncertainty_s})
 
     def _take(self, block: Block, reading: Reading, extremes: BlockExtremes) -> None:
+        self._name_overrun(block)
         raw = block.channels["force"]
         self._checks.add(reading, extremes, raw, commanded=not self.ended)
         self._samples += block.samples
@@ -309,6 +312,12 @@ class RunningAcquisition:
                 self._note("view", f"the viewer failed and gets no more data: {error}")
         if self._sink is not None:
             self._sink.offer(reading.first_index, reading.arrays())
+
+    def _name_overrun(self, block: Block) -> None:
+        """Say of a run that ended for another reason that samples are lost, which is known with the first one after."""
+        fault = block.fault
+        if self.ended and fault is not None and fault.cause is TripCause.OVERRUN and fault.message not in self._reason:
+            self._reason = f"{self._reason}; {fault.cause}: {fault.message}" if self._reason else self._reason
 
     def _follow_stop(self, reading: Reading) -> None:
         """Remember where the stage was when it was stopped, and where it is."""

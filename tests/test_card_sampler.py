@@ -14,7 +14,7 @@ from card_bench import CardRig, card_rig, indices, joined
 from nidaqmx.errors import DaqError
 from simulated import NEVER, PATIENT, acquire, rest, settings, stroke
 
-from dragrig.config.errors import DeviceError, SettingsError, StaleDataError
+from dragrig.config.errors import DeviceError, OverrunError, SettingsError, StaleDataError
 from dragrig.config.rig import Calibration, CardSettings, RigSettings
 from dragrig.rig.devices import MAX_BLOCK_S, TripCause
 from dragrig.rig.hardware.backend import check_card
@@ -180,6 +180,8 @@ def first_fault(under_test: CardRig) -> TripCause | None:
     try:
         faults = (block.fault for block in under_test.blocks())
         return next((fault.cause for fault in faults if fault is not None), None)
+    except OverrunError:
+        return TripCause.OVERRUN
     except StaleDataError:
         return TripCause.STALE_DATA
 
@@ -200,6 +202,16 @@ def test_short_freezes_of_the_driver_add_up_to_stale_data(freeze_s: float) -> No
         cards[0].freeze_s = freeze_s
         assert first_fault(under_test) is TripCause.STALE_DATA
         cards[0].freeze_s = 0.0
+
+
+@pytest.mark.parametrize("lost", [1, 60, 300, 3000, 30_000])
+def test_an_overrun_of_any_length_is_one(lost: int) -> None:
+    rig = RigSettings.model_validate({"guard": {"stale_data_s": 0.5}, "hardware": {"card": {"oversampling": 1}}})
+    with card_rig(rig) as under_test:
+        under_test.begin(rest(60.0), moves=False)
+        assert under_test.sampler.read(NEVER) is not None
+        under_test.bench.faults.inject(overwritten_samples=lost)
+        assert first_fault(under_test) is TripCause.OVERRUN
 
 
 @pytest.mark.parametrize("trouble", [{"card_unplugged": True}, {"card_gone": True}], ids=["unplugged", "gone"])

@@ -1,5 +1,8 @@
 """What a person does at the real rig, on the doubles of its devices: jogs, overrides, touching off, calibrating."""
 
+import ctypes
+import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -17,6 +20,7 @@ from dragrig.rig.guard import Guard
 from dragrig.rig.manual import ManualControl, measure_loads, measure_pushed_travel
 from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.model import RunStatus
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 
@@ -93,6 +97,23 @@ def test_a_drive_that_starts_late_still_comes_to_the_end_of_its_motion(bench: Be
     assert manual.jog(-2.0) == pytest.approx(3.0, abs=0.01)
 
 
+def test_a_drive_that_sets_out_too_late_is_not_called_a_silent_encoder() -> None:
+    guard_settings = RIG.guard.model_copy(update={"encoder_silent_mm": 0.4})
+    backend = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()), FaultInjector())
+    try:
+        guard = Guard(guard_settings, 0.001)
+        late = Bench(backend, backend.bench.faults, guard, Engine(backend, RIG, guard), [])
+        late.manual.reset()
+        late.manual.home()
+        late.faults.inject(drive_starts_late_s=0.5)
+        with pytest.raises(TrippedError, match=r"no motion: neither drive nor encoder moved for \d+ ms"):
+            late.manual.jog(20.0, 20.0)
+        assert late.manual.trip is not None
+        assert late.manual.trip.cause is TripCause.NO_MOTION
+    finally:
+        backend.close()
+
+
 def test_a_motion_that_is_not_over_long_after_its_time_is_stopped_and_said() -> None:
     rig = RIG.model_copy(update={"guard": RIG.guard.model_copy(update={"stale_data_s": 1.0})})
     faults = FaultInjector()
@@ -109,6 +130,35 @@ def test_a_motion_that_is_not_over_long_after_its_time_is_stopped_and_said() -> 
         assert not backend.stage.state().moving
     finally:
         backend.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="its C library has no usleep")
+def test_a_program_that_stood_still_for_longer_than_the_buffer_says_that_samples_are_lost() -> None:
+    card = RIG.hardware.card.model_copy(update={"buffer_s": 1.0})
+    hardware = RIG.hardware.model_copy(update={"card": card, "hang_s": 0.5})
+    # The driver's smallest buffer holds 100,000 samples.
+    sampling = RIG.sampling.model_copy(update={"rate_hz": 100_000.0})
+    rig = RIG.model_copy(update={"hardware": hardware, "sampling": sampling})
+    backend = DoubleBackend(BackendRequest(rig, FrictionModelSettings()))
+    stood_still: list[int] = []
+
+    def stand_still(reading: Reading) -> None:
+        if reading.channels["position"][-1] > 0.5 and not stood_still:
+            stood_still.append(reading.end_index)
+            ctypes.PyDLL(None).usleep(1_500_000)  # without letting any other thread run
+
+    try:
+        guard = Guard(rig.guard, 0.001)
+        late = Bench(backend, FaultInjector(), guard, Engine(backend, rig, guard), [])
+        late.manual.reset()
+        late.manual.home()
+        outcome = late.engine.acquire(acquire(stroke(travel_mm=10.0, speed_mm_s=5.0)), view=stand_still)
+    finally:
+        backend.close()
+    assert outcome.status is RunStatus.TRIPPED
+    lost = re.search(r"overrun: (\d+) samples from", outcome.reason)
+    assert lost is not None, outcome.reason
+    assert int(lost[1]) >= 30_000
 
 
 def test_a_person_touches_off(bench: Bench) -> None:

@@ -15,7 +15,7 @@ from threading import Lock, Thread
 
 import numpy as np
 
-from dragrig.config import Calibration, CardSettings, DeviceError, RigSettings, SettingsError
+from dragrig.config import Calibration, CardSettings, DeviceError, OverrunError, RigSettings, SettingsError
 from dragrig.rig import MAX_BLOCK_S, Acquisition, Block, Clock, FloatArray, RawReading, RecordedChannel, Trip, TripCause
 from dragrig.rig.hardware import FirstSample, MotionSamplingSync
 from dragrig.rig.hardware.card.connection import (
@@ -100,6 +100,7 @@ class ReaderThread:
         self._origin_counts = 0.0
         self._finished = False
         self._error: Exception | None = None
+        self._losing = False
         # The samples' own time, so that what is missing adds up, whether the card, the driver or this program stood
         # still: a burst of old samples does not count as news.
         self._newest_s = time.monotonic()
@@ -112,8 +113,8 @@ class ReaderThread:
         Raises
         ------
         StaleDataError
-            When the newest sample is older than `ReadSettings.stale_s`, in wall time. What arrives later can still be
-            read.
+            When the newest sample is older than `ReadSettings.stale_s`, in wall time; `OverrunError` where those after
+            it are lost. What arrives later can still be read.
         DeviceError
             What ended the thread; again at every call.
         """
@@ -126,15 +127,24 @@ class ReaderThread:
             try:
                 item = self._queue.get(timeout=_POLL_S)
             except Empty:
-                now_s, stale_s = time.monotonic(), self._settings.stale_s
-                if now_s - self._newest_s > stale_s and self._queue.empty():
-                    self._newest_s = now_s
-                    raise no_samples_error(self._card, stale_s) from None
+                self._require_fresh()
                 continue
             if isinstance(item, _TimedBlock):
                 return self._seen(item)
             self._finished, self._error = True, item
         return None
+
+    def _require_fresh(self) -> None:
+        now_s, stale_s = time.monotonic(), self._settings.stale_s
+        if now_s - self._newest_s <= stale_s or not self._queue.empty():
+            return
+        self._newest_s = now_s
+        if self._losing:
+            raise OverrunError(
+                f"samples of more than {stale_s:g} s are lost, because this computer did not read them in time: end "
+                "other programs, or lower sampling.rate_hz."
+            )
+        raise no_samples_error(self._card, stale_s)
 
     def _seen(self, item: _TimedBlock) -> Block:
         """Tell the stage how new the samples are that the guard gets, and mark a block that is stale."""
@@ -194,6 +204,7 @@ class ReaderThread:
                     )
                 return None
             batch = self._fetcher.fetch(wanted)
+            self._losing = not batch.samples and self._fetcher.lost > 0
             self._sensor_fault = self._monitor.add(batch.force_input) or self._sensor_fault
             if batch.samples:
                 taken_s = (batch.samples + batch.lost) / self._settings.rate_hz
