@@ -86,7 +86,7 @@ class Ended:
         """Whether Python was still loading the program."""
         loaded = any(place in self.errors for place in LOADED)
         killed = self.code in {-signal.SIGINT, -signal.SIGTERM} and self.moment_s < START_S
-        return not loaded and ("Traceback" in self.errors or killed)
+        return not loaded and ("Traceback" in self.errors or "runpy" in self.errors or killed)
 
     @property
     def traced(self) -> bool:
@@ -125,7 +125,8 @@ def left_behind(process: "subprocess.Popen[bytes]", out: Path) -> str:
     time.sleep(ORPHANS_S)
     for other in psutil.process_iter():
         try:
-            if os.getsid(other.pid) == process.pid and other.pid != process.pid:
+            of_it = os.getsid(other.pid) == process.pid and other.pid != process.pid
+            if of_it and other.status() != psutil.STATUS_ZOMBIE:
                 left.append(f"process {other.name()}")
                 other.kill()
         except (OSError, psutil.Error):

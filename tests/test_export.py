@@ -2,6 +2,10 @@
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pyarrow import parquet
+from runfiles import record
 from scipy.io import loadmat
 
 from dragrig.analysis.export import (
@@ -22,7 +27,7 @@ from dragrig.analysis.export import (
 )
 from dragrig.analysis.savgol import filter_file
 from dragrig.config.errors import AnalysisError, OutputError, RunFileError
-from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig.runfile import finish, mark_bad, read_run
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 COLUMNS = ["time_s", "force_mN", "force_filtered_mN", "speed_mm_s", "position_mm", "command_mm", "phase"]
@@ -147,6 +152,26 @@ def test_a_failing_export_leaves_what_was_there(filtered: Path, monkeypatch: pyt
         export_run(filtered, target, overwrite=True, progress=full)
     assert target.read_text("utf-8") == "old"
     assert not list(filtered.parent.glob("*.part"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the signals that this is about are POSIX's")
+def test_an_export_that_is_killed_leaves_nothing_that_stays(tmp_path: Path) -> None:
+    run = finish(record(tmp_path / "long.h5", 800_000))
+    command = [sys.executable, "-m", "dragrig", "export", run.name]
+    part = tmp_path / "long.csv.part"
+    for number, left in ((signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGKILL, True)):
+        with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE) as exporting:
+            while not part.exists():
+                assert exporting.poll() is None
+                time.sleep(0.002)
+            exporting.send_signal(number)
+            _, errors = exporting.communicate()
+        assert (exporting.returncode, b"Traceback" in errors) == (-number if left else 3, False)
+        assert part.exists() is left
+        assert not (tmp_path / "long.csv").exists()
+    # The next export of this name writes over what is left.
+    export_run(finish(record(tmp_path / "short.h5", 1000)), tmp_path / "long.csv")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["long.csv", "long.h5", "short.h5"]
 
 
 @pytest.mark.parametrize(("decimal", "delimiter"), [(",", ","), (".", "."), (";", ","), (".", "x"), (".", "1")])

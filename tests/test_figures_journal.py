@@ -1,7 +1,9 @@
 """Figures in the form that journals take: a column's width, letters that can be read, vectors or 600 dpi, no title."""
 
 import io
+import os
 import re
+import time
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from dragrig.cli import main
 from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.document import Document, Figure, FigureForm, JournalColumn, Section, figure_form
 from dragrig.present.drawing import MM_PER_INCH, figure_style, new_figure
-from dragrig.present.files import save_figure, save_figures, svg_text
+from dragrig.present.files import save_figure, save_figures, svg_text, write_picture
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 PT_PER_MM = 72 / MM_PER_INCH
@@ -99,3 +101,12 @@ def test_the_form_ends_with_its_block() -> None:
     small_figure().savefig(content, format="png")
     with Image.open(content) as picture:
         assert picture.width == 12 * 120
+
+
+def test_what_a_killed_program_left_of_a_picture_goes_with_the_next_one(tmp_path: Path) -> None:
+    for name, age_s in ((".force.png.11.part", 7200), (".force.png.12.part", 0), (".speed.png.13.part", 7200)):
+        (tmp_path / name).write_bytes(b"half a picture")
+        os.utime(tmp_path / name, (time.time() - age_s,) * 2)
+    write_picture(b"a picture", tmp_path / "force.png")
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == [".force.png.12.part", ".speed.png.13.part", "force.png"]

@@ -1,8 +1,10 @@
 """Results written into files: texts, pages, and figures as PNG, SVG or PDF; a file is written whole or not at all."""
 
+import glob
 import io
 import os
 import re
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import partial
@@ -29,6 +31,8 @@ FIGURE_FORMATS: Mapping[str, Mapping[str, str | None]] = {
 """Endings of files that can be written, and what such a file says of itself: never when it was made."""
 PRINT_DPI = 600
 """Resolution of pictures for print."""
+_PART, _ABANDONED_S = ".part", 3600.0
+"""Ending of a file that is being written, and the age from which nobody writes it any more."""
 _MM_PER_POINT = 25.4 / 72
 _SVG_WIDTH = re.compile(r'\bwidth="([0-9.]+)pt"')
 _SVG_SIZE = re.compile(rb'\b(width|height)="([0-9.]+)pt"')
@@ -238,10 +242,19 @@ def _scaled_pdf(content: bytes, scale: float) -> bytes:
 
 
 def _write_whole(content: bytes, path: Path) -> None:
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    _remove_abandoned(path)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
     try:
         unfinished.write_bytes(content)
         unfinished.replace(path)
     finally:
         with suppress(OSError):
             unfinished.unlink(missing_ok=True)
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove what programs that were killed left unfinished of this file."""
+    for unfinished in path.parent.glob(f".{glob.escape(path.name)}.*{_PART}"):
+        with suppress(OSError):
+            if time.time() - unfinished.stat().st_mtime > _ABANDONED_S:
+                unfinished.unlink()
