@@ -8,7 +8,8 @@ moves.
 
 The bar: where the card delivers nothing, the stage stands `guard.stale_data_s` and 100 ms after the newest sample. A
 program that does not run can stop nothing: then the drive does so after `hardware.drive.silence_s`, or the heartbeat
-relay after three beats, and the bar is the later of both times and 100 ms. A pattern in which less than `stale_data_s`
+relay after three beats, and the bar is the later of both times and 100 ms. In velocity mode what is written ahead comes
+to the bar. A pattern in which less than `stale_data_s`
 is missing at any time needs no stop.
 """
 
@@ -48,6 +49,8 @@ from dragrig.rig.reading import Reading
 BRAKING_S = 0.1
 """What the bar leaves for noticing, the stop's way to the drive, and braking."""
 RELAY_BEATS = 3
+AHEAD = 6
+"""Updates that are written ahead in velocity mode: a stop takes as long to reach the output, beside the 100 ms."""
 STANDING_MM_S = 0.05
 LOOK_S = 0.001
 Pattern = Sequence[tuple[float, float]]
@@ -186,7 +189,9 @@ RATE_HZ = 1000.0
 def rig_settings(mode: str, silence_s: float) -> RigSettings:
     """Return the rig as it is by default, but for what is asked."""
     lines = {"heartbeat": "port1/line4"} if mode == "velocity" else {}
-    drive = {"mode": mode, "silence_s": silence_s, "homing_speed_mm_s": 50.0}
+    # On a busy computer the output runs dry with less.
+    velocity = {"ahead": AHEAD, "gain_per_s": 2.0}
+    drive = {"mode": mode, "silence_s": silence_s, "homing_speed_mm_s": 50.0, "velocity": velocity}
     return RigSettings.model_validate(
         {
             "sampling": {"rate_hz": RATE_HZ},
@@ -200,7 +205,8 @@ def bar_s(what: str, rig: RigSettings) -> float:
     """Return how long samples may be missing while the stage moves."""
     lines, drive = rig.hardware.card.lines, rig.hardware.drive
     alone_s = drive.silence_s if drive.mode == "position" else RELAY_BEATS * lines.heartbeat_s
-    return max(rig.guard.stale_data_s, alone_s if what != "card" else 0.0) + BRAKING_S
+    written_s = AHEAD * drive.velocity.update_s if drive.mode == "velocity" else 0.0
+    return max(rig.guard.stale_data_s + written_s, alone_s if what != "card" else 0.0) + BRAKING_S
 
 
 def print_table(observe: Callable[[str, Pattern], Held], rig: RigSettings, rounds: int, only: str) -> int:
