@@ -63,6 +63,21 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
         then(faulty_rig, ended.folder)
 
 
+def test_a_drive_that_sets_out_too_late_is_no_silent_encoder(faulty_rig: Bench) -> None:
+    running = begin(faulty_rig, assignments=["rig.guard.encoder_silent_mm=0.4", "rig.guard.encoder_silent_s=0.2"])
+
+    def hold_back(run: PlannedRun, order: int) -> None:
+        faulty_rig.inject(drive_starts_late_s=1.5)
+
+    running.person.run_begins = hold_back  # type: ignore[method-assign]
+    ended = running.end()
+    run = only_run(ended.folder)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4), ended.message
+    assert_reported("drive sets out too late", ended, run)
+    assert not ended.stage.moving
+    assert_goes_on(faulty_rig, ended.folder)
+
+
 @pytest.mark.parametrize(
     ("row", "fault"), [("clean-up fails, card", "card_unplugged"), ("clean-up fails, serial", "drive_unplugged")]
 )
