@@ -1,6 +1,6 @@
 """Samples that do not come: for how long, and over how many millimetres, the stage goes on without one.
 
-Run `python bench/missing_samples.py [--rounds 2] [--mode velocity] [--silence 0.2]`. A motion at 20 mm/s is made by the
+Run `python bench/missing_samples.py [--rounds 2] [--mode velocity] [--relay]`. A motion at 20 mm/s is made by the
 real rig's code in a process of its own, on doubles in another one, while one of three is held up in a pattern of pieces
 of 20 ms to 1 s: the card, which samples and delivers nothing; the program, stopped from outside; or its interpreter,
 which a thread holds for itself. Missing is the time since the newest sample that the guard has seen, while the stage
@@ -186,9 +186,9 @@ START_MM = 0.0
 RATE_HZ = 1000.0
 
 
-def rig_settings(mode: str, silence_s: float) -> RigSettings:
+def rig_settings(mode: str, silence_s: float, *, relay: bool) -> RigSettings:
     """Return the rig as it is by default, but for what is asked."""
-    lines = {"heartbeat": "port1/line4"} if mode == "velocity" else {}
+    lines = {"heartbeat": "port1/line4"} if relay or mode == "velocity" else {}
     # On a busy computer the output runs dry with less.
     velocity = {"ahead": AHEAD, "gain_per_s": 2.0}
     drive = {"mode": mode, "silence_s": silence_s, "homing_speed_mm_s": 50.0, "velocity": velocity}
@@ -204,7 +204,7 @@ def rig_settings(mode: str, silence_s: float) -> RigSettings:
 def bar_s(what: str, rig: RigSettings) -> float:
     """Return how long samples may be missing while the stage moves."""
     lines, drive = rig.hardware.card.lines, rig.hardware.drive
-    alone_s = drive.silence_s if drive.mode == "position" else RELAY_BEATS * lines.heartbeat_s
+    alone_s = RELAY_BEATS * lines.heartbeat_s if lines.heartbeat else drive.silence_s
     written_s = AHEAD * drive.velocity.update_s if drive.mode == "velocity" else 0.0
     return max(rig.guard.stale_data_s + written_s, alone_s if what != "card" else 0.0) + BRAKING_S
 
@@ -240,13 +240,14 @@ def main() -> None:
     options.add_argument("--rounds", type=int, default=2)
     options.add_argument("--mode", choices=("position", "velocity"), default="position")
     options.add_argument("--silence", type=float, default=0.5, help="hardware.drive.silence_s")
+    options.add_argument("--relay", action="store_true", help="with a heartbeat relay, which velocity mode always has")
     options.add_argument("--only", default="", metavar="TEXT", help="rows that hold this, such as 'card, at random'")
     options.add_argument("--work", type=Path, help=argparse.SUPPRESS)
     chosen = options.parse_args()
     if chosen.work is not None:
         work(chosen.work)
         return
-    given = rig_settings(chosen.mode, chosen.silence)
+    given = rig_settings(chosen.mode, chosen.silence, relay=chosen.relay)
     with RemoteDoubles(given) as doubles, tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "rig.toml"
         file.write_text(to_toml(doubles.rig()), "utf-8")
