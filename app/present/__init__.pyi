@@ -19,6 +19,7 @@ from .diagnosis_figures import representative_runs as representative_runs
 from .document import BLACK as BLACK
 from .document import BLUE as BLUE
 from .document import CYCLE as CYCLE
+from .document import DOUBLE_COLUMN_MM as DOUBLE_COLUMN_MM
 from .document import FOUR_DIGITS as FOUR_DIGITS
 from .document import GREEN as GREEN
 from .document import GREY as GREY
@@ -27,6 +28,7 @@ from .document import ORANGE as ORANGE
 from .document import PALE as PALE
 from .document import PAPER as PAPER
 from .document import PURPLE as PURPLE
+from .document import SINGLE_COLUMN_MM as SINGLE_COLUMN_MM
 from .document import SKY as SKY
 from .document import VERMILLION as VERMILLION
 from .document import Bar as Bar
@@ -42,7 +44,6 @@ from .document import Figure as Figure
 from .document import FigureForm as FigureForm
 from .document import FormattedNumber as FormattedNumber
 from .document import Items as Items
-from .document import JournalColumn as JournalColumn
 from .document import Section as Section
 from .document import Table as Table
 from .document import Text as Text

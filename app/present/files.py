@@ -196,7 +196,7 @@ def _svg_text_in(form: "FigureForm", figure: "DocumentFigure") -> str:
 def _figure_bytes(figure: "Figure", ending: str) -> bytes:
     from dragrig.present.drawing import PRINT_SCALE, figure_style, lay_out, layout_of
 
-    printed = layout_of(figure).form.column is not None
+    printed = layout_of(figure).form.width_mm is not None
     content = io.BytesIO()
     with figure_style():
         lay_out(figure)
