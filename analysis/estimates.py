@@ -35,6 +35,27 @@ def no_progress(_done: int, _of: int) -> None:
     """Report nothing."""
 
 
+def counted(progress: Progress, of: int) -> Callable[[int], None]:
+    """Return a function that is told how much more of so much work is done, and reports the sum."""
+    done = 0
+
+    def advance(more: int) -> None:
+        nonlocal done
+        done += more
+        progress(done, of)
+
+    return advance
+
+
+def part_of(progress: Progress, begin: float, end: float) -> Progress:
+    """Return the progress of a part of the work: from one share of it to another, in thousandths."""
+
+    def report(done: int, of: int) -> None:
+        progress(round(1000 * (begin + (end - begin) * done / max(of, 1))), 1000)
+
+    return report
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """A measured value.

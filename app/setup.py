@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from importlib.metadata import EntryPoint, entry_points
 from inspect import getattr_static
 from pathlib import Path
@@ -497,7 +498,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
         plan_source=source,
         plan_folder=plan_folder,
         rig=rig_changed,
-        specimen=changes.applied_to(specimen, "specimen"),
+        specimen=_of_the_past(changes.applied_to(specimen, "specimen")),
         contact_mm=contact_position(rig_folder, contact_mm),
         model=with_allowed_effects(model, choices.get("effects", ()), backend=backend, double=double),
         rig_folder=rig_folder,
@@ -505,6 +506,18 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
         double=double,
         differences=differences,
     )
+
+
+def _of_the_past(specimen: Specimen) -> Specimen:
+    """Return the specimen; raises `SettingsError` where it is taken or mounted only in the future."""
+    for key in ("excised_at", "mounted_at"):
+        moment: datetime | None = getattr(specimen, key)
+        if moment is not None and moment > datetime.now().astimezone():
+            raise SettingsError(
+                f"specimen.{key} = {moment:%Y-%m-%d %H:%M}: lies in the future by this computer's clock; correct one of "
+                "the two."
+            )
+    return specimen
 
 
 def _stored_session(plan: PlanLike) -> "SessionRecord | None":

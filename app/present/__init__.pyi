@@ -2,9 +2,12 @@ from .campaign import CampaignReportData as CampaignReportData
 from .campaign import campaign_document as campaign_document
 from .campaign import campaign_table_document as campaign_table_document
 from .campaign import campaigns_list_document as campaigns_list_document
+from .campaign import examine_campaign as examine_campaign
 from .campaign_figures import campaign_figure as campaign_figure
 from .campaign_figures import comparison_figure as comparison_figure
 from .campaign_figures import comparison_overview_figure as comparison_overview_figure
+from .campaign_figures import overview_figure as overview_figure
+from .campaign_figures import summarise_run as summarise_run
 from .comparison import comparison_document as comparison_document
 from .comparison import comparison_json as comparison_json
 from .diagnosis import campaigns_document as campaigns_document
