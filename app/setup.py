@@ -514,8 +514,7 @@ def _of_the_past(specimen: Specimen) -> Specimen:
         moment: datetime | None = getattr(specimen, key)
         if moment is not None and moment > datetime.now().astimezone():
             raise SettingsError(
-                f"specimen.{key} = {moment:%Y-%m-%d %H:%M}: lies in the future by this computer's clock; correct one of "
-                "the two."
+                f"specimen.{key} = {moment:%Y-%m-%d %H:%M}: lies in the future by this computer's clock; correct it."
             )
     return specimen
 

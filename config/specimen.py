@@ -77,8 +77,8 @@ class Specimen(Settings):
     @model_validator(mode="after")
     def _excised_before_it_is_mounted(self) -> Self:
         if self.excised_at is not None and self.mounted_at is not None and self.mounted_at < self.excised_at:
-            moments = (f"{moment:%Y-%m-%d %H:%M}" for moment in (self.mounted_at, self.excised_at))
-            raise ValueError("mounted_at ({}) comes before excised_at ({})".format(*moments))
+            mounted, excised = f"{self.mounted_at:%Y-%m-%d %H:%M}", f"{self.excised_at:%Y-%m-%d %H:%M}"
+            raise ValueError(f"mounted_at ({mounted}) comes before excised_at ({excised})")
         return self
 
 

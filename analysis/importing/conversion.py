@@ -8,7 +8,7 @@ count). So rows off the grid are never moved: the user either asks for resamplin
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise
@@ -130,12 +130,7 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
     table, blanks = _without_blank_ends(table, [source.column for source in mapped.values()])
     if blanks:
         mapped = {quantity: _map_column(table, quantity, source, settings) for quantity, source in sources.items()}
-    if not any(quantity in mapped for quantity in SIGNAL_CHANNELS):
-        names = ", ".join(repr(column.name) for column in table.columns)
-        raise ImportDataError(
-            f"{table.path}: no column is mapped to force or motor_force; map one of {names}, as in "
-            f"force={table.columns[-1].name!r}:N."
-        )
+    _require_quantities(table, settings, mapped)
     values = {
         quantity: source.scale.apply(table.numbers(source.column, whole=True)) for quantity, source in mapped.items()
     }
@@ -177,6 +172,20 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         begins_at=mapped["time"].column.begins_at if "time" in mapped else None,
         sources={quantity: str(source) for quantity, source in mapped.items()},
     )
+
+
+def _require_quantities(table: ForeignTable, settings: ImportSettings, mapped: Collection[str]) -> None:
+    """Raise `ImportDataError` with all that no column is mapped to."""
+    first, last = table.columns[0].name, table.columns[-1].name
+    missing = {
+        f"force or motor_force (force={last!r}:N)": not any(quantity in mapped for quantity in SIGNAL_CHANNELS),
+        f"time (time={first!r}:s, or the rate by --sample-rate-hz)": "time" not in mapped
+        and not (settings.sample_rate_hz or table.sample_rate_hz),
+    }
+    if any(missing.values()):
+        names = ", ".join(repr(column.name) for column in table.columns)
+        wanted = " and none to ".join(what for what, is_missing in missing.items() if is_missing)
+        raise ImportDataError(f"{table.path}: no column is mapped to {wanted}; the columns are {names}.")
 
 
 def _event(message: str) -> RunEvent:
