@@ -20,7 +20,7 @@ from .estimates import Progress as Progress
 from .estimates import counted as counted
 from .estimates import missing as missing
 from .estimates import no_progress as no_progress
-from .estimates import part_of as part_of
+from .estimates import parts_of as parts_of
 from .estimates import summarise_exclusions as summarise_exclusions
 from .export import EXPORT_FORMAT_KEY as EXPORT_FORMAT_KEY
 from .export import CsvStyle as CsvStyle

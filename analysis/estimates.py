@@ -47,13 +47,16 @@ def counted(progress: Progress, of: int) -> Callable[[int], None]:
     return advance
 
 
-def part_of(progress: Progress, begin: float, end: float) -> Progress:
-    """Return the progress of a part of the work: from one share of it to another, in thousandths."""
+def parts_of(progress: Progress, *costs: float) -> tuple[Progress, ...]:
+    """Return the progress of each part of the work, in order, where the parts take times in proportion to the costs."""
 
-    def report(done: int, of: int) -> None:
-        progress(round(1000 * (begin + (end - begin) * done / max(of, 1))), 1000)
+    def part(begin: float, cost: float) -> Progress:
+        def report(done: int, of: int) -> None:
+            progress(round(1000 * (begin + cost * done / max(of, 1)) / sum(costs)), 1000)
 
-    return report
+        return report
+
+    return tuple(part(sum(costs[:place]), cost) for place, cost in enumerate(costs))
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,7 @@ from dragrig.config import (
     rig_file_of,
 )
 from dragrig.rig import (
+    AcquisitionOutcome,
     Answer,
     Backend,
     BackendRequest,
@@ -36,6 +37,8 @@ from dragrig.rig import (
     MirrorReport,
     NullOperator,
     Operator,
+    PlannedRun,
+    Programme,
     Prompt,
     RecoveryOutcome,
     ReturnProtocol,
@@ -200,6 +203,25 @@ def _signal_handler(handler: Callable[[int, FrameType | None], object]) -> Itera
 
 class SessionOperator(Operator, SessionObserver, Protocol):
     """Answers prompts and observes the session."""
+
+
+class RunCounter(NullOperator):
+    """Answers every prompt, and reports how many runs are made."""
+
+    def __init__(self, progress: Callable[[int, int], None]) -> None:
+        self._progress = progress
+        self._made, self._of = 0, 0
+
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
+        """Count the runs to be made."""
+        del programme, real_time
+        self._of = len(pending)
+
+    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
+        """Count a run."""
+        del run, outcome
+        self._made += 1
+        self._progress(self._made, self._of)
 
 
 def discard_message(sentence: str) -> None:

@@ -261,6 +261,7 @@ MAP = ("time=t:s", "force=F:mN", "position=x:mm")
         ),
         (f"t,x,F\n{ROWS}", ("force=F:mN",), {}, "no column is mapped to time (time='t':s, or the rate"),
         (f"t,x,F\n{ROWS}", ("position=x:mm",), {}, "force or motor_force (force='F':N) and none to time ("),
+        (f"t,x,F\n{ROWS}\n5.0,50,1e300\n", MAP, {}, "line 52, column 'F' holds 1e+300, and 1e+09 mN is the most"),
         (f"t,x,F\n{ROWS}", ("time=t:s", "force=G:mN"), {}, "there is no column 'G'"),
         (f"t,x,F\n{ROWS}", ("time=t:s", "force=F"), {}, "column 'F' does not state its unit; state it"),
         (f"t,x,F\n{ROWS}", ("time=t:s", "force=F:mm"), {}, "in.csv: column 'F': force in mm needs a factor"),

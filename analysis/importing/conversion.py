@@ -31,7 +31,7 @@ from dragrig.analysis.importing.foreign import (
     unit_scale,
 )
 from dragrig.config import AnalysisError, ImportDataError
-from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray, RecordedChannel, RunEvent
+from dragrig.rig import MAX_TRACE_MAGNITUDES, AnyFloatArray, FloatArray, Phase, PhaseArray, RecordedChannel, RunEvent
 
 IMPORT_EVENT = "import"
 RESERVED_NAMES = frozenset({*TARGET_UNITS, "phase"})
@@ -134,6 +134,8 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
     values = {
         quantity: source.scale.apply(table.numbers(source.column, whole=True)) for quantity, source in mapped.items()
     }
+    for quantity, source in mapped.items():
+        _require_measurable(table, source.column, values[quantity], TARGET_UNITS[quantity])
     extra, events = _extra_channels(table, mapped)
     events += [_event(f"{blanks} rows at begin or end lack a number and were left out")] if blanks else []
     values |= {name: column.values for name, column in extra.items()}
@@ -186,6 +188,18 @@ def _require_quantities(table: ForeignTable, settings: ImportSettings, mapped: C
         names = ", ".join(repr(column.name) for column in table.columns)
         wanted = " and none to ".join(what for what, is_missing in missing.items() if is_missing)
         raise ImportDataError(f"{table.path}: no column is mapped to {wanted}; the columns are {names}.")
+
+
+def _require_measurable(table: ForeignTable, column: ForeignColumn, values: FloatArray, unit: str) -> None:
+    """Raise `ImportDataError` for a value that no rig measures, and no run file holds."""
+    largest = MAX_TRACE_MAGNITUDES.get(unit, np.inf)
+    beyond = np.flatnonzero(np.abs(values) > largest)
+    if beyond.size:
+        row = int(beyond[0])
+        raise ImportDataError(
+            f"{table.path}: {table.place(row)}, column {column.name!r} holds {column.values[row]:g}, and {largest:g} "
+            f"{unit} is the most; remove such rows, or correct the column's unit."
+        )
 
 
 def _event(message: str) -> RunEvent:

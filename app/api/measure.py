@@ -113,7 +113,13 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
     return replace(checked, remarks=(*setup.differences, *((remark,) if remark else ()), *checked.remarks))
 
 
-def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[SetupChoices]) -> tuple[Run, ...]:
+def simulate(
+    plan: PlanLike,
+    *,
+    out: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **choices: Unpack[SetupChoices],
+) -> tuple[Run, ...]:
     """Carry out a plan on the simulated rig, with every prompt answered done.
 
     Parameters
@@ -122,6 +128,8 @@ def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack
         A shipped plan's name, a file, a `Plan`, or a protocol, as `Drag(speed_mm_s=5)`.
     out
         Folder for run files, new or without runs (default: none, the runs stay in memory).
+    progress
+        Called after each run with the numbers of runs that are made, and in all.
     choices
         As of `check`.
 
@@ -144,17 +152,18 @@ def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack
     (8025,)
     >>> sticky, back = dragrig.simulate("drag", effects=["stribeck:ratio=0.4"])  # doctest: +SKIP
     """
-    from dragrig.campaign_session import SessionOptions, run_session, start_campaign
+    from dragrig.campaign_session import RunCounter, SessionOptions, run_session, start_campaign
     from dragrig.rig import MemoryStore, read_run
 
+    person = None if progress is None else RunCounter(progress)
     choices["backend"] = "simulated"
     setup = resolve(plan, **choices)
     if out is not None:
-        made = start_campaign(setup, Path(out), SessionOptions(Path(out)), None)
+        made = start_campaign(setup, Path(out), SessionOptions(Path(out)), person)
         made.session.require()
         return tuple(map(read_run, made.files))
     store = MemoryStore()
-    run_session(setup, lambda _record: nullcontext(store), SessionOptions(Path())).require()
+    run_session(setup, lambda _record: nullcontext(store), SessionOptions(Path()), person).require()
     return tuple(store.runs)
 
 

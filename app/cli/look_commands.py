@@ -87,10 +87,12 @@ class _FindOptions(TypedDict):
 
 
 def _parse_moment(context: click.Context, parameter: click.Parameter, text: str | None) -> "datetime | None":
-    from datetime import datetime
+    from datetime import datetime, time
 
     try:
         moment = None if text is None else datetime.fromisoformat(text)
+        if moment is not None and text is not None and parameter.name == "until" and len(text) <= len("2026-05-04"):
+            moment = datetime.combine(moment, time.max)  # a day is over when it ends
         return moment if moment is None or moment.tzinfo is not None else moment.astimezone()
     except (ValueError, OverflowError):  # also of a year for which the local offset is not known
         raise click.BadParameter(
@@ -104,7 +106,7 @@ def _parse_moment(context: click.Context, parameter: click.Parameter, text: str 
 @click.option("--kind", metavar="NAME", default="", help="Kind of run: drag, relaxation, …, or sentinel.")
 @click.option("--operator", metavar="NAME", default="", help="Part of the operator's name.")
 @click.option("--since", metavar="DATE", callback=_parse_moment, help="Begun at this time or later.")
-@click.option("--until", metavar="DATE", callback=_parse_moment, help="Begun at this time or earlier.")
+@click.option("--until", metavar="DATE", callback=_parse_moment, help="Begun at this time or earlier, or on this day.")
 @click.option("--bad/--good", "marked", default=None, help="Marked bad, or not (default: either).")
 @options.as_json
 @options.quiet

@@ -198,7 +198,7 @@ def _relative_polyline(line: str) -> str:
     written = ""
     for begin, end in pairwise((*begins, len(points))):
         steps = np.diff(points[begin:end], axis=0)
-        moves = steps.any(axis=1)
+        moves = np.asarray(steps.any(axis=1))
         moves[:1] = True
         written += f"M{_tenths_texts(points[begin])}" + (f"l{_tenths_texts(steps[moves])}" if len(steps) else "")
     return written
