@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from dragrig.analysis.gap import DiagnosisOptions, VerdictCalibration
 
 
-READING_COST, DIAGNOSIS_COST = 1, 2
+READING_COST, DIAGNOSIS_COST = 1, 5
 COLLECTING_COST, ISOLATION_COST = 1, 2
 """Relative times of reading, or simulating, a campaign's runs and of what is made of them."""
 
