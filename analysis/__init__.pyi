@@ -17,8 +17,10 @@ from .estimates import Estimate as Estimate
 from .estimates import EstimatedQuantity as EstimatedQuantity
 from .estimates import Exclusion as Exclusion
 from .estimates import Progress as Progress
+from .estimates import counted as counted
 from .estimates import missing as missing
 from .estimates import no_progress as no_progress
+from .estimates import parts_of as parts_of
 from .estimates import summarise_exclusions as summarise_exclusions
 from .export import EXPORT_FORMAT_KEY as EXPORT_FORMAT_KEY
 from .export import CsvStyle as CsvStyle
@@ -84,6 +86,7 @@ from .measures import SpecimensMean as SpecimensMean
 from .measures import SpeedMean as SpeedMean
 from .measures import TableRow as TableRow
 from .measures import as_frame as as_frame
+from .measures import campaign_rows as campaign_rows
 from .measures import empty_stretch_reason as empty_stretch_reason
 from .measures import mean_over_specimens as mean_over_specimens
 from .measures import mean_per_speed as mean_per_speed
@@ -91,11 +94,13 @@ from .measures import measure as measure
 from .measures import minutes_since_excision as minutes_since_excision
 from .measures import pooled_rows as pooled_rows
 from .measures import set_values as set_values
+from .measures import steady_force as steady_force
 from .measures import steady_force_of as steady_force_of
 from .measures import stretch_mean as stretch_mean
 from .measures import student_mean as student_mean
 from .measures import table_row as table_row
 from .measures import table_rows as table_rows
+from .measures import unreadable_row as unreadable_row
 from .models.capsule_model import ANGLE_PARAMETER as ANGLE_PARAMETER
 from .models.capsule_model import ANGLE_SD_DEG as ANGLE_SD_DEG
 from .models.capsule_model import CAPSULE_COMBINATIONS as CAPSULE_COMBINATIONS

@@ -35,6 +35,30 @@ def no_progress(_done: int, _of: int) -> None:
     """Report nothing."""
 
 
+def counted(progress: Progress, of: int) -> Callable[[int], None]:
+    """Return a function that is told how much more of so much work is done, and reports the sum."""
+    done = 0
+
+    def advance(more: int) -> None:
+        nonlocal done
+        done += more
+        progress(done, of)
+
+    return advance
+
+
+def parts_of(progress: Progress, *costs: float) -> tuple[Progress, ...]:
+    """Return the progress of each part of the work, in order, where the parts take times in proportion to the costs."""
+
+    def part(begin: float, cost: float) -> Progress:
+        def report(done: int, of: int) -> None:
+            progress(round(1000 * (begin + cost * done / max(of, 1)) / sum(costs)), 1000)
+
+        return report
+
+    return tuple(part(sum(costs[:place]), cost) for place, cost in enumerate(costs))
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """A measured value.

@@ -13,7 +13,7 @@ from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Progress,
 from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
 from dragrig.config import AnalysisError, RunFileError
-from dragrig.rig import SENTINEL_ROLE, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce
+from dragrig.rig import SENTINEL_ROLE, Campaign, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,13 +72,7 @@ def measure(run: Run) -> RunMeasures:
     """Measure a run; a measure that its data do not support is missing, with the reason, and nothing is raised."""
     trace = run.trace
     clipped = clipped_samples(run)
-    stretch, chosen_by = steady_stretch(run)
-    if run.info.kind in STICKING_KINDS:
-        steady = missing(f"a {run.info.kind} run has no steady sliding")
-    elif not stretch.any():
-        steady = missing(empty_stretch_reason(chosen_by))
-    else:
-        steady = stretch_mean(run, stretch, clipped, chosen_by)
+    steady, chosen_by = steady_force(run, clipped)
     rest, hold = in_phase(trace, Phase.REST), end_of_hold(trace)
     rest_offset, hold_force = missing("the run has no rest phase"), missing("the run has no hold phase")
     if rest.any():
@@ -95,6 +89,16 @@ def measure(run: Run) -> RunMeasures:
         speed=_speed(run),
         steady_from=chosen_by,
     )
+
+
+def steady_force(run: Run, clipped: Mask) -> tuple[Estimate, str]:
+    """Return the mean force of steady sliding [mN], and in words over which stretch."""
+    stretch, chosen_by = steady_stretch(run)
+    if run.info.kind in STICKING_KINDS:
+        return missing(f"a {run.info.kind} run has no steady sliding"), chosen_by
+    if not stretch.any():
+        return missing(empty_stretch_reason(chosen_by)), chosen_by
+    return stretch_mean(run, stretch, clipped, chosen_by), chosen_by
 
 
 def empty_stretch_reason(chosen_by: str) -> str:
@@ -263,12 +267,17 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
         try:
             rows.append(table_row(read_run(info.path, info), mark.reason if mark else None))
         except RunFileError as error:
-            rows.append(_unreadable_row(info.path, error))
+            rows.append(unreadable_row(info.path, error))
     progress(len(campaign.runs), len(campaign.runs))
-    rows = _with_drifts(_with_copies(rows))
-    rows.extend(_unreadable_row(path, error) for path, error in campaign.unreadable)
-    rows.extend(TableRow(path.name, status=RunStatus.RECORDING.value) for path in campaign.recordings)
-    return tuple(rows)
+    return campaign_rows(campaign, rows)
+
+
+def campaign_rows(campaign: Campaign, rows: Sequence[TableRow]) -> tuple[TableRow, ...]:
+    """Return the table of a campaign, from the rows of its runs in order."""
+    complete = _with_drifts(_with_copies(rows))
+    complete.extend(unreadable_row(path, error) for path, error in campaign.unreadable)
+    complete.extend(TableRow(path.name, status=RunStatus.RECORDING.value) for path in campaign.recordings)
+    return tuple(complete)
 
 
 def pooled_rows(folders: Sequence[Path], progress: Progress = no_progress) -> tuple[TableRow, ...]:
@@ -313,11 +322,11 @@ def _with_drifts(rows: Iterable[TableRow]) -> list[TableRow]:
     return compared
 
 
-def table_row(run: Run, bad: str | None = None) -> TableRow:
-    """Measure one run; `bad` is the reason of its mark, if it has one."""
+def table_row(run: Run, bad: str | None = None, measures: RunMeasures | None = None) -> TableRow:
+    """Measure one run, unless its measures are given; `bad` is the reason of its mark, if it has one."""
     from dragrig.rig import specimen_key
 
-    info, measured = run.info, measure(run)
+    info, measured = run.info, measures or measure(run)
     header, protocol = info.header, info.header.protocol
     named = {"steady force": measured.steady_force, "rest offset": measured.rest_offset, "peak": measured.peak_force,
              "hold force": measured.hold_force, "speed": measured.speed}  # fmt: skip
@@ -400,7 +409,8 @@ def _check_summary(info: RunInfo) -> str:
     return ", ".join(findings) or "ok"
 
 
-def _unreadable_row(path: Path, error: RunFileError) -> TableRow:
+def unreadable_row(path: Path, error: RunFileError) -> TableRow:
+    """Return the row of a file that cannot be read, with the reason."""
     return TableRow(path.name, status=UNREADABLE, remark=str(error).removeprefix(f"{path}: "))
 
 

@@ -24,6 +24,7 @@ from dragrig.config import (
 )
 from dragrig.end_signals import EndSignals, rig_open
 from dragrig.rig import (
+    AcquisitionOutcome,
     Answer,
     Backend,
     BackendRequest,
@@ -35,6 +36,8 @@ from dragrig.rig import (
     MirrorReport,
     NullOperator,
     Operator,
+    PlannedRun,
+    Programme,
     Prompt,
     RecoveryOutcome,
     ReturnProtocol,
@@ -177,6 +180,25 @@ def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], ope
 
 class SessionOperator(Operator, SessionObserver, Protocol):
     """Answers prompts and observes the session."""
+
+
+class RunCounter(NullOperator):
+    """Answers every prompt, and reports how many runs are made."""
+
+    def __init__(self, progress: Callable[[int, int], None]) -> None:
+        self._progress = progress
+        self._made, self._of = 0, 0
+
+    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
+        """Count the runs to be made."""
+        del programme, real_time
+        self._of = len(pending)
+
+    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
+        """Count a run."""
+        del run, outcome
+        self._made += 1
+        self._progress(self._made, self._of)
 
 
 def discard_message(sentence: str) -> None:

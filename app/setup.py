@@ -3,10 +3,11 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from datetime import datetime
 from importlib.metadata import EntryPoint, entry_points
 from inspect import getattr_static
 from pathlib import Path
-from typing import Literal, TypedDict, TypeGuard, TypeVar, Unpack
+from typing import TYPE_CHECKING, Literal, TypedDict, TypeGuard, TypeVar, Unpack
 
 import tomli_w
 
@@ -28,6 +29,7 @@ from dragrig.config import (
     SettingsError,
     Specimen,
     Table,
+    field_descriptions,
     find_settings,
     find_table,
     merge_tables,
@@ -49,9 +51,11 @@ from dragrig.rig import (
     latest_calibration,
     protocol_kinds,
     read_contact,
-    session_record_of_run,
     stage_limits,
 )
+
+if TYPE_CHECKING:
+    from dragrig.rig import SessionRecord
 
 Pace = Literal["fast", "real"] | float
 """As fast as possible, as fast as a real rig, or this many times faster; the last for doubles only."""
@@ -485,7 +489,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
     SettingsError, PlanError
         With file, key and what is allowed.
     """
-    before = session_record_of_run(Path(plan)) if isinstance(plan, str | Path) and Path(plan).suffix == ".h5" else None
+    before = _stored_session(plan)
     rig = choices.get("rig") or rig_file_of(folder or Path.cwd())
     rig_settings, rig_folder = load_settings(RigSettings, "rig", rig)
     changes = Assignments.of(choices.get("assignments", ()))
@@ -523,7 +527,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
         plan_source=source,
         plan_folder=plan_folder,
         rig=rig_changed,
-        specimen=changes.applied_to(specimen, "specimen"),
+        specimen=_of_the_past(changes.applied_to(specimen, "specimen")),
         contact_mm=contact_position(rig_folder, contact_mm),
         model=with_allowed_effects(model, choices.get("effects", ()), backend=backend, double=double),
         rig_folder=rig_folder,
@@ -531,6 +535,26 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
         double=double,
         differences=differences,
     )
+
+
+def _of_the_past(specimen: Specimen) -> Specimen:
+    """Return the specimen; raises `SettingsError` where it is taken or mounted only in the future."""
+    for key in ("excised_at", "mounted_at"):
+        moment: datetime | None = getattr(specimen, key)
+        if moment is not None and moment > datetime.now().astimezone():
+            raise SettingsError(
+                f"specimen.{key} = {moment:%Y-%m-%d %H:%M}: lies in the future by this computer's clock; correct it."
+            )
+    return specimen
+
+
+def _stored_session(plan: PlanLike) -> "SessionRecord | None":
+    """Return the session of a run file that is given in place of a plan."""
+    if not isinstance(plan, str | Path) or Path(plan).suffix != ".h5":
+        return None
+    from dragrig.rig import session_record_of_run
+
+    return session_record_of_run(Path(plan))
 
 
 def single_run_plan(protocol: RunProtocol) -> Plan:
@@ -606,13 +630,14 @@ def _commented_lines(settings: Settings, path: tuple[str, ...], about: str) -> I
         yield f"[{'.'.join(path)}]"
     values = settings.model_dump(mode="json", exclude_none=True)
     below: dict[str, Settings] = {}
-    for key, field in type(settings).model_fields.items():
+    descriptions = field_descriptions(type(settings))
+    for key in type(settings).model_fields:
         value = getattr(settings, key)
         if isinstance(value, Settings):
             below[key] = value
         elif key in values:
-            if field.description:
-                yield f"# {' '.join(field.description.split())}"
+            if key in descriptions:
+                yield f"# {' '.join(descriptions[key].split())}"
             yield tomli_w.dumps({key: values[key]}).strip()
     for key, inner in below.items():
         yield ""

@@ -35,6 +35,7 @@ from dragrig.config import (
     RunFileError,
     Settings,
     SettingsError,
+    field_descriptions,
     find_table,
     parse,
     parse_value,
@@ -250,8 +251,17 @@ def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]
     order = [key for key in properties if key not in _HIDDEN_KEYS and not _is_group(model, key)]
     if issubclass(model, RunProtocol):
         order.sort(key=lambda key: key in RunProtocol.model_fields)
-    required = frozenset(schema.get("required", ()))
-    return tuple(_form_field(key, _resolved_schema(properties[key], shared), sweeps, key in required) for key in order)
+    required, descriptions = frozenset(schema.get("required", ())), field_descriptions(model)
+    return tuple(
+        _form_field(
+            key,
+            _resolved_schema(properties[key], shared),
+            descriptions.get(key, ""),
+            sweeps=sweeps,
+            required=key in required,
+        )
+        for key in order
+    )
 
 
 def _is_group(model: type[Settings], key: str) -> bool:
@@ -270,7 +280,7 @@ def _resolved_schema(entry: Mapping[str, object], shared: Mapping[str, object]) 
     return {**target, **resolved} if isinstance(target, Mapping) else resolved
 
 
-def _form_field(key: str, entry: Mapping[str, object], sweeps: bool, required: bool) -> FormField:
+def _form_field(key: str, entry: Mapping[str, object], description: str, *, sweeps: bool, required: bool) -> FormField:
     stem, unit = next(((key.removesuffix(end), unit) for end, unit in _UNIT_SUFFIXES if key.endswith(end)), (key, ""))
     if key in _VOLT_KEYS:
         stem, unit = key.removesuffix("_V"), "V"
@@ -283,7 +293,7 @@ def _form_field(key: str, entry: Mapping[str, object], sweeps: bool, required: b
         key=key,
         name=_FIELD_LABELS.get(stem, stem).replace("accel", "acceleration").replace("_", " "),
         unit=unit,
-        help=str(entry.get("description", "")),
+        help=description,
         limits=_range_text(entry, unit),
         kind=kind,
         default="" if default is None else value_text(default),

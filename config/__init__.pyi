@@ -55,6 +55,7 @@ from .settings import Settings as Settings
 from .settings import Table as Table
 from .settings import absolute_if_file as absolute_if_file
 from .settings import describe_validation_error as describe_validation_error
+from .settings import field_descriptions as field_descriptions
 from .settings import find_settings as find_settings
 from .settings import find_table as find_table
 from .settings import merge_tables as merge_tables

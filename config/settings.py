@@ -3,11 +3,16 @@
 A validation error is one sentence that names the file, the key and what is allowed.
 """
 
+import ast
+import inspect
+import sys
 import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
+from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
+from itertools import pairwise
 from pathlib import Path
 from types import UnionType
 from typing import TypeVar, Union, get_args, get_origin
@@ -37,9 +42,9 @@ class Settings(BaseModel):
     model_config = ConfigDict(
         frozen=True,
         extra="forbid",
+        defer_build=True,
         allow_inf_nan=False,
         str_strip_whitespace=True,
-        use_attribute_docstrings=True,
         validate_default=True,
     )
 
@@ -53,6 +58,32 @@ class Settings(BaseModel):
             if len(value) > _MAX_TEXT_CHARACTERS:
                 raise ValueError(f"must not be longer than {_MAX_TEXT_CHARACTERS} characters")
         return value
+
+
+def field_descriptions(model: type[BaseModel]) -> dict[str, str]:
+    """Return what each key of a group of settings is, as the string below it in the code says.
+
+    Read when a form or a page asks: pydantic's `use_attribute_docstrings` reads it whenever the program starts, which
+    takes as long as loading pydantic itself.
+    """
+    descriptions: dict[str, str] = {}
+    for base in reversed(model.__mro__):
+        definition = _class_definitions(base.__module__).get(base.__qualname__)
+        for statement, below in pairwise(definition.body if definition is not None else ()):
+            match statement, below:
+                case ast.AnnAssign(target=ast.Name(key)), ast.Expr(ast.Constant(str(text))):
+                    descriptions[key] = inspect.cleandoc(text)
+    return {key: descriptions[key] for key in model.model_fields if key in descriptions}
+
+
+@cache
+def _class_definitions(module: str) -> dict[str, ast.ClassDef]:
+    """Return the classes of a module by name; none where its source is not at hand, as in a session of Python."""
+    try:
+        tree = ast.parse(inspect.getsource(sys.modules[module]))
+    except (KeyError, OSError, TypeError):
+        return {}
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 
 
 Table = dict[str, object]

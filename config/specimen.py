@@ -77,7 +77,8 @@ class Specimen(Settings):
     @model_validator(mode="after")
     def _excised_before_it_is_mounted(self) -> Self:
         if self.excised_at is not None and self.mounted_at is not None and self.mounted_at < self.excised_at:
-            raise ValueError(f"mounted_at ({self.mounted_at:%H:%M}) comes before excised_at ({self.excised_at:%H:%M})")
+            mounted, excised = f"{self.mounted_at:%Y-%m-%d %H:%M}", f"{self.excised_at:%Y-%m-%d %H:%M}"
+            raise ValueError(f"mounted_at ({mounted}) comes before excised_at ({excised})")
         return self
 
 

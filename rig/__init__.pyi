@@ -122,6 +122,7 @@ from .runfile.model import Trace as Trace
 from .runfile.reader import read_info as read_info
 from .runfile.reader import read_run as read_run
 from .runfile.reader import read_tail as read_tail
+from .runfile.schema import MAX_TRACE_MAGNITUDES as MAX_TRACE_MAGNITUDES
 from .runfile.schema import PARAMETERS_OF_KIND as PARAMETERS_OF_KIND
 from .runfile.schema import RECORDING_SUFFIX as RECORDING_SUFFIX
 from .runfile.schema import SIGNALS as SIGNALS

@@ -14,7 +14,15 @@ from pypdf import PdfReader
 
 from dragrig.cli import main
 from dragrig.present.diagnosis import diagnosis_document
-from dragrig.present.document import Document, Figure, FigureForm, JournalColumn, Section, figure_form
+from dragrig.present.document import (
+    DOUBLE_COLUMN_MM,
+    SINGLE_COLUMN_MM,
+    Document,
+    Figure,
+    FigureForm,
+    Section,
+    figure_form,
+)
 from dragrig.present.drawing import MM_PER_INCH, figure_style, new_figure
 from dragrig.present.files import save_figure, save_figures, svg_text, write_picture
 
@@ -30,7 +38,7 @@ def small_figure(*, narrow: bool = True) -> MatplotlibFigure:
         return figure
 
 
-@pytest.mark.parametrize(("column", "width_mm"), [("single", 85.0), ("double", 180.0)])
+@pytest.mark.parametrize(("column", "width_mm"), [("single", 85.0), ("double", 180.0), ("88", 88.0)])
 def test_a_run_fills_the_column(column: str, width_mm: float, tmp_path: Path) -> None:
     for ending in ("png", "svg", "pdf"):
         assert main(["show", DRAG, "--out", str(tmp_path / f"{column}.{ending}"), "--column", column]) == 0
@@ -51,8 +59,14 @@ def test_panels_side_by_side_take_two_columns(tmp_path: Path) -> None:
     assert float(page.mediabox.width) == pytest.approx(180 * PT_PER_MM, abs=0.1)
 
 
+def test_no_picture_is_so_narrow_or_wide_that_no_journal_takes_it(capsys: pytest.CaptureFixture[str]) -> None:
+    for column in ("4", "1e3", "nan", "wide"):
+        assert main(["show", DRAG, "--column", column]) == 2
+        assert f"--column {column}: is single, double, or a width from 60 to 300 mm" in capsys.readouterr().err
+
+
 def test_letters_are_those_of_print_and_there_is_no_title(tmp_path: Path) -> None:
-    with figure_form(FigureForm(JournalColumn.SINGLE)):
+    with figure_form(FigureForm(SINGLE_COLUMN_MM)):
         save_figure(small_figure(), tmp_path / "print.pdf")
     save_figure(small_figure(), tmp_path / "screen.pdf")
     sizes: list[float] = []
@@ -66,13 +80,13 @@ def test_letters_are_those_of_print_and_there_is_no_title(tmp_path: Path) -> Non
     assert "A title" in PdfReader(tmp_path / "screen.pdf").pages[0].extract_text()
     assert sizes
     assert min(sizes) > 0
-    with figure_form(FigureForm(JournalColumn.SINGLE)):
+    with figure_form(FigureForm(SINGLE_COLUMN_MM)):
         labels = [label.get_fontsize() / 2 for label in small_figure().axes[0].get_xticklabels()]
     assert 6.0 <= min(labels) <= max(labels) <= 7.0
 
 
 def test_a_diagnosis_writes_its_figures_beside_a_page_for_the_screen(tmp_path: Path) -> None:
-    with figure_form(FigureForm(JournalColumn.DOUBLE, ".svg")):
+    with figure_form(FigureForm(DOUBLE_COLUMN_MM, ".svg")):
         written = [path.name for path in save_figures(diagnosis_document(STRIBECK), tmp_path)]
     assert "location.svg" in written
     assert "ranking.svg" in written
@@ -95,7 +109,7 @@ def test_the_document_s_badge_is_in_figures_that_have_none() -> None:
 
 
 def test_the_form_ends_with_its_block() -> None:
-    with pytest.raises(RuntimeError, match="stop"), figure_form(FigureForm(JournalColumn.SINGLE)):
+    with pytest.raises(RuntimeError, match="stop"), figure_form(FigureForm(SINGLE_COLUMN_MM)):
         raise RuntimeError("stop")
     content = io.BytesIO()
     small_figure().savefig(content, format="png")

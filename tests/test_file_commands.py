@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -241,4 +242,7 @@ def test_campaigns_are_listed_and_their_runs_found(command: Command, practice: P
     assert found("--bad") == {first.name}
     assert found("--good") == found() - {first.name}
     assert found("--since", began.isoformat()) == {r.path.name for r in runs if r.header.start_time >= began}
+    last_day = max(run.header.start_time for run in runs).astimezone().date()
+    assert found("--until", last_day.isoformat()) == found(), "the day named is one of those wanted"
+    assert found("--until", (last_day - timedelta(days=4000)).isoformat()) == set()
     assert found("--specimen", "nobody") == set()

@@ -124,7 +124,7 @@ def test_dates_and_times_of_day_are_a_clock(importer: Importer, first: str, begi
         assert info.header.start_time == datetime.fromisoformat(begins).astimezone()
 
 
-@pytest.mark.parametrize("first", [",,", "0.00,,0.0"])
+@pytest.mark.parametrize("first", [",,", "0.00,,0.0", "0.00,,"])
 def test_blanks_in_a_first_row_are_left_out_and_told(importer: Importer, first: str) -> None:
     rows = [f"{0.01 * k:.2f},{0.1 * k:.1f},0.{k}" for k in range(1, 50)]
     Path("a.csv").write_text("\n".join(["t [s],Load [N],Pos [mm]", first, *rows]), "utf-8")

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 
 import dragrig
 from dragrig.analysis.measures import measure
-from dragrig.api.reports import campaign_results
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.present.campaign import campaign_document
+from dragrig.present.campaign import campaign_document, examine_campaign
 from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.document import Column, Table
 from dragrig.present.exam import exam_document
@@ -113,7 +112,7 @@ def test_a_campaigns_page_has_each_run_and_each_session_with_its_runs(campaign_p
 
 
 def test_a_campaign_without_sessions_is_reported() -> None:
-    document = campaign_document(campaign_results(CAMPAIGN))
+    document = campaign_document(examine_campaign(CAMPAIGN))
     assert "sessions" not in [section.name for section in document.content]
     assert [section.name for section in document.content][:2] == ["overview", "means"]
 

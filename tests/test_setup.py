@@ -85,6 +85,13 @@ def test_a_real_specimen_is_stated_or_unknown_and_never_invented() -> None:
         resolve("drag", assignments=["specimen.excised_at=2026-05-04T09:15", "specimen.mounted_at=2026-05-04T09:10"])
 
 
+def test_a_specimen_of_tomorrow_is_a_slip_of_the_pen() -> None:
+    tomorrow = datetime.now().astimezone() + timedelta(days=1)
+    for key in ("excised_at", "mounted_at"):
+        with pytest.raises(SettingsError, match=rf"specimen\.{key} = {tomorrow:%Y-%m-%d}.* lies in the future"):
+            resolve("drag", assignments=[f"specimen.{key}={tomorrow:%Y-%m-%dT%H:%M}"])
+
+
 @pytest.mark.parametrize(
     ("assignment", "words"),
     [

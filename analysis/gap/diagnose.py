@@ -14,6 +14,7 @@ from dragrig.analysis import (
     NominalModel,
     Progress,
     RunSelection,
+    counted,
     estimate_noise,
     no_progress,
     repeat_differences,
@@ -296,7 +297,8 @@ MAX_GAP_OVER_FLOOR = 1.05
 RESIDUAL_SHARE = 0.15
 """Unexplained share of the gap above which something is left beside named effects: forms leave less of most effects."""
 CALIBRATION_NOTE = "calibrated on simulated campaigns"
-DIAGNOSIS_STEPS = 6
+PREPARING_COST, SEARCH_COST, COMPETITION_COST, ASSEMBLY_COST = 10, 40, 30, 20
+"""Relative times of a diagnosis's parts."""
 MIN_LLR_AND_SHARE_WITH_MOTION_ERROR = 0.5 * MIN_LLR_BESIDE_POSITION, 0.3
 """Where the stage has position errors, motion errors mimic small force effects: thresholds of Δχ²/2 and of the share of
 the excess for an effect to be fitted."""
@@ -332,12 +334,11 @@ def diagnose(
     """
     settings = options or DiagnosisOptions()
     start = perf_counter()
-    progress(0, DIAGNOSIS_STEPS)
+    advance = counted(progress, PREPARING_COST + SEARCH_COST + COMPETITION_COST + ASSEMBLY_COST)
     effects = [effect for effect in catalogue().values() if effect.id not in settings.excluded]
     known = known_effects(nominal)
     selection = correct_known_motion(selection, known)
     position = analyse_position(selection.experiments, effects)
-    progress(1, DIAGNOSIS_STEPS)
     study = prepare_study(
         _with_trusted_motion(selection, position), nominal, [effect for effect in effects if effect.has_force_signature]
     )
@@ -347,13 +348,14 @@ def diagnose(
     if moving_line is not None and moving_line.amplitude >= np.sqrt(2.0) * settings.tolerance_mN:
         selection = replace(selection, remarks=(*selection.remarks, moving_line_remark(moving_line)))
     studied = perf_counter()
+    advance(PREPARING_COST)
     with_hum = add_hum_to_noise(study, selection.experiments, lines)
     search = (
         search_effects(with_hum, *MIN_LLR_AND_SHARE_WITH_MOTION_ERROR)
         if position.has_position_error
         else search_effects(with_hum)
     )
-    progress(4, DIAGNOSIS_STEPS)
+    advance(SEARCH_COST)
     lines = lines_that_matter(lines, settings.tolerance_mN)
     inputs = decision_inputs(search, position, lines, settings.excluded)
     competition = prepare_competition(search)
@@ -363,10 +365,11 @@ def diagnose(
     judgement = judge(inputs, settings.tolerance_mN, calibration)
     causes = CausesOfGap(competition, present, judgement.presence)
     classified = perf_counter()
+    advance(COMPETITION_COST)
     diagnosis = _assembled_diagnosis(
         selection, nominal, settings, study, search, position, lines, judgement, inputs, causes
     )
-    progress(DIAGNOSIS_STEPS, DIAGNOSIS_STEPS)
+    advance(ASSEMBLY_COST)
     timings = {
         "reading and position": studied - start,
         "explaining": classified - studied,

@@ -21,6 +21,7 @@ from dragrig.analysis import (
     RunSelection,
     capitalise,
     count_text,
+    counted,
     join_names,
     no_progress,
     single_blas_thread,
@@ -435,7 +436,8 @@ def _position_pair(pair: tuple[str, str], trials: Mapping[str, Sequence[_Positio
     )
 
 
-ISOLABILITY_STEPS = 4
+NOMINAL_COST, DICTIONARY_COST, PAIRS_COST, LINES_COST, POSITION_COST = 15, 19, 7, 5, 70
+"""Relative times of the parts of an isolability."""
 
 
 @single_blas_thread()
@@ -462,12 +464,12 @@ def isolate(
         Where the model predicts nothing of these runs.
     """
     effects = [effect for effect in catalogue().values() if effect.id not in excluded]
-    progress(0, ISOLABILITY_STEPS)
+    advance = counted(progress, NOMINAL_COST + DICTIONARY_COST + PAIRS_COST + LINES_COST + POSITION_COST)
     study = prepare_study(selection, nominal, [effect for effect in effects if effect.has_force_signature])
     point = gauss_newton_step(linearise(study, study.initial_z))
-    progress(1, ISOLABILITY_STEPS)
+    advance(NOMINAL_COST)
     design = linearise(study, point.z, dictionary=True)
-    progress(2, ISOLABILITY_STEPS)
+    advance(DICTIONARY_COST)
     angles = SignatureAngles.of(design)
     pairs = [_force_pair(angles, pair) for pair in effect_pairs(angles.effects)]
     order = order_by_similarity(
@@ -479,10 +481,11 @@ def isolate(
         for effect in study.effects
         if effect.id not in visible
     ]
-    progress(3, ISOLABILITY_STEPS)
+    advance(PAIRS_COST)
     lines = [_line_visibility(effect, selection, study.channel) for effect in effects if effect.spectral_line]
+    advance(LINES_COST)
     in_position, position_pairs = position_isolability(selection.experiments, effects)
-    progress(ISOLABILITY_STEPS, ISOLABILITY_STEPS)
+    advance(POSITION_COST)
     return Isolability(
         source=source,
         planned=planned,

@@ -16,6 +16,7 @@ from dragrig.analysis import (
     NominalModel,
     Progress,
     RunSelection,
+    counted,
     is_at_bound,
     missing,
     no_progress,
@@ -239,7 +240,8 @@ MISSING_KIND_REMARKS = {
     "coulomb": "no usable Coulomb run: the friction coefficient is known from the drag alone, if at all",
     "drag": "no usable drag run: nothing is known of the contact angle and of steady drag",
 }
-PROGRESS_STEPS = 3
+JOINT_COST, RELAXATION_COST, SLIDING_COST = 3, 1, 1
+"""Relative times of the joint fit, of the relaxations' own, and of Coulomb test and drag."""
 
 
 def identify_specimen(
@@ -255,9 +257,9 @@ def identify_specimen(
     AnalysisError
         Where the model predicts nothing of these runs, or a run lacks what it needs.
     """
-    progress(0, PROGRESS_STEPS)
+    advance = counted(progress, JOINT_COST + RELAXATION_COST + SLIDING_COST)
     joint = fit_jointly(selection, nominal)
-    progress(1, PROGRESS_STEPS)
+    advance(JOINT_COST)
     remarks = list(selection.remarks)
     relaxation = coulomb = drag = None
 
@@ -273,10 +275,10 @@ def identify_specimen(
         model = identified_settings(nominal, joint)
         zeros = {run.file: run.zero for run in joint.runs if run.channel == FORCE_CHANNEL} if joint.converged else None
         relaxation = attempt(lambda: identify_relaxation(selection), "relaxation")
-        progress(2, PROGRESS_STEPS)
+        advance(RELAXATION_COST)
         coulomb = attempt(lambda: identify_coulomb(selection, model), "Coulomb test")
         drag = attempt(lambda: identify_drag(selection, model, zeros), "drag")
-    progress(PROGRESS_STEPS, PROGRESS_STEPS)
+        advance(SLIDING_COST)
     return Identification(
         backends=selection.backends,
         specimen=selection.specimen,

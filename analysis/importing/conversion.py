@@ -8,7 +8,7 @@ count). So rows off the grid are never moved: the user either asks for resamplin
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise
@@ -31,7 +31,7 @@ from dragrig.analysis.importing.foreign import (
     unit_scale,
 )
 from dragrig.config import AnalysisError, ImportDataError
-from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray, RecordedChannel, RunEvent
+from dragrig.rig import MAX_TRACE_MAGNITUDES, AnyFloatArray, FloatArray, Phase, PhaseArray, RecordedChannel, RunEvent
 
 IMPORT_EVENT = "import"
 RESERVED_NAMES = frozenset({*TARGET_UNITS, "phase"})
@@ -130,15 +130,12 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
     table, blanks = _without_blank_ends(table, [source.column for source in mapped.values()])
     if blanks:
         mapped = {quantity: _map_column(table, quantity, source, settings) for quantity, source in sources.items()}
-    if not any(quantity in mapped for quantity in SIGNAL_CHANNELS):
-        names = ", ".join(repr(column.name) for column in table.columns)
-        raise ImportDataError(
-            f"{table.path}: no column is mapped to force or motor_force; map one of {names}, as in "
-            f"force={table.columns[-1].name!r}:N."
-        )
+    _require_quantities(table, settings, mapped)
     values = {
         quantity: source.scale.apply(table.numbers(source.column, whole=True)) for quantity, source in mapped.items()
     }
+    for quantity, source in mapped.items():
+        _require_measurable(table, source.column, values[quantity], TARGET_UNITS[quantity])
     extra, events = _extra_channels(table, mapped)
     events += [_event(f"{blanks} rows at begin or end lack a number and were left out")] if blanks else []
     values |= {name: column.values for name, column in extra.items()}
@@ -177,6 +174,32 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         begins_at=mapped["time"].column.begins_at if "time" in mapped else None,
         sources={quantity: str(source) for quantity, source in mapped.items()},
     )
+
+
+def _require_quantities(table: ForeignTable, settings: ImportSettings, mapped: Collection[str]) -> None:
+    """Raise `ImportDataError` with all that no column is mapped to."""
+    first, last = table.columns[0].name, table.columns[-1].name
+    missing = {
+        f"force or motor_force (force={last!r}:N)": not any(quantity in mapped for quantity in SIGNAL_CHANNELS),
+        f"time (time={first!r}:s, or the rate by --sample-rate-hz)": "time" not in mapped
+        and not (settings.sample_rate_hz or table.sample_rate_hz),
+    }
+    if any(missing.values()):
+        names = ", ".join(repr(column.name) for column in table.columns)
+        wanted = " and none to ".join(what for what, is_missing in missing.items() if is_missing)
+        raise ImportDataError(f"{table.path}: no column is mapped to {wanted}; the columns are {names}.")
+
+
+def _require_measurable(table: ForeignTable, column: ForeignColumn, values: FloatArray, unit: str) -> None:
+    """Raise `ImportDataError` for a value that no rig measures, and no run file holds."""
+    largest = MAX_TRACE_MAGNITUDES.get(unit, np.inf)
+    beyond = np.flatnonzero(np.abs(values) > largest)
+    if beyond.size:
+        row = int(beyond[0])
+        raise ImportDataError(
+            f"{table.path}: {table.place(row)}, column {column.name!r} holds {column.values[row]:g}, and {largest:g} "
+            f"{unit} is the most; remove such rows, or correct the column's unit."
+        )
 
 
 def _event(message: str) -> RunEvent:

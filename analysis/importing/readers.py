@@ -207,7 +207,7 @@ def detect_dialect(
             f"{path}: holds no table of numbers with columns separated by tab, semicolon, bar, comma or white space; "
             "state delimiter and header_lines if it does."
         )
-    first = header_lines if header_lines is not None else _first_row(lines, chosen, numeric)
+    first = header_lines if header_lines is not None else _first_row(lines, chosen, width, numeric)
     while first < len(lines) and not lines[first].strip():
         first += 1
     return TextDialect(chosen, first, *_header(lines[:first], chosen, width))
@@ -238,14 +238,15 @@ def _table_shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int,
     return width, tuple(column for column, majority in enumerate(surplus) if majority > 0)
 
 
-def _first_row(lines: Sequence[str], delimiter: str, numeric: Sequence[int]) -> int:
-    """First line with numbers in at least half of the columns of numbers."""
+def _first_row(lines: Sequence[str], delimiter: str, width: int, numeric: Sequence[int]) -> int:
+    """First line with numbers in at least half of the columns of numbers, or with nothing in them but numbers."""
     for number, line in enumerate(lines):
         if not line.strip() or _COMMENT.match(line):
             continue
         cells = split_cells(line, delimiter)
         numbers = sum(column < len(cells) and is_number(cells[column]) for column in numeric)
-        if numbers and 2 * numbers >= len(numeric):
+        only_numbers = len(cells) == width and numbers == sum(map(bool, cells))
+        if numbers and (only_numbers or 2 * numbers >= len(numeric)):
             return number
     return len(lines)
 

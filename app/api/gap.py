@@ -17,6 +17,7 @@ from dragrig.analysis import (
     find_model,
     no_progress,
     parse_model_settings,
+    parts_of,
 )
 from dragrig.analysis.gap import (
     Diagnosis,
@@ -36,6 +37,11 @@ from dragrig.setup import PlanLike, SetupChoices, resolve
 
 if TYPE_CHECKING:
     from dragrig.analysis.gap import DiagnosisOptions, VerdictCalibration
+
+
+READING_COST, DIAGNOSIS_COST = 1, 5
+COLLECTING_COST, ISOLATION_COST = 1, 2
+"""Relative times of reading, or simulating, a campaign's runs and of what is made of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,8 +97,10 @@ class DiagnosisRequest:
         options = diagnosis_options(self.without, self.tolerance_mN, self.calibration)
         model = find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
         named = isinstance(campaign, str | Path)
-        selection = choose_runs(Path(campaign) if isinstance(campaign, str | Path) else campaign, self.specimen)
-        result = diagnose_selection(selection, model, options, progress)
+        reading, diagnosing = parts_of(progress, READING_COST, DIAGNOSIS_COST)
+        runs = Path(campaign) if isinstance(campaign, str | Path) else campaign
+        selection = choose_runs(runs, self.specimen, reading)
+        result = diagnose_selection(selection, model, options, diagnosing)
         return DiagnosedCampaign(result, selection, str(campaign) if named else "these runs")
 
     def diagnose_on_cluster(self, campaign: Path, scheduler: str) -> DiagnosedCampaign:
@@ -336,7 +344,8 @@ def isolability(
     from dragrig.analysis.gap import isolate
 
     diagnosis_options(without, None)
-    runs = runs_to_isolate(plan_or_campaign, **choices)
+    collecting, isolating = parts_of(progress, COLLECTING_COST, ISOLATION_COST)
+    runs = runs_to_isolate(plan_or_campaign, collecting, **choices)
     return isolate(
         runs.selection,
         runs.nominal,
@@ -344,20 +353,22 @@ def isolability(
         source=runs.source,
         planned=runs.planned,
         duration_s=runs.duration_s,
-        progress=progress,
+        progress=isolating,
     )
 
 
-def runs_to_isolate(plan_or_campaign: PlanLike, **choices: Unpack[SetupChoices]) -> RunsToIsolate:
+def runs_to_isolate(
+    plan_or_campaign: PlanLike, progress: Progress = no_progress, **choices: Unpack[SetupChoices]
+) -> RunsToIsolate:
     """Return the runs of a campaign, or simulate those of a plan; raises as `isolability`."""
     choices["backend"] = "simulated"
     if isinstance(plan_or_campaign, str | Path) and Path(plan_or_campaign).is_dir():
         specimen = choices.get("specimen")
-        selection = choose_runs(Path(plan_or_campaign), None if specimen is None else str(specimen))
+        selection = choose_runs(Path(plan_or_campaign), None if specimen is None else str(specimen), progress)
         model = resolve("drag", model=choices.get("model"), backend="simulated").model
         return RunsToIsolate(selection, CapsuleModel(model), str(plan_or_campaign), planned=False, duration_s=None)
     setup = resolve(plan_or_campaign, **choices)
-    selection = choose_runs(simulate(plan_or_campaign, **choices))
+    selection = choose_runs(simulate(plan_or_campaign, progress=progress, **choices))
     duration_s = setup.programme().duration_s
     return RunsToIsolate(selection, CapsuleModel(setup.model), setup.plan.name, planned=True, duration_s=duration_s)
 

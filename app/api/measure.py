@@ -5,21 +5,11 @@ from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from threading import Event as Signal
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
-from dragrig.campaign_session import (
-    Made,
-    SessionOperator,
-    SessionOptions,
-    discard_message,
-    resume_campaign,
-    run_session,
-    start_campaign,
-)
 from dragrig.config import OutputError
 from dragrig.rig import (
     BackendRequest,
-    MemoryStore,
     Preflight,
     RigCheck,
     Run,
@@ -27,7 +17,6 @@ from dragrig.rig import (
     check_limits,
     check_wiring,
     preflight,
-    read_run,
     specimen_remark,
 )
 from dragrig.setup import (
@@ -43,6 +32,9 @@ from dragrig.setup import (
     resolve,
     resolve_rig,
 )
+
+if TYPE_CHECKING:
+    from dragrig.campaign_session import Made, SessionOperator, SessionOptions
 
 
 def examine(**choices: Unpack[RigChoices]) -> Iterator[RigCheck]:
@@ -121,7 +113,13 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
     return replace(checked, remarks=(*setup.differences, *((remark,) if remark else ()), *checked.remarks))
 
 
-def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[SetupChoices]) -> tuple[Run, ...]:
+def simulate(
+    plan: PlanLike,
+    *,
+    out: str | Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **choices: Unpack[SetupChoices],
+) -> tuple[Run, ...]:
     """Carry out a plan on the simulated rig, with every prompt answered done.
 
     Parameters
@@ -130,6 +128,8 @@ def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack
         A shipped plan's name, a file, a `Plan`, or a protocol, as `Drag(speed_mm_s=5)`.
     out
         Folder for run files, new or without runs (default: none, the runs stay in memory).
+    progress
+        Called after each run with the numbers of runs that are made, and in all.
     choices
         As of `check`.
 
@@ -152,14 +152,18 @@ def simulate(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack
     (8025,)
     >>> sticky, back = dragrig.simulate("drag", effects=["stribeck:ratio=0.4"])  # doctest: +SKIP
     """
+    from dragrig.campaign_session import RunCounter, SessionOptions, run_session, start_campaign
+    from dragrig.rig import MemoryStore, read_run
+
+    person = None if progress is None else RunCounter(progress)
     choices["backend"] = "simulated"
     setup = resolve(plan, **choices)
     if out is not None:
-        made = start_campaign(setup, Path(out), SessionOptions(Path(out)), None)
+        made = start_campaign(setup, Path(out), SessionOptions(Path(out)), person)
         made.session.require()
         return tuple(map(read_run, made.files))
     store = MemoryStore()
-    run_session(setup, lambda _record: nullcontext(store), SessionOptions(Path())).require()
+    run_session(setup, lambda _record: nullcontext(store), SessionOptions(Path()), person).require()
     return tuple(store.runs)
 
 
@@ -170,12 +174,12 @@ def run(
     operator: str = "",
     note: str = "",
     pace: Pace | None = None,
-    person: SessionOperator | None = None,
+    person: "SessionOperator | None" = None,
     mirror: str | Path | None = None,
-    tell: Callable[[str], None] = discard_message,
+    tell: Callable[[str], None] | None = None,
     pause: Signal | None = None,
     **choices: Unpack[SetupChoices],
-) -> Made:
+) -> "Made":
     """Carry out a plan on the rig, one run file per run.
 
     Everything is checked before anything moves; Ctrl-C stops the stage first and keeps what was recorded.
@@ -196,7 +200,7 @@ def run(
         Folder, on another disk, for a second copy of each finished file, verified by reading it back. It never delays a
         run; `made.mirrored` lists what was copied and what was not.
     tell
-        Called with a sentence, from any thread, when a file cannot be mirrored.
+        Called with a sentence, from any thread, when a file cannot be mirrored (default: nobody is told).
     pause
         Set by anybody to have the session ask `person` before its next run.
     choices
@@ -219,6 +223,8 @@ def run(
     >>> made = dragrig.run("drag", out="first-drag", operator="me")  # doctest: +SKIP
     >>> dragrig.table(made.folder)  # doctest: +SKIP
     """
+    from dragrig.campaign_session import start_campaign
+
     setup = resolve(plan, **choices)
     folder = Path(out) if out is not None else None
     return start_campaign(setup, folder, _session_options(operator, note, pace, mirror, tell, pause), person)
@@ -230,12 +236,12 @@ def resume(
     operator: str = "",
     note: str = "",
     pace: Pace | None = None,
-    person: SessionOperator | None = None,
+    person: "SessionOperator | None" = None,
     assignments: Sequence[str] = (),
     mirror: str | Path | None = None,
-    tell: Callable[[str], None] = discard_message,
+    tell: Callable[[str], None] | None = None,
     pause: Signal | None = None,
-) -> Made:
+) -> "Made":
     """Resume a campaign that ended early, with its own settings.
 
     Runs that a crash left unfinished are recovered first; every run that is not complete, or is marked bad, is made
@@ -255,6 +261,8 @@ def resume(
     DragrigError
         As `run`.
     """
+    from dragrig.campaign_session import resume_campaign
+
     folder = Path(campaign)
     if not folder.is_dir():
         missing = "is a file" if folder.is_file() else "there is no such campaign"
@@ -267,8 +275,11 @@ def _session_options(
     note: str,
     pace: Pace | None,
     mirror: str | Path | None,
-    tell: Callable[[str], None],
+    tell: Callable[[str], None] | None,
     pause: Signal | None,
-) -> SessionOptions:
+) -> "SessionOptions":
+    from dragrig.campaign_session import SessionOptions, discard_message
+
+    tell = tell or discard_message
     target = None if mirror is None else Path(mirror)
     return SessionOptions(Path(), operator=operator, note=note, pace=pace, mirror=target, tell=tell, pause=pause)

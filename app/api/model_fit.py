@@ -21,6 +21,7 @@ from dragrig.analysis import (
     identified_settings,
     identify_relaxation,
     no_progress,
+    parts_of,
     select_loaded_runs,
     select_runs,
     why_no_model,
@@ -48,6 +49,10 @@ if TYPE_CHECKING:
 
 
 WallChoice = Literal["scaled", "fitted"]
+
+
+READING_COST, FITTING_COST = 1, 5
+"""Relative times of reading a campaign's runs and of what is made of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,8 +197,9 @@ def identify(
     >>> identified.parameters.loc["friction_coefficient"]  # doctest: +SKIP
     >>> dragrig.simulate("paper", model=identified.model)  # doctest: +SKIP
     """
+    reading, fitting = parts_of(progress, READING_COST, FITTING_COST)
     if isinstance(campaign, str | Path):
-        source, selection = str(campaign), select_runs(Path(campaign), specimen)
+        source, selection = str(campaign), select_runs(Path(campaign), specimen, reading)
     else:
         source, selection = "these runs", select_loaded_runs(campaign, specimen)
     fitted = _nominal_model(nominal, model)
@@ -201,7 +207,7 @@ def identify(
         if not isinstance(fitted, CapsuleModel):
             raise SettingsError(f"--wall fitted: the model {fitted.name} has no wall; leave it out.")
         fitted = CapsuleModel(with_identified_wall(fitted.settings, identify_relaxation(selection)))
-    return IdentifiedCampaign(identify_selection(selection, fitted, progress), selection, fitted, source)
+    return IdentifiedCampaign(identify_selection(selection, fitted, fitting), selection, fitted, source)
 
 
 def save_identified_model(identified: IdentifiedCampaign, path: Path, *, overwrite: bool = False) -> Path:
@@ -369,14 +375,24 @@ def identified_folder(campaign: Path) -> Path:
 
 
 def write_identified_files(
-    identified: IdentifiedCampaign, folder: Path, *, with_model: bool, overwrite: bool
+    identified: IdentifiedCampaign,
+    folder: Path,
+    *,
+    with_model: bool,
+    overwrite: bool,
+    progress: Progress = no_progress,
 ) -> tuple[Path, ...]:
     """Write model and pictures into a folder; raises `OutputError`."""
     written = []
     if with_model:
         name = "model.toml" if identified.nominal.name == "capsule" else f"{identified.nominal.name}.toml"
         written.append(save_identified_model(identified, folder / name, overwrite=overwrite))
-    return (*written, *save_identification_pictures(identified, folder, overwrite=overwrite))
+    result = identified.result
+    pictures = sum(part is not None for part in (result.joint, result.relaxation, result.coulomb, result.drag))
+    for picture in save_identification_pictures(identified, folder, overwrite=overwrite):
+        written.append(picture)
+        progress(len(written), pictures + with_model)
+    return tuple(written)
 
 
 def _output_folders(campaigns: Sequence[Path], out: Path | None) -> list[Path | None]:

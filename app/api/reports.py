@@ -10,7 +10,6 @@ from dragrig import present
 from dragrig.analysis import ExportFormat, Progress, export_run, filter_file, no_progress
 from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
 from dragrig.config import AnalysisError, OutputError, SettingsError
-from dragrig.parallel import available_cores
 from dragrig.present import (
     PAPER_MODEL_FILE,
     PAPER_REPORT_FILE,
@@ -40,11 +39,7 @@ if TYPE_CHECKING:
     from dragrig.analysis import Identification
     from dragrig.analysis.paper import PaperFinding
     from dragrig.api.model_fit import IdentifiedCampaign
-    from dragrig.present import CampaignReportData, PaperReportData
-
-
-MEASURING_SHARE, DRAWING_SHARE = 100, 500
-"""Shares of a run in the progress of a report, drawn by a single process: 0.09 and 0.45 s of user CPU time."""
+    from dragrig.present import PaperReportData
 
 
 def report(
@@ -108,38 +103,11 @@ def _run_report(path: Path) -> str:
 
 
 def _campaign_report(folder: Path, workers: int | None, progress: Progress) -> str:
-    from dragrig.present import campaign_document, render_page
-
-    drawing = round(DRAWING_SHARE / (workers or available_cores()))
-    whole = MEASURING_SHARE + drawing
-    data = campaign_results(folder, lambda done, total: progress(MEASURING_SHARE * done, whole * max(total, 1)))
-    return render_page(
-        drawn(
-            campaign_document(data),
-            lambda done, total: progress(MEASURING_SHARE * total + drawing * done, whole * max(total, 1)),
-            workers,
-        )
-    )
-
-
-def campaign_results(folder: Path, progress: Progress = no_progress) -> "CampaignReportData":
-    """Collect the measures of a campaign's runs, and its sessions.
-
-    Raises
-    ------
-    RunFileError
-        When the folder holds no run file.
-    """
-    from dragrig.analysis import table_rows
-    from dragrig.present import CampaignReportData
-    from dragrig.rig import read_campaign, read_session_records
+    from dragrig.present import campaign_document, examine_campaign, render_page
     from dragrig.run_inputs import run_files
 
     run_files([folder])
-    sessions, damaged = read_session_records(folder)
-    return CampaignReportData(
-        folder.resolve().name, read_campaign(folder), table_rows(folder, progress), sessions, damaged
-    )
+    return render_page(campaign_document(examine_campaign(folder, workers, progress)))
 
 
 PAPER_PLAN = "paper"

@@ -23,8 +23,10 @@ from dragrig.present import duration_text, to_json_value
 
 if TYPE_CHECKING:
     from rich.console import ConsoleRenderable, RenderableType
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress as RichProgress
+    from rich.progress import TaskID
 
+    from dragrig.analysis import Progress
     from dragrig.present import Document
 
 
@@ -65,14 +67,17 @@ def print_document(document: "Document", *, as_json: bool) -> None:
         terminal.print_document(document)
 
 
-def write_report(document: "Document", path: Path | None, *, overwrite: bool) -> None:
+def write_report(
+    document: "Document", path: Path | None, *, overwrite: bool, progress: "Progress | None" = None
+) -> None:
     """Write a result's page, where one is wanted; it is for a screen, whatever form figures beside it have."""
     if path is None:
         return
-    from dragrig.present import FigureForm, figure_form, render_page, write_text
+    from dragrig.analysis import no_progress
+    from dragrig.present import FigureForm, drawn, figure_form, render_page, write_text
 
     with figure_form(FigureForm()):
-        write_text(render_page(document), path, overwrite=overwrite)
+        write_text(render_page(drawn(document, progress or no_progress)), path, overwrite=overwrite)
 
 
 def print_json_line(value: object) -> None:
@@ -267,7 +272,7 @@ class ProgressMeter:
         """Shares of the total and when they were done, rising."""
         self._above = above
         self._shown = not (is_quiet() if quiet is None else quiet)
-        self._bar: tuple[Progress, TaskID] | None = None
+        self._bar: tuple[RichProgress, TaskID] | None = None
         self._next_line_s = _FIRST_LINE_S
 
     def __enter__(self) -> Self:
@@ -354,7 +359,7 @@ class ProgressMeter:
             self._shown = False
 
 
-def _start_bar(total: float, above: "ConsoleRenderable | None") -> "tuple[Progress, TaskID]":
+def _start_bar(total: float, above: "ConsoleRenderable | None") -> "tuple[RichProgress, TaskID]":
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 
 FILE = click.Path(path_type=Path)
+DIAGNOSE_COST, ISOLATE_COST, PAGE_COST, FIGURES_COST = 16, 18, 4, 4
+"""User CPU time [s] of the diagnosis of a campaign of 40 runs, of the isolability of a plan with 58, of a page, and of
+figures beside it."""
 
 
 @click.command("diagnose")
@@ -68,6 +71,7 @@ def diagnose_command(
     and runs that did not end as planned are left out. The exit code is 0 whatever the verdict; no model is written
     where no effect is named.
     """
+    from dragrig.analysis import parts_of
     from dragrig.api import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
     from dragrig.present import (
@@ -100,17 +104,23 @@ def diagnose_command(
     for path in filter(None, (save_model, report)):
         require_writable(path, overwrite=overwrite)
     with ProgressMeter("diagnosing") as meter:
+        finding, reporting, drawing = parts_of(
+            meter.at, DIAGNOSE_COST, PAGE_COST * (report is not None), FIGURES_COST * (figures is not None)
+        )
         if scheduler is None:
-            diagnosed = request.diagnose(campaign, meter.at)
+            diagnosed = request.diagnose(campaign, finding)
         else:
             diagnosed = request.diagnose_on_cluster(campaign, scheduler)
-    diagnosis = diagnosed.result
-    model = None if save_model is None else save_amended_model(diagnosis, save_model, overwrite=overwrite)
-    model_name = None if model is None else str(model)
-    document = diagnosis_document(diagnosis, source=diagnosed.source, model=model_name, run_ids=diagnosed.run_ids)
-    # Written before anything is printed: a reader such as head ends the command.
-    write_report(document, report, overwrite=overwrite)
-    drawn = () if figures is None else tuple(save_figures(document, figures, overwrite=overwrite))
+        diagnosis = diagnosed.result
+        model = None if save_model is None else save_amended_model(diagnosis, save_model, overwrite=overwrite)
+        model_name = None if model is None else str(model)
+        document = diagnosis_document(diagnosis, source=diagnosed.source, model=model_name, run_ids=diagnosed.run_ids)
+        # Written before anything is printed: a reader such as head ends the command.
+        write_report(document, report, overwrite=overwrite, progress=reporting)
+        drawn: list[Path] = []
+        for path in () if figures is None else save_figures(document, figures, overwrite=overwrite):
+            drawn.append(path)
+            drawing(len(drawn), len(tuple(document.figures())))
     if save_model is not None and model is None:
         print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
     print_document(document, as_json=as_json)
@@ -237,14 +247,16 @@ def isolability_command(
     parameters projected out: sin² = 0 means that they cannot be told apart, 1 that they have nothing in common. d′ is
     their distance in standard deviations of the noise, at their default sizes.
     """
+    from dragrig.analysis import parts_of
     from dragrig.api import isolability
     from dragrig.present import isolability_document, require_writable
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
     with ProgressMeter("computing") as meter:
-        document = isolability_document(isolability(source, without=without, progress=meter.at, **settings))
-    write_report(document, report, overwrite=overwrite)
+        isolating, reporting = parts_of(meter.at, ISOLATE_COST, PAGE_COST * (report is not None))
+        document = isolability_document(isolability(source, without=without, progress=isolating, **settings))
+        write_report(document, report, overwrite=overwrite, progress=reporting)
     print_document(document, as_json=as_json)
     if report is not None and not as_json:
         print_result(f"report  {display_path(report)}")

@@ -87,10 +87,12 @@ class _FindOptions(TypedDict):
 
 
 def _parse_moment(context: click.Context, parameter: click.Parameter, text: str | None) -> "datetime | None":
-    from datetime import datetime
+    from datetime import datetime, time
 
     try:
         moment = None if text is None else datetime.fromisoformat(text)
+        if moment is not None and text is not None and parameter.name == "until" and len(text) <= len("2026-05-04"):
+            moment = datetime.combine(moment, time.max)  # a day is over when it ends
         return moment if moment is None or moment.tzinfo is not None else moment.astimezone()
     except (ValueError, OverflowError):  # also of a year for which the local offset is not known
         raise click.BadParameter(
@@ -104,7 +106,7 @@ def _parse_moment(context: click.Context, parameter: click.Parameter, text: str 
 @click.option("--kind", metavar="NAME", default="", help="Kind of run: drag, relaxation, …, or sentinel.")
 @click.option("--operator", metavar="NAME", default="", help="Part of the operator's name.")
 @click.option("--since", metavar="DATE", callback=_parse_moment, help="Begun at this time or later.")
-@click.option("--until", metavar="DATE", callback=_parse_moment, help="Begun at this time or earlier.")
+@click.option("--until", metavar="DATE", callback=_parse_moment, help="Begun at this time or earlier, or on this day.")
 @click.option("--bad/--good", "marked", default=None, help="Marked bad, or not (default: either).")
 @options.as_json
 @options.quiet
@@ -157,7 +159,8 @@ def show_command(
 
     RUN is a run file, a pattern or a campaign's folder; a folder gets an overview of the campaign too. An existing
     name gets a number, unless it was given with --out: then it is refused. With --column, pictures are as journals take
-    them: of the column's width, without a title, letters of 6 to 7 pt, PNG with 600 dpi.
+    them: 85 mm (single), 180 mm (double) or so many mm wide, without a title, letters of 6 to 7 pt, PNG with 600 dpi.
+    Panels side by side take 180 mm where less than 120 mm are asked for.
     """
     from dragrig.run_inputs import run_files
 

@@ -71,7 +71,6 @@ def check_command(
     are shown as they change. The result is stored as commissioning.toml in the lab folder.
     """
     from dragrig.api import check
-    from dragrig.present import preflight_document
 
     if live or (plan is None and operator):
         _look_at_rig(ctx, plan, settings, out, operator, live=live, as_json=as_json)
@@ -80,6 +79,8 @@ def check_command(
         _check_rig(ctx, settings, out, as_json=as_json)
         return
     preflight = check(plan, out=out, **settings)
+    from dragrig.present import preflight_document
+
     print_document(preflight_document(preflight), as_json=as_json)
     for remark in preflight.remarks:
         print_remark(f"NOTE {remark}.")

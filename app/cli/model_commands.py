@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from dragrig.config import FrictionModelSettings
 
 
+IDENTIFY_COST, PAGE_COST = 5, 18
+"""User CPU time [s] of identifying a campaign of 58 runs, and of its pictures, or its page."""
 PAPER_SPEEDS = "0.5,1,2,5,10,15,20,30,40,50,60"
 """The speeds of the paper's programme."""
 
@@ -227,6 +229,7 @@ def identify_command(
     Several campaigns are identified in parallel and printed as a table, or with --json as one line each; each has its
     own folder in that of --out.
     """
+    from dragrig.analysis import parts_of
     from dragrig.api import identified_folder, identify, identify_many, save_identified_model, write_identified_files
     from dragrig.parallel import worker_count
     from dragrig.present import identification_document, identification_json, require_writable
@@ -255,19 +258,25 @@ def identify_command(
     if scheduler is not None:
         raise SettingsError(f"--scheduler {scheduler}: is for several campaigns, and one was given; leave it out.")
     [campaign] = campaigns
+    draws = out is not None or not as_json
     with ProgressMeter("identifying") as meter:
-        identified = identify(campaign, nominal=nominal, model=model, wall=wall, specimen=specimen, progress=meter.at)
-    result = identified.result
-    # Written before anything is printed: a reader such as head ends the command.
-    document = identification_document(result)
-    write_report(document, report, overwrite=overwrite)
-    written: list[Path] = [] if report is None else [report]
-    if save_model is not None:
-        written.append(save_identified_model(identified, save_model, overwrite=overwrite))
-    if out is not None or not as_json:
-        with_model = save_model is None and identified.why_no_model is None
-        folder = out or identified_folder(campaign)
-        written += write_identified_files(identified, folder, with_model=with_model, overwrite=overwrite)
+        fitting, reporting, drawing = parts_of(
+            meter.at, IDENTIFY_COST, PAGE_COST * (report is not None), PAGE_COST * draws
+        )
+        identified = identify(campaign, nominal=nominal, model=model, wall=wall, specimen=specimen, progress=fitting)
+        result = identified.result
+        # Written before anything is printed: a reader such as head ends the command.
+        document = identification_document(result)
+        write_report(document, report, overwrite=overwrite, progress=reporting)
+        written: list[Path] = [] if report is None else [report]
+        if save_model is not None:
+            written.append(save_identified_model(identified, save_model, overwrite=overwrite))
+        if draws:
+            with_model = save_model is None and identified.why_no_model is None
+            folder = out or identified_folder(campaign)
+            written += write_identified_files(
+                identified, folder, with_model=with_model, overwrite=overwrite, progress=drawing
+            )
     if as_json:
         print_json({**identification_json(result), "files": written})
     else:

@@ -1,6 +1,7 @@
 """Options and arguments that several commands share, as decorators."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, ParamSpec, TypedDict, TypeVar
@@ -169,19 +170,19 @@ def picture_form(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def in_form(*arguments: P.args, **settings: P.kwargs) -> R:
-        from dragrig.present import FigureForm, JournalColumn, figure_form
+        from dragrig.present import FigureForm, figure_form
 
         meta = click.get_current_context().meta
-        column = JournalColumn(meta[_COLUMN]) if _COLUMN in meta else None
-        with figure_form(FigureForm(column, f".{meta.get(_FORMAT, 'png')}")):
+        width = meta.get(_COLUMN)
+        with figure_form(FigureForm(None if width is None else _column_mm(width), f".{meta.get(_FORMAT, 'png')}")):
             return function(*arguments, **settings)
 
     column = click.option(
         "--column",
-        type=click.Choice(("single", "double")),
+        metavar="single|double|MM",
         expose_value=False,
         callback=_remember(_COLUMN),
-        help="Pictures for a journal: 85 mm wide, or 180 mm (double, and panels side by side); no title, 600 dpi.",
+        help="Pictures for a journal, 85, 180 or so many mm wide; no title, 600 dpi.",
     )
     picture_format = click.option(
         "--picture-format",
@@ -194,6 +195,23 @@ def picture_form(function: Callable[P, R]) -> Callable[P, R]:
 
 
 _COLUMN, _FORMAT = "dragrig.column", "dragrig.picture_format"
+_MIN_COLUMN_MM, _MAX_COLUMN_MM = 60.0, 300.0
+
+
+def _column_mm(text: str) -> float:
+    """Return the width of pictures that `--column` names; raises `SettingsError`."""
+    from dragrig.config import SettingsError
+    from dragrig.present import DOUBLE_COLUMN_MM, SINGLE_COLUMN_MM
+
+    named = {"single": SINGLE_COLUMN_MM, "double": DOUBLE_COLUMN_MM}
+    if text in named:
+        return named[text]
+    with suppress(ValueError):
+        if _MIN_COLUMN_MM <= (width := float(text)) <= _MAX_COLUMN_MM:
+            return width
+    raise SettingsError(
+        f"--column {text}: is single, double, or a width from {_MIN_COLUMN_MM:g} to {_MAX_COLUMN_MM:g} mm, as 88."
+    )
 
 
 def _remember(key: str) -> Callable[[click.Context, click.Parameter, str | None], None]:

@@ -2,9 +2,12 @@ from .campaign import CampaignReportData as CampaignReportData
 from .campaign import campaign_document as campaign_document
 from .campaign import campaign_table_document as campaign_table_document
 from .campaign import campaigns_list_document as campaigns_list_document
+from .campaign import examine_campaign as examine_campaign
 from .campaign_figures import campaign_figure as campaign_figure
 from .campaign_figures import comparison_figure as comparison_figure
 from .campaign_figures import comparison_overview_figure as comparison_overview_figure
+from .campaign_figures import overview_figure as overview_figure
+from .campaign_figures import summarise_run as summarise_run
 from .comparison import comparison_document as comparison_document
 from .comparison import comparison_json as comparison_json
 from .diagnosis import campaigns_document as campaigns_document
@@ -19,6 +22,7 @@ from .diagnosis_figures import representative_runs as representative_runs
 from .document import BLACK as BLACK
 from .document import BLUE as BLUE
 from .document import CYCLE as CYCLE
+from .document import DOUBLE_COLUMN_MM as DOUBLE_COLUMN_MM
 from .document import FOUR_DIGITS as FOUR_DIGITS
 from .document import GREEN as GREEN
 from .document import GREY as GREY
@@ -27,6 +31,7 @@ from .document import ORANGE as ORANGE
 from .document import PALE as PALE
 from .document import PAPER as PAPER
 from .document import PURPLE as PURPLE
+from .document import SINGLE_COLUMN_MM as SINGLE_COLUMN_MM
 from .document import SKY as SKY
 from .document import VERMILLION as VERMILLION
 from .document import Bar as Bar
@@ -42,7 +47,6 @@ from .document import Figure as Figure
 from .document import FigureForm as FigureForm
 from .document import FormattedNumber as FormattedNumber
 from .document import Items as Items
-from .document import JournalColumn as JournalColumn
 from .document import Section as Section
 from .document import Table as Table
 from .document import Text as Text

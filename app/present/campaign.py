@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from math import hypot
@@ -11,37 +11,63 @@ from typing import TYPE_CHECKING
 from dragrig import present
 from dragrig.analysis import (
     UNREADABLE,
+    Progress,
     SpecimensMean,
     SpeedMean,
     TableRow,
+    campaign_rows,
     count_text,
+    counted,
     mean_over_specimens,
     mean_per_speed,
+    measure,
+    no_progress,
+    table_row,
+    unreadable_row,
     value_with_error,
 )
+from dragrig.config import RunFileError
+from dragrig.parallel import open_executor, parallel_map
 from dragrig.present import (
     Column,
     Document,
     Field,
     Figure,
+    FigureForm,
     FormattedNumber,
     Items,
     Section,
     Table,
     Text,
+    current_figure_form,
     decimals,
+    figure_form,
     grouped_files,
     run_problem,
     run_title,
     shortest,
     shortest_percent,
+    svg_text,
     to_json_object,
 )
 from dragrig.present.run import run_drawing
-from dragrig.rig import Campaign, ReturnProtocol, RunInfo, RunStatus, SessionRecord, read_run, run_name, specimen_key
+from dragrig.rig import (
+    Campaign,
+    ReturnProtocol,
+    RunInfo,
+    RunStatus,
+    SessionRecord,
+    read_campaign,
+    read_run,
+    read_session_records,
+    run_name,
+    specimen_key,
+)
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MatplotlibFigure
+    from pathlib import Path
+
+    from dragrig.present.campaign_figures import RunSummary
 
 STEADY_FORCE = (
     "Steady force: mean over the constant speed, of a drag after the first contact length, as recorded. Steady − rest: "
@@ -51,14 +77,22 @@ MAX_DRAWN_RUNS = 100
 """Runs that a report draws one by one; a page that is mailed must stay small."""
 
 
+MEASURING_COST, DRAWING_COST, OVERVIEW_COST = 60, 400, 500
+"""User CPU time [ms] of measuring a run, of drawing it, and of drawing the overview: the weights of the progress."""
+RUNS_PER_WORKER = 6
+"""Fewer are drawn in the time that a process takes to start and to load matplotlib."""
+
+
 @dataclass(frozen=True, slots=True)
 class CampaignReportData:
-    """A campaign with what was measured of its runs."""
+    """A campaign with what was measured and drawn of its runs."""
 
     name: str
     campaign: Campaign
     rows: tuple[TableRow, ...]
     """Measures of its runs."""
+    drawings: Mapping[str, str]
+    """SVG of the overview, under the name `overview`, and of runs, under the names of their files."""
     sessions: tuple[SessionRecord, ...] = ()
     """Records of its sessions that can be read, the earliest first."""
     damaged: tuple[str, ...] = ()
@@ -76,16 +110,94 @@ class CampaignReportData:
         return {path.name: mark.reason for path, mark in self.campaign.marks.items()}
 
 
+@dataclass(frozen=True, slots=True)
+class _RunTask:
+    """A run to be measured, and to be drawn in a form, or not."""
+
+    info: RunInfo
+    bad_reason: str | None
+    form: FigureForm | None
+
+    @property
+    def cost(self) -> int:
+        return MEASURING_COST + (0 if self.form is None else DRAWING_COST)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ExaminedRun:
+    """What a report shows of a run, from reading its file once."""
+
+    row: TableRow
+    summary: "RunSummary | None" = None
+    drawing: str = ""
+
+
+def _examine_run(task: _RunTask) -> _ExaminedRun:
+    info = task.info
+    try:
+        run = read_run(info.path, info)
+    except RunFileError as error:
+        return _ExaminedRun(unreadable_row(info.path, error))
+    measures, bad = measure(run), () if task.bad_reason is None else (info.path,)
+    row, summary = table_row(run, task.bad_reason, measures), present.summarise_run(run, bad, measures)
+    if task.form is None:
+        return _ExaminedRun(row, summary)
+    figure = run_drawing(info, lambda: present.run_figure(run, bad_reason=task.bad_reason, measures=measures))
+    with figure_form(task.form):
+        return _ExaminedRun(row, summary, svg_text(figure))
+
+
+def _draw_overview(summaries: "Sequence[RunSummary]", name: str, form: FigureForm) -> str:
+    with figure_form(form):
+        return svg_text(replace(_OVERVIEW, drawing=lambda: present.overview_figure(summaries, name)))
+
+
+def examine_campaign(folder: "Path", workers: int | None = 1, progress: Progress = no_progress) -> CampaignReportData:
+    """Measure and draw the runs of a campaign, each read once.
+
+    Parameters
+    ----------
+    workers
+        Processes that do so (None: as many as there are cores).
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder.
+    """
+    campaign, name = read_campaign(folder), folder.resolve().name
+    sessions, damaged = read_session_records(folder)
+    drawn = [info.path for info in campaign.runs if info.kind != ReturnProtocol.kind][:MAX_DRAWN_RUNS]
+    marks, form = campaign.marks, current_figure_form()
+    tasks = [
+        _RunTask(
+            info,
+            marks[info.path].reason if info.path in marks else None,
+            form if info.path in drawn else None,
+        )
+        for info in campaign.runs
+    ]
+    advance = counted(progress, sum(task.cost for task in tasks) + OVERVIEW_COST)
+    with open_executor(workers, tasks=len(drawn) // RUNS_PER_WORKER) as executor:
+        examined = parallel_map(executor, _examine_run, tasks, lambda task, _: advance(task.cost))
+        summaries = [run.summary for run in examined if run.summary is not None]
+        draw = partial(_draw_overview, name=name, form=form)
+        [overview] = parallel_map(executor, draw, [summaries], lambda *_: advance(OVERVIEW_COST))
+    rows = campaign_rows(campaign, [run.row for run in examined])
+    drawings = {run.row.file: run.drawing for run in examined if run.drawing}
+    return CampaignReportData(name, campaign, rows, {**drawings, _OVERVIEW.name: overview}, sessions, damaged)
+
+
 def campaign_document(data: CampaignReportData) -> Document:
-    """Lay out a campaign; its runs are read and drawn one after the other when the figures are."""
+    """Lay out a campaign."""
     runs = data.campaign.runs
-    drawn = tuple(info for info in data.readable if info.kind != ReturnProtocol.kind)[:MAX_DRAWN_RUNS]
+    drawn = tuple(info for info in runs if info.path.name in data.drawings)
     left_out = _left_out_table(data)
     singles = tuple(
         Section(
             _anchor(info.path.name),
             run_title(info) + (f" ({problem})" if (problem := _short_problem(info, data)) else ""),
-            (_single_drawing(info, data),),
+            (_run_figure(info, data.drawings[info.path.name]),),
             collapsed=True,
             note=info.path.name,
         )
@@ -102,7 +214,7 @@ def campaign_document(data: CampaignReportData) -> Document:
         lead=tuple(filter(None, (_summary(data), _drift_text(data.rows)))),
         problem=problem if left_out else "",
         sections=(
-            Section("overview", "Overview", (_overview(data),)),
+            Section("overview", "Overview", (replace(_OVERVIEW, drawing=data.drawings[_OVERVIEW.name]),)),
             Section("means", "Steady force", mean_tables(data.rows)),
             Section(
                 "runs",
@@ -333,32 +445,20 @@ def _left_out_runs(data: CampaignReportData) -> Iterator[tuple[str, str, str]]:
         yield "session record", "", record
 
 
-def _overview(data: CampaignReportData) -> Figure:
-    return Figure(
-        "overview",
-        "Steady force against speed, relaxation of the force against time since the ramp, and force along the way at a "
-        "few speeds.",
-        "Runs that are complete and not marked bad, without sentinels. Steady forces have the force at rest taken off: "
-        "small markers are runs, large ones means, bars their 95 % intervals by Student's t over the repeats on a "
-        "specimen or, of several specimens, over the specimens' means; a single value has no bar. The other forces are "
-        "as recorded, the sensor's zero included.",
-        partial(_draw_overview, data),
-    )
+_OVERVIEW = Figure(
+    "overview",
+    "Steady force against speed, relaxation of the force against time since the ramp, and force along the way at a "
+    "few speeds.",
+    "Runs that are complete and not marked bad, without sentinels. Steady forces have the force at rest taken off: "
+    "small markers are runs, large ones means, bars their 95 % intervals by Student's t over the repeats on a "
+    "specimen or, of several specimens, over the specimens' means; a single value has no bar. The other forces are "
+    "as recorded, the sensor's zero included.",
+    "",
+)
 
 
-def _draw_overview(data: CampaignReportData) -> "MatplotlibFigure":
-    runs = (read_run(info.path) for info in data.readable)
-    return present.campaign_figure(runs, data.name, list(data.campaign.marks))
-
-
-def _single_drawing(info: RunInfo, data: CampaignReportData) -> Figure:
-    """Return the figure of a run that is read when it is drawn."""
-    draw = partial(_draw_run, info, data.bad.get(info.path.name))
-    return run_drawing(info, draw, f"figure-{run_name(info.path)}")
-
-
-def _draw_run(info: RunInfo, bad_reason: str | None) -> "MatplotlibFigure":
-    return present.run_figure(read_run(info.path, info), bad_reason=bad_reason)
+def _run_figure(info: RunInfo, svg: str) -> Figure:
+    return run_drawing(info, svg, f"figure-{run_name(info.path)}")
 
 
 def _summary(data: CampaignReportData) -> str:

@@ -19,6 +19,7 @@ from dragrig.analysis import (
     Estimate,
     GroupDifference,
     MeasureDifference,
+    RunMeasures,
     RunPair,
     measure,
     set_values,
@@ -89,8 +90,8 @@ class RunSummary:
     """
 
 
-def summarise_run(run: Run, bad: Collection[Path] = ()) -> RunSummary:
-    """Reduce a run; `bad` holds the files of runs that were marked bad."""
+def summarise_run(run: Run, bad: Collection[Path] = (), measures: RunMeasures | None = None) -> RunSummary:
+    """Reduce a run; `bad` holds the files of runs marked bad, `measures` are those of the run if known already."""
     info = run.info
     good = info.status is RunStatus.COMPLETE and info.path not in bad
     head = (info.kind, info.header.start_time, info.header.backend, specimen_key(info), good)
@@ -101,7 +102,7 @@ def summarise_run(run: Run, bad: Collection[Path] = ()) -> RunSummary:
         return RunSummary(*head, strain=_protocol_number(run, "shear_strain"), x=x, force_mN=force)
     if info.kind not in STEADY_KINDS:
         return RunSummary(*head)
-    measures = measure(run)
+    measures = measures or measure(run)
     speed = _protocol_number(run, "speed_mm_s") or measures.speed.value or 0.0
     x, force = _force_against_position(run) if info.kind == "drag" else (_empty_array(), _empty_array())
     steady = measures.steady_above_rest if measures.steady_above_rest.value is not None else None
@@ -157,7 +158,11 @@ def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] =
     bad
         Files of runs that were marked bad; they are counted and not drawn, as are those that ended early.
     """
-    digests = [summarise_run(run, bad) for run in runs]
+    return overview_figure([summarise_run(run, bad) for run in runs], name)
+
+
+def overview_figure(digests: Sequence[RunSummary], name: str = "") -> Figure:
+    """Draw an overview of a campaign from what `summarise_run` kept of its runs."""
     title = " · ".join(part for part in ("Campaign", name) if part)
     backends = ", ".join(sorted({run.backend for run in digests}))
     chosen = [(draw, [run for run in digests if has(run)]) for draw, has in _OVERVIEW_PANELS]

@@ -221,25 +221,19 @@ class Figure:
     """What a terminal shows in its place."""
 
 
-class JournalColumn(StrEnum):
-    """A column of a journal: 85 or 180 mm wide, which fits most (Elsevier 90 and 190, Springer 84 and 174 mm)."""
-
-    SINGLE = "single"
-    DOUBLE = "double"
-
-    @property
-    def width_mm(self) -> float:
-        """Its width."""
-        return 85.0 if self is JournalColumn.SINGLE else 180.0
+SINGLE_COLUMN_MM: Final = 85.0
+DOUBLE_COLUMN_MM: Final = 180.0
+"""Widths of a column of a journal, and of two, that fit most (Elsevier 90 and 190, Springer 84 and 174, Nature 88 and
+180 mm)."""
 
 
 @dataclass(frozen=True, slots=True)
 class FigureForm:
     """The form in which figures are drawn and written: for a screen, or for the column of a journal."""
 
-    column: JournalColumn | None = None
-    """Column that a figure fills in print. Such a figure has no title, which a journal wants in the caption, letters of
-    6 to 7 pt, and 600 dpi. None: as wide as it was designed, for a screen.
+    width_mm: float | None = None
+    """Width in print. Such a figure has no title, which a journal wants in the caption, letters of 6 to 7 pt, and 600
+    dpi. None: as wide as it was designed, for a screen.
     """
     suffix: str = ".png"
     """Ending of pictures whose names nobody chose."""

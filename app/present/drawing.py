@@ -29,13 +29,13 @@ from dragrig.analysis import printable
 from dragrig.present.document import (
     BLACK,
     BLUE,
+    DOUBLE_COLUMN_MM,
     GREY,
     GRID,
     PAPER,
     PURPLE,
     VERMILLION,
     FigureForm,
-    JournalColumn,
     current_figure_form,
 )
 from dragrig.rig import AnyFloatArray, FloatArray
@@ -47,6 +47,8 @@ DPI: Final = 120
 PRINT_SCALE: Final = 0.5
 """Scale of figures in print: their letters, of 12 and 13.5 pt, become 6 and 6.8 pt, which journals take."""
 MM_PER_INCH: Final = 25.4
+MIN_SIDE_BY_SIDE_MM: Final = 120.0
+"""Width in print that panels side by side need; where less is wanted, such a figure takes two columns."""
 
 _FONT: Final = "DejaVu Sans"
 """Comes with matplotlib, so that pictures are alike everywhere."""
@@ -269,7 +271,7 @@ def new_figure(
         What is wrong with the data shown, below the subtitle.
     backend
         Whether simulated, measured or foreign data are shown, for the figure's corner; by default the badge of the
-        current `FigureForm`, whose column, where it has one, comes before `width_in`, and has no title.
+        current `FigureForm`, whose width, where it has one, comes before `width_in`, and has no title.
     narrow
         Whether it fits a single column: it has no panels side by side.
     layout
@@ -277,9 +279,9 @@ def new_figure(
     """
     form = current_figure_form()
     backend = backend or form.badge
-    if form.column is not None:
-        column = form.column if narrow else JournalColumn.DOUBLE
-        width_in = column.width_mm / MM_PER_INCH / PRINT_SCALE
+    if form.width_mm is not None:
+        fits = narrow or form.width_mm >= MIN_SIDE_BY_SIDE_MM
+        width_in = (form.width_mm if fits else DOUBLE_COLUMN_MM) / MM_PER_INCH / PRINT_SCALE
         title = subtitle = ""
     header_in = 0.32 * bool(subtitle) + 0.32 * bool(problem) + (0.62 if title else 0.5 if backend else 0.0)
     height = height_in + header_in

@@ -202,7 +202,7 @@ def _figure_bytes(figure: "Figure", ending: str) -> bytes:
 
     from dragrig.present.drawing import PRINT_SCALE, figure_style, lay_out, layout_of
 
-    printed = layout_of(figure).form.column is not None
+    printed = layout_of(figure).form.width_mm is not None
     content = io.BytesIO()
     for text in figure.findobj(MatplotlibText):
         text.set_text(printable(text.get_text()))

@@ -4,9 +4,12 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from xml.etree import ElementTree as ET
 from zlib import crc32
 
+import numpy as np
+import numpy.typing as npt
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
@@ -81,7 +84,6 @@ _REFERENCE = re.compile(r"(^|url\()#([\w.:-]+)")
 _GLYPH = re.compile(r"[A-Za-z]+[\w-]*-[0-9a-f]+$")
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _LINE = re.compile(r"M -?[\d.]+ -?[\d.]+\s*(?:[ML] -?[\d.]+ -?[\d.]+\s*)*")
-_POINT = re.compile(r"([ML]) (-?[\d.]+) (-?[\d.]+)")
 _NUMERIC_ATTRIBUTES = frozenset({"x", "y", "width", "height", "viewBox", "points", "transform"})
 """Attributes that hold nothing but numbers."""
 
@@ -115,7 +117,11 @@ def inline_svg(text: str, shows: str) -> InlineSvg:
     ids = {element.attrib["id"] for element in root.iter() if "id" in element.attrib}
     # What stands behind a `#` is a colour as well.
     wanted = ids & {
-        name for element in root.iter() for value in element.attrib.values() for _, name in _REFERENCE.findall(value)
+        name
+        for element in root.iter()
+        for value in element.attrib.values()
+        if "#" in value
+        for _, name in _REFERENCE.findall(value)
     }
     key = f"f{crc32(text.encode()):08x}-"
     for element in root.iter():
@@ -186,21 +192,21 @@ def _short_path(data: str) -> str:
 
 def _relative_polyline(line: str) -> str:
     """Write a line from point to point, in tenths, without steps that do not move."""
-    points = [(kind, round(10 * float(x)), round(10 * float(y))) for kind, x, y in _POINT.findall(line)]
-    written, pen = "", (0, 0)
-    for kind, x, y in points:
-        if kind == "M":
-            written += f"M{_point_text(x, y)}l"
-        elif (x, y) != pen or written.endswith("l"):
-            step = _point_text(x - pen[0], y - pen[1])
-            written += step if written.endswith("l") or step.startswith("-") else f" {step}"
-        pen = x, y
-    return written.removesuffix("l")
+    fields = line.split()
+    places = np.array([fields[1::3], fields[2::3]], dtype=np.float64)
+    points = np.rint(10 * places).astype(np.intp).T
+    begins = [number for number, kind in enumerate(fields[::3]) if kind == "M"]
+    written = ""
+    for begin, end in pairwise((*begins, len(points))):
+        steps = np.diff(points[begin:end], axis=0)
+        moves = np.asarray(steps.any(axis=1))
+        moves[:1] = True
+        written += f"M{_tenths_texts(points[begin])}" + (f"l{_tenths_texts(steps[moves])}" if len(steps) else "")
+    return written
 
 
-def _point_text(x: int, y: int) -> str:
-    second = _tenths_text(y)
-    return _tenths_text(x) + (second if second.startswith("-") else f" {second}")
+def _tenths_texts(values: npt.NDArray[np.intp]) -> str:
+    return " ".join(map(_tenths_text, values.ravel().tolist())).replace(" -", "-")
 
 
 @lru_cache(maxsize=4096)

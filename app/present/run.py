@@ -260,14 +260,14 @@ def _file_json(file: InspectedFile) -> dict[str, object]:
     )
 
 
-def run_drawing(info: RunInfo, draw: "Callable[[], MatplotlibFigure]", name: str = "run") -> Figure:
-    """Return the figure of a run (force over position and speed), which `draw` draws."""
+def run_drawing(info: RunInfo, drawing: "Callable[[], MatplotlibFigure] | str", name: str = "run") -> Figure:
+    """Return the figure of a run: force over position and speed."""
     return Figure(
         name,
         f"{run_title(info)}: force, position and speed against time, with the phases of the motion.",
         "Force as recorded (light) and filtered, position beside its command, and speed; the phases of the motion are "
         "shaded. A dashed line is the steady force as recorded, its ± one standard error.",
-        draw,
+        drawing,
     )
 
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
-from dragrig.analysis import filter_run, measure, steady_stretch, value_with_error
+from dragrig.analysis import RunMeasures, clipped_samples, filter_run, steady_force, steady_stretch, value_with_error
 from dragrig.config import AnalysisError
 from dragrig.present import (
     BLACK,
@@ -155,11 +155,11 @@ def measured_speed(run: Run, filtered: FilteredTrace | None) -> FloatArray:
     return np.full(run.trace.time.shape, np.nan)
 
 
-def steady_level(run: Run) -> SteadyLevel | None:
+def steady_level(run: Run, measures: RunMeasures | None = None) -> SteadyLevel | None:
     """Return the mean force of steady sliding; None for other kinds, or with too little steady sliding."""
     if run.info.kind not in SLIDING_KINDS:
         return None
-    estimate = measure(run).steady_force
+    estimate = steady_force(run, clipped_samples(run))[0] if measures is None else measures.steady_force
     stretch, _ = steady_stretch(run)
     if estimate.value is None or not stretch.any():
         return None
@@ -592,7 +592,14 @@ def run_sheet(info: RunInfo, height_in: float, bad_reason: str | None = None, *,
     return new_figure(WIDTH_IN, height_in, title, subtitle, problem, backend, narrow=narrow, layout=PanelLayout)
 
 
-def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, bad_reason: str | None = None) -> Figure:
+def run_figure(
+    run: Run,
+    *,
+    filtered: bool = True,
+    motor_force: bool = False,
+    bad_reason: str | None = None,
+    measures: RunMeasures | None = None,
+) -> Figure:
     """Draw a run: force, position, measured speed, and on demand the motor's force, against time.
 
     A relaxation is drawn three times over: whole, since its ramp on a logarithmic axis, and its ramp magnified.
@@ -606,12 +613,14 @@ def run_figure(run: Run, *, filtered: bool = True, motor_force: bool = False, ba
         Whether to add the motor's force, where it was recorded beside the force.
     bad_reason
         Why the run was marked bad; None when it was not.
+    measures
+        Its measures, where they are known already.
     """
     filter_output = filtered_trace(run)
     smooth = filter_output if filtered else None
     gap = gaps_after_samples(run.trace.time, run.trace.sample_rate_hz)
     panels = [
-        force_panel(run, smooth, gap, steady=steady_level(run)),
+        force_panel(run, smooth, gap, steady=steady_level(run, measures)),
         position_panel(run, gap),
         speed_panel(run, measured_speed(run, filter_output), gap),
     ]

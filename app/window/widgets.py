@@ -57,6 +57,7 @@ from dragrig.config import DragrigError, OutputError
 from dragrig.present import (
     BLACK,
     BLUE,
+    DOUBLE_COLUMN_MM,
     GREEN,
     GREY,
     GRID,
@@ -70,7 +71,6 @@ from dragrig.present import (
     Facts,
     Figure,
     Items,
-    JournalColumn,
     Section,
     Table,
     Text,
@@ -751,7 +751,7 @@ class DrawnFigure(QSvgWidget):
         self.setMinimumSize(QSize(MIN_FIGURE_WIDTH_PX, self.heightForWidth(MIN_FIGURE_WIDTH_PX)))
         self._name, self._svg = figure.name, figure.drawing
         self._answer = label("", "faint", wrap=True)
-        width = f"{JournalColumn.DOUBLE.width_mm:.0f} mm wide, which fits two columns of most journals"
+        width = f"{DOUBLE_COLUMN_MM:.0f} mm wide, which fits two columns of most journals"
         self.saving = bare_widget(
             row(
                 *(
@@ -779,7 +779,7 @@ class DrawnFigure(QSvgWidget):
         """Write the figure as its name's ending says, as wide as two columns of a journal, and say what came of it."""
         ending = Path(path).suffix.lower().removeprefix(".")
         try:
-            write_picture(picture_of_width(self._svg, JournalColumn.DOUBLE.width_mm, ending), Path(path))
+            write_picture(picture_of_width(self._svg, DOUBLE_COLUMN_MM, ending), Path(path))
         except DragrigError as error:
             self._answer.setText(str(error))
         else:

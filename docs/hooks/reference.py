@@ -79,7 +79,10 @@ def _groups(model: type[BaseModel], name: str) -> Iterator[tuple[str, type[BaseM
 
 
 def _fields(model: type[BaseModel]) -> str:
+    from dragrig.config import field_descriptions
+
     properties = model.model_json_schema(mode="validation").get("properties", {})
+    descriptions = field_descriptions(model)
     rows = []
     for key, model_field in model.model_fields.items():
         if isinstance(model_field.annotation, type) and issubclass(model_field.annotation, BaseModel):
@@ -88,7 +91,7 @@ def _fields(model: type[BaseModel]) -> str:
         default = (
             "required" if required else "" if model_field.default is PydanticUndefined else f"`{model_field.default!s}`"
         )
-        rows.append((f"`{key}`", _range(properties.get(key, {})), default, model_field.description or ""))
+        rows.append((f"`{key}`", _range(properties.get(key, {})), default, descriptions.get(key, "")))
     return _table(("key", "values", "unless given", "what it is"), rows)
 
 
