@@ -264,7 +264,7 @@ def trace_of(file: h5py.File, info: RunInfo, last: int | None = None) -> Trace:
         read_only(array)
     return Trace(
         sample_rate_hz=info.header.sample_rate_hz,
-        signal=str(attributes_of(file[schema.TRACE])["signal"]),
+        signal=str(attribute_of(file[schema.TRACE], "signal")),
         time=time,
         command=_column(file, schema.COMMAND, rows),
         phase=phase,
@@ -512,7 +512,8 @@ def as_run_file_error(path: Path) -> Iterator[None]:
 def layout_of(file: h5py.File) -> schema.Layout:
     """Return where a file has what, by its version."""
     holder = schema.RUN if isinstance(file.get(schema.RUN), h5py.Group) else "/"
-    marks = attributes_of(file[holder])
+    marked = file[holder]
+    marks = {name: attribute_of(marked, name) for name in ("format", "format_version") if name in marked.attrs}
     if holder == "/" and "format" not in marks:
         # Of the first version it would have the format here, of any later one these groups.
         required_group(file, schema.ENTRY)
