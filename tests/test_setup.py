@@ -96,7 +96,7 @@ def test_a_real_specimen_is_stated_or_unknown_and_never_invented() -> None:
         ("rig.stage.highest_mm=10", "start_mm must lie between"),
         ("rig.stage.highest_mm='120 mm'", "number"),
         ("speed_mm_s=nan", "finite"),
-        ("speed_mm_s=-5", "greater than 0"),
+        ("speed_mm_s=-5", "0.0001"),
         ("speed_mm_s=200", "run-up and run-down"),
         ("speed_mm_s=5 mm/s", "number"),
         ("capsule=ruogh", "did you mean rough?"),
