@@ -73,7 +73,7 @@ class PlanStep(PlannedKind):
     """Rest before each run, counted from the last standstill; with a capsule in the gut, the age of the contact."""
     way_back: ReturnMode = ReturnMode.DRIVEN
     """How the capsule returns to the start of the step's runs."""
-    way_back_speed_mm_s: float = Field(default=20.0, gt=0)
+    way_back_speed_mm_s: float = Field(default=20.0, ge=1e-4, le=5000)
     """Speed of a driven return stroke."""
     start_mm: float | None = None
     """Start of the runs, absolute or from the contact (stage.start_from of the rig; default: stage.start_mm)."""

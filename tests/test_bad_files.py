@@ -1,6 +1,7 @@
 """Files that are no run files, or no longer: every command says so in one sentence and touches nothing."""
 
 import shutil
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -69,6 +70,29 @@ def with_a_ring_of_links(path: Path) -> None:
         file["entry/trace/ring"] = h5py.SoftLink("/entry/trace/ring")
 
 
+def with_gigabytes_of_zeros(path: Path) -> None:
+    shutil.copy(GOOD, path)
+    samples, chunk = 1 << 27, 1 << 18
+    with h5py.File(path, "r+") as file:
+        trace = file["entry/trace"]
+        for name in list(trace):
+            attributes, dtype = dict(trace[name].attrs), trace[name].dtype
+            del trace[name]
+            made = trace.create_dataset(name, (samples,), dtype, chunks=(chunk,), compression="gzip")
+            made.attrs.update({key: value for key, value in attributes.items() if not key.isupper()})
+            packed = zlib.compress(bytes(chunk * dtype.itemsize))
+            for first in range(0, samples, chunk):
+                made.id.write_direct_chunk((first,), packed)
+
+
+def with_many_settings(path: Path) -> None:
+    shutil.copy(GOOD, path)
+    with h5py.File(path, "r+") as file:
+        if "entry/settings" in file:
+            del file["entry/settings"]
+        file["entry"].create_dataset("settings", (1 << 33,), h5py.string_dtype(), chunks=(1024,))
+
+
 SPOILT: dict[str, tuple[Callable[[Path], None], str]] = {
     "truncated": (truncated, "bad.h5"),
     "empty": (empty, "bad.h5"),
@@ -82,6 +106,8 @@ SPOILT: dict[str, tuple[Callable[[Path], None], str]] = {
     "dwell of years": (with_attribute("entry", "insertion_dwell_s", 1e9), "insertion_dwell_s"),
     "long kind": (with_attribute("entry/protocol", "kind", "k" * 60_000), "60000 characters"),
     "ring of links": (with_a_ring_of_links, "ring"),
+    "gigabytes of zeros": (with_gigabytes_of_zeros, "/entry/trace claims"),
+    "settings without end": (with_many_settings, "is not a single text"),
 }
 COMMANDS = [
     ["info", "bad.h5"],

@@ -15,6 +15,7 @@ from scipy.io import savemat
 
 from dragrig.analysis.export import CsvStyle, ExportFormat, export_run
 from dragrig.analysis.importing import ImportSettings, import_file, parse_map
+from dragrig.analysis.importing.readers import read_npz
 from dragrig.analysis.measures import table_row
 from dragrig.analysis.savgol import filter_file
 from dragrig.config.errors import ImportDataError, OutputError
@@ -172,6 +173,14 @@ def test_every_format_gives_the_same_run(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(run.trace.position, PLACE - 3, atol=1e-12)
     np.testing.assert_allclose(run.trace.time, TIME, atol=1e-12)
     assert run.info.header.entry["origin_mm"] == 3
+
+
+def test_a_signalling_nan_is_no_more_than_nan(tmp_path: Path) -> None:
+    force = np.arange(4, dtype=np.float32)
+    force.view(np.uint32)[2] = 0x7FA00000
+    np.savez(tmp_path / "run.npz", time=np.arange(4.0), force=force)
+    values = next(column.values for column in read_npz(tmp_path / "run.npz").columns if column.name == "force")
+    assert np.isnan(values).tolist() == [False, False, True, False]
 
 
 @pytest.mark.parametrize("name", ["v5.mat", "v73.mat", "table.parquet", "table.tdms", "table.npz"])

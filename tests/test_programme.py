@@ -126,7 +126,7 @@ def test_strokes_of_a_motion_are_no_sweep() -> None:
         ({"kind": "drag", "speed_mm_s": 200}, "too short"),
         ({"kind": "drag", "speed_mm_s": float("nan")}, "finite"),
         ({"kind": "drag", "speed_mm_s": "5 mm/s"}, "number"),
-        ({"kind": "drag", "speed_mm_s": -5}, "greater than 0"),
+        ({"kind": "drag", "speed_mm_s": -5}, "0.0001"),
         ({"kind": "drag"}, "speed_mm_s is missing"),
         ({"kind": "drag", "speed_mm_s": 5, "capsule": "rouhg"}, "did you mean rough?"),
         ({"kind": "return", "travel_mm": 5}, "way_back"),

@@ -108,6 +108,7 @@ def test_any_values_are_used_or_refused(kind: str, data: st.DataObject) -> None:
         ("name = 'p'\n[[stpes]]\nkind='drag'\n", ["stpes", "did you mean steps?"]),
         ("name = 'p'\n", ["steps is missing"]),
         ("\u0000", ["own.toml", "not valid TOML"]),
+        ("name = 'p'\n[[steps]]\nkind='drag'\nspeed_mm_s=1e-300\n", ["speed_mm_s = 1e-300", "0.0001"]),
         (f"name = 'p'\nseed = {'9' * 5000}\n", ["own.toml", "a number that is too long"]),
         (f"name = 'p'\nseed = 0x{'f' * 5000}\n", ["own.toml", "a whole number of more than 64 bits"]),
         (f"name = 'p'\nseed = {'[' * 100}{']' * 100}\n", ["own.toml", "nested too deeply"]),

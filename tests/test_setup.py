@@ -103,7 +103,7 @@ def test_a_specimen_of_tomorrow_is_a_slip_of_the_pen() -> None:
         ("rig.stage.highest_mm=10", "start_mm must lie between"),
         ("rig.stage.highest_mm='120 mm'", "number"),
         ("speed_mm_s=nan", "finite"),
-        ("speed_mm_s=-5", "greater than 0"),
+        ("speed_mm_s=-5", "0.0001"),
         ("speed_mm_s=200", "run-up and run-down"),
         ("speed_mm_s=5 mm/s", "number"),
         ("capsule=ruogh", "did you mean rough?"),

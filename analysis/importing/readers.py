@@ -642,7 +642,9 @@ def _array_column(name: str, values: npt.NDArray[np.generic], units: str = "") -
         return ForeignColumn(name, "s", np.asarray(seconds, dtype=np.float64))
     units = canonical_unit(units) or units or split_unit(name)[1] or ""
     if values.dtype.kind in "fiub":
-        return ForeignColumn(name, units, np.asarray(values, dtype=np.float64))
+        # A damaged file may hold NaN that signal, which are NaN all the same, and more than a float64 takes.
+        with np.errstate(invalid="ignore", over="ignore"):
+            return ForeignColumn(name, units, np.asarray(values, dtype=np.float64))
     return ForeignColumn(name, units, np.full(len(values), np.nan), InvalidCell(0, "".join(map(str, values[:1]))))
 
 

@@ -66,11 +66,11 @@ class RunProtocol(Settings):
 class StrokeProtocol(RunProtocol):
     """One stroke at constant speed."""
 
-    speed_mm_s: float = Field(gt=0, le=5000)
+    speed_mm_s: float = Field(ge=1e-4, le=5000)
     """Constant speed of the stroke."""
     travel_mm: float = Field(default=40.0, ge=-5000, le=5000)
     """Length of the stroke, run-up and run-down included; negative moves backward."""
-    accel_mm_s2: float = Field(default=400.0, gt=0, le=100_000)
+    accel_mm_s2: float = Field(default=400.0, ge=0.01, le=100_000)
     """Acceleration of run-up and run-down."""
 
     @model_validator(mode="after")

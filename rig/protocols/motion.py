@@ -13,8 +13,8 @@ class Move(Settings):
     """One stroke and the pause after it."""
 
     travel_mm: float = Field(ge=-5000, le=5000)
-    speed_mm_s: float = Field(gt=0, le=5000)
-    accel_mm_s2: float = Field(default=400.0, gt=0, le=100_000)
+    speed_mm_s: float = Field(ge=1e-4, le=5000)
+    accel_mm_s2: float = Field(default=400.0, ge=0.01, le=100_000)
     pause_s: float = Field(default=0.0, ge=0, le=3600)
 
     @model_validator(mode="after")

@@ -19,9 +19,9 @@ class RelaxationProtocol(RunProtocol):
 
     shear_strain: float = Field(gt=0, le=5)
     """Strain that is held: the ramp's travel over the wall thickness; 1 is 100 %."""
-    ramp_speed_mm_s: float = Field(default=20.0, gt=0, le=5000)
+    ramp_speed_mm_s: float = Field(default=20.0, ge=1e-4, le=5000)
     """Speed of the ramp, where the ramp is long enough to reach it."""
-    ramp_accel_mm_s2: float = Field(default=2000.0, gt=0, le=100_000)
+    ramp_accel_mm_s2: float = Field(default=2000.0, ge=0.01, le=100_000)
     """Acceleration at both ends of the ramp."""
     hold_s: float = Field(default=20.0, ge=0, le=7200)
     """Standstill after the ramp, while the wall relaxes."""

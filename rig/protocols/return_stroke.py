@@ -18,8 +18,8 @@ class ReturnProtocol(RunProtocol):
     capsule: ClassVar[str] = "drag"
 
     travel_mm: float = Field(ge=-5000, le=5000)
-    speed_mm_s: float = Field(default=20.0, gt=0, le=5000)
-    accel_mm_s2: float = Field(default=400.0, gt=0, le=100_000)
+    speed_mm_s: float = Field(default=20.0, ge=1e-4, le=5000)
+    accel_mm_s2: float = Field(default=400.0, ge=0.01, le=100_000)
     rest_s: float = Field(default=0.5, ge=0, le=3600)
     hold_s: float = Field(default=0.5, ge=0, le=7200)
 

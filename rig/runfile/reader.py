@@ -48,6 +48,9 @@ SCALAR_CLASSES = frozenset({h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.STRING, h
 MAX_DEFLATE_RATIO = 1100
 """Deflate packs at most 1032 bytes into one; a dataset that claims more than this is damaged."""
 UNCHECKED_BYTES = 1 << 24
+MAX_TRACE_RATIO = 200
+"""A trace is packed less than that, for its force has noise: one that claims more would fill the memory with zeros."""
+UNCHECKED_TRACE_BYTES = 1 << 29
 MAX_LIVE_ATTEMPTS = 5
 
 ReadT = TypeVar("ReadT")
@@ -231,7 +234,7 @@ def info_of(file: h5py.File, layout: schema.Layout, path: Path) -> RunInfo:
         protocol=_without_class(protocol),
         capsule=_without_class(capsule),
         specimen=_without_class(specimen),
-        settings_toml=str(to_python(required_dataset(file, layout.settings)[()])) if layout.settings in file else "",
+        settings_toml=_text(file, layout.settings) if layout.settings in file else "",
     )
     return RunInfo(
         path=path,
@@ -244,6 +247,15 @@ def info_of(file: h5py.File, layout: schema.Layout, path: Path) -> RunInfo:
         checks=_without_class(attributes_of(required_group(file, schema.CHECKS))) if schema.CHECKS in file else {},
         raw_sha256=str(run.get("raw_sha256", "")),
     )
+
+
+def _text(file: h5py.File, path: str) -> str:
+    """Read a single text; a damaged shape is refused before memory is allocated for it."""
+    dataset = required_dataset(file, path)
+    if dataset.size != 1:
+        raise LayoutError(f"{path} is not a single text")
+    _require_plausible_size(dataset)
+    return str(to_python(dataset[()]))
 
 
 def _without_class(attributes: dict[str, Attribute]) -> dict[str, Attribute]:
@@ -305,6 +317,7 @@ def filtered_of(file: h5py.File) -> FilteredTrace | None:
     if schema.FILTERED not in file:
         return None
     group = required_group(file, schema.FILTERED)
+    _require_plausible_total(group)
     columns: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
     for name, dataset in group.items():
@@ -328,7 +341,11 @@ def filtered_of(file: h5py.File) -> FilteredTrace | None:
 def valid_count(file: h5py.File, path: str, default: int) -> int:
     """Return how many rows of a dataset a recording declares valid, `default` where it declares none."""
     dataset = file.get(path)
-    return min(int(np.ravel(dataset[()])[0]), default) if isinstance(dataset, h5py.Dataset) else default
+    if not isinstance(dataset, h5py.Dataset):
+        return default
+    if dataset.size != 1 or dataset.dtype.kind not in "iu":
+        raise LayoutError(f"{path} is not a count")
+    return min(max(int(np.ravel(dataset[()])[0]), 0), default)
 
 
 def _is_unfinished(file: h5py.File, layout: schema.Layout) -> bool:
@@ -354,6 +371,7 @@ def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[i
         units = _checked_units(dataset, path, schema.UNITS.get(name))
         if name not in schema.FRAME_DATASETS:
             channels.append(RecordedChannel(name, units, "float32" if dataset.dtype.itemsize == 4 else "float64"))
+    _require_plausible_total(file[schema.TRACE])
     channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
     samples = lengths[schema.TIME]
     if _is_unfinished(file, layout):
@@ -406,6 +424,15 @@ def _require_plausible_size(dataset: h5py.Dataset) -> None:
     claimed = dataset.size * dataset.dtype.itemsize
     if claimed > UNCHECKED_BYTES and claimed > MAX_DEFLATE_RATIO * dataset.id.get_storage_size():
         raise LayoutError(f"{dataset.name} claims {claimed} bytes, which the file does not hold")
+
+
+def _require_plausible_total(group: h5py.Group) -> None:
+    """Refuse what unpacks to far more than a recording does, before memory is allocated for it."""
+    datasets = [dataset for dataset in group.values() if isinstance(dataset, h5py.Dataset) and dataset.size]
+    claimed = sum(dataset.size * dataset.dtype.itemsize for dataset in datasets)
+    held = sum(dataset.id.get_storage_size() for dataset in datasets)
+    if claimed > UNCHECKED_TRACE_BYTES and claimed > MAX_TRACE_RATIO * held:
+        raise LayoutError(f"{group.name} claims {claimed} bytes, which the file does not hold")
 
 
 def read_info(path: Path) -> RunInfo:
