@@ -436,7 +436,7 @@ def _position_pair(pair: tuple[str, str], trials: Mapping[str, Sequence[_Positio
     )
 
 
-NOMINAL_COST, DICTIONARY_COST, PAIRS_COST, LINES_COST, POSITION_COST = 15, 19, 7, 5, 70
+NOMINAL_COST, DICTIONARY_COST, PAIRS_COST, LINES_COST, POSITION_COST = 26, 18, 7, 1, 71
 """Relative times of the parts of an isolability."""
 
 

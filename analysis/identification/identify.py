@@ -240,7 +240,7 @@ MISSING_KIND_REMARKS = {
     "coulomb": "no usable Coulomb run: the friction coefficient is known from the drag alone, if at all",
     "drag": "no usable drag run: nothing is known of the contact angle and of steady drag",
 }
-JOINT_COST, RELAXATION_COST, SLIDING_COST = 3, 1, 1
+JOINT_COST, RELAXATION_COST, SLIDING_COST = 31, 5, 7
 """Relative times of the joint fit, of the relaxations' own, and of Coulomb test and drag."""
 
 

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from dragrig.analysis.gap import DiagnosisOptions, VerdictCalibration
 
 
-READING_COST, DIAGNOSIS_COST = 1, 5
-COLLECTING_COST, ISOLATION_COST = 1, 2
+READING_COST, DIAGNOSIS_COST = 1, 19
+COLLECTING_COST, ISOLATION_COST = 1, 30
 """Relative times of reading, or simulating, a campaign's runs and of what is made of them."""
 
 

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 WallChoice = Literal["scaled", "fitted"]
 
 
-READING_COST, FITTING_COST = 1, 5
+READING_COST, FITTING_COST = 1, 14
 """Relative times of reading a campaign's runs and of what is made of them."""
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from dragrig import present
-from dragrig.analysis import ExportFormat, Progress, export_run, filter_file, no_progress
+from dragrig.analysis import ExportFormat, Progress, export_run, filter_file, no_progress, parts_of
 from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
 from dragrig.config import AnalysisError, OutputError, SettingsError
 from dragrig.present import (
@@ -102,12 +102,18 @@ def _run_report(path: Path) -> str:
     return render_page(run_document(run, None if mark is None else mark.reason))
 
 
+EXAMINING_COST, WRITING_COST = 4, 1
+
+
 def _campaign_report(folder: Path, workers: int | None, progress: Progress) -> str:
     from dragrig.present import campaign_document, examine_campaign, render_page
     from dragrig.run_inputs import run_files
 
     run_files([folder])
-    return render_page(campaign_document(examine_campaign(folder, workers, progress)))
+    examining, writing = parts_of(progress, EXAMINING_COST, WRITING_COST)
+    text = render_page(campaign_document(examine_campaign(folder, workers, examining)))
+    writing(1, 1)
+    return text
 
 
 PAPER_PLAN = "paper"

@@ -24,7 +24,7 @@ from dragrig.present import duration_text, to_json_value
 if TYPE_CHECKING:
     from rich.console import ConsoleRenderable, RenderableType
     from rich.progress import Progress as RichProgress
-    from rich.progress import TaskID
+    from rich.progress import Task, TaskID
 
     from dragrig.analysis import Progress
     from dragrig.present import Document
@@ -243,6 +243,7 @@ SILENT_FIRST_S = 1.0
 _FIRST_LINE_S = 5.0
 _MAX_LINE_INTERVAL_S = 60.0
 _PACE_KNOWN_FROM = 0.1
+_OVERDUE_S = 1.0
 """From this share on the time left is shown."""
 
 
@@ -273,6 +274,8 @@ class ProgressMeter:
         self._above = above
         self._shown = not (is_quiet() if quiet is None else quiet)
         self._bar: tuple[RichProgress, TaskID] | None = None
+        self._ends_at: float | None = None
+        """When the work is over at the present pace, by the clock; None while nobody knows."""
         self._next_line_s = _FIRST_LINE_S
 
     def __enter__(self) -> Self:
@@ -298,6 +301,8 @@ class ProgressMeter:
         elapsed_s = self._clock() - self._started
         if self._done > self._course[-1][0] * self._total:
             self._course.append((self._done / self._total, elapsed_s))
+        left_s = self._left_s(elapsed_s)
+        self._ends_at = None if left_s is None else self._clock() + left_s
         if not self._shown or elapsed_s < SILENT_FIRST_S:
             return
         with self._silent_once_closed():
@@ -305,12 +310,9 @@ class ProgressMeter:
                 self._print_line(elapsed_s)
                 return
             if self._bar is None:
-                self._bar = _start_bar(self._total, self._above)
+                self._bar = _start_bar(self._total, self._above, self._time_left)
             progress, task = self._bar
-            left = self._left(elapsed_s)
-            progress.update(
-                task, completed=self._done, total=self._total, description=printable(self._label), left=left
-            )
+            progress.update(task, completed=self._done, total=self._total, description=printable(self._label))
 
     def to(self, done: float, label: str | None = None) -> None:
         """Set how much of the total is done."""
@@ -335,20 +337,28 @@ class ProgressMeter:
         if elapsed_s < self._next_line_s or not 0 < self._done < self._total:
             return
         self._next_line_s = elapsed_s + min(elapsed_s, _MAX_LINE_INTERVAL_S)
-        left = self._left(elapsed_s)
+        left = self._time_left()
         echo(f"{self._label}: {100 * self._done / self._total:.0f} %{left and f', {left}'}", err=True)
 
-    def _left(self, elapsed_s: float) -> str:
+    def _time_left(self) -> str:
+        """Say how much time is left now; a step in progress may have taken longer than all was to take."""
+        if self._ends_at is None:
+            return ""
+        left_s = self._ends_at - self._clock()
+        if left_s < -_OVERDUE_S:
+            return "takes longer than expected"
+        return f"{'less than 1 s' if left_s < 1 else duration_text(left_s)} left"
+
+    def _left_s(self, elapsed_s: float) -> float | None:
         """Return the time left at the pace of the latter half of what is done; before a tenth nobody knows it.
 
         The first half may have been loading and starting processes, or another kind of work.
         """
         if not _PACE_KNOWN_FROM * self._total <= self._done < self._total or self._done <= 0:
-            return ""
+            return None
         share = self._done / self._total
         half, half_s = self._course[max(0, bisect_right(self._course, (share / 2, inf)) - 1)]
-        left_s = (elapsed_s - half_s) / (share - half) * (1.0 - share)
-        return f"{'less than 1 s' if left_s < 1 else duration_text(left_s)} left"
+        return (elapsed_s - half_s) / (share - half) * (1.0 - share)
 
     @contextmanager
     def _silent_once_closed(self) -> Iterator[None]:
@@ -359,9 +369,12 @@ class ProgressMeter:
             self._shown = False
 
 
-def _start_bar(total: float, above: "ConsoleRenderable | None") -> "tuple[RichProgress, TaskID]":
+def _start_bar(
+    total: float, above: "ConsoleRenderable | None", time_left: Callable[[], str]
+) -> "tuple[RichProgress, TaskID]":
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+    from rich.progress import BarColumn, Progress, ProgressColumn, TaskProgressColumn, TextColumn
+    from rich.text import Text
 
     class BarBelow(Progress):
         def get_renderables(self) -> "Iterator[RenderableType]":
@@ -369,15 +382,20 @@ def _start_bar(total: float, above: "ConsoleRenderable | None") -> "tuple[RichPr
                 yield above
             yield from super().get_renderables()
 
+    class TimeLeft(ProgressColumn):
+        def render(self, task: "Task") -> Text:
+            del task
+            return Text(time_left())
+
     progress = BarBelow(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
-        TextColumn("{task.fields[left]}", markup=False),
+        TimeLeft(),
         console=Console(stderr=True),
         transient=True,
     )
-    task = progress.add_task("", total=total, left="")
+    task = progress.add_task("", total=total)
     progress.start()
     return progress, task
 

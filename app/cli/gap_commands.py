@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 FILE = click.Path(path_type=Path)
-DIAGNOSE_COST, ISOLATE_COST, PAGE_COST, FIGURES_COST = 16, 18, 4, 4
+DIAGNOSE_COST, ISOLATE_COST, PAGE_COST, FIGURES_COST = 11, 19, 4, 4
 """User CPU time [s] of the diagnosis of a campaign of 40 runs, of the isolability of a plan with 58, of a page, and of
 figures beside it."""
 

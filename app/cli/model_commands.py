@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dragrig.config import FrictionModelSettings
 
 
-IDENTIFY_COST, PAGE_COST = 5, 18
+IDENTIFY_COST, PAGE_COST = 7, 10
 """User CPU time [s] of identifying a campaign of 58 runs, and of its pictures, or its page."""
 PAPER_SPEEDS = "0.5,1,2,5,10,15,20,30,40,50,60"
 """The speeds of the paper's programme."""

@@ -276,7 +276,7 @@ def save_exam_report(exam: BlindExam, path: Path, *, overwrite: bool = False) ->
 
 TaskT = TypeVar("TaskT")
 R = TypeVar("R")
-SIMULATE_COST_S, DIAGNOSE_COST_S, D_PRIME_COST_S, EVALUATE_COST_S = 2, 5, 4, 1
+SIMULATE_COST_S, DIAGNOSE_COST_S, D_PRIME_COST_S, EVALUATE_COST_S = 1, 15, 10, 4
 """Rough duration of a task of each kind, the weights of the progress."""
 
 
