@@ -257,17 +257,21 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
 
     Raises `RunFileError` when there is no such folder.
     """
+    from threadpoolctl import threadpool_limits
+
     from dragrig.rig import read_campaign, read_run
 
     campaign = read_campaign(folder)
     rows: list[TableRow] = []
-    for done, info in enumerate(campaign.runs):
-        progress(done, len(campaign.runs))
-        mark = campaign.marks.get(info.path)
-        try:
-            rows.append(table_row(read_run(info.path, info), mark.reason if mark else None))
-        except RunFileError as error:
-            rows.append(unreadable_row(info.path, error))
+    # Of vectors as long as a run, further threads only wait, each on a core of its own.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for done, info in enumerate(campaign.runs):
+            progress(done, len(campaign.runs))
+            mark = campaign.marks.get(info.path)
+            try:
+                rows.append(table_row(read_run(info.path, info), mark.reason if mark else None))
+            except RunFileError as error:
+                rows.append(unreadable_row(info.path, error))
     progress(len(campaign.runs), len(campaign.runs))
     return campaign_rows(campaign, rows)
 
