@@ -2,6 +2,7 @@
 
 import io
 import sys
+import time
 
 import click
 import pytest
@@ -48,12 +49,30 @@ class Tty(io.StringIO):
         return True
 
 
-def test_a_terminal_gets_a_bar_with_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    screen = Tty()
-    monkeypatch.setattr(sys, "stderr", screen)
+def show_on_terminal(monkeypatch: pytest.MonkeyPatch) -> Tty:
+    made = Tty()
+    monkeypatch.setattr(sys, "stderr", made)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "100")
-    clock = Clock()
+    return made
+
+
+def test_the_time_left_counts_down_within_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen, clock = show_on_terminal(monkeypatch), Clock()
+    with ProgressMeter("work", 20, quiet=False, clock=clock) as meter:
+        clock.now = 10.0
+        meter.advance(10.0)
+        # The bar is drawn anew by a thread of its own.
+        for later_s, said in ((14.0, "6.0 s left"), (19.5, "less than 1 s left"), (30.0, "takes longer than expected")):
+            clock.now = later_s
+            deadline = time.monotonic() + 30.0
+            while said not in screen.getvalue():
+                assert time.monotonic() < deadline, screen.getvalue()
+                time.sleep(0.02)
+
+
+def test_a_terminal_gets_a_bar_with_the_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen, clock = show_on_terminal(monkeypatch), Clock()
     with ProgressMeter("work", 20, quiet=False, clock=clock) as meter:
         for number in range(15):
             clock.now += 0.2

@@ -243,8 +243,8 @@ SILENT_FIRST_S = 1.0
 _FIRST_LINE_S = 5.0
 _MAX_LINE_INTERVAL_S = 60.0
 _PACE_KNOWN_FROM = 0.1
-_OVERDUE_S = 1.0
 """From this share on the time left is shown."""
+_OVERDUE_S = 1.0
 
 
 class ProgressMeter:
