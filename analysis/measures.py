@@ -13,10 +13,12 @@ from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Progress,
 from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
 from dragrig.config import AnalysisError, RunFileError
-from dragrig.rig import SENTINEL_ROLE, Campaign, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce
+from dragrig.rig import SENTINEL_ROLE, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from dragrig.rig import Campaign
 
 
 MAX_NOISE_CORRELATION_S = 2.0
@@ -276,7 +278,7 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
     return campaign_rows(campaign, rows)
 
 
-def campaign_rows(campaign: Campaign, rows: Sequence[TableRow]) -> tuple[TableRow, ...]:
+def campaign_rows(campaign: "Campaign", rows: Sequence[TableRow]) -> tuple[TableRow, ...]:
     """Return the table of a campaign, from the rows of its runs in order."""
     complete = _with_drifts(_with_copies(rows))
     complete.extend(unreadable_row(path, error) for path, error in campaign.unreadable)

@@ -23,7 +23,7 @@ def test_a_form_left_as_it_is_gives_the_same_plan(name: str) -> None:
 def test_a_form_tells_unit_range_and_help_of_every_number() -> None:
     fields = {field.key: field for field in plan_form("drag").groups[0].fields}
     speed = fields["speed_mm_s"]
-    assert (speed.name, speed.unit, speed.limits) == ("speed", "mm/s", "above 0 to 5000 mm/s")
+    assert (speed.name, speed.unit, speed.limits) == ("speed", "mm/s", "from 0.0001 to 5000 mm/s")
     assert "speed of the stroke" in speed.help
     assert speed.sweeps
     assert speed.required
