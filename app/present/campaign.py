@@ -387,7 +387,7 @@ def run_table(rows: Sequence[TableRow], anchors: frozenset[str] = frozenset()) -
 
 def _with_interval(value: float, half_width: float | None, without: str) -> FormattedNumber:
     if half_width is None:
-        return FormattedNumber(value, f"{value:.1f} ({without})")
+        return FormattedNumber(value, f"{decimals(1)(value)} ({without})")
     return FormattedNumber.with_error(value, half_width)
 
 
