@@ -26,6 +26,8 @@ _RESPONSE_STANDARD_ERRORS = 5.0
 """… and standard errors of a block's mean."""
 _INVERTED_SHARE = 0.25
 """Share of the force's largest change that must push along the motion, on average, in an inverted force."""
+_MOVED_SHARE = 0.5
+"""Share of its command's step that a stage moves at least where the force has to resist."""
 _NO_RESPONSE, _INVERTED = "none", "along the motion"
 _RESPONSE_WARNINGS = {
     _NO_RESPONSE: "the force did not change when the stage moved: is the sensor alive, and does the capsule touch?",
@@ -365,8 +367,10 @@ class _ForceResponse:
         self._blocks = 0
 
     def add(self, reading: Reading, rest: _RestStatistics) -> None:
-        step_mm = float(reading.command[-1]) - float(reading.command[0])
-        if step_mm == 0:
+        position = reading.channels["position"]
+        step_mm, moved_mm = (float(along[-1]) - float(along[0]) for along in (reading.command, position))
+        # While a stage that sets out late still stands, the force only relaxes.
+        if step_mm == 0 or abs(moved_mm) < _MOVED_SHARE * abs(step_mm):
             return
         change_mN = float(reading.channels["force"].mean(dtype=np.float64)) - rest.mean
         self._largest_mN = max(self._largest_mN, abs(change_mN))

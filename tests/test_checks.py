@@ -18,11 +18,16 @@ RANGE = (-10_000.0, 10_000.0)
 
 
 def report(
-    profile: MotionProfile, force: AnyFloatArray, *, sticking: bool = False, lost: slice | None = None
+    profile: MotionProfile,
+    force: AnyFloatArray,
+    *,
+    contact: Contact = Contact.NONE,
+    lost: slice | None = None,
+    late_s: float = 0.0,
 ) -> CheckReport:
-    checks = RunChecks(RATE, RANGE, 5.0, Contact.STICKING if sticking else Contact.NONE, 0.001)
+    checks = RunChecks(RATE, RANGE, 5.0, contact, 0.001)
     tape = SetpointSampler(profile, RATE)
-    position = profile.position(np.arange(len(force)) / RATE).astype(np.float32)
+    position = profile.position(np.maximum(np.arange(len(force)) / RATE - late_s, 0.0)).astype(np.float32)
     for start in range(0, len(force), 50):
         if lost is not None and lost.start <= start < lost.stop:
             continue
@@ -42,7 +47,7 @@ def relaxing(seed: int, strain: float = 1.0, slips_at_s: float = np.inf, drop: f
     slow = np.convolve(rng.normal(0, 0.5, len(time) + 199), np.ones(200) / np.sqrt(200), "valid")
     force = np.where(time < 1.0, 0.0, held) + rng.normal(0, 1.5, len(time)) + slow
     force[time >= slips_at_s] *= 1 - drop
-    return report(profile, force.astype(np.float32), sticking=True)
+    return report(profile, force.astype(np.float32), contact=Contact.STICKING)
 
 
 def test_a_clean_drag_warns_of_nothing() -> None:
@@ -65,6 +70,17 @@ def test_clipped_and_lost_samples_are_counted() -> None:
     assert seen.values["clipped_samples"] == 10
     assert seen.values["lost_samples"] == 200
     assert len(seen.warnings) == 2
+
+
+@pytest.mark.parametrize(("sign", "response"), [(1, "resists the motion"), (-1, "along the motion")])
+def test_a_stage_that_sets_out_late_does_not_turn_the_force_round(sign: int, response: str) -> None:
+    profile, late_s = DragProtocol(speed_mm_s=20.0, travel_mm=10.0).profile(SPECIMEN), 0.4
+    time = np.arange(profile.samples(RATE)) / RATE
+    # A gut that was just closed still relaxes while it waits: below the mean at rest before the stage sets out.
+    moving = (time >= 1.0 + late_s) & (time < 1.5 + late_s)
+    force = sign * (100 * np.exp(-time / 0.5) + 80 * moving) + np.random.default_rng(2).normal(0, 1.0, len(time))
+    seen = report(profile, force.astype(np.float32), contact=Contact.SLIDING, late_s=late_s)
+    assert seen.values["force_response"] == response
 
 
 def test_a_loud_sensor_is_reported() -> None:
