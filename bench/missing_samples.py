@@ -168,10 +168,9 @@ class Observer:
 
 def measured(looks: list[tuple[float, float, float]], seen: list[tuple[float, int]], reason: str) -> Held:
     """Return what was missing in a motion that was looked at."""
-    if not seen:
-        raise SystemExit(f"no sample came, and the motion ended: {reason}")
     time_s, position_mm, speed_mm_s = np.array(looks).T
-    arrived_s, end = np.array(seen, np.float64).T
+    # Where no sample came before the motion ended, all of it went without one.
+    arrived_s, end = np.array(seen or [(time_s[0], 0)], np.float64).T
     # The sample that was seen soonest says when the first one was taken, to within the few ms that it took.
     taken_s = end / RATE_HZ + float(np.min(arrived_s - end / RATE_HZ))
     newest_s = np.concatenate(([arrived_s[0]], taken_s))[np.searchsorted(arrived_s, time_s, side="right")]

@@ -45,6 +45,10 @@ class BenchLines:
         self.names = bench.rig.hardware.card.lines
         self.beats = 0
 
+    @property
+    def has_heartbeat(self) -> bool:
+        return bool(self.names.heartbeat)
+
     def read_switches(self) -> SwitchStates:
         wired = {name: getattr(self.names, name) for name in SwitchStates.__dataclass_fields__}
         return SwitchStates(**{name: not self.bench.read_line(line) for name, line in wired.items() if line})
@@ -59,6 +63,8 @@ class BenchLines:
 
 class NoDigitalLines:
     """A rig whose drive has all switches on its own terminals."""
+
+    has_heartbeat = False
 
     def read_switches(self) -> SwitchStates:
         return SwitchStates()

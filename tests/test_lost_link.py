@@ -129,6 +129,29 @@ def test_a_computer_that_stood_still_hears_first_what_came_meanwhile(answered: b
         assert rig.bench.read_line(ENABLE) is answered
 
 
+@pytest.mark.parametrize("moving", [True, False])
+def test_a_beat_that_comes_too_late_gives_no_power_back_to_a_moving_stage(moving: bool) -> None:
+    with driven(lines=WIRINGS["relay"], silence_s=5.0) as rig:
+        rig.ready()
+        if moving:
+            rig.stage.move(LONG)
+            until(lambda: rig.bench.speed_mm_s() > 0.9 * SPEED_MM_S)
+        else:
+            log = LineLog(rig.bench)
+            until(lambda: log.beaten_s > float("-inf"))
+        monitor = rig.stage._monitor
+        monitor.close()  # from here on, its threads' steps are made one by one, as after a computer that stood still
+        until(lambda: not rig.bench.powered)
+        for _ in range(3):
+            monitor._check_power()
+            assert rig.bench.powered is not moving
+        if moving:
+            fault_seen = rig.stage.fault
+            assert fault_seen is not None
+            assert fault_seen.cause is TripCause.WATCHDOG
+            assert "the heartbeat came" in fault_seen.message
+
+
 @pytest.mark.parametrize("fault", ["drive_unplugged", "drive_cut_off"])
 def test_in_velocity_mode_the_voltage_brakes_and_the_power_goes(fault: str) -> None:
     rig_settings = velocity_rig(silence_s=0.6, reply_s=0.1)

@@ -61,6 +61,11 @@ class SwitchStates:
 class DigitalLines(Protocol):
     """The lines of one rig. Any thread may call any method; each raises `DeviceError` when the card does not answer."""
 
+    @property
+    def has_heartbeat(self) -> bool:
+        """Whether a heartbeat relay is wired."""
+        ...
+
     def read_switches(self) -> SwitchStates:
         """Read all switches now. Called at every block, so it has to return within milliseconds."""
         ...
@@ -98,6 +103,11 @@ class CardLines:
     def wired_switches(self) -> tuple[str, ...]:
         """Switches that have a line."""
         return tuple(name for name in self._inputs if name in _SWITCH_TRIPS)
+
+    @property
+    def has_heartbeat(self) -> bool:
+        """Whether a heartbeat relay is wired."""
+        return self._heartbeat is not None
 
     def read_switches(self) -> SwitchStates:
         """Read all switches and the encoder's error line in one call of the driver."""

@@ -25,6 +25,9 @@ _MAX_POWER_CHECK_S = 0.01
 _UNHEARD_GRACE_S = 0.03
 """After a computer stood still, the thread that polls has so long to take the replies that came meanwhile."""
 _POLLS_PER_SILENCE = 4
+_RELAY_BEATS = 2.5
+"""A relay opens when it sees no edge for three beats. A beat that comes so late would close it again, and give power
+back to a drive that may still be told to move: by the voltage that the card holds, or by a target of its own."""
 _STALE_GRACE_S = 0.05
 """How much later than the sampler the monitor says that samples are stale: the sampler's reason is the better one."""
 
@@ -94,6 +97,7 @@ class Monitor:
         self._sync, self._watchdog = devices.sync, devices.watchdog
         self._silence_s = devices.settings.hardware.drive.silence_s
         self._beat_s = devices.settings.hardware.card.lines.heartbeat_s
+        self._relay_s = _RELAY_BEATS * self._beat_s
         # How long the watchdog may go unfed while a sampled motion is in progress.
         self._hang_s = devices.settings.hardware.hang_s
         self._stale_s = devices.settings.guard.stale_data_s + _STALE_GRACE_S
@@ -108,6 +112,7 @@ class Monitor:
         self._drive_on = False
         self._guard_is_blind = self._power_released = False
         self._polled_s = self._beaten_s = float("-inf")
+        self._moved_at_beat = False
         self._unheard_seen_s: float | None = None
         self._ended = threading.Event()
         self._fast = threading.Event()
@@ -203,6 +208,7 @@ class Monitor:
         if blind is not None:
             self.latch(blind)
         now_s = time.monotonic()
+        self._release_power_if_late(now_s)
         unheard = max(self._link.unheard_s, now_s - self._polled_s) > self._silence_s
         if not unheard:
             self._unheard_seen_s = None
@@ -210,12 +216,22 @@ class Monitor:
         elif self._unheard_seen_s is None:
             self._unheard_seen_s = now_s
         elif now_s - self._unheard_seen_s >= _UNHEARD_GRACE_S:
-            self._release_power()
+            silence = f"the drive on {self._link.port} was not heard for {self._silence_s:g} s"
+            released = f"{silence}, so that its enable and the heartbeat were taken away"
+            self._release_power(Trip(TripCause.DRIVE_FAULT, released))
         if not (blind or unheard or self._power_released):
             self._beat(now_s)
         self._ended.wait(min(_MAX_POWER_CHECK_S, self._beat_s / 2))
 
-    def _release_power(self) -> None:
+    def _release_power_if_late(self, now_s: float) -> None:
+        late_s = now_s - self._beaten_s
+        if not (self._lines.has_heartbeat and self._drive_on and self._moved_at_beat) or late_s < self._relay_s:
+            return
+        self._moved_at_beat = False
+        beat = f"the heartbeat came {late_s:.2f} s late while the stage moved, because this computer stood still"
+        self._release_power(Trip(TripCause.WATCHDOG, f"{beat}: end other programs, then reset"))
+
+    def _release_power(self, why: Trip) -> None:
         if self._power_released:
             return
         self._power_released = True
@@ -223,13 +239,13 @@ class Monitor:
         with suppress(DeviceError):
             self._lines.set_enable(False)
         if self._drive_on:
-            silence = f"the drive on {self._link.port} was not heard for {self._silence_s:g} s"
-            self.latch(Trip(TripCause.DRIVE_FAULT, f"{silence}, so that its enable and the heartbeat were taken away"))
+            self.latch(why)
 
     def _beat(self, now_s: float) -> None:
         if now_s - self._beaten_s < self._beat_s / 2 or not self._may_beat():
             return
         self._beaten_s = now_s
+        self._moved_at_beat = self._sync.moving
         try:
             self._lines.toggle_heartbeat()
         except DeviceError as error:
