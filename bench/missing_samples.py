@@ -15,6 +15,7 @@ is missing at any time needs no stop.
 
 import argparse
 import ctypes
+import itertools
 import json
 import os
 import signal
@@ -37,18 +38,20 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from reaction import ACQUISITION, SPEED_MM_S
 from remote_doubles import RemoteDoubles
 
+from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.settings import read_settings_file, to_toml
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.hardware.backend import open_backend
+from dragrig.rig.hardware.backend import HardwareBackend, open_backend
 from dragrig.rig.reading import Reading
 
 BRAKING_S = 0.1
 """What the bar leaves for noticing, the stop's way to the drive, and braking."""
 RELAY_BEATS = 3
+ATTEMPTS = 5
 AHEAD = 6
 """Updates that are written ahead in velocity mode: a stop takes as long to reach the output, beside the 100 ms."""
 STANDING_MM_S = 0.05
@@ -87,10 +90,7 @@ def work(rig_file: Path) -> None:
         threading.Thread(target=listen, daemon=True).start()
         while True:
             guard, seen = Guard(rig.guard, 1e-3 * rig.encoder.resolution_um), list[tuple[float, int]]()
-            backend.stage.disable()
-            guard.reset(backend.stage.state())
-            backend.stage.enable()
-            backend.stage.home()
+            make_ready(backend, guard)
             print(json.dumps("ready"), flush=True)
             requests.wait()
             requests.clear()
@@ -100,6 +100,21 @@ def work(rig_file: Path) -> None:
 
             outcome = Engine(backend, rig, guard).acquire(ACQUISITION, view=note)
             print(json.dumps([outcome.status.value, outcome.reason, seen]), flush=True)
+
+
+def make_ready(backend: HardwareBackend, guard: Guard) -> None:
+    """Home, again where doubles in a process of their own kept the velocity output waiting for too long."""
+    for attempt in itertools.count(1):
+        backend.stage.disable()
+        guard.reset(backend.stage.state())
+        try:
+            backend.stage.enable()
+            backend.stage.home()
+        except DeviceError:
+            if attempt == ATTEMPTS:
+                raise
+        else:
+            return
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +157,13 @@ class Observer:
             self.say(f"hold {round(1e6 * held_s)}")
 
     def observe(self, what: str, pattern: Pattern) -> Held:
-        """Make a motion with a pattern in the middle of it."""
+        """Make a motion with a pattern in the middle of it; again where it ended before its first sample."""
+        for _ in range(ATTEMPTS):
+            if (held := self._observe(what, pattern)) is not None:
+                return held
+        raise SystemExit(f"no motion came to its first sample in {ATTEMPTS} attempts")
+
+    def _observe(self, what: str, pattern: Pattern) -> Held | None:
         assert self.answer() == "ready"
         self.say("go")
         steps = [(held_s, on) for pair in pattern for on, held_s in zip((True, False), pair, strict=True)]
@@ -163,14 +184,13 @@ class Observer:
         answer = self.answer()
         assert isinstance(answer, list)
         _, reason, seen = answer
-        return measured(looks, seen, reason)
+        return measured(looks, seen, reason) if seen else None
 
 
 def measured(looks: list[tuple[float, float, float]], seen: list[tuple[float, int]], reason: str) -> Held:
     """Return what was missing in a motion that was looked at."""
     time_s, position_mm, speed_mm_s = np.array(looks).T
-    # Where no sample came before the motion ended, all of it went without one.
-    arrived_s, end = np.array(seen or [(time_s[0], 0)], np.float64).T
+    arrived_s, end = np.array(seen, np.float64).T
     # The sample that was seen soonest says when the first one was taken, to within the few ms that it took.
     taken_s = end / RATE_HZ + float(np.min(arrived_s - end / RATE_HZ))
     newest_s = np.concatenate(([arrived_s[0]], taken_s))[np.searchsorted(arrived_s, time_s, side="right")]
