@@ -1,7 +1,8 @@
 """How true the time left is that a long command shows: `python bench/progress.py [WORK …]`, in a terminal of its own.
 
 Each command is run in a pseudo-terminal, and each time left that it shows is compared with what it then took. Printed
-is the worst factor between the two after the first tenth of the time, until the last second.
+is the worst factor between the two after the first tenth of the time, until the last second. In the last seconds a
+command says what the time left is less than: that counts where it is more.
 """
 
 import os
@@ -30,7 +31,7 @@ WORKS = {
     "paper": ["paper", "--out", "again", "--overwrite"],
 }
 """Commands in a folder with two campaigns, of the plans `paper` and `diagnose`."""
-LEFT = re.compile(rb"(?:(\d+) h )?(?:(\d+) min )?(?:(\d+(?:\.\d+)?) s )?left")
+LEFT = re.compile(rb"(less than )?(?:(\d+) h )?(?:(\d+) min )?(?:(\d+(?:\.\d+)?) s )?left")
 FIRST_SHARE, LAST_S = 0.1, 1.0
 
 
@@ -41,11 +42,13 @@ class Shown:
     at_s: float
     said_s: float
     true_s: float
+    bound: bool
+    """Whether it was said as what the time left is less than."""
 
     @property
     def factor(self) -> float:
-        """How many times too long or too short it was."""
-        return max(self.said_s / self.true_s, self.true_s / self.said_s)
+        """How many times too long or too short it was; a bound that holds is neither."""
+        return max(1.0 if self.bound else self.said_s / self.true_s, self.true_s / self.said_s)
 
 
 def watch(arguments: list[str], folder: Path) -> tuple[float, list[Shown]]:
@@ -62,18 +65,19 @@ def watch(arguments: list[str], folder: Path) -> tuple[float, list[Shown]]:
         env={**os.environ, "COLUMNS": "160", "TERM": "xterm"},
     )
     os.close(far_end)
-    said: list[tuple[float, float]] = []
+    said: list[tuple[float, float, bool]] = []
     while chunk := _read(terminal):
         now = time.monotonic() - begun
-        for hours, minutes, seconds in LEFT.findall(chunk)[-1:]:
-            said.append((now, 3600 * float(hours or 0) + 60 * float(minutes or 0) + float(seconds or 0)))
+        for bound, hours, minutes, seconds in LEFT.findall(chunk)[-1:]:
+            said_s = 3600 * float(hours or 0) + 60 * float(minutes or 0) + float(seconds or 0)
+            said.append((now, said_s, bool(bound)))
     os.close(terminal)
     if process.wait() != 0:
         raise SystemExit(f"{' '.join(arguments)}: ended with {process.returncode}")
     took = time.monotonic() - begun
     judged = [
-        Shown(at, max(left, LAST_S / 2), took - at)
-        for at, left in said
+        Shown(at, max(left, LAST_S / 2), took - at, bound)
+        for at, left, bound in said
         if at >= FIRST_SHARE * took and took - at >= LAST_S
     ]
     return took, judged

@@ -245,6 +245,8 @@ _MAX_LINE_INTERVAL_S = 60.0
 _PACE_KNOWN_FROM = 0.1
 """From this share on the time left is shown."""
 _OVERDUE_S = 1.0
+_FEW_S, _MINUTE_S = 5.0, 59.5
+"""The end is loading, drawing and writing, which nobody can foretell to the second: then a bound is said."""
 
 
 class ProgressMeter:
@@ -347,7 +349,9 @@ class ProgressMeter:
         left_s = self._ends_at - self._clock()
         if left_s < -_OVERDUE_S:
             return "takes longer than expected"
-        return f"{'less than 1 s' if left_s < 1 else duration_text(left_s)} left"
+        if left_s < _FEW_S:
+            return f"less than {_FEW_S:.0f} s left"
+        return f"{f'{left_s:.0f} s' if left_s < _MINUTE_S else duration_text(left_s)} left"
 
     def _left_s(self, elapsed_s: float) -> float | None:
         """Return the time left at the pace of the latter half of what is done; before a tenth nobody knows it.
