@@ -407,7 +407,7 @@ def write_export(
     _require_free(target, overwrite=overwrite)
     if target.exists() and target.samefile(run.info.path):
         raise OutputError(f"{target}: is the run file itself; give the export another name.")
-    with _written_atomically(target) as part:
+    with _written(target) as part:
         content = selection.applied_to(export_content(run), run.info.path)
         match export_format:
             case ExportFormat.CSV:
@@ -433,17 +433,13 @@ def _require_free(target: Path, *, overwrite: bool) -> None:
 
 
 @contextmanager
-def _written_atomically(target: Path) -> Iterator[Path]:
-    """Yield a temporary file beside the target, and move it to the target once it is complete."""
-    from dragrig.rig import move_into_place, remove_quietly
+def _written(target: Path) -> Iterator[Path]:
+    from dragrig.rig import written_atomically
 
-    part = target.with_name(f"{target.name}.part")
     try:
-        yield part
-        move_into_place(part, target)
+        with written_atomically(target) as part:
+            yield part
     except OSError as error:
         raise OutputError(
             f"{target}: could not be written ({error.strerror or error}); choose another folder, or make room."
         ) from error
-    finally:
-        remove_quietly(part)

@@ -1,6 +1,7 @@
 """Exports: what is written can be read back by others, exactly."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -158,20 +159,26 @@ def test_a_failing_export_leaves_what_was_there(filtered: Path, monkeypatch: pyt
 def test_an_export_that_is_killed_leaves_nothing_that_stays(tmp_path: Path) -> None:
     run = finish(record(tmp_path / "long.h5", 800_000))
     command = [sys.executable, "-m", "dragrig", "export", run.name]
-    part = tmp_path / "long.csv.part"
     for number, left in ((signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGKILL, True)):
         with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE) as exporting:
-            while not part.exists():
+            while not list(tmp_path.glob(".long.csv.*.part")):
                 assert exporting.poll() is None
                 time.sleep(0.002)
             exporting.send_signal(number)
             _, errors = exporting.communicate()
         assert (exporting.returncode, b"Traceback" in errors) == (-number if left else 3, False)
-        assert part.exists() is left
+        assert len(list(tmp_path.glob("*.part"))) == left
         assert not (tmp_path / "long.csv").exists()
-    # The next export of this name writes over what is left.
-    export_run(finish(record(tmp_path / "short.h5", 1000)), tmp_path / "long.csv")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["long.csv", "long.h5", "short.h5"]
+    # The next export into the folder removes what is left, once it can be nobody's; nobody's else.
+    (part,) = tmp_path.glob("*.part")
+    (tmp_path / ".own.part").write_text("mine")
+    short, own = finish(record(tmp_path / "short.h5", 1000)), tmp_path / ".own.part"
+    for age_s, stays in ((30.0, True), (3600.0, False)):
+        for path in (part, own):
+            os.utime(path, (time.time() - age_s,) * 2)
+        export_run(short, tmp_path / "other.csv", overwrite=True)
+        assert part.exists() is stays
+    assert sorted(path.name for path in tmp_path.iterdir()) == [own.name, "long.h5", "other.csv", "short.h5"]
 
 
 @pytest.mark.parametrize(("decimal", "delimiter"), [(",", ","), (".", "."), (";", ","), (".", "x"), (".", "1")])

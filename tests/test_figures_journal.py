@@ -123,4 +123,4 @@ def test_what_a_killed_program_left_of_a_picture_goes_with_the_next_one(tmp_path
         os.utime(tmp_path / name, (time.time() - age_s,) * 2)
     write_picture(b"a picture", tmp_path / "force.png")
     left = sorted(path.name for path in tmp_path.iterdir())
-    assert left == [".force.png.12.part", ".speed.png.13.part", "force.png"]
+    assert left == [".force.png.12.part", "force.png"]

@@ -1,12 +1,8 @@
 """Results written into files: texts, pages, and figures as PNG, SVG or PDF; a file is written whole or not at all."""
 
-import glob
 import io
-import os
 import re
-import time
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from functools import partial
 from itertools import chain, count
 from pathlib import Path
@@ -16,6 +12,7 @@ from dragrig.analysis import Progress, no_progress, printable
 from dragrig.config import OutputError
 from dragrig.parallel import open_executor, parallel_map_with_progress
 from dragrig.present import current_figure_form, figure_form
+from dragrig.rig import written_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,8 +28,6 @@ FIGURE_FORMATS: Mapping[str, Mapping[str, str | None]] = {
 """Endings of files that can be written, and what such a file says of itself: never when it was made."""
 PRINT_DPI = 600
 """Resolution of pictures for print."""
-_PART, _ABANDONED_S = ".part", 3600.0
-"""Ending of a file that is being written, and the age from which nobody writes it any more."""
 _MM_PER_POINT = 25.4 / 72
 _SVG_WIDTH = re.compile(r'\bwidth="([0-9.]+)pt"')
 _SVG_SIZE = re.compile(rb'\b(width|height)="([0-9.]+)pt"')
@@ -168,7 +163,8 @@ def svg_of_width(svg: str, width_mm: float) -> str:
 def write_picture(content: bytes, path: Path) -> None:
     """Write a picture, over one that is there; raises `OutputError` when the folder cannot be written to."""
     try:
-        _write_whole(content, path)
+        with written_atomically(path, synced=False) as part:
+            part.write_bytes(content)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror}); choose a folder that can.") from error
 
@@ -239,22 +235,3 @@ def _scaled_pdf(content: bytes, scale: float) -> bytes:
     scaled = io.BytesIO()
     writer.write(scaled)
     return scaled.getvalue()
-
-
-def _write_whole(content: bytes, path: Path) -> None:
-    _remove_abandoned(path)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
-    try:
-        unfinished.write_bytes(content)
-        unfinished.replace(path)
-    finally:
-        with suppress(OSError):
-            unfinished.unlink(missing_ok=True)
-
-
-def _remove_abandoned(path: Path) -> None:
-    """Remove what programs that were killed left unfinished of this file."""
-    for unfinished in path.parent.glob(f".{glob.escape(path.name)}.*{_PART}"):
-        with suppress(OSError):
-            if time.time() - unfinished.stat().st_mtime > _ABANDONED_S:
-                unfinished.unlink()

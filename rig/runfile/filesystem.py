@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import re
 import shutil
 import sys
 import time
@@ -10,11 +11,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from dragrig.config import OutputError
-from dragrig.rig.runfile.schema import lock_path, part_path
+from dragrig.rig.runfile.schema import PART_SUFFIX, lock_path, part_path
 
 MAX_SHARING_WAIT_S = 5.0
 """How long a file that somebody reads may keep Windows from replacing it."""
 _SHARING_RETRY_S = 0.05
+_TEMPORARY = re.compile(rf"\..+\.\d+{re.escape(PART_SUFFIX)}")
+_ABANDONED_S = 600.0
+"""A temporary file that nobody has written to for so long is left over. No writer pauses for minutes, and a process's
+number alone tells nothing of a program on another computer that shares the folder."""
 _WITHOUT_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS}
 """Errors of network shares without file locks: a lock guards nothing there, and the run is recorded all the same."""
 
@@ -96,6 +101,32 @@ def move_into_place(part: Path, target: Path) -> None:
     sync_file(part)
     rename_into_place(part, target)
     sync_folder(target.parent)
+
+
+@contextlib.contextmanager
+def written_atomically(target: Path, *, synced: bool = True) -> Iterator[Path]:
+    """Yield the path of a temporary file beside the target, which gets the target's name once it is complete.
+
+    Whatever ends the block removes it. What a killed program left in the folder goes here too, once it is old enough to
+    belong to nobody. Raises as `move_into_place`.
+    """
+    _remove_abandoned(target.parent)
+    part = target.with_name(f".{target.name}.{os.getpid()}{PART_SUFFIX}")
+    try:
+        yield part
+        if synced:
+            move_into_place(part, target)
+        else:
+            rename_into_place(part, target)
+    finally:
+        remove_quietly(part)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    for part in folder.glob(f".*{PART_SUFFIX}"):
+        with contextlib.suppress(OSError):
+            if _TEMPORARY.fullmatch(part.name) and time.time() - part.stat().st_mtime > _ABANDONED_S:
+                part.unlink()
 
 
 def rename_into_place(part: Path, target: Path) -> None:
