@@ -9,6 +9,7 @@ import subprocess
 import sys
 import zipfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
 import h5py
@@ -27,6 +28,10 @@ from dragrig.rig import mark_bad, write_note
 from dragrig.rig.runfile import finish, read_run
 from dragrig.session_state import SessionState
 from dragrig.setup import resolve
+from dragrig.watch import CampaignWatch, serve_state_page
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 SECRET = b"0123456789abcdef" * 512
 
@@ -237,6 +242,40 @@ def test_a_page_and_its_figures_show_what_a_file_says(
     assert r"\u001b]0;title\u0007" in page
     assert main(["show", str(run), "--out", "run.svg", "--quiet"]) == 0
     ET.parse("run.svg")
+
+
+def test_a_pdf_shows_what_a_file_says(hostile_campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pypdf import PdfReader
+
+    monkeypatch.chdir(tmp_path)
+    run = max(hostile_campaign.glob("=*.h5"))
+    assert main(["show", str(run), "--out", "run.pdf", "--quiet"]) == 0
+    reader = PdfReader("run.pdf")
+    (page,) = reader.pages
+    text = page.extract_text()
+    assert hidden_letters(text) == set()
+    assert r"\u001b" in text
+    assert not page.annotations
+    assert not {"/OpenAction", "/AA", "/Names"} & set(reader.root_object)
+    assert hidden_letters("".join(map(str, (reader.metadata or {}).values()))) == set()
+
+
+def test_the_watch_page_shows_what_a_file_says(hostile_campaign: Path, browser: "Browser") -> None:
+    from browsing import PHONE_PX, opened
+    from playwright.sync_api import expect
+
+    with serve_state_page(0) as server:
+        server.show(CampaignWatch(hostile_campaign).look())
+        with opened(browser, f"http://127.0.0.1:{server.port}/", PHONE_PX) as (page, heard):
+            expect(page.locator("#state")).to_contain_text("Died", timeout=600_000)
+            seen = page.locator("body").inner_text()
+            assert hidden_letters(seen) == set()
+            assert "<script>alert(1)</script>" in seen
+            assert r"\u001b[35mred" in seen
+            assert page.locator("script").count() == 1
+            assert hidden_letters(page.title()) == set()
+            assert page.evaluate("document.documentElement.scrollWidth") <= PHONE_PX
+            assert heard.messages == []
 
 
 def test_a_spreadsheet_computes_nothing_that_a_file_says(
