@@ -165,7 +165,7 @@ class RunningAcquisition:
         if fault := self._fault() or self._without_override(block.fault):
             trip = self._guard.latch(fault)
         else:
-            trip = self._guard.inspect(block, reading.command, extremes, self._rate_hz, self._stopped_drive_travel_mm)
+            trip = self._guard.inspect(block, reading.command, extremes, self._rate_hz)
         # The stage brakes from the end of this block, so the command has to as well.
         self._end_index = block.end_index
         self.trip(trip)
@@ -181,13 +181,6 @@ class RunningAcquisition:
             self.trip(self._guard.latch(fault))
         elif not cancel.is_set():
             self._compare_travel()
-
-    def _stopped_drive_travel_mm(self) -> float:
-        attempt(self._stage.stop)
-        try:
-            return abs(self._stage.state().drive_mm - self._drive_from_mm)
-        except DeviceError:
-            return nan
 
     def _compare_travel(self) -> None:
         """Compare drive and encoder at the standstill after the motion."""
@@ -243,16 +236,25 @@ class RunningAcquisition:
 
     def settle(self) -> None:
         """Record what is sampled until the stage stands still."""
-        never = Signal()
+        never, low_mm, high_mm = Signal(), self._position_mm, self._position_mm
         # The reason of the end is known; a device that fails again adds nothing to it.
         with suppress(Exception):
             while self._end_index < self._settle_until_s * self._rate_hz:
                 block = self._sampler.read(never)
                 if block is None:
-                    return
+                    break
                 reading = self._setpoints.with_setpoint(block)
+                extremes = BlockExtremes.of(block, reading.command)
+                low_mm, high_mm = min(low_mm, extremes.min_position_mm), max(high_mm, extremes.max_position_mm)
                 with suppress(RecordingError):
-                    self._take(block, reading, BlockExtremes.of(block, reading.command))
+                    self._take(block, reading, extremes)
+            self._explain_silence(high_mm - low_mm)
+
+    def _explain_silence(self, counted_mm: float) -> None:
+        drive_travel_mm = abs(self._stage.state().drive_mm - self._drive_from_mm)
+        if trip := self._guard.explain_silence(counted_mm, drive_travel_mm):
+            self._reason = f"{trip.cause}: {trip.message}"
+            self._note("trip", self._reason, self._braking_from_s)
 
     def finish(self) -> AcquisitionOutcome:
         """Stop sampling, close the record and return the outcome; every step is made even if others fail."""

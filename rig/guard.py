@@ -6,7 +6,6 @@ while the setpoint moves (a cable off, a broken wire, a stuck stage), and one th
 never set out, by its drive's own account, is told from a silent encoder.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
 
@@ -144,6 +143,8 @@ class Guard:
         self._speed_start: tuple[int, float] | None = None
         self._previous_command: AnyFloatArray | None = None
         self._silence = EncoderSilenceMonitor(self._dither_mm)
+        self._unmoved = ""
+        """For how long and how far an encoder was silent that had not counted before, as the trip says it."""
         self._overridden: TripCause | None = None
         self._override_next_motion = False
 
@@ -192,19 +193,35 @@ class Guard:
         command: AnyFloatArray,
         extremes: BlockExtremes,
         rate_hz: float,
-        drive_travel_mm: Callable[[], float] = lambda: nan,
     ) -> Trip | None:
-        """Check a block; return the trip that it causes, None when it is fine or the guard is latched already.
+        """Check a block; return the trip that it causes, None when it is fine or the guard is latched already."""
+        if self._trip is not None:
+            return None
+        self._trip = self._check(block, command, extremes, rate_hz)
+        return self._trip
+
+    def explain_silence(self, counted_mm: float, drive_travel_mm: float) -> Trip | None:
+        """Tell a stage that set out too late, or not at all, from a silent encoder, once it stands again.
 
         Parameters
         ----------
+        counted_mm
+            Range of the positions that the encoder showed since the silence, while the stage was stopped.
         drive_travel_mm
-            Stops the stage, and returns how far the drive has moved by its own account; NaN where it has none. Called
-            when the encoder is silent, to tell it from a stage that does not move.
+            How far the drive has moved by its own account; NaN where it has none.
+
+        Returns
+        -------
+            The trip that takes the place of the silent encoder's; None where that stays.
         """
-        if self._trip is not None:
+        if self._trip is None or self._trip.cause is not TripCause.ENCODER_SILENT or not self._unmoved:
             return None
-        self._trip = self._check(block, command, extremes, rate_hz, drive_travel_mm)
+        if counted_mm <= self._dither_mm and not drive_travel_mm <= self._settings.encoder_error_mm:
+            return None
+        self._trip = Trip(
+            TripCause.NO_MOTION,
+            f"neither drive nor encoder moved {self._unmoved}; the drive begins too late, or the stage is blocked",
+        )
         return self._trip
 
     def latch(self, trip: Trip) -> Trip | None:
@@ -220,7 +237,6 @@ class Guard:
         command: AnyFloatArray,
         extremes: BlockExtremes,
         rate_hz: float,
-        drive_travel_mm: Callable[[], float],
     ) -> Trip | None:
         largest_mN = max(extremes.max_force_mN, -extremes.min_force_mN)
         if not isfinite(largest_mN + extremes.max_position_mm):
@@ -235,7 +251,7 @@ class Guard:
                 self._check_position(extremes.min_position_mm, extremes.max_position_mm)
                 or self._check_jump(block, rate_hz)
                 or self._check_speed(block, rate_hz)
-                or self._check_silence(block, command, extremes, rate_hz, drive_travel_mm)
+                or self._check_silence(block, command, extremes, rate_hz)
                 or self._check_following(extremes.following_error_mm, command, rate_hz)
             )
         self._previous_command = command
@@ -296,7 +312,6 @@ class Guard:
         command: AnyFloatArray,
         extremes: BlockExtremes,
         rate_hz: float,
-        drive_travel_mm: Callable[[], float],
     ) -> Trip | None:
         silence, settings = self._silence.add(block, command, extremes, rate_hz), self._settings
         if silence.travel_mm <= settings.encoder_silent_mm or silence.duration_s <= settings.encoder_silent_s:
@@ -305,11 +320,7 @@ class Guard:
         if silence.travel_mm <= settings.encoder_silent_mm + lag_mm:
             return None
         moved = f"for {1000 * silence.duration_s:.0f} ms, while the command moved by {silence.travel_mm:.2f} mm"
-        if silence.from_rest and drive_travel_mm() <= settings.encoder_error_mm:
-            return Trip(
-                TripCause.NO_MOTION,
-                f"neither drive nor encoder moved {moved}; the drive begins too late, or the stage is blocked",
-            )
+        self._unmoved = moved if silence.from_rest else ""
         return Trip(
             TripCause.ENCODER_SILENT,
             f"the encoder showed no count {moved}; check its cable, and whether the stage is blocked",

@@ -136,7 +136,6 @@ def driven(
     profile: MotionProfile,
     shown: Callable[[FloatArray], FloatArray],
     block_s: float,
-    drive_travel_mm: Callable[[], float] = lambda: math.nan,
 ) -> Trip | None:
     """Let the guard see a motion whose encoder shows `shown` of the command, until it trips."""
     assert guard.reset(CLEAR) is None
@@ -146,7 +145,7 @@ def driven(
         time = np.arange(first, first + per_block) / RATE
         command = profile.position(time).astype(np.float32)
         block = Block(first, {"force": np.zeros(per_block, np.float32), "position": shown(time)})
-        if trip := guard.inspect(block, command, BlockExtremes.of(block, command), RATE, drive_travel_mm):
+        if trip := guard.inspect(block, command, BlockExtremes.of(block, command), RATE):
             return trip
     return None
 
@@ -201,31 +200,36 @@ def test_a_late_start_is_no_silence(offset_s: float, late_s: float, speed: float
 
 
 @pytest.mark.parametrize(
-    ("drive_mm", "stuck_s", "cause"),
+    ("counted_mm", "drive_mm", "stuck_s", "cause"),
     [
-        (0.0, 0.0, TripCause.NO_MOTION),
-        (0.7, 0.0, TripCause.ENCODER_SILENT),
-        (math.nan, 0.0, TripCause.ENCODER_SILENT),
-        (0.0, 0.3, TripCause.ENCODER_SILENT),
+        (0.0, 0.0, 0.0, TripCause.NO_MOTION),
+        (0.001, 0.7, 0.0, TripCause.ENCODER_SILENT),
+        (0.6, 0.7, 0.0, TripCause.NO_MOTION),
+        (0.0, math.nan, 0.0, TripCause.ENCODER_SILENT),
+        (0.6, math.nan, 0.0, TripCause.NO_MOTION),
+        (0.6, 0.0, 0.3, TripCause.ENCODER_SILENT),
     ],
-    ids=["neither moved", "the drive moved", "nobody knows", "it had counted before"],
+    ids=["nothing moved", "drive alone", "both, too late", "nobody knows", "only the encoder's word", "counted before"],
 )
-def test_a_stage_that_never_set_out_is_told_from_a_silent_encoder(
-    drive_mm: float, stuck_s: float, cause: TripCause
+def test_a_stage_that_set_out_too_late_is_told_from_a_silent_encoder(
+    counted_mm: float, drive_mm: float, stuck_s: float, cause: TripCause
 ) -> None:
     stroke = (stationary_piece(0.2, Phase.REST), *trapezoid(20.0, 20.0, 400.0))
     once, twice = MotionProfile.from_pieces(stroke), MotionProfile.from_pieces((*stroke, *stroke))
     for profile, rest_s in ((once, 0.0), (twice, once.duration_s)):
         # Of two strokes, the second one is late.
+        guard = Guard(GuardSettings(), 0.001)
         trip = driven(
-            Guard(GuardSettings(), 0.001),
+            guard,
             profile,
             lambda time, profile=profile, rest_s=rest_s: profile.position(np.minimum(time, rest_s + stuck_s)),
             0.05,
-            lambda: drive_mm,
         )
         assert trip is not None
-        assert trip.cause is cause
+        assert trip.cause is TripCause.ENCODER_SILENT
+        assert (guard.explain_silence(counted_mm, drive_mm) is not None) is (cause is TripCause.NO_MOTION)
+        assert guard.trip is not None
+        assert guard.trip.cause is cause
 
 
 @given(st.lists(st.integers(-3, 3), min_size=400, max_size=400), st.integers(1, 60))

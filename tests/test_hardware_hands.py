@@ -3,6 +3,7 @@
 import ctypes
 import re
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -97,7 +98,8 @@ def test_a_drive_that_starts_late_still_comes_to_the_end_of_its_motion(bench: Be
     assert manual.jog(-2.0) == pytest.approx(3.0, abs=0.01)
 
 
-def test_a_drive_that_sets_out_too_late_is_not_called_a_silent_encoder() -> None:
+@pytest.mark.parametrize(("late_s", "busy_s"), [(0.5, 0.0), (0.15, 0.1)], ids=["stopped before", "sets out meanwhile"])
+def test_a_drive_that_sets_out_too_late_is_not_called_a_silent_encoder(late_s: float, busy_s: float) -> None:
     guard_settings = RIG.guard.model_copy(update={"encoder_silent_mm": 0.4})
     backend = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()), FaultInjector())
     try:
@@ -105,7 +107,14 @@ def test_a_drive_that_sets_out_too_late_is_not_called_a_silent_encoder() -> None
         late = Bench(backend, backend.bench.faults, guard, Engine(backend, RIG, guard), [])
         late.manual.reset()
         late.manual.home()
-        late.faults.inject(drive_starts_late_s=0.5)
+        late.faults.inject(drive_starts_late_s=late_s)
+        stop = backend.stage.stop
+
+        def stop_on_a_busy_computer() -> None:
+            time.sleep(busy_s)
+            stop()
+
+        backend.stage.stop = stop_on_a_busy_computer  # type: ignore[method-assign]
         with pytest.raises(TrippedError, match=r"no motion: neither drive nor encoder moved for \d+ ms"):
             late.manual.jog(20.0, 20.0)
         assert late.manual.trip is not None
