@@ -502,7 +502,8 @@ def problem_in(code: int, printed: str, folder: Path) -> str:
     if "Warning: " in printed:
         return f"warning: {next(line for line in printed.splitlines() if 'Warning: ' in line)[:160]}"
     errors = [line for line in printed.splitlines() if line.startswith("dragrig: ")]
-    return "" if code == 0 or errors or "NOT MIRRORED" in printed else f"no sentence: {printed[-160:]!r}"
+    answered = errors or "NOT MIRRORED" in printed or "The rig is not ready: " in printed
+    return "" if code == 0 or answered else f"no sentence: {printed[-160:]!r}"
 
 
 def work(pipe: Connection, seed: int, seeds: Path) -> None:

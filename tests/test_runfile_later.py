@@ -78,6 +78,17 @@ def test_filtering_again_replaces_and_does_not_grow_the_file(run_file: Path) -> 
     assert run_file.stat().st_size <= size + 64
 
 
+def test_links_that_lead_nowhere_stay_as_they_are(run_file: Path) -> None:
+    with h5py.File(run_file, "r+") as file:
+        file["mine"] = h5py.SoftLink("/entry/trace/force")
+        file["gone"] = file["entry/gone"] = h5py.SoftLink("/entry/gone")
+    store_filtered(run_file, filtered(run_file, 0.1))
+    assert verify(run_file).holds
+    with h5py.File(run_file) as file:
+        links = [file.get(name, getlink=True) for name in ("mine", "gone", "entry/gone")]
+    assert [link.path for link in links] == ["/entry/trace/force", "/entry/gone", "/entry/gone"]
+
+
 def test_a_failing_edit_changes_nothing(run_file: Path) -> None:
     before = run_file.read_bytes()
 

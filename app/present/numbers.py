@@ -88,10 +88,16 @@ def probability_text(probability: float) -> str:
     return "below 0.01" if probability < 0.005 else f"{probability:.2f}"
 
 
+_LEAST_TENTH_MN = 0.05
+"""A smaller force would be written as 0.0 mN."""
+
+
 def force_text(value: float) -> str:
     """Return a force with its unit."""
     if not isfinite(value):
         return "an unknown force"
+    if 0 < abs(value) < _LEAST_TENTH_MN:
+        return f"{value:.1g} mN"
     return f"{value:.1f} mN" if abs(value) < 100 else f"{value:.0f} mN"
 
 

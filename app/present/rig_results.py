@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from dragrig.rig import CalibrationLine, LoadReading, Preflight, RigCheck, RunPreview, TravelReading
 
 PointT = TypeVar("PointT")
+_MAX_PREVIEWS = 200
+"""Runs of a plan that a terminal lists; the paper's whole programme has 58."""
 
 
 def preflight_document(preflight: "Preflight") -> Document:
@@ -51,6 +53,7 @@ def preflight_document(preflight: "Preflight") -> Document:
                         Field("duration_s", "duration", lambda preview: preview.run.duration_s, duration_text),
                         Field("size_bytes", "size", lambda preview: preview.size_bytes, size_text),
                         Field("prompt", "prompt", lambda preview: preview.run.prompt),
+                        brief_rows=_MAX_PREVIEWS,
                     ),
                 ),
             ),

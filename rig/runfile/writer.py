@@ -465,10 +465,19 @@ def _copy_run(source: h5py.File, file: h5py.File, without: frozenset[str]) -> No
     file.attrs.update(source.attrs)
     for name in source:
         if name != "entry":
-            source.copy(name, file)
+            _copy_member(source, name, file)
     entry = file.create_group(schema.ENTRY)
     for name, value in source[schema.ENTRY].attrs.items():
         entry.attrs[name] = value
     for name in source[schema.ENTRY]:
         if name not in without:
-            source[schema.ENTRY].copy(name, entry)
+            _copy_member(source[schema.ENTRY], name, entry)
+
+
+def _copy_member(source: h5py.Group, name: str, target: h5py.Group) -> None:
+    """Copy a member of a group; a link as the link that it is, for it may lead nowhere."""
+    link = source.get(name, getlink=True)
+    if isinstance(link, h5py.HardLink):
+        source.copy(name, target)
+    else:
+        target[name] = link

@@ -118,6 +118,7 @@ for (const figure of document.querySelectorAll("figure[data-name]")) {
     row.append(button);
   };
   row.className = "save";
+  row.title = "For one column of a journal, or as PDF: the command's --column single and --picture-format pdf";
   row.append(`Save figure, ${saved.wide} mm wide: `);
   add("SVG", async (one) => new Blob([svgOf(one).text], { type: "image/svg+xml" }), "svg");
   add(`PNG, ${saved.dpi} dpi`, pngOf, "png");
