@@ -10,6 +10,7 @@ what its commands print.
 
 import argparse
 import contextlib
+import copy
 import io
 import json
 import multiprocessing
@@ -117,7 +118,7 @@ def changed_table(draw: random.Random, table: dict[str, object]) -> dict[str, ob
             case 0:
                 holder.pop(key, None)
             case 1:
-                holder[key] = dict(table) if draw.random() < 0.2 else [holder.get(key, 1)] * 3
+                holder[key] = copy.deepcopy(table) if draw.random() < 0.2 else [holder.get(key, 1)] * 3
             case 2:
                 deep: object = 1
                 for _ in range(draw.choice((10, 200, 3000))):
