@@ -376,7 +376,7 @@ class IdleReading:
     @property
     def text(self) -> str:
         """A line for a person."""
-        force = "unknown" if self.force_mN is None else f"{self.force_mN:.1f} mN"
+        force = "unknown" if self.force_mN is None else f"{self.force_mN:z.1f} mN"
         position = "unknown" if self.position_mm is None else f"{self.position_mm:.3f} mm"
         return f"force {force}, position {position}" + (f"; {self.problem}" if self.problem else "")
 

@@ -22,7 +22,7 @@ from dragrig.present.document import (
 )
 from dragrig.present.files import drawn
 from dragrig.present.html_page import render_page
-from dragrig.present.numbers import decimals, significant, to_json_value
+from dragrig.present.numbers import decimals, duration_text, force_text, significant, to_json_value
 from dragrig.present.terminal import document_text
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 10 10"><path d="M 0 0 L 10 10"/></svg>'
@@ -133,6 +133,22 @@ def test_a_drawn_document_can_be_sent_to_another_process() -> None:
     copy = pickle.loads(pickle.dumps(drawn(DOCUMENT)))
     assert document_text(copy) == document_text(DOCUMENT)
     assert not list(copy.without("curve").figures())
+
+
+@pytest.mark.parametrize(
+    ("shown", "text"),
+    [
+        (force_text(0.00012), "0.0001 mN"),
+        (force_text(0.04), "0.04 mN"),
+        (force_text(0.05), "0.1 mN"),
+        (force_text(0.0), "0.0 mN"),
+        (duration_text(0.85), "850 ms"),
+        (duration_text(0.9999), "1.0 s"),
+        (duration_text(59.96), "1 min 00 s"),
+    ],
+)
+def test_small_forces_and_times_are_written_as_a_person_would(shown: str, text: str) -> None:
+    assert shown == text
 
 
 def test_json_has_no_nan() -> None:

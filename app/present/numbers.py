@@ -110,7 +110,7 @@ def p_value_text(p_value: float) -> str:
 
 def duration_text(seconds: float) -> str:
     """Write a time: 850 ms, 12.3 s, 4 min 10 s, 2 h 05 min."""
-    if seconds < 1:
+    if seconds < 0.9995:
         return f"{1000 * seconds:.0f} ms"
     if seconds < 59.95:
         return f"{seconds:.1f} s"
