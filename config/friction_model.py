@@ -101,6 +101,7 @@ class DiagnosisSummary(Settings):
 
     `nominal` holds the parameters of the nominal model refitted without the effects, so that the effects' contribution
     can be measured on other runs; `promised` is the share of the gap that they closed, with its 95 % interval.
+    `run_ids` are the runs that took part, which can confirm nothing.
     """
 
     specimen: str
@@ -111,6 +112,7 @@ class DiagnosisSummary(Settings):
     promised: float | None = None
     promised_95ci: tuple[float, float] | None = None
     nominal: Mapping[str, float] = {}
+    run_ids: tuple[str, ...] = ()
 
 
 Polynomial = Annotated[tuple[float, ...], Field(min_length=1, max_length=5)]

@@ -12,7 +12,9 @@ from dragrig.analysis.gap import GapReduction, ModelEvaluation, PromiseVerdict, 
 from dragrig.analysis.gap.evaluation import _run_weights
 from dragrig.api import diagnose, gap_evaluate
 from dragrig.cli import main
+from dragrig.config import AnalysisError
 from dragrig.present import evaluation_document, render_page
+from dragrig.rig import read_info
 from dragrig.sim_backend.blind.blind_campaign import draw_campaign
 from dragrig.sim_backend.blind.plant import write_campaign
 
@@ -77,8 +79,25 @@ def test_a_diagnosis_promises_the_size_that_its_own_runs_have(tmp_path: Path) ->
     found = diagnose(tmp_path)
     assert found.effects == ("mesentery_tether",)
     assert found.model is not None
-    (size,) = gap_evaluate(found.model, tmp_path).sizes
+    assert found.model.diagnosed is not None
+    with pytest.raises(AnalysisError, match="took part in the diagnosis that made model amended"):
+        gap_evaluate(found.model, tmp_path)
+    forgetful = found.model.model_copy(update={"diagnosed": found.model.diagnosed.model_copy(update={"run_ids": ()})})
+    (size,) = gap_evaluate(forgetful, tmp_path).sizes
     assert size.size == pytest.approx(1.0, abs=0.15)
+
+
+def test_runs_that_took_part_in_the_diagnosis_confirm_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fresh = fresh_session(tmp_path / "fresh", ("breakaway",))
+    known, other = (read_info(path).header.run_id for path in sorted(fresh.glob("*drag*.h5"))[:2])
+    assert known != other
+    model = tmp_path / "model.toml"
+    text = MODEL.read_text("utf-8").replace("[diagnosed]", f'[diagnosed]\nrun_ids = ["{known}"]')
+    model.write_text(text, "utf-8")
+    assert main(["gap", "evaluate", str(model), str(fresh)]) == 0
+    assert "1 run that took part in the diagnosis is left out." in capsys.readouterr().out
 
 
 def test_runs_that_do_not_show_the_effect_have_no_power(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -243,7 +243,7 @@ def amended_model(
     classification: Classification,
     search: ForceSearchResult,
     reduction: GapReduction | None,
-    specimen: str,
+    selection: RunSelection,
 ) -> ModelSettings | None:
     """Return the model of these runs with the named effects; None without any, or where it cannot have them."""
     if not classification.effects:
@@ -267,7 +267,7 @@ def amended_model(
     ]
     interval = None if reduction is None else reduction.closed_95ci
     diagnosed = DiagnosisSummary(
-        specimen=specimen,
+        specimen=selection.specimen,
         verdict=classification.verdict.value,
         effects=classification.effects,
         probability=_rounded_value(classification.probabilities.get("+".join(classification.effects), 0.0)),
@@ -275,6 +275,7 @@ def amended_model(
         promised=None if reduction is None or reduction.closed is None else _rounded_value(reduction.closed),
         promised_95ci=None if interval is None else (_rounded_value(interval[0]), _rounded_value(interval[1])),
         nominal=_rounded_values(study, search.nominal.z),
+        run_ids=tuple(experiment.run.info.header.run_id for experiment in selection.experiments),
     )
     return settings.with_values(_rounded_values(study, z)).model_copy(
         update={"name": "amended", "effects": tuple(rounded), "diagnosed": diagnosed}
@@ -456,7 +457,7 @@ def _assembled_diagnosis(
         where=where,
         shrink=reduction,
         unknown=describe_unexplained_gap(where, blocks, classification, line, inputs),
-        model=amended_model(study, fit, position, lines, classification, search, reduction, selection.specimen),
+        model=amended_model(study, fit, position, lines, classification, search, reduction, selection),
         traces=traces,
         limitations=(*study.limitations(), *reasons_for_no_run(study, position, classification, next_run)),
         remarks=selection.remarks,

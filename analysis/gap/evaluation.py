@@ -131,6 +131,8 @@ class ModelEvaluation:
         Each run beside what these two models predict.
     backends
         Where the runs come from.
+    diagnosed_runs
+        Runs that were left out because they took part in the diagnosis.
     """
 
     reduction: GapReduction
@@ -143,6 +145,7 @@ class ModelEvaluation:
     unfitted_rms_mN: tuple[float, float]
     traces: tuple[RunTraces, ...] = ()
     backends: tuple[str, ...] = ()
+    diagnosed_runs: int = 0
 
     @property
     def verdict(self) -> PromiseVerdict:
@@ -163,11 +166,12 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
     Raises
     ------
     AnalysisError
-        Where the model has no effects, or predicts nothing of these runs.
+        Where the model has no effects, or predicts nothing of these runs, or all of them took part in its diagnosis.
     """
     effects = active_effects(model)
     if not effects:
         raise AnalysisError(f"model {model.name} has no effects: there is nothing to evaluate.")
+    given, selection = selection, _without_diagnosed(selection, model)
     if session_starts(selection.experiments) is None:
         # Without a clock nothing is known of the session, neither the presence nor the absence of such an effect.
         unseen = [active.effect for active in effects if active.effect.coordinate is Coordinate.SESSION]
@@ -205,7 +209,20 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
         _rms_before_after(predicted),
         tuple(map(traces_of_run, predicted)),
         selection.backends,
+        len(given.experiments) - len(selection.experiments),
     )
+
+
+def _without_diagnosed(selection: RunSelection, model: ModelSettings) -> RunSelection:
+    """Return the runs that took no part in the diagnosis: what a model was made from always keeps its promise."""
+    diagnosed = frozenset(model.diagnosed.run_ids) if model.diagnosed else frozenset()
+    fresh = tuple(entry for entry in selection.experiments if entry.run.info.header.run_id not in diagnosed)
+    if not fresh:
+        raise AnalysisError(
+            f"all {len(selection.experiments)} runs took part in the diagnosis that made model {model.name}, and can "
+            "confirm nothing; name fresh runs of the same specimen."
+        )
+    return replace(selection, experiments=fresh)
 
 
 def _rms_before_after(gaps: Sequence[RunGap]) -> tuple[float, float]:

@@ -25,7 +25,11 @@ def evaluation_document(evaluation: ModelEvaluation) -> Document:
         title="The amended model on fresh runs",
         badges=evaluation.backends,
         answer=f"{VERDICT_WORDS[evaluation.verdict]}: {_reason(evaluation)}.",
-        lead=tuple(as_sentence(text) for text in (_closed_text(evaluation), _residual_text(evaluation))),
+        lead=tuple(
+            as_sentence(text)
+            for text in (_closed_text(evaluation), _residual_text(evaluation), _diagnosed_text(evaluation))
+            if text
+        ),
         sections=(
             Section("runs", "The fresh runs", _runs_figure(evaluation)),
             Section("sizes", "Effects in these runs", (_size_table(evaluation),)),
@@ -33,6 +37,18 @@ def evaluation_document(evaluation: ModelEvaluation) -> Document:
         ),
         data=evaluation_json(evaluation),
     )
+
+
+def _diagnosed_text(evaluation: ModelEvaluation) -> str:
+    count = evaluation.diagnosed_runs
+    if not count:
+        return ""
+    left = (
+        "1 run that took part in the diagnosis is"
+        if count == 1
+        else f"{count} runs that took part in the diagnosis are"
+    )
+    return f"{left} left out"
 
 
 def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:
@@ -43,6 +59,7 @@ def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:
             "format": FORMAT,
             "version": VERSION,
             "verdict": evaluation.verdict.value,
+            "diagnosed_runs_left_out": evaluation.diagnosed_runs,
             "promise": {"closed": evaluation.promised, "closed_95ci": evaluation.promised_95ci},
             "achieved": {
                 "closed": evaluation.achieved,
