@@ -334,7 +334,8 @@ def _break_link(draw: random.Random, file: h5py.File, groups: list[str], dataset
 
 def _break_text(draw: random.Random, file: h5py.File, _: list[str], datasets: list[str]) -> None:
     """Change the settings that the file holds, which `run` and `check` take from it."""
-    name = draw.choice([name for name in datasets if name.endswith("settings")] or ["of the first version"])
+    texts = [name for name in datasets if name.endswith("settings") and file[name].shape == ()]
+    name = draw.choice(texts or ["of the first version"])
     text = file[name][()]
     text = written_toml(draw, text if isinstance(text, bytes) else text.encode()).replace(b"\0", b"")
     del file[name]
