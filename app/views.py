@@ -503,6 +503,10 @@ class ShownTrace:
     label: str
     rate_hz: float
     start_s: float
+    run: Run
+    """What is shown, as recorded."""
+    even: tuple[npt.NDArray[np.intp], int] | None
+    """Each sample's index on the even time axis, and the length of that; None where no sample is lost."""
     channels: Mapping[str, npt.NDArray[np.float32]]
     filtered: Mapping[str, npt.NDArray[np.float32]]
     units: Mapping[str, str]
@@ -550,23 +554,33 @@ def shown_trace(path: Path, window_s: float | None = None, order: int | None = N
     """Read a run's trace and filter it; raises `RunFileError`, and `AnalysisError` for an impossible filter."""
     info = read_info(path)
     run = read_run(path, info)
-    rate = run.trace.sample_rate_hz
-    default = default_filter_settings(rate)
+    even = _even_grid(run)
+    shown = ShownTrace(
+        path=path,
+        label=_run_label(info),
+        rate_hz=run.trace.sample_rate_hz,
+        start_s=float(run.trace.time[0]) if len(run.trace.time) else 0.0,
+        run=run,
+        even=even,
+        channels=_shown_channels(run.trace.channels, even, _origin_mm(info)),
+        filtered={},
+        units=run.trace.units,
+        limits_mm=_limits_mm(path),
+    )
+    return filtered_anew(shown, window_s, order)
+
+
+def filtered_anew(shown: ShownTrace, window_s: float | None = None, order: int | None = None) -> ShownTrace:
+    """Filter a trace in another way, without reading its file; raises `AnalysisError` for an impossible filter."""
+    default = default_filter_settings(shown.rate_hz)
     window = default.window_s if window_s is None else window_s
     samples = default.window_samples if window is None else None
     settings = SavgolSettings(window, samples, default.order if order is None else order)
-    smooth = filter_run(run, settings).trace
-    indices, length = _even_grid(run)
-    origin_mm = _origin_mm(info)
-    return ShownTrace(
-        path=path,
-        label=_run_label(info),
-        rate_hz=rate,
-        start_s=float(run.trace.time[0]) if len(run.trace.time) else 0.0,
-        channels=_shown_channels(run.trace.channels, indices, length, origin_mm),
-        filtered=_shown_channels(smooth.channels, indices, length, origin_mm),
-        units={**run.trace.units, **smooth.units},
-        limits_mm=_limits_mm(path),
+    smooth = filter_run(shown.run, settings).trace
+    return replace(
+        shown,
+        filtered=_shown_channels(smooth.channels, shown.even, _origin_mm(shown.run.info)),
+        units={**shown.run.trace.units, **smooth.units},
     )
 
 
@@ -585,10 +599,10 @@ def _limits_mm(path: Path) -> tuple[float, float] | None:
 
 
 def _shown_channels(
-    channels: Mapping[str, AnyFloatArray], indices: npt.NDArray[np.intp], length: int, origin_mm: float
+    channels: Mapping[str, AnyFloatArray], even: tuple[npt.NDArray[np.intp], int] | None, origin_mm: float
 ) -> dict[str, npt.NDArray[np.float32]]:
     """Return channels at even times, the position absolute as everywhere that a person reads it."""
-    shown = {name: _on_even_grid(values, indices, length) for name, values in channels.items()}
+    shown = {name: _on_even_grid(values, even) for name, values in channels.items()}
     if "position" in shown:
         shown["position"] = shown["position"] + np.float32(origin_mm)
     return shown
@@ -651,21 +665,21 @@ def _run_label(info: RunInfo) -> str:
     return f"{info.header.order}  {info.kind}{value}"
 
 
-def _even_grid(run: Run) -> tuple[npt.NDArray[np.intp], int]:
-    """Return each sample's index on an even time axis, and the length of that axis."""
+def _even_grid(run: Run) -> tuple[npt.NDArray[np.intp], int] | None:
     time, rate = run.trace.time, run.trace.sample_rate_hz
     if len(time) == 0 or len(gap_starts(time, rate)) == 0:
-        return np.arange(len(time)), len(time)
+        return None
     indices = np.maximum.accumulate(np.rint((time - time[0]) * rate).astype(np.intp))
     return indices, int(indices[-1]) + 1
 
 
-def _on_even_grid(values: AnyFloatArray, indices: npt.NDArray[np.intp], length: int) -> npt.NDArray[np.float32]:
-    if len(indices) == length:
+def _on_even_grid(values: AnyFloatArray, even: tuple[npt.NDArray[np.intp], int] | None) -> npt.NDArray[np.float32]:
+    if even is None:
         return np.asarray(values, dtype=np.float32)
-    even = np.full(length, np.nan, np.float32)
-    even[indices] = values
-    return even
+    indices, length = even
+    on_grid = np.full(length, np.nan, np.float32)
+    on_grid[indices] = values
+    return on_grid
 
 
 class CampaignWork(StrEnum):

@@ -33,6 +33,7 @@ from dragrig.views import (
     ShownTrace,
     campaigns_below,
     export_shown_runs,
+    filtered_anew,
     mark_runs,
     note_runs,
     recover_runs,
@@ -380,8 +381,10 @@ class TraceOverlay(QWidget):
     def show_traces(self, traces: Sequence[ShownTrace]) -> None:
         """Show runs; the zoom stays if they are the same runs as before."""
         same = [trace.path for trace in traces] == [trace.path for trace in self.traces]
+        same_data = [trace.run for trace in traces] == [trace.run for trace in self.traces]
         self.traces = list(traces)
-        self._pyramids, self._paths = {}, {}
+        self._pyramids = {key: kept for key, kept in self._pyramids.items() if same_data and not key[2]}
+        self._paths = {}
         chosen = self.channel.currentText()
         names = list(dict.fromkeys(name for trace in traces for name in trace.channels)) or ["force"]
         self.channel.blockSignals(True)
@@ -584,8 +587,8 @@ class LookPage(QWidget):
         self.setLayout(column(splitter, margin=8))
         self.browser.chosen.connect(self._show_selected)
         self.browser.complained.connect(self.complained.emit)
-        self.overlay.window_ms.valueChanged.connect(lambda _: self._load())
-        self.overlay.order.valueChanged.connect(lambda _: self._load())
+        self.overlay.window_ms.valueChanged.connect(lambda _: self._filter())
+        self.overlay.order.valueChanged.connect(lambda _: self._filter())
         self.browser.refresh()
 
     def look_at(self, folder: Path) -> None:
@@ -616,9 +619,20 @@ class LookPage(QWidget):
         paths = [run.path for run in runs]
         self._table.do(lambda: steady_rows(paths), self._show_steady)
 
+    def _filter(self) -> None:
+        """Filter in another way what is shown; what is only selected is read first."""
+        shown, (window_s, order) = tuple(self.overlay.traces), self._filter_values
+        if [trace.path for trace in shown] != [run.path for run in self._selected[:MAX_OVERLAID]]:
+            self._load()
+            return
+        self._traces.do(lambda: tuple(filtered_anew(trace, window_s, order) for trace in shown), self._show_traces)
+
+    @property
+    def _filter_values(self) -> tuple[float, int]:
+        return 1e-3 * self.overlay.window_ms.value(), self.overlay.order.value()
+
     def _load(self) -> None:
-        paths = [run.path for run in self._selected[:MAX_OVERLAID]]
-        window_s, order = 1e-3 * self.overlay.window_ms.value(), self.overlay.order.value()
+        paths, (window_s, order) = [run.path for run in self._selected[:MAX_OVERLAID]], self._filter_values
         self.state.setText("Reading the selected runs …" if paths else "Select runs on the left.")
         self._traces.do(lambda: tuple(shown_trace(path, window_s, order) for path in paths), self._show_traces)
 
