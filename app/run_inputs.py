@@ -1,13 +1,12 @@
 """Run files named on the command line or in a call: files, patterns and folders."""
 
 import glob
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 from dragrig.config import RunFileError
-from dragrig.rig import RECORDING_SUFFIX, Campaign, RunInfo, read_campaign, read_mark, specimen_key
+from dragrig.rig import RECORDING_SUFFIX, read_mark
 
 
 def run_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
@@ -62,49 +61,6 @@ def good_runs(inputs: Sequence[str | Path]) -> GoodRuns:
     marks = {path: read_mark(path) for path in paths if path not in named}
     left_out = {path: mark.reason for path, mark in marks.items() if mark is not None}
     return GoodRuns(tuple(path for path in paths if path not in left_out), left_out)
-
-
-def campaigns_below(folder: Path) -> Iterator[Campaign]:
-    """Read the campaigns in a folder and below it, the latest last; raises `RunFileError` where there is none."""
-    if not folder.is_dir():
-        missing = "is a file" if folder.is_file() else "there is no such folder"
-        raise RunFileError(f"{folder}: {missing}; name the folder that holds campaigns.")
-    folders = sorted({path.parent for pattern in ("*.h5", "session-*.toml") for path in folder.rglob(pattern)})
-    if not folders:
-        raise RunFileError(f"{folder}: holds no campaign; name the folder that does.")
-    for campaign in folders:
-        yield read_campaign(campaign)
-
-
-@dataclass(frozen=True, slots=True)
-class RunQuery:
-    """Which runs are wanted; None and empty for any."""
-
-    specimen: str = ""
-    """Name or id."""
-    kind: str = ""
-    operator: str = ""
-    since: datetime | None = None
-    until: datetime | None = None
-    marked: bool | None = None
-    """Whether the run is marked bad."""
-
-    def matches(self, run: RunInfo, *, marked: bool) -> bool:
-        """Whether a run is among them."""
-        header = run.header
-        specimens = {specimen_key(run), str(header.specimen["name"])}
-        return (
-            (not self.specimen or self.specimen in specimens)
-            and self.kind in {"", header.kind, *(("sentinel",) if run.is_sentinel else ())}
-            and self.operator.casefold() in str(header.entry.get("operator", "")).casefold()
-            and (self.since is None or header.start_time >= self.since)
-            and (self.until is None or header.start_time <= self.until)
-            and self.marked in {None, marked}
-        )
-
-    def of(self, campaign: Campaign) -> tuple[RunInfo, ...]:
-        """Return the runs of a campaign that are wanted."""
-        return tuple(run for run in campaign.runs if self.matches(run, marked=run.path in campaign.marks))
 
 
 def _matching_files(name: str | Path) -> list[Path]:

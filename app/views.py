@@ -27,6 +27,7 @@ from dragrig.analysis import (
 from dragrig.analysis.gap import Diagnosis
 from dragrig.api import ExportFormatName, check
 from dragrig.api import export as export_runs
+from dragrig.catalogue import ask_runs
 from dragrig.config import (
     DragrigError,
     Plan,
@@ -53,7 +54,6 @@ from dragrig.rig import (
     RunProtocol,
     mark_bad,
     protocol_kinds,
-    read_campaign,
     read_info,
     read_mark,
     read_note,
@@ -520,13 +520,15 @@ class ShownTrace:
 
 def campaigns_below(folder: Path) -> tuple[Path, ...]:
     """Return this folder and those below that hold run files, in descending order of name."""
-    folders = {path.parent for depth in range(_MAX_DEPTH) for path in folder.glob("*/" * depth + "*.h5")}
-    return tuple(sorted(folders, reverse=True))
+    if not folder.is_dir():
+        return ()
+    listed = ask_runs(folder, lambda listing: listing.folders(with_files=True))
+    return tuple(path for path in reversed(listed) if len(path.relative_to(folder).parts) < _MAX_DEPTH)
 
 
 def shown_campaign(folder: Path) -> ShownCampaign:
     """Read the runs' settings of a campaign; raises `RunFileError`."""
-    campaign = read_campaign(folder)
+    campaign = ask_runs(folder, lambda listing: listing.campaign())
     runs = tuple(
         _shown_run(info, mark.reason if (mark := campaign.marks.get(info.path)) else "") for info in campaign.runs
     )

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, AwareDatetime, Field, model_validator
 
+from dragrig.config.lab import DEFAULT_DATA_ROOT
 from dragrig.config.settings import Settings
 
 _PFI = "an input terminal, PFI0 to PFI15, without the device's name"
@@ -309,12 +310,6 @@ class HardwareSettings(Settings):
         return self
 
 
-RIG_FILE = "rig.toml"
-CALIBRATION_FILE = "calibration.jsonl"
-CONTACT_FILE = "contact.toml"
-COMMISSIONING_FILE = "commissioning.toml"
-
-
 class StageSettings(Settings):
     """The linear motor; positions are absolute, after homing."""
 
@@ -449,7 +444,7 @@ class SimulatedSettings(Settings):
 class DataSettings(Settings):
     """Storage of run files."""
 
-    root: Path = Path("runs")
+    root: Path = Path(DEFAULT_DATA_ROOT)
     """Folder of the campaigns, relative to the rig file."""
 
 
@@ -548,11 +543,3 @@ class CommissioningRecord(Settings):
     def passed(self) -> bool:
         """Whether every signal was as it has to be."""
         return bool(self.signals) and all(signal.passed for signal in self.signals)
-
-
-def rig_file_of(start: Path) -> Path | None:
-    """Return the rig file of the lab folder that contains `start`, searching upwards, or None."""
-    for folder in (start.absolute(), *start.absolute().parents):
-        if (folder / RIG_FILE).is_file():
-            return folder / RIG_FILE
-    return None

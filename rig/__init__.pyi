@@ -87,11 +87,14 @@ from .protocols import protocol_kinds as protocol_kinds
 from .protocols.return_stroke import ReturnProtocol as ReturnProtocol
 from .reading import Reading as Reading
 from .runfile.campaigns import Campaign as Campaign
+from .runfile.campaigns import RunMark as RunMark
 from .runfile.campaigns import SessionRecord as SessionRecord
+from .runfile.campaigns import campaign_of as campaign_of
 from .runfile.campaigns import latest_session_record as latest_session_record
 from .runfile.campaigns import mark_bad as mark_bad
 from .runfile.campaigns import read_campaign as read_campaign
 from .runfile.campaigns import read_mark as read_mark
+from .runfile.campaigns import read_marked as read_marked
 from .runfile.campaigns import read_note as read_note
 from .runfile.campaigns import read_session_records as read_session_records
 from .runfile.campaigns import session_record_of_run as session_record_of_run
@@ -123,6 +126,8 @@ from .runfile.model import Trace as Trace
 from .runfile.reader import read_info as read_info
 from .runfile.reader import read_run as read_run
 from .runfile.reader import read_tail as read_tail
+from .runfile.schema import FINISHED_SUFFIX as FINISHED_SUFFIX
+from .runfile.schema import MARK_SUFFIX as MARK_SUFFIX
 from .runfile.schema import MAX_TRACE_MAGNITUDES as MAX_TRACE_MAGNITUDES
 from .runfile.schema import PARAMETERS_OF_KIND as PARAMETERS_OF_KIND
 from .runfile.schema import RECORDING_SUFFIX as RECORDING_SUFFIX

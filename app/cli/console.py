@@ -233,6 +233,11 @@ def display_path(path: Path) -> str:
         return str(path)
 
 
+def join_path(folder: str, name: str) -> str:
+    """Return the path of a file in a folder as text, as `Path` writes it."""
+    return name if folder == "." else os.path.join(folder, name)  # noqa: PTH118  # of 100,000 files
+
+
 ItemT = TypeVar("ItemT")
 ResultT = TypeVar("ResultT")
 FileProgress = Callable[[int, int], None]

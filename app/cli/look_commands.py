@@ -7,7 +7,7 @@ from itertools import chain
 from math import isfinite
 from mimetypes import guess_type
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 import click
 
@@ -17,6 +17,7 @@ from dragrig.cli.console import (
     FileBatch,
     ProgressMeter,
     display_path,
+    join_path,
     print_document,
     print_json,
     print_json_line,
@@ -27,12 +28,16 @@ from dragrig.cli.console import (
 from dragrig.present import duration_text, shortest
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
     from datetime import datetime
 
     from matplotlib.figure import Figure
     from rich.table import Table
 
+    from dragrig.catalogue import RunListing, RunQuery
     from dragrig.watch import CampaignState, CampaignWatch
+
+AnswerT = TypeVar("AnswerT")
 
 
 @click.command("table")
@@ -57,25 +62,40 @@ def table_command(campaigns: tuple[Path, ...], as_json: bool) -> None:
     print_document(campaign_table_document(rows), as_json=as_json)
 
 
-def _data_root(folder: Path | None) -> Path:
-    from dragrig.setup import resolve_rig
+def _ask_runs(folder: Path | None, question: "Callable[[RunListing], AnswerT]", *, rebuild: bool = False) -> "AnswerT":
+    """Answer a question about the runs of a folder, by default the lab's data root, that holds some."""
+    from dragrig.catalogue import ask_runs
+    from dragrig.config import RunFileError, data_root_of
 
-    return folder or resolve_rig().data_root
+    root = folder or data_root_of(Path.cwd())
+    if root is None:
+        from dragrig.setup import resolve_rig
+
+        root = resolve_rig().data_root
+
+    def answer(listing: "RunListing") -> "AnswerT":
+        if not listing.folders():
+            raise RunFileError(f"{root}: holds no campaign; name the folder that does.")
+        return question(listing)
+
+    with ProgressMeter("reading run files") as meter:
+        return ask_runs(root, answer, remark=print_remark, progress=meter.at, rebuild=rebuild)
 
 
 @click.command("list")
 @click.argument("folder", required=False, type=click.Path(path_type=Path))
+@click.option("--rebuild", is_flag=True, help="Make the lab's catalogue of runs again from the run files first.")
 @options.as_json
 @options.quiet
-def list_command(folder: Path | None, as_json: bool) -> None:
+def list_command(folder: Path | None, rebuild: bool, as_json: bool) -> None:
     """List the campaigns in FOLDER and below it (default: the lab's data root).
 
     One line each: when it began, specimen, runs by kind, operator, and how many are marked bad.
     """
     from dragrig.present import campaigns_list_document
-    from dragrig.run_inputs import campaigns_below
 
-    print_document(campaigns_list_document(tuple(campaigns_below(_data_root(folder)))), as_json=as_json)
+    campaigns = _ask_runs(folder, lambda listing: listing.summaries(), rebuild=rebuild)
+    print_document(campaigns_list_document(campaigns), as_json=as_json)
 
 
 class _FindOptions(TypedDict):
@@ -122,16 +142,36 @@ def find_command(
 
     Prints the path of each run file: dragrig show $(dragrig find --specimen P7 --kind drag).
     """
-    from dragrig.run_inputs import RunQuery, campaigns_below
+    from dragrig.catalogue import RunQuery
 
     query = RunQuery(since=since, until=until, marked=marked, **wanted)
-    paths = [run.path for campaign in campaigns_below(_data_root(folder)) for run in query.of(campaign)]
+    found, kinds = _ask_runs(folder, lambda listing: _found_and_kinds(listing, query))
     if as_json:
-        print_json(paths)
+        print_json([join_path(str(parent), name) for parent, names in found.items() for name in names])
         return
-    for path in paths:
-        print_result(display_path(path))
-    print_remark(f"{len(paths)} run{'' if len(paths) == 1 else 's'}")
+    count = sum(map(len, found.values()))
+    if count:
+        shown = ((display_path(parent), names) for parent, names in found.items())
+        print_result("\n".join(join_path(parent, name) for parent, names in shown for name in names))
+    print_remark(f"{count} run{'' if count == 1 else 's'}{_unknown_kind_text(query.kind, kinds)}")
+
+
+def _found_and_kinds(
+    listing: "RunListing", query: "RunQuery"
+) -> "tuple[Mapping[Path, tuple[str, ...]], Sequence[str]]":
+    """Return the runs found, and where there are none the kinds of run that there are."""
+    found = listing.found(query)
+    return found, () if found or not query.kind else listing.kinds()
+
+
+def _unknown_kind_text(kind: str, kinds: "Sequence[str]") -> str:
+    if not kinds or kind in kinds:
+        return ""
+    from difflib import get_close_matches
+
+    nearest = get_close_matches(kind, kinds, n=1, cutoff=0.5)
+    question = f"did you mean {nearest[0]}? " if nearest else ""
+    return f": no run is of the kind {kind}; {question}{'There' if nearest else 'there'} are {', '.join(kinds)}."
 
 
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")

@@ -49,6 +49,7 @@ from dragrig.present import (
     shortest_percent,
     svg_text,
     to_json_object,
+    to_json_value,
 )
 from dragrig.present.run import run_drawing
 from dragrig.rig import (
@@ -61,12 +62,12 @@ from dragrig.rig import (
     read_run,
     read_session_records,
     run_name,
-    specimen_key,
 )
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from dragrig.catalogue import CampaignSummary
     from dragrig.present.campaign_figures import RunSummary
 
 STEADY_FORCE = (
@@ -246,52 +247,29 @@ def campaign_table_document(rows: Sequence[TableRow]) -> Document:
     )
 
 
-def campaigns_list_document(campaigns: Sequence[Campaign]) -> Document:
+def campaigns_list_document(campaigns: "Sequence[CampaignSummary]") -> Document:
     """Lay out the campaigns of a folder, a line each."""
     table = Table.of(
         "campaigns",
         "",
         campaigns,
         Field("folder", "campaign", lambda campaign: str(campaign.folder)),
-        Field("began", "began", _began_text),
-        Field("specimens", "specimen", lambda campaign: ", ".join(sorted({*map(specimen_key, campaign.runs)}))),
+        Field("began", "began", lambda campaign: f"{campaign.began:%Y-%m-%d %H:%M}" if campaign.began else ""),
+        Field("specimens", "specimen", lambda campaign: ", ".join(campaign.specimens)),
         Field("kinds", "runs", _kinds_text),
-        Field(
-            "operators", "operator", lambda campaign: ", ".join(sorted(set(map(_operator_of, campaign.runs)) - {""}))
-        ),
-        Field("bad", "marked bad", lambda campaign: len(campaign.marks), shortest()),
-        Field("unreadable", "unreadable", lambda campaign: len(campaign.unreadable), shortest()),
+        Field("operators", "operator", lambda campaign: ", ".join(campaign.operators)),
+        Field("bad", "marked bad", lambda campaign: campaign.bad, shortest()),
+        Field("unreadable", "unreadable", lambda campaign: campaign.unreadable, shortest()),
     )
     return Document(
         title=f"{len(campaigns)} campaign{'' if len(campaigns) == 1 else 's'}",
         sections=(Section("campaigns", "", (table,)),),
-        data=[
-            to_json_object(
-                {
-                    "folder": campaign.folder,
-                    "began": min((run.header.start_time for run in campaign.runs), default=None),
-                    "specimens": sorted({*map(specimen_key, campaign.runs)}),
-                    "kinds": dict(Counter(run.kind for run in campaign.runs)),
-                    "operators": sorted(set(map(_operator_of, campaign.runs)) - {""}),
-                    "bad": len(campaign.marks),
-                    "unreadable": len(campaign.unreadable),
-                }
-            )
-            for campaign in campaigns
-        ],
+        data=[to_json_value(campaign) for campaign in campaigns],
     )
 
 
-def _began_text(campaign: Campaign) -> str:
-    return f"{min(run.header.start_time for run in campaign.runs):%Y-%m-%d %H:%M}" if campaign.runs else ""
-
-
-def _kinds_text(campaign: Campaign) -> str:
-    return ", ".join(f"{count} {kind}" for kind, count in Counter(run.kind for run in campaign.runs).most_common())
-
-
-def _operator_of(run: RunInfo) -> str:
-    return str(run.header.entry.get("operator", ""))
+def _kinds_text(campaign: "CampaignSummary") -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in Counter(campaign.kinds).most_common())
 
 
 def mean_tables(rows: Sequence[TableRow]) -> tuple[Table, ...]:

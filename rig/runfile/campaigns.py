@@ -2,7 +2,7 @@
 
 import errno
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -139,16 +139,34 @@ def read_campaign(folder: Path) -> Campaign:
     if not folder.is_dir():
         missing = "is a file" if folder.is_file() else "there is no such folder"
         raise RunFileError(f"{folder}: {missing}; give the folder that holds the run files")
+    return campaign_of(folder, folder.glob(f"*{schema.FINISHED_SUFFIX}"), read_marked)
+
+
+def read_marked(path: Path) -> tuple[RunInfo, RunMark | None]:
+    """Read what a run file states about its run, and the mark on it; raises `RunFileError`."""
+    return read_info(path), read_mark(path)
+
+
+def campaign_of(
+    folder: Path, files: Iterable[Path], read: Callable[[Path], tuple[RunInfo, RunMark | None]]
+) -> Campaign:
+    """Return the campaign that these files of a folder are.
+
+    Parameters
+    ----------
+    read
+        As `read_marked`; a file for which it raises `RunFileError` is among the unreadable ones.
+    """
     runs: list[RunInfo] = []
     marks: dict[Path, RunMark] = {}
     unreadable: list[tuple[Path, RunFileError]] = []
     recordings: list[Path] = []
-    for path in sorted(folder.glob(f"*{schema.FINISHED_SUFFIX}")):
+    for path in sorted(files):
         if schema.is_recording(path):
             recordings.append(path)
             continue
         try:
-            info, mark = read_info(path), read_mark(path)
+            info, mark = read(path)
         except RunFileError as error:
             unreadable.append((path, error))
             continue

@@ -1,18 +1,17 @@
 """The run file's layout in one place: its names, attributes and units, and the names of the files beside it."""
 
-import platform
 import re
-import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from dragrig.config import OutputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 FORMAT = "dragrig-run"
 FORMAT_VERSION = 2
@@ -164,9 +163,10 @@ FILTER_EVENT = "filter"
 _KIND_PATTERN = re.compile(r"[a-z][a-z0-9_-]*")
 
 
-def event_dtype() -> np.dtype[np.void]:
+def event_dtype() -> "np.dtype[np.void]":
     """Row of the table of events: fixed-length UTF-8, so that rows can be appended while a run is recorded."""
     import h5py
+    import numpy as np
 
     return np.dtype(
         [
@@ -236,6 +236,9 @@ def note_path(path: Path) -> Path:
 @cache
 def provenance() -> Mapping[str, str]:
     """Return what made a file: versions of this software, of Python and of the libraries, and the git revision."""
+    import platform
+    from importlib.metadata import version
+
     libraries = {name: version(name) for name in ("h5py", "numpy", "scipy")}
     return {"dragrig": version("dragrig"), "git_revision": _git_revision(), "python": platform.python_version(),
             "platform": platform.platform(), **libraries}  # fmt: skip
@@ -243,6 +246,8 @@ def provenance() -> Mapping[str, str]:
 
 def _git_revision() -> str:
     """Return the revision of the clone that this software runs from; "unknown" for an installed copy."""
+    import subprocess
+
     folder = Path(__file__).resolve().parent
     if not any((above / ".git").exists() for above in folder.parents[:3]):
         return "unknown"
@@ -256,4 +261,6 @@ def _git_revision() -> str:
 @cache
 def software_version() -> str:
     """Return name and version of this software, for run files and reports."""
+    from importlib.metadata import version
+
     return f"dragrig {version('dragrig')}"

@@ -1,0 +1,756 @@
+"""The runs of all campaigns below a folder: what they are, which are wanted, and the catalogue that knows them.
+
+A catalogue is an SQLite file beside a lab's data root, made from the run files and never the only place of anything.
+Before each answer it is compared with the folders, and what has changed is read again, so that an answer is the same
+with and without it. Where it cannot be used, the run files answer.
+"""
+
+import hashlib
+import json
+import os
+import sqlite3
+import time
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from fnmatch import fnmatch
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+
+from dragrig.config import RunFileError, data_root_of
+from dragrig.rig import FINISHED_SUFFIX, MARK_SUFFIX, RECORDING_SUFFIX, mark_path
+
+if TYPE_CHECKING:
+    from dragrig.rig import Campaign, RunInfo, RunMark
+
+SUFFIX = ".catalogue.sqlite"
+"""Of a catalogue's name, after that of the data root."""
+FORMAT_VERSION = 1
+CHECKED_FILES = 10_000
+"""So many run files of the latest campaigns are compared whenever an answer is asked for, which takes 0.1 s; a folder
+of older ones only once a name in it has changed."""
+SETTLING_S = 3.0
+"""What has been written since may be written once more without a change of its time, which file systems count in steps
+of up to 2 s."""
+CLOCK_SKEW_S = 60.0
+"""So far may the clock of a file server be ahead."""
+BUSY_S = 5.0
+"""How long a catalogue that another process writes is waited for."""
+_APPLICATION_ID = 0x64726167
+_BATCH_S = 1.0
+_RECORD_PATTERN = "session-*.toml"
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SCHEMA = {
+    "folder": "CREATE TABLE folder (id INTEGER PRIMARY KEY, path BLOB NOT NULL UNIQUE, state TEXT NOT NULL, "
+    "signature TEXT NOT NULL, files INTEGER NOT NULL, summary TEXT, content BLOB)",
+    "run": "CREATE TABLE run (folder INTEGER NOT NULL, place INTEGER NOT NULL, name BLOB NOT NULL, kind BLOB NOT NULL, "
+    "sentinel INTEGER NOT NULL, specimen BLOB NOT NULL, specimen_name BLOB NOT NULL, operator BLOB NOT NULL, "
+    "start_us INTEGER NOT NULL, bad INTEGER NOT NULL, PRIMARY KEY (folder, place)) WITHOUT ROWID",
+}
+
+_INSERT_FOLDER = "INSERT INTO folder (path, state, signature, files, summary, content) VALUES (?, ?, ?, ?, ?, ?)"
+
+Remark = Callable[[str], None]
+ReadingProgress = Callable[[int, int], None]
+AnswerT = TypeVar("AnswerT")
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignSummary:
+    """What a list of campaigns says of one."""
+
+    folder: Path
+    began: datetime | None
+    """Start of the earliest run."""
+    specimens: tuple[str, ...]
+    kinds: Mapping[str, int]
+    """Runs by kind."""
+    operators: tuple[str, ...]
+    bad: int
+    unreadable: int
+
+    @classmethod
+    def of(cls, campaign: "Campaign") -> Self:
+        """Summarise a campaign."""
+        from dragrig.rig import specimen_key
+
+        runs = campaign.runs
+        return cls(
+            folder=campaign.folder,
+            began=min((run.header.start_time for run in runs), default=None),
+            specimens=tuple(sorted({*map(specimen_key, runs)})),
+            kinds=dict(Counter(run.kind for run in runs)),
+            operators=tuple(sorted({*map(_operator_of, runs)} - {""})),
+            bad=len(campaign.marks),
+            unreadable=len(campaign.unreadable),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RunQuery:
+    """Which runs are wanted; None and empty for any."""
+
+    specimen: str = ""
+    """Name or id."""
+    kind: str = ""
+    operator: str = ""
+    since: datetime | None = None
+    until: datetime | None = None
+    marked: bool | None = None
+    """Whether the run is marked bad."""
+
+    def matches(self, run: "RunInfo", *, marked: bool) -> bool:
+        """Whether a run is among them."""
+        from dragrig.rig import specimen_key
+
+        header = run.header
+        return (
+            (not self.specimen or self.specimen in {specimen_key(run), str(header.specimen["name"])})
+            and self.kind in {"", *_kinds_of(run)}
+            and self.operator.casefold() in _operator_of(run).casefold()
+            and (self.since is None or header.start_time >= self.since)
+            and (self.until is None or header.start_time <= self.until)
+            and self.marked in {None, marked}
+        )
+
+    def of(self, campaign: "Campaign") -> "tuple[RunInfo, ...]":
+        """Return the runs of a campaign that are wanted."""
+        return tuple(run for run in campaign.runs if self.matches(run, marked=run.path in campaign.marks))
+
+
+class RunListing(Protocol):
+    """What can be asked of the runs in a folder and below it; folders in order of name."""
+
+    def folders(self, *, with_files: bool = False) -> tuple[Path, ...]:
+        """Return the folders that hold run files or records of sessions, or only those with files of runs."""
+
+    def summaries(self) -> tuple[CampaignSummary, ...]:
+        """Summarise the campaigns."""
+
+    def found(self, query: RunQuery) -> Mapping[Path, tuple[str, ...]]:
+        """Return the names of the wanted run files by folder, in the order of `Campaign.runs`."""
+
+    def kinds(self) -> tuple[str, ...]:
+        """Return the kinds of the runs, and `sentinel` where there are any."""
+
+    def campaign(self) -> "Campaign":
+        """Return the campaign in the folder itself."""
+
+
+def ask_runs(
+    folder: Path,
+    question: Callable[[RunListing], AnswerT],
+    *,
+    remark: Remark = lambda _: None,
+    progress: ReadingProgress = lambda _done, _of: None,
+    rebuild: bool = False,
+) -> AnswerT:
+    """Answer a question about the runs in a folder and below it, from the lab's catalogue or from the run files.
+
+    Parameters
+    ----------
+    remark
+        Takes a sentence where there is a catalogue that cannot be used, or was made again.
+    rebuild
+        Whether everything in the catalogue is forgotten first.
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder.
+    """
+    if not folder.is_dir():
+        missing = "is a file" if folder.is_file() else "there is no such folder"
+        raise RunFileError(f"{folder}: {missing}; name the folder that holds campaigns.")
+    if (root := _catalogued_root(folder)) is not None:
+        file = root.with_name(root.name + SUFFIX)
+        try:
+            return _ask_catalogue(file, root, folder, question, remark, progress, rebuild=rebuild)
+        except _UnusableError as error:
+            remark(f"{file}: {error}; the run files answer, which takes longer.")
+    elif rebuild:
+        remark(f"{folder}: is not in the data root of a lab, so there is no catalogue of it.")
+    return question(FileListing(folder))
+
+
+class FileListing:
+    """The runs as their files tell, each read."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def folders(self, *, with_files: bool = False) -> tuple[Path, ...]:
+        """Return the folders that hold run files or records of sessions, or only those with files of runs."""
+        scanned = _walk(self._folder, lambda _path, _state: None)
+        return tuple(
+            sorted(
+                self._folder / found.path for found in scanned if found.files or (found.is_campaign and not with_files)
+            )
+        )
+
+    def summaries(self) -> tuple[CampaignSummary, ...]:
+        """Summarise the campaigns."""
+        return tuple(map(CampaignSummary.of, self._campaigns))
+
+    def found(self, query: RunQuery) -> Mapping[Path, tuple[str, ...]]:
+        """Return the names of the wanted run files by folder."""
+        wanted = ((campaign, query.of(campaign)) for campaign in self._campaigns)
+        return {campaign.folder: tuple(run.path.name for run in runs) for campaign, runs in wanted if runs}
+
+    def kinds(self) -> tuple[str, ...]:
+        """Return the kinds of the runs."""
+        runs = (run for campaign in self._campaigns for run in campaign.runs)
+        return tuple(sorted({kind for run in runs for kind in _kinds_of(run)}))
+
+    def campaign(self) -> "Campaign":
+        """Return the campaign in the folder itself."""
+        from dragrig.rig import read_campaign
+
+        return read_campaign(self._folder)
+
+    @cached_property
+    def _campaigns(self) -> "tuple[Campaign, ...]":
+        from dragrig.rig import read_campaign
+
+        return tuple(map(read_campaign, self.folders()))
+
+
+def _operator_of(run: "RunInfo") -> str:
+    return str(run.header.entry.get("operator", ""))
+
+
+def _kinds_of(run: "RunInfo") -> tuple[str, ...]:
+    return (run.kind, "sentinel") if run.is_sentinel else (run.kind,)
+
+
+class _UnusableError(Exception):
+    """Why a catalogue cannot be used."""
+
+
+class _DamagedError(Exception):
+    """A catalogue holds something else than was written."""
+
+
+def _catalogued_root(folder: Path) -> Path | None:
+    """Return the data root with a catalogue that a folder belongs to: its own lab's, or that of the working folder."""
+    here = Path(os.path.realpath(folder))
+    for start in (here, Path.cwd()):
+        root = data_root_of(start)
+        if root is not None and here.is_relative_to(real := Path(os.path.realpath(root))) and real.name:
+            return real
+    return None
+
+
+def _ask_catalogue(
+    file: Path,
+    root: Path,
+    folder: Path,
+    question: Callable[[RunListing], AnswerT],
+    remark: Remark,
+    progress: ReadingProgress,
+    *,
+    rebuild: bool,
+) -> AnswerT:
+    for attempts_left in (1, 0):
+        try:
+            with _explained(), closing(_Catalogue(file, root, folder, remark)) as catalogue:
+                if rebuild:
+                    catalogue.forget()
+                catalogue.refresh(progress)
+                return question(catalogue)
+        except _DamagedError as error:
+            try:
+                # First the file: SQLite drops the journal of one that is new, and would play it back into an old one.
+                for path in (file, file.with_name(f"{file.name}-journal")):
+                    path.unlink(missing_ok=True)
+            except OSError as refusal:
+                raise _UnusableError(f"is damaged and cannot be removed ({refusal.strerror})") from error
+            if not attempts_left:
+                raise _UnusableError("is damaged") from error
+            remark(f"{file}: the catalogue was damaged; it is made again from the run files.")
+    raise AssertionError("the last attempt returns or raises")
+
+
+@contextmanager
+def _explained() -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        raise _UnusableError(f"the catalogue cannot be used ({error})") from error
+    except (sqlite3.Error, zlib.error, KeyError, TypeError, ValueError) as error:
+        raise _DamagedError from error
+
+
+@dataclass(frozen=True, slots=True)
+class _Scanned:
+    """A folder as the file system shows it; `path` is relative to the folder that is asked about, "" for itself."""
+
+    path: str
+    state: str
+    """Key of its state; empty while that is not settled."""
+    files: Mapping[str, str]
+    """Keys of the states of its run files with their marks, by name; empty while a state is not settled."""
+    is_campaign: bool
+
+    @property
+    def signature(self) -> str:
+        """Key of everything in it that a catalogue knows of."""
+        text = repr((sorted(self.files.items()), self.is_campaign))
+        return hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=16).hexdigest()
+
+
+def _below(path: str, name: str) -> str:
+    return f"{path}/{name}" if path else name
+
+
+def _state(stat: os.stat_result, now_s: float) -> str:
+    """Return the key of a file's or folder's state, empty where it may still change without a trace."""
+    for changed_s in (stat.st_mtime, stat.st_ctime):
+        # What lies further ahead was dated so, and not just written.
+        if -CLOCK_SKEW_S < now_s - changed_s < SETTLING_S:
+            return ""
+    return f"{stat.st_size}:{stat.st_mtime_ns}:{stat.st_ctime_ns}:{stat.st_ino}"
+
+
+def _walk(top: Path, known_subfolders: Callable[[str, str], Iterable[str] | None]) -> list[_Scanned]:
+    """Look at a folder and all below it, without the insides of links.
+
+    Parameters
+    ----------
+    known_subfolders
+        Returns the names of the subfolders of a folder that is known in this state, which is then not looked into.
+    """
+    scanned: list[_Scanned] = []
+    left, base = [""], str(top)
+    while left:
+        path = left.pop()
+        # A folder that is gone meanwhile, or may not be read, holds nothing.
+        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+            state = _state(os.stat(f"{base}/{path}"), time.time())  # noqa: PTH116  # thousands of them
+            subfolders = known_subfolders(path, state)
+            if subfolders is None:
+                found, subfolders = _scan(top, path, state)
+                scanned.append(found)
+            left.extend(_below(path, name) for name in subfolders)
+    return scanned
+
+
+def _scan(top: Path, path: str, state: str) -> tuple[_Scanned, list[str]]:
+    now_s = time.time()
+    files: dict[str, str] = {}
+    marks: dict[str, str] = {}
+    subfolders: list[str] = []
+    is_campaign = False
+    with os.scandir(top / path) as entries:
+        for entry in entries:
+            name = os.path.normcase(entry.name)
+            if name.endswith(FINISHED_SUFFIX):
+                is_campaign = True
+                files[entry.name] = "" if name.endswith(RECORDING_SUFFIX) else _entry_state(entry, now_s)
+            elif name.endswith(MARK_SUFFIX):
+                marks[entry.name] = _entry_state(entry, now_s)
+            elif fnmatch(name, _RECORD_PATTERN):
+                is_campaign = True
+            if entry.is_dir(follow_symlinks=False):
+                subfolders.append(entry.name)
+    for name, own in files.items():
+        mark = marks.get(mark_path(Path(name)).name, "unmarked") if marks else "unmarked"
+        files[name] = f"{own} {mark}" if own and mark else ""
+    return _Scanned(path, state, files, is_campaign), subfolders
+
+
+def _entry_state(entry: "os.DirEntry[str]", now_s: float) -> str:
+    try:
+        return _state(entry.stat(), now_s)
+    except OSError:
+        return ""  # a link to nothing, or gone
+
+
+@dataclass(frozen=True, slots=True)
+class _KnownFolder:
+    """What the catalogue compares of a folder."""
+
+    state: str
+    signature: str
+    files: int
+    is_campaign: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _KnownRun:
+    """A run as it was read, while its file and mark had this state."""
+
+    state: str
+    info: "RunInfo"
+    mark: "RunMark | None"
+
+
+class _Catalogue:
+    """The runs in a folder of the data root and below it, from the catalogue; belongs to one thread.
+
+    Every method may raise what `_explained` explains.
+    """
+
+    def __init__(self, file: Path, root: Path, folder: Path, remark: Remark) -> None:
+        self._file, self._folder, self._remark = file, folder, remark
+        top = Path(os.path.realpath(folder)).relative_to(root).as_posix()
+        self._top = "" if top == "." else top
+        self._connection = sqlite3.connect(file, timeout=BUSY_S, isolation_level=None)
+        try:
+            self._prepare()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    def folders(self, *, with_files: bool = False) -> tuple[Path, ...]:
+        """Return the folders that hold run files or records of sessions, or only those with files of runs."""
+        return tuple(sorted(folder for folder, files in self._campaign_rows("files") if files or not with_files))
+
+    def summaries(self) -> tuple[CampaignSummary, ...]:
+        """Summarise the campaigns."""
+        rows = sorted(self._campaign_rows("summary"))
+        return tuple(_decoded_summary(folder, str(text)) for folder, text in rows)
+
+    def found(self, query: RunQuery) -> Mapping[Path, tuple[str, ...]]:
+        """Return the names of the wanted run files by folder."""
+        conditions, values = _conditions(query)
+        folders = {id_: folder for folder, id_ in self._campaign_rows("id")}
+        names: dict[object, list[str]] = {id_: [] for id_ in folders}
+        asked = f"SELECT folder, name FROM run WHERE {conditions} ORDER BY folder, place"  # noqa: S608  # no value in it
+        for id_, name in self._connection.execute(asked, values):
+            if id_ in names:
+                names[id_].append(os.fsdecode(name))
+        return {folder: tuple(names[id_]) for id_, folder in _by_folder(folders) if names[id_]}
+
+    def kinds(self) -> tuple[str, ...]:
+        """Return the kinds of the runs."""
+        ids = {id_ for _, id_ in self._campaign_rows("id")}
+        rows = self._connection.execute("SELECT DISTINCT folder, kind, sentinel FROM run").fetchall()
+        kinds = {_text(kind) for id_, kind, _ in rows if id_ in ids}
+        return tuple(sorted(kinds | {"sentinel" for id_, _, sentinel in rows if sentinel and id_ in ids}))
+
+    def campaign(self) -> "Campaign":
+        """Return the campaign in the folder itself."""
+        from dragrig.rig import Campaign, campaign_of
+
+        known, unreadable, names = self._content("")
+        if not names:
+            return Campaign(self._folder, (), {})
+
+        def read(path: Path) -> "tuple[RunInfo, RunMark | None]":
+            if path.name in unreadable:
+                raise RunFileError(unreadable[path.name])
+            return known[path.name].info, known[path.name].mark
+
+        return campaign_of(self._folder, (self._folder / name for name in names), read)
+
+    def forget(self) -> None:
+        """Forget everything."""
+        with self._transaction():
+            self._connection.execute("DELETE FROM run")
+            self._connection.execute("DELETE FROM folder")
+
+    def refresh(self, progress: ReadingProgress) -> None:
+        """Bring what is known of the folder and all below it up to date."""
+        known = {
+            path: _KnownFolder(str(state), str(signature), int(files), bool(is_campaign))
+            for path, (state, signature, files, is_campaign) in self._rows(
+                "state, signature, files, content IS NOT NULL"
+            )
+        }
+        children: dict[str, list[str]] = {}
+        for path in known:
+            if path:
+                above, _, name = path.rpartition("/")
+                children.setdefault(above, []).append(name)
+        unchanged: set[str] = set()
+
+        def known_subfolders(path: str, state: str) -> Iterable[str] | None:
+            if not state or path not in known or known[path].state != state:
+                return None
+            unchanged.add(path)
+            return children.get(path, ())
+
+        changed = _walk(self._folder, known_subfolders)
+        seen = unchanged.union(found.path for found in changed)
+        changed += self._overwritten({path: known[path] for path in unchanged if known[path].is_campaign})
+        gone = {path: folder.signature for path, folder in known.items() if path not in seen}
+        if changed or gone:
+            self._store(changed, gone, progress)
+
+    def _overwritten(self, campaigns: Mapping[str, _KnownFolder]) -> list[_Scanned]:
+        """Find the campaigns, of those whose folders changed last, in whose files another program wrote."""
+        changed: list[_Scanned] = []
+        files_left = CHECKED_FILES
+        for path, folder in sorted(campaigns.items(), key=lambda item: -int(item[1].state.split(":")[1])):
+            files_left -= folder.files
+            if files_left < 0:
+                break
+            with suppress(OSError):
+                found, _ = _scan(self._folder, path, folder.state)
+                if found.signature != folder.signature:
+                    changed.append(found)
+        return changed
+
+    def _store(self, changed: Iterable[_Scanned], gone: Mapping[str, str], progress: ReadingProgress) -> None:
+        """Read what has changed and write it, a transaction for each second of reading: a killed process loses no more.
+
+        Parameters
+        ----------
+        gone
+            Paths of folders that are no more, with their signatures: a renamed folder is known by what is in it.
+        """
+        work = sorted(changed, key=lambda found: found.path)
+        total, done = sum(len(found.files) for found in work), 0
+        renamed = {signature: path for path, signature in gone.items() if signature}
+        ready: list[tuple[_Scanned, Campaign]] = []
+        began_s = time.monotonic()
+        for found in work:
+            progress(done, total)
+            ready.append((found, self._read(found, renamed.get(found.signature))))
+            done += len(found.files)
+            if time.monotonic() - began_s > _BATCH_S:
+                self._write(ready)
+                ready, began_s = [], time.monotonic()
+        self._write(ready, gone)
+        progress(total, total)
+
+    def _read(self, found: _Scanned, path_before: str | None) -> "Campaign":
+        """Read the files of a folder that are not known in their present states, by now or by another process."""
+        from dragrig.rig import campaign_of, read_marked
+
+        known, _, _ = self._content(found.path)
+        if not known and path_before is not None:
+            known, _, _ = self._content(path_before, self._folder / found.path)
+
+        def read(path: Path) -> "tuple[RunInfo, RunMark | None]":
+            run, state = known.get(path.name), found.files[path.name]
+            return (run.info, run.mark) if run is not None and state and run.state == state else read_marked(path)
+
+        folder = self._folder / found.path
+        return campaign_of(folder, (folder / name for name in found.files), read)
+
+    def _write(self, ready: "Iterable[tuple[_Scanned, Campaign]]", gone: Iterable[str] = ()) -> None:
+        with self._transaction():
+            ask, ask_many = self._connection.execute, self._connection.executemany
+            for path in (*(found.path for found, _ in ready), *gone):
+                key = self._key(path)
+                ask("DELETE FROM run WHERE folder IN (SELECT id FROM folder WHERE path = ?)", (key,))
+                ask("DELETE FROM folder WHERE path = ?", (key,))
+            for found, campaign in ready:
+                # What could not be read may only have been in use, so it is tried again each time.
+                settled = not campaign.unreadable and all(
+                    state for name, state in found.files.items() if not name.endswith(RECORDING_SUFFIX)
+                )
+                row = (
+                    self._key(found.path),
+                    found.state if settled else "",
+                    found.signature if settled and found.files else "",
+                    len(found.files),
+                    _encoded_summary(CampaignSummary.of(campaign)) if found.is_campaign else None,
+                    _encoded_content(campaign, found.files) if found.is_campaign else None,
+                )
+                id_ = ask(_INSERT_FOLDER, row).lastrowid
+                rows = [(id_, place, *_run_columns(run, campaign)) for place, run in enumerate(campaign.runs)]
+                ask_many("INSERT INTO run VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", rows)
+
+    def _prepare(self) -> None:
+        """Make the tables of a new file, and refuse a file that is not ours."""
+        ask = self._connection.execute
+        ask("PRAGMA trusted_schema = OFF")
+        (application,), (version,) = ask("PRAGMA application_id").fetchone(), ask("PRAGMA user_version").fetchone()
+        tables = dict(ask("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
+        if tables and application != _APPLICATION_ID:
+            raise _UnusableError("is a file of another program, not a catalogue of runs")
+        if version > FORMAT_VERSION:
+            raise _UnusableError("is the catalogue of a newer dragrig")
+        if not tables:
+            with self._transaction():
+                for table in _SCHEMA.values():
+                    self._connection.execute(table.replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
+                self._connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
+                self._connection.execute(f"PRAGMA user_version = {FORMAT_VERSION}")
+        elif version != FORMAT_VERSION or tables != _SCHEMA:
+            raise _DamagedError
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        try:
+            self._connection.execute("BEGIN IMMEDIATE")
+        except sqlite3.OperationalError as error:
+            self._continue_in_memory(error)
+            self._connection.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+        except BaseException:
+            self._connection.execute("ROLLBACK")
+            raise
+        self._connection.execute("COMMIT")
+
+    def _continue_in_memory(self, error: sqlite3.Error) -> None:
+        """Go on with a copy of a catalogue that cannot be written."""
+        copy = sqlite3.connect(":memory:", isolation_level=None)
+        with closing(self._connection):
+            self._connection.backup(copy)
+        self._connection = copy
+        self._remark(f"{self._file}: the catalogue cannot be written ({error}); what is new in it is not kept.")
+
+    def _key(self, path: str) -> bytes:
+        return os.fsencode(_below(self._top, path) if path else self._top)
+
+    def _rows(self, columns: str) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """Yield these columns of the folders, after their paths relative to the folder that is asked about."""
+        top = os.fsencode(self._top)
+        above = top + b"/" if top else b""
+        asked = f"SELECT path, {columns} FROM folder WHERE path = ? OR substr(path, 1, ?) = ?"  # noqa: S608  # our columns
+        for key, *row in self._connection.execute(asked, (top, len(above), above)):
+            yield "" if key == top else os.fsdecode(key[len(above) :]), tuple(row)
+
+    def _campaign_rows(self, column: str) -> Iterator[tuple[Path, object]]:
+        for path, (value, is_campaign) in self._rows(f"{column}, content IS NOT NULL"):
+            if is_campaign:
+                yield self._folder / path, value
+
+    def _content(
+        self, path: str, folder: Path | None = None
+    ) -> tuple[Mapping[str, _KnownRun], Mapping[str, str], Sequence[str]]:
+        """Return the known runs of a folder, the errors of unreadable ones, and all names."""
+        asked = "SELECT content FROM folder WHERE path = ? AND content IS NOT NULL"
+        row = self._connection.execute(asked, (self._key(path),)).fetchone()
+        return ({}, {}, ()) if row is None else _decoded_content(row[0], folder or self._folder / path)
+
+
+def _by_folder(folders: Mapping[object, Path]) -> list[tuple[object, Path]]:
+    return sorted(folders.items(), key=lambda item: item[1])
+
+
+def _bytes(text: str) -> bytes:
+    return text.encode("utf-8", "surrogatepass")
+
+
+def _text(value: bytes) -> str:
+    return value.decode("utf-8", "surrogatepass")
+
+
+def _microseconds(moment: datetime) -> int:
+    return (moment - _EPOCH) // timedelta(microseconds=1)
+
+
+def _run_columns(run: "RunInfo", campaign: "Campaign") -> tuple[bytes | int, ...]:
+    from dragrig.rig import specimen_key
+
+    texts = (run.kind, specimen_key(run), str(run.header.specimen["name"]), _operator_of(run).casefold())
+    kind, specimen, specimen_name, operator = map(_bytes, texts)
+    start_us, bad = _microseconds(run.header.start_time), run.path in campaign.marks
+    return os.fsencode(run.path.name), kind, run.is_sentinel, specimen, specimen_name, operator, start_us, bad
+
+
+def _conditions(query: RunQuery) -> tuple[str, list[bytes | int]]:
+    """Return the condition of a query and its values, in this order."""
+    asked: list[tuple[str, tuple[bytes | int, ...]]] = [("1", ())]
+    if query.specimen:
+        asked.append(("(specimen = ? OR specimen_name = ?)", (_bytes(query.specimen),) * 2))
+    if query.kind:
+        sentinel = " OR sentinel" if query.kind == "sentinel" else ""
+        asked.append((f"(kind = ?{sentinel})", (_bytes(query.kind),)))
+    if query.operator:
+        asked.append(("instr(operator, ?)", (_bytes(query.operator.casefold()),)))
+    if query.since is not None:
+        asked.append(("start_us >= ?", (_microseconds(query.since),)))
+    if query.until is not None:
+        asked.append(("start_us <= ?", (_microseconds(query.until),)))
+    if query.marked is not None:
+        asked.append(("bad = ?", (query.marked,)))
+    return " AND ".join(condition for condition, _ in asked), [value for _, values in asked for value in values]
+
+
+def _encoded_summary(summary: CampaignSummary) -> str:
+    began = None if summary.began is None else summary.began.isoformat()
+    return json.dumps(
+        [began, summary.specimens, dict(summary.kinds), summary.operators, summary.bad, summary.unreadable]
+    )
+
+
+def _decoded_summary(folder: Path, text: str) -> CampaignSummary:
+    began, specimens, kinds, operators, bad, unreadable = json.loads(text)
+    started = None if began is None else datetime.fromisoformat(began)
+    return CampaignSummary(folder, started, tuple(specimens), kinds, tuple(operators), bad, unreadable)
+
+
+def _encoded_content(campaign: "Campaign", states: Mapping[str, str]) -> bytes:
+    """Encode everything that is known of a campaign; the settings of a session's runs are alike, so it packs well."""
+    marks = {path.name: (mark.reason, mark.marked_at.isoformat()) for path, mark in campaign.marks.items()}
+    runs = [
+        (run.path.name, states[run.path.name], _encoded_run(run), marks.get(run.path.name)) for run in campaign.runs
+    ]
+    content = {
+        "names": list(states),
+        "runs": runs,
+        "unreadable": {path.name: str(error) for path, error in campaign.unreadable},
+    }
+    return zlib.compress(json.dumps(content).encode("ascii"), 1)
+
+
+def _decoded_content(packed: bytes, folder: Path) -> tuple[Mapping[str, _KnownRun], Mapping[str, str], Sequence[str]]:
+    from dragrig.rig import RunMark
+
+    content = json.loads(zlib.decompress(packed))
+    runs = {
+        name: _KnownRun(
+            state,
+            _decoded_run(folder / name, run),
+            None if mark is None else RunMark(mark[0], datetime.fromisoformat(mark[1])),
+        )
+        for name, state, run, mark in content["runs"]
+    }
+    return runs, content["unreadable"], content["names"]
+
+
+def _encoded_run(run: "RunInfo") -> dict[str, object]:
+    header = run.header
+    return {
+        "format_version": run.format_version,
+        "status": run.status.value,
+        "samples": run.samples,
+        "reason": run.reason,
+        "end_time": None if run.end_time is None else run.end_time.isoformat(),
+        "checks": dict(run.checks),
+        "raw_sha256": run.raw_sha256,
+        "header": {
+            "run_id": header.run_id,
+            "start_time": header.start_time.isoformat(),
+            "order": header.order,
+            "backend": header.backend,
+            "kind": header.kind,
+            "sample_rate_hz": header.sample_rate_hz,
+            "channels": [(channel.name, channel.units, channel.dtype) for channel in header.channels],
+            "entry": dict(header.entry),
+            "protocol": dict(header.protocol),
+            "capsule": dict(header.capsule),
+            "specimen": dict(header.specimen),
+            "settings_toml": header.settings_toml,
+        },
+    }
+
+
+def _decoded_run(path: Path, encoded: "dict[str, Any]") -> "RunInfo":
+    from dragrig.rig import RecordedChannel, RunHeader, RunInfo, RunStatus
+
+    header = encoded.pop("header")
+    start, end = datetime.fromisoformat(header.pop("start_time")), encoded.pop("end_time")
+    channels = tuple(RecordedChannel(*channel) for channel in header.pop("channels"))
+    return RunInfo(
+        path=path,
+        header=RunHeader(start_time=start, channels=channels, **header),
+        status=RunStatus(encoded.pop("status")),
+        end_time=None if end is None else datetime.fromisoformat(end),
+        **encoded,
+    )

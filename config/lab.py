@@ -1,0 +1,34 @@
+"""A lab folder: the names of its files, and where it and its runs lie, found without loading any settings."""
+
+import tomllib
+from pathlib import Path
+
+RIG_FILE = "rig.toml"
+CALIBRATION_FILE = "calibration.jsonl"
+CONTACT_FILE = "contact.toml"
+COMMISSIONING_FILE = "commissioning.toml"
+DEFAULT_DATA_ROOT = "runs"
+
+
+def rig_file_of(start: Path) -> Path | None:
+    """Return the rig file of the lab folder that contains `start`, searching upwards, or None."""
+    for folder in (start.absolute(), *start.absolute().parents):
+        if (folder / RIG_FILE).is_file():
+            return folder / RIG_FILE
+    return None
+
+
+def data_root_of(start: Path) -> Path | None:
+    """Return the data root of the lab folder that contains `start`; None outside of a lab.
+
+    None as well where its rig file cannot be used; whoever loads it as `RigSettings` says why.
+    """
+    rig_file = rig_file_of(start)
+    if rig_file is None:
+        return None
+    try:
+        data = tomllib.loads(rig_file.read_text("utf-8")).get("data", {})
+    except (OSError, ValueError):
+        return None
+    root = data.get("root", DEFAULT_DATA_ROOT) if isinstance(data, dict) else None
+    return rig_file.parent / root if isinstance(root, str) and root else None
