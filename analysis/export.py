@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import isfinite
+from math import floor, isfinite, log10
 from pathlib import Path
 from typing import TypeAlias
 
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from dragrig.analysis.estimates import Progress, no_progress
 from dragrig.analysis.wording import printable
 from dragrig.config import AnalysisError, OutputError, RunFileError
-from dragrig.rig import PHASE_NAMES, Attribute, Run
+from dragrig.rig import PHASE_NAMES, Attribute, FloatArray, Run
 
 EXPORT_FORMAT_KEY = "dragrig-export"
 EXPORT_FORMAT_VERSION = 1
@@ -29,6 +29,9 @@ PARQUET_METADATA_KEY = b"dragrig"
 MAT_LIMIT_BYTES = 1 << 31
 """Largest variable of a version 5 MAT file."""
 MAX_MATLAB_NAME = 63
+MEAN_DIGITS = 15
+MAX_EXACT_POWER = 22
+"""Largest power of ten that a double holds exactly, so that rounding gives the double nearest to the decimal."""
 
 Json = str | float | int | bool | None | list["Json"] | dict[str, "Json"]
 MatlabValue: TypeAlias = (
@@ -116,7 +119,15 @@ class ExportSelection:
         pieces = column.values[: samples * self.every].reshape(samples, self.every)
         if column.values.dtype.kind != "f" or self.every == 1:
             return pieces[:, 0]
-        return np.asarray(np.mean(pieces.astype(np.float64), axis=1), dtype=column.values.dtype)
+        means = np.mean(pieces.astype(np.float64), axis=1)
+        return np.asarray(_without_rounding_noise(means), dtype=column.values.dtype)
+
+
+def _without_rounding_noise(values: FloatArray) -> FloatArray:
+    """Return computed numbers to the 15 digits that all doubles have, counted from the largest; raw ones stay whole."""
+    largest = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+    decimals = MEAN_DIGITS - 1 - floor(log10(largest)) if largest else 0
+    return np.round(values, decimals) if 0 < decimals <= MAX_EXACT_POWER else values
 
 
 def _names(column: ExportColumn) -> set[str]:

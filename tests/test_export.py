@@ -20,6 +20,7 @@ from scipy.io import loadmat
 from dragrig.analysis.export import (
     CsvStyle,
     ExportFormat,
+    ExportSelection,
     column_name,
     export_campaign,
     export_content,
@@ -58,6 +59,19 @@ def test_csv_is_read_back_exactly_in_every_style(filtered: Path, decimal: str, d
     np.testing.assert_array_equal(frame["force_mN"].astype(np.float32), run.trace.force)
     np.testing.assert_array_equal(frame["speed_mm_s"], run.filtered.channels["speed"])
     np.testing.assert_array_equal(frame["phase"], run.trace.phase)
+
+
+def test_means_have_no_digits_of_rounding(filtered: Path) -> None:
+    """The mean of ten times at a kilohertz is 0.0045, not 0.0045000000000000005."""
+    run = read_run(filtered)
+    times = np.arange(len(run.trace.time)) / 1000
+    target = filtered.with_name("means.csv")
+    content = replace(run, trace=replace(run.trace, time=times, sample_rate_hz=1000.0))
+    write_export(content, target, ExportFormat.CSV, selection=ExportSelection(every=10))
+    rows = [line.split(",") for line in target.read_text("utf-8").splitlines() if line[0] != "#"][1:]
+    assert [row[0] for row in rows] == [repr(round(0.0045 + 0.01 * at, 4)) for at in range(len(rows))]
+    force = run.trace.force[: 10 * len(rows)].astype(np.float64).reshape(-1, 10).mean(axis=1)
+    np.testing.assert_array_equal(np.array([row[1] for row in rows], np.float32), force.astype(np.float32))
 
 
 def test_csv_says_first_what_the_run_is(filtered: Path) -> None:
