@@ -328,14 +328,18 @@ def _walk(top: Path, known_subfolders: Callable[[str, str], Iterable[str] | None
     left, base = [""], str(top)
     while left:
         path = left.pop()
-        # A folder that is gone meanwhile, or may not be read, holds nothing.
-        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+        # A folder that is gone meanwhile, or may not be read, holds nothing; the latter may be allowed later.
+        try:
             state = _state(os.stat(f"{base}/{path}"), time.time())  # noqa: PTH116  # thousands of them
             subfolders = known_subfolders(path, state)
             if subfolders is None:
                 found, subfolders = _scan(top, path, state)
                 scanned.append(found)
             left.extend(_below(path, name) for name in subfolders)
+        except PermissionError:
+            scanned.append(_Scanned(path, "", {}, is_campaign=False))
+        except (FileNotFoundError, NotADirectoryError):
+            continue
     return scanned
 
 
@@ -399,6 +403,7 @@ class _Catalogue:
         self._file, self._folder, self._remark = file, folder, remark
         top = Path(os.path.realpath(folder)).relative_to(root).as_posix()
         self._top = "" if top == "." else top
+        self._in_memory = False
         self._connection = sqlite3.connect(file, timeout=BUSY_S, isolation_level=None)
         try:
             self._prepare()
@@ -508,7 +513,8 @@ class _Catalogue:
         gone
             Paths of folders that are no more, with their signatures: a renamed folder is known by what is in it.
         """
-        work = sorted(changed, key=lambda found: found.path)
+        # A folder after those in it: what is known of it says where else to look.
+        work = sorted(changed, key=lambda found: found.path, reverse=True)
         total, done = sum(len(found.files) for found in work), 0
         renamed = {signature: path for path, signature in gone.items() if signature}
         ready: list[tuple[_Scanned, Campaign]] = []
@@ -583,10 +589,13 @@ class _Catalogue:
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
+        # SQLite would begin all the same, and refuse the first change.
+        if not (self._in_memory or all(os.access(path, os.W_OK) for path in (self._file, self._file.parent))):
+            self._continue_in_memory("no permission")
         try:
             self._connection.execute("BEGIN IMMEDIATE")
         except sqlite3.OperationalError as error:
-            self._continue_in_memory(error)
+            self._continue_in_memory(str(error))
             self._connection.execute("BEGIN IMMEDIATE")
         try:
             yield
@@ -595,13 +604,13 @@ class _Catalogue:
             raise
         self._connection.execute("COMMIT")
 
-    def _continue_in_memory(self, error: sqlite3.Error) -> None:
+    def _continue_in_memory(self, why: str) -> None:
         """Go on with a copy of a catalogue that cannot be written."""
         copy = sqlite3.connect(":memory:", isolation_level=None)
         with closing(self._connection):
             self._connection.backup(copy)
-        self._connection = copy
-        self._remark(f"{self._file}: the catalogue cannot be written ({error}); what is new in it is not kept.")
+        self._connection, self._in_memory = copy, True
+        self._remark(f"{self._file}: the catalogue cannot be written ({why}); what is new in it is not kept.")
 
     def _key(self, path: str) -> bytes:
         return os.fsencode(_below(self._top, path) if path else self._top)

@@ -1,7 +1,10 @@
-"""The catalogue of a lab's runs: it answers as the run files do, whatever happens to them, to it, and to its process."""
+"""The catalogue of a lab's runs: it answers as the run files do, whatever happens to them, to it, or to its process."""
 
 import os
 import shutil
+import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,10 +17,14 @@ from hypothesis import strategies as st
 from dragrig import catalogue
 from dragrig.analysis.savgol import filter_file
 from dragrig.catalogue import FileListing, RunListing, RunQuery, ask_runs
+from dragrig.cli import main
 from dragrig.config import RunFileError
 from dragrig.rig.runfile import mark_bad, unmark
 
 PRACTICE = sorted((Path(__file__).parent / "data" / "campaign").glob("*.h5"))
+KEPT = {
+    next(path.name for path in PRACTICE if kind in path.name) for kind in ("drag", "relaxation", "blank", "coulomb")
+}
 QUERIES = (
     RunQuery(),
     RunQuery(kind="drag"),
@@ -49,8 +56,11 @@ def make_lab(folder: Path, *campaigns: str) -> Path:
 
 @pytest.fixture
 def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A lab of two campaigns."""
+    """A lab of two campaigns of four runs, of four kinds."""
     made = make_lab(tmp_path / "lab", "first", "second")
+    for path in made.rglob("*.h5"):
+        if path.name not in KEPT:
+            path.unlink()
     monkeypatch.chdir(made.parent)
     return made
 
@@ -177,11 +187,145 @@ def test_whatever_changes_the_catalogue_answers_as_the_files(
 @pytest.mark.parametrize("what", [*RUN_CHANGES, *FOLDER_CHANGES])
 def test_every_change_is_seen(what: str, root: Path, settled: None) -> None:
     del settled
-    for path in (*(root / "first").iterdir(), *(root / "second").iterdir()):
-        if path.name not in {PRACTICE[0].name, PRACTICE[1].name}:
-            path.unlink()
     remarks_on(root)
     before = answers(FileListing(root))
     change(root, what, 0)
     assert answers(FileListing(root)) != before or what in {"unmarked", "filtered", "recovered", "no run", "recording"}
     assert remarks_on(root) == []
+
+
+def spoil(file: Path) -> None:
+    content = bytearray(file.read_bytes())
+    content[4096:] = os.urandom(len(content) - 4096)
+    file.write_bytes(content)
+
+
+def alter(*statements: str) -> Change:
+    def change_file(file: Path) -> None:
+        connection = sqlite3.connect(file)
+        for statement in statements:
+            connection.execute(statement)
+        connection.commit()
+        connection.close()
+
+    return change_file
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda file: file.write_bytes(b"no database"),
+        spoil,
+        lambda file: os.truncate(file, file.stat().st_size // 2),
+        alter("UPDATE folder SET content = x'00'", "UPDATE folder SET state = ''"),
+        alter("UPDATE folder SET summary = '[1]'"),
+        alter("DROP TABLE run", "CREATE VIEW run AS SELECT 1 AS folder, 2 AS place, x'41' AS name"),
+    ],
+    ids=["foreign", "garbage", "cut", "content", "summary", "view"],
+)
+def test_a_damaged_catalogue_is_made_again_and_said_once(damage: Change, root: Path, settled: None) -> None:
+    del settled
+    remarks_on(root)
+    damage(catalogue_of(root))
+    (remark,) = remarks_on(root)
+    assert "was damaged; it is made again" in remark
+    assert remarks_on(root) == []
+
+
+@pytest.mark.parametrize(
+    ("become", "why"),
+    [
+        (alter("PRAGMA user_version = 99"), "newer dragrig"),
+        (alter("PRAGMA application_id = 7"), "another program"),
+        (lambda file: (file.unlink(), file.mkdir()), "cannot be used"),
+    ],
+    ids=["newer", "other", "folder"],
+)
+def test_what_is_not_ours_is_left_alone_and_the_files_answer(become: Change, why: str, root: Path) -> None:
+    ask_runs(root, answers)
+    file = catalogue_of(root)
+    become(file)
+    before = file.read_bytes() if file.is_file() else b""
+    remarks: list[str] = []
+    assert ask_runs(root, answers, remark=remarks.append) == answers(FileListing(root))
+    assert len(remarks) == 1
+    assert why in remarks[0]
+    assert (file.read_bytes() if file.is_file() else b"") == before
+
+
+def test_a_catalogue_that_may_not_be_written_still_answers(
+    root: Path, settled: None, close_folder: Callable[[Path], None]
+) -> None:
+    del settled
+    remarks_on(root)
+    mark_bad(next((root / "first").glob("*.h5")), "slipped")
+    close_folder(root.parent)
+    remarks: list[str] = []
+    assert ask_runs(root, answers, remark=remarks.append) == answers(FileListing(root))
+    (remark,) = remarks
+    assert "cannot be written" in remark
+
+
+def test_outside_of_a_lab_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(PRACTICE[0].parent, tmp_path / "runs" / "a")
+    assert main(["list", "runs"]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
+def test_a_writer_that_never_ends_is_not_waited_for_long(
+    root: Path, settled: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    del settled
+    remarks_on(root)
+    monkeypatch.setattr(catalogue, "BUSY_S", 0.05)
+    other = sqlite3.connect(catalogue_of(root), isolation_level=None)
+    other.execute("BEGIN IMMEDIATE")
+    mark_bad(next((root / "first").glob("*.h5")), "slipped")
+    remarks: list[str] = []
+    assert ask_runs(root, answers, remark=remarks.append) == answers(FileListing(root))
+    assert "locked" in remarks[0]
+    other.close()
+
+
+_REBUILD = """
+import sys
+from dragrig import catalogue
+catalogue._BATCH_S = 0.0
+from pathlib import Path
+def progress(done, of):
+    print(done, flush=True)
+    if done:
+        sys.stdin.readline()
+catalogue.ask_runs(Path(sys.argv[1]), lambda listing: None, progress=progress, rebuild=True)
+"""
+
+
+def test_a_rebuild_killed_in_the_midst_costs_nothing_but_time(root: Path, settled: None) -> None:
+    del settled
+    remarks_on(root)
+    words = [sys.executable, "-c", _REBUILD, str(root)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        while process.stdout.readline().strip() in {b"0"}:
+            pass
+        process.kill()
+    assert remarks_on(root) == []
+
+
+def test_an_unknown_kind_names_those_that_there_are(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["find", str(root), "--kind", "drga"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err == (
+        "0 runs: no run is of the kind drga; did you mean drag? There are blank, coulomb, drag, relaxation.\n"
+    )
+    assert main(["find", str(root), "--kind", "drag", "--specimen", "nobody"]) == 0
+    assert capsys.readouterr().err == "0 runs\n"
+
+
+def test_list_rebuilds_the_catalogue(root: Path) -> None:
+    ask_runs(root, answers)
+    alter("UPDATE run SET name = x'41'")(catalogue_of(root))
+    assert main(["list", "--rebuild"]) == 0
+    assert ask_runs(root, answers) == answers(FileListing(root))
