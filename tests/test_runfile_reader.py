@@ -1,5 +1,6 @@
 """Reading run files: what is whole is read, everything else refused by name and never worse."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -26,6 +27,7 @@ from dragrig.rig.runfile import (
     verify,
     write_run,
 )
+from dragrig.rig.runfile.hdf5 import find_damaged_text
 from dragrig.rig.runfile.model import FilteredTrace, RecordedChannel, RunEvent, RunStatus
 
 PRACTICE_FILES = sorted(PRACTICE.glob("*.h5"))
@@ -287,6 +289,22 @@ def test_damage_that_hangs_or_kills_hdf5_is_caught_before(tmp_path: Path) -> Non
         path = tmp_path / "run.h5"
         path.write_bytes(damaged)
         assert "its text is damaged" in refused(path)
+
+
+@pytest.mark.parametrize("own", [True, False], ids=["of today", "of the first version"])
+def test_text_of_gigabytes_that_lies_nowhere_is_caught_before(own: bool, tmp_path: Path) -> None:
+    raw = (whole(tmp_path / "whole.h5") if own else PRACTICE / "010-drag.h5").read_bytes()
+    heaps = [found.start().to_bytes(8, "little") for found in re.finditer(b"GCOL", raw)]
+    of_text = [found.start() for found in re.finditer(rb"\x19\x01[\0\1]\0\x10\0\0\0\x10", raw)]
+    references = [place - 4 for at in of_text for heap in heaps if (place := raw.find(heap, at, at + 64)) > 0]
+    assert len(references) >= 15
+    path = tmp_path / "run.h5"
+    for reference in references:
+        damaged = bytearray(raw)
+        damaged[reference : reference + 12] = b"\x42\xff\xff\xff" + (1 << 40).to_bytes(8, "little")
+        path.write_bytes(damaged)
+        assert find_damaged_text(path) == reference
+    assert "its text is damaged" in refused(path)
 
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:

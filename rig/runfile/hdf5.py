@@ -12,6 +12,7 @@ File Format Specification, section II.A, version 3).
 """
 
 import contextlib
+import math
 import mmap
 import os
 import tempfile
@@ -29,6 +30,17 @@ MIN_HEAP_BYTES = 4096
 MAX_TEXT_BYTES = 1 << 24
 MAX_SEARCHED_BYTES = 1 << 28
 """Text stands near the front; of larger files only this much is searched."""
+
+_TEXT_TYPES = (
+    (b"\x10\0\0\0\x10\0\0\0\x01\0\0\0\0\0\x08\0", 16),
+    *((b"\x10\0\0\0\x13" + bytes([padding]) + b"\0\0\x01\0\0\0", 12) for padding in range(3)),
+)
+"""Datatypes of text of variable length from their sizes on, of 8-bit numbers or of characters, and how long that is
+(section IV.A.2.d)."""
+
+_DATASPACE_HEADER_BYTES, _MAX_RANK = {1: 8, 2: 4}, 32
+"""By version of the dataspace, which follows the datatype (section IV.A.2.b)."""
+_MAX_REFERENCES = 10_000
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK_BYTES = 48
@@ -51,7 +63,7 @@ def find_damaged_text(path: Path) -> int | None:
                 for reference in _oversized_references(view, heap, sizes):
                     return reference
                 heap = view.find(HEAP_SIGNATURE, heap + MIN_HEAP_BYTES, MAX_SEARCHED_BYTES)
-    return None
+            return next(_oversized_attributes(view), None)
 
 
 def _object_sizes(view: mmap.mmap, heap: int) -> dict[int, int] | None:
@@ -81,6 +93,32 @@ def _oversized_references(view: mmap.mmap, heap: int, sizes: dict[int, int]) -> 
         if index and index in sizes and length > max(sizes[index], MAX_TEXT_BYTES):
             yield position - 4
         position = view.find(address, position + 1, MAX_SEARCHED_BYTES)
+
+
+def _oversized_attributes(view: mmap.mmap) -> Iterator[int]:
+    """Yield where an attribute asks for far more text than there may be, in a heap that is none."""
+    for encoded, length in _TEXT_TYPES:
+        position = view.find(encoded, 0, MAX_SEARCHED_BYTES)
+        while position >= 0:
+            for text in _references_after(view, position + length, padded=length % 8 == 0):
+                if _little_endian(view, text, 4) > MAX_TEXT_BYTES and 0 < _little_endian(view, text + 12, 4) < 1 << 16:
+                    yield text
+            position = view.find(encoded, position + 1, MAX_SEARCHED_BYTES)
+
+
+def _references_after(view: mmap.mmap, space: int, *, padded: bool) -> range:
+    """Return where the references of an attribute stand whose dataspace begins at `space`, right after its datatype."""
+    # The first version of attributes pads each part to 8 bytes; a datatype that needs none tells nothing.
+    padded = padded and view[space : space + 4] == bytes(4)
+    space += 4 * padded
+    version, rank, flags = view[space : space + 3].ljust(3, b"\0")
+    if version not in _DATASPACE_HEADER_BYTES or rank > _MAX_RANK:
+        return range(0)
+    header = _DATASPACE_HEADER_BYTES[version]
+    size = header + 8 * rank * (1 + (flags & 1))
+    count = math.prod(_little_endian(view, space + header + 8 * axis, 8) for axis in range(rank))
+    first = space + (-(-size // 8) * 8 if padded else size)
+    return range(first, first + 16 * min(count, _MAX_REFERENCES), 16)
 
 
 def _little_endian(view: mmap.mmap, offset: int, size: int) -> int:
