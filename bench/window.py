@@ -1,7 +1,8 @@
 """Frame times of the window's plots: 10 million points on the screen, and 250 kS/s live, on one core.
 
-`python bench/window.py` prints median and worst frame; a frame is all that it takes to bring the plots to the screen's
-memory, drawn off screen, at the window's usual size. It stays on the last core; `--busy` keeps all others busy.
+`python bench/window.py` prints median and worst frame, and what a step of the filter takes; a frame is all that it
+takes to bring the plots to the screen's memory, drawn off screen, at the usual size. Frames stay on the last core;
+`--busy` keeps all others busy.
 """
 
 import os
@@ -12,17 +13,26 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject
 from PySide6.QtWidgets import QAbstractScrollArea
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from runfiles import record
+
 from dragrig.engine_host.messages import LiveSamples
+from dragrig.rig.runfile import finish
+from dragrig.views import filtered_anew, shown_trace
 from dragrig.window.live_view import LiveView
+from dragrig.window.look_page import TraceOverlay
 from dragrig.window.main_window import qt_application
 from dragrig.window.plots import TimePlot
 from dragrig.window.trace_pyramid import TracePyramid
@@ -97,6 +107,23 @@ def still() -> None:
     print_frame_times("10 million points, zoomed from all to 40 samples", frames(zoomed, panel))
 
 
+def filter_steps() -> None:
+    """Filter a run of 10 million points in other ways, as when somebody turns the filter's knobs."""
+    qt_application()
+    overlay = TraceOverlay()
+    overlay.resize(1000, 700)
+    overlay.show()
+    with tempfile.TemporaryDirectory() as folder:
+        shown = shown_trace(finish(record(Path(folder) / "long.h5", POINTS)), 0.05, 3)
+    overlay.show_traces([shown])
+    for window_s in (0.04, 0.05, 0.06, 0.08, 0.1, 0.2):
+        begun = time.perf_counter()
+        overlay.show_traces([filtered_anew(shown, window_s, 3)])
+        qt_application().processEvents()
+        took_s = time.perf_counter() - begun
+        print(f"10 million points at 1 kHz, filtered anew over {1000 * window_s:3.0f} ms: {took_s:.2f} s")
+
+
 def live() -> None:
     """Draw what comes at 250 kS/s, as fast as it comes: the frame holds what a 30th of a second brings."""
     qt_application()
@@ -152,3 +179,4 @@ if __name__ == "__main__":
     with one_core(busy="--busy" in sys.argv):
         still()
         live()
+    filter_steps()
