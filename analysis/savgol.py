@@ -11,6 +11,7 @@ jump. The window matters where the motion itself is short: the peak after a rela
 0.04 to 0.13 s comes out 1 to 3 % low. A run's measures are taken from the raw trace for this reason.
 """
 
+from collections.abc import Collection
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -355,14 +356,16 @@ def default_filter_settings(sample_rate_hz: float) -> SavgolSettings:
     return SavgolSettings(window_s=DEFAULT_WINDOW_S)
 
 
-def filter_run(run: Run, settings: SavgolSettings | None = None) -> FilteredRun:
-    """Filter every force of a run, and derive `speed` [mm/s] from its position.
+def filter_run(run: Run, settings: SavgolSettings | None = None, forces: Collection[str] | None = None) -> FilteredRun:
+    """Filter the forces of a run, and derive `speed` [mm/s] from its position.
 
     Parameters
     ----------
     settings
         Default: `default_filter_settings` for the run's rate. A derivative applies to the forces
         (then in mN/s^k); the speed is always the first derivative of the position.
+    forces
+        Names of the forces to filter; default: all.
 
     Raises
     ------
@@ -371,9 +374,9 @@ def filter_run(run: Run, settings: SavgolSettings | None = None) -> FilteredRun:
     """
     trace = run.trace
     settings = settings or default_filter_settings(trace.sample_rate_hz)
-    forces = [name for name in trace.channels if trace.units.get(name) == "mN"]
+    wanted = [name for name in trace.channels if trace.units.get(name) == "mN" and (forces is None or name in forces)]
     differentiator = replace(settings, order=max(settings.order, 1), derivative=1)
-    tasks = {name: (trace.channels[name], settings) for name in forces} | {"speed": (trace.position, differentiator)}
+    tasks = {name: (trace.channels[name], settings) for name in wanted} | {"speed": (trace.position, differentiator)}
     gaps = gap_starts(trace.time, trace.sample_rate_hz)
 
     def smoothed(task: tuple[AnyFloatArray, SavgolSettings]) -> SmoothedTrace:
@@ -392,7 +395,8 @@ def filter_run(run: Run, settings: SavgolSettings | None = None) -> FilteredRun:
     units = {name: "mm/s" if name == "speed" else force_unit for name in channels} | {"time": "s"}
     short_pieces = dict.fromkeys(event for result in results.values() for event in result.events)
     events = (*_blur_events(trace, settings), *short_pieces)
-    parameters = _filter_parameters(settings, trace.sample_rate_hz, channels[trace.signal], events)
+    signal = channels.get(trace.signal, channels["speed"])
+    parameters = _filter_parameters(settings, trace.sample_rate_hz, signal, events)
     return FilteredRun(FilteredTrace(trace.time, channels, parameters, units), events)
 
 

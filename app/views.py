@@ -572,13 +572,18 @@ def shown_trace(path: Path, window_s: float | None = None, order: int | None = N
     return filtered_anew(shown, window_s, order)
 
 
-def filtered_anew(shown: ShownTrace, window_s: float | None = None, order: int | None = None) -> ShownTrace:
-    """Filter a trace in another way, without reading its file; raises `AnalysisError` for an impossible filter."""
+def filtered_anew(
+    shown: ShownTrace, window_s: float | None = None, order: int | None = None, force: str | None = None
+) -> ShownTrace:
+    """Filter a trace in another way, all forces or one, without reading its file.
+
+    Raises `AnalysisError` for an impossible filter.
+    """
     default = default_filter_settings(shown.rate_hz)
     window = default.window_s if window_s is None else window_s
     samples = default.window_samples if window is None else None
     settings = SavgolSettings(window, samples, default.order if order is None else order)
-    smooth = filter_run(shown.run, settings).trace
+    smooth = filter_run(shown.run, settings, None if force is None else (force,)).trace
     return replace(
         shown,
         filtered=_shown_channels(smooth.channels, shown.even, _origin_mm(shown.run.info)),

@@ -93,7 +93,7 @@ def test_positions_are_absolute_with_the_limits(page: LookPage, until: Until) ->
 
 def test_changing_the_filter_redraws_the_traces(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
-    before = page.overlay.traces[0].filtered["force"]
+    before, run = page.overlay.traces[0].filtered["force"], page.overlay.traces[0].run
     page.overlay.window_ms.setValue(200.0)
     until(lambda: page.overlay.traces[0].filtered["force"] is not before)
     after = page.overlay.traces[0].filtered["force"]
@@ -103,6 +103,11 @@ def test_changing_the_filter_redraws_the_traces(page: LookPage, until: Until) ->
     np.testing.assert_allclose(after, expected.channels["force"], rtol=1e-5)
     page.overlay.order.setValue(1)
     until(lambda: page.overlay.traces[0].filtered["force"] is not after)
+    assert page.overlay.traces[0].run is run, "the file was read once more"
+    page.overlay.channel.setCurrentText("motor_force")
+    until(lambda: "motor_force" in page.overlay.traces[0].filtered)
+    page.overlay.channel.setCurrentText("force")
+    until(lambda: "force" in page.overlay.traces[0].filtered)
 
 
 def test_an_impossible_filter_is_reported(page: LookPage, until: Until) -> None:

@@ -1,6 +1,7 @@
 """The page of recorded runs: browser, overlaid traces with cursors, steady forces, export."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -589,6 +590,7 @@ class LookPage(QWidget):
         self.browser.complained.connect(self.complained.emit)
         self.overlay.window_ms.valueChanged.connect(lambda _: self._filter())
         self.overlay.order.valueChanged.connect(lambda _: self._filter())
+        self.overlay.channel.currentTextChanged.connect(lambda _: self._filter_other())
         self.browser.refresh()
 
     def look_at(self, folder: Path) -> None:
@@ -622,10 +624,18 @@ class LookPage(QWidget):
     def _filter(self) -> None:
         """Filter in another way what is shown; what is only selected is read first."""
         shown, (window_s, order) = tuple(self.overlay.traces), self._filter_values
+        force = self.overlay.channel.currentText()
         if [trace.path for trace in shown] != [run.path for run in self._selected[:MAX_OVERLAID]]:
             self._load()
             return
-        self._traces.do(lambda: tuple(filtered_anew(trace, window_s, order) for trace in shown), self._show_traces)
+        anew = partial(filtered_anew, window_s=window_s, order=order, force=force)
+        self._traces.do(lambda: tuple(map(anew, shown)), self._show_traces)
+
+    def _filter_other(self) -> None:
+        """Filter a force that is only now chosen."""
+        chosen = self.overlay.channel.currentText()
+        if any(trace.units.get(chosen) == "mN" and chosen not in trace.filtered for trace in self.overlay.traces):
+            self._filter()
 
     @property
     def _filter_values(self) -> tuple[float, int]:
