@@ -298,7 +298,7 @@ MAX_GAP_OVER_FLOOR = 1.05
 RESIDUAL_SHARE = 0.15
 """Unexplained share of the gap above which something is left beside named effects: forms leave less of most effects."""
 CALIBRATION_NOTE = "calibrated on simulated campaigns"
-PREPARING_COST, SEARCH_COST, COMPETITION_COST, ASSEMBLY_COST = 25, 33, 28, 14
+PREPARING_COST, SEARCH_COST, COMPETITION_COST, ASSEMBLY_COST = 26, 34, 34, 6
 """Relative times of a diagnosis's parts."""
 MIN_LLR_AND_SHARE_WITH_MOTION_ERROR = 0.5 * MIN_LLR_BESIDE_POSITION, 0.3
 """Where the stage has position errors, motion errors mimic small force effects: thresholds of Δχ²/2 and of the share of

@@ -180,10 +180,16 @@ def drawn(document: "Document", progress: Progress = no_progress, workers: int |
     figures = tuple(document.figures())
     with open_executor(workers, tasks=len(figures) // _FIGURES_PER_WORKER) as executor:
         draw = partial(_svg_text_in, document.figure_form)
-        texts = parallel_map_with_progress(executor, draw, figures, progress)
+
+        def drawn_so_far(done: int, of: int) -> None:
+            progress(done + (_LOADING_FIGURES if done else 0), of + _LOADING_FIGURES)
+
+        texts = parallel_map_with_progress(executor, draw, figures, drawn_so_far)
     return document.with_drawings({figure.name: text for figure, text in zip(figures, texts, strict=True)})
 
 
+_LOADING_FIGURES = 2
+"""Loading matplotlib, with the first figure, takes as long as so many more."""
 _FIGURES_PER_WORKER = 6
 """Fewer are drawn in the time that a process takes to start and to load matplotlib."""
 
