@@ -251,6 +251,9 @@ class RunningAcquisition:
             self._explain_silence(high_mm - low_mm)
 
     def _explain_silence(self, counted_mm: float) -> None:
+        if not self._guard.silent_from_rest:
+            # The drive is not asked without need: one that does not answer would keep the run from its end.
+            return
         drive_travel_mm = abs(self._stage.state().drive_mm - self._drive_from_mm)
         if trip := self._guard.explain_silence(counted_mm, drive_travel_mm):
             self._reason = f"{trip.cause}: {trip.message}"

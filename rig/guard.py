@@ -200,6 +200,11 @@ class Guard:
         self._trip = self._check(block, command, extremes, rate_hz)
         return self._trip
 
+    @property
+    def silent_from_rest(self) -> bool:
+        """Whether it is latched on an encoder that has shown no count since the motion began."""
+        return self._trip is not None and self._trip.cause is TripCause.ENCODER_SILENT and bool(self._unmoved)
+
     def explain_silence(self, counted_mm: float, drive_travel_mm: float) -> Trip | None:
         """Tell a stage that set out too late, or not at all, from a silent encoder, once it stands again.
 
@@ -214,7 +219,7 @@ class Guard:
         -------
             The trip that takes the place of the silent encoder's; None where that stays.
         """
-        if self._trip is None or self._trip.cause is not TripCause.ENCODER_SILENT or not self._unmoved:
+        if not self.silent_from_rest:
             return None
         if counted_mm <= self._dither_mm and not drive_travel_mm <= self._settings.encoder_error_mm:
             return None
