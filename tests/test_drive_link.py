@@ -234,7 +234,7 @@ def test_what_was_planned_before_a_stop_is_dropped() -> None:
 @pytest.mark.skipif(os.name == "nt", reason="no SIGUSR1 on Windows")
 def test_a_signal_handler_may_stop_whatever_it_interrupts() -> None:
     # A reply takes long on a busy computer with a signal every 0.5 ms; one that is lost never comes.
-    with linked(reply_s=10.0) as (drive, link):
+    with linked(reply_s=2.0) as (drive, link):
         before = signal.signal(signal.SIGUSR1, lambda *_: link.stop())
         ended = threading.Event()
 
