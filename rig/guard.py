@@ -3,7 +3,7 @@
 It starts tripped, so that nothing moves before a person has looked at the rig, and it trips once: whatever follows a
 trip does not replace its reason. It watches force, position, speed, following error, an encoder that shows no counts
 while the setpoint moves (a cable off, a broken wire, a stuck stage), and one that jumps as no stage can. A stage that
-never set out, by its drive's own account, is told from a silent encoder.
+set out too late, or never, is told from a silent encoder once it stands, by what drive and encoder showed until then.
 """
 
 from dataclasses import dataclass
