@@ -146,8 +146,9 @@ class HoldingCtrlC(NullOperator):
             os.kill(os.getpid(), signal.SIGINT)
 
     def ask(self, prompt: Prompt) -> Answer:
-        self.pressing.start()
         try:
+            # Inside: the first press may come before the thread's start returns.
+            self.pressing.start()
             threading.Event().wait(30)
         finally:
             # As a terminal that is put in order again.
