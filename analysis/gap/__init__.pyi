@@ -2,7 +2,6 @@ from .candidate_runs import ExperimentBudget as ExperimentBudget
 from .candidate_runs import RigLimits as RigLimits
 from .candidate_runs import plan_of_next_runs as plan_of_next_runs
 from .candidate_runs import run_text as run_text
-from .candidate_runs import separation_text as separation_text
 from .diagnose import DiagnosisOptions as DiagnosisOptions
 from .diagnosis import MODEL as MODEL
 from .diagnosis import SPECIMEN as SPECIMEN

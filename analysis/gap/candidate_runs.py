@@ -10,9 +10,9 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from dragrig.analysis import Experiment, capitalise, percent_text, prepare_channels, significant_text
+from dragrig.analysis import Experiment, capitalise, join_names, prepare_channels, significant_text
 from dragrig.analysis.gap.design import Study
-from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun, display_name
+from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun, display_name
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData
 from dragrig.config import Fixture, Plan, PlanStep, ReturnMode, RunOrder, Specimen
 from dragrig.rig import (
@@ -166,134 +166,111 @@ def _reversal(speed_mm_s: float) -> PlanStep:
     return PlanStep(kind="motion", way_back=ReturnMode.STAY, wait_s=60.0, parameters={"strokes": [there, back]})
 
 
-DECIDED_LOG_ODDS = 12.0
-"""Log odds above which a pair counts as decided."""
-MIN_LOG_ODDS_GAIN = 1e-3
-"""Smaller gains in log odds count as none."""
-UNBOUNDED = float("inf")
+MIN_GAIN_BITS = 0.001
+"""A run that is expected to tell less is not worth its time: a thousandth of whether an effect is there."""
 FIXTURE_CHANGE_MIN = 2.0
-"""Additional cost of a change of fixture, in minutes of rig time."""
+"""Time of a person's hands at a change of fixture or capsule, in minutes."""
 
 SeenT_contra = TypeVar("SeenT_contra", contravariant=True)
 
 
-@dataclass(frozen=True, slots=True)
-class PairSeparation:
-    """Expected log odds of a diagnosis between an assumed effect and its rival, with a weight."""
+class OpenQuestion(Protocol[SeenT_contra]):
+    """What is open, and what runs are expected to tell of it; `SeenT_contra` is what it needs of a run."""
 
-    pair: ModelPair
-    log_odds: float
-    weight: float
-
-    def value(self, decided: float) -> float:
-        """Return the weighted log odds, limited to the decided ones."""
-        return self.weight * min(self.log_odds, decided)
-
-
-class SeparationModel(Protocol[SeenT_contra]):
-    """What a set of runs says about pairs of hypotheses; `SeenT_contra` is what it needs of a run."""
-
-    def with_run(self, observation: SeenT_contra) -> Self:
-        """Add a run."""
+    @property
+    def open_bits(self) -> float:
+        """Entropy of the answer before the chosen runs."""
         ...
 
-    def separations(self) -> Sequence[PairSeparation]:
-        """Return the separation of each pair, in order."""
+    @property
+    def bits(self) -> float:
+        """Information that the chosen runs are expected to give."""
+        ...
+
+    def with_run(self, observation: SeenT_contra) -> Self:
+        """Choose a further run."""
+        ...
+
+    def about(self, before: Self) -> tuple[str, ...]:
+        """Return the effects of which it tells most beyond a question with fewer runs."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ExperimentBudget:
-    """Limits of an experiment: rig time, number of runs, and when a pair counts as decided."""
+    """Limits of an experiment: rig time, number of runs, the rig's range, and the cost of hands."""
 
     minutes: float = float("inf")
     runs: int = 1
-    decided_log_odds: float = DECIDED_LOG_ODDS
-    """Log odds above which a pair counts as decided."""
-    use_all_time: bool = False
-    """Whether to use remaining time for higher log odds once all pairs are decided."""
     limits: RigLimits | None = None
     """Limits of the rig; default: the range of the campaign's runs."""
+    mounted: Fixture | None = None
+    """Fixture that is on the rig, which needs no hands."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ChosenRun:
+    """A chosen candidate with its gain."""
+
+    candidate: CandidateRun
+    gain_bits: float
+    about: tuple[str, ...]
 
 
 def greedy_search(
-    model: SeparationModel[SeenT_contra],
+    question: OpenQuestion[SeenT_contra],
     candidates: Sequence[tuple[CandidateRun, SeenT_contra]],
     budget: ExperimentBudget,
 ) -> tuple[NextRun, ...]:
-    """Return the runs with the largest gain per minute, each given those before.
+    """Return the runs that are expected to tell most per minute, each given those before; none where none helps.
 
     Parameters
     ----------
-    field
-        Separation by the campaign so far, with at least one pair.
-    tried
-        Candidate runs, each with what the model needs of it.
+    question
+        What the campaign so far leaves open.
+    candidates
+        Candidate runs, each with what the question needs of it.
     """
-    selected = _greedy_selection(model, candidates, budget)
-    if not selected and all(separation.log_odds >= budget.decided_log_odds for separation in model.separations()):
-        # All pairs are decided already; the best further runs are optional.
-        optional_runs = _merged_repeats(
-            _greedy_selection(model, candidates, replace(budget, decided_log_odds=UNBOUNDED))
-        )
-        return tuple(replace(run, optional=True) for run in optional_runs)
-    return _merged_repeats(selected)
+    chosen: list[_ChosenRun] = []
+    fixtures, spent = {budget.mounted}, 0.0
+    # The gain of a run rarely grows with the runs chosen before it, so that old gains tell which to compute anew
+    # first (Minoux 1978, accelerated greedy algorithms).
+    gains = [float("inf")] * len(candidates)
+    while len(chosen) < budget.runs:
+        fresh: dict[int, OpenQuestion[SeenT_contra]] = {}
 
+        def rate(index: int, known: Sequence[float] = gains) -> float:
+            candidate = candidates[index][0]
+            hands = 0.0 if candidate.run.fixture in fixtures else FIXTURE_CHANGE_MIN
+            return known[index] / (candidate.minutes + hands)
 
-def _greedy_selection(
-    model: SeparationModel[SeenT_contra],
-    candidates: Sequence[tuple[CandidateRun, SeenT_contra]],
-    budget: ExperimentBudget,
-) -> list[tuple[CandidateRun, ModelPair, ModelPair]]:
-    selected: list[tuple[CandidateRun, ModelPair, ModelPair]] = []
-    spent, fixtures, decided = 0.0, set[Fixture](), budget.decided_log_odds
-    current = model.separations()
-    while len(selected) < budget.runs:
-        best, best_rate = None, 0.0
-        for candidate, observation in candidates:
-            if spent + candidate.minutes > budget.minutes:
-                continue
-            with_run = model.with_run(observation)
-            updated = with_run.separations()
-            gain = sum(_log_odds_gains(current, updated, decided))
-            fixture_change = 0.0 if candidate.run.fixture in fixtures else FIXTURE_CHANGE_MIN
-            if gain > MIN_LOG_ODDS_GAIN and gain / (candidate.minutes + fixture_change) > best_rate:
-                best, best_rate = (candidate, with_run, updated), gain / (candidate.minutes + fixture_change)
-        if best is None and budget.use_all_time and decided < UNBOUNDED:
-            decided = UNBOUNDED
-            continue
-        if best is None:
+        affordable = [index for index, (run, _) in enumerate(candidates) if spent + run.minutes <= budget.minutes]
+        best = max(affordable, key=rate, default=None)
+        while best is not None and best not in fresh:
+            fresh[best] = question.with_run(candidates[best][1])
+            gains[best] = fresh[best].bits - question.bits
+            best = max(affordable, key=rate, default=None)
+        if best is None or gains[best] < MIN_GAIN_BITS:
             break
-        candidate, model, updated = best
-        selected.append((candidate, *_most_improved_pair(current, updated, decided)))
-        current, spent = updated, spent + candidate.minutes
+        candidate, updated = candidates[best][0], fresh[best]
+        chosen.append(_ChosenRun(candidate, gains[best], updated.about(question)))
+        question, spent = updated, spent + candidate.minutes
         fixtures.add(candidate.run.fixture)
-    return selected
+    return _merged_repeats(chosen)
 
 
-def _log_odds_gains(before: Sequence[PairSeparation], after: Sequence[PairSeparation], decided: float) -> list[float]:
-    return [updated.value(decided) - current.value(decided) for current, updated in zip(before, after, strict=True)]
-
-
-def _most_improved_pair(
-    before: Sequence[PairSeparation], after: Sequence[PairSeparation], decided: float
-) -> tuple[ModelPair, ModelPair]:
-    """Return the pair with the largest gain, before and after."""
-    gains = _log_odds_gains(before, after, decided)
-    index = gains.index(max(gains))
-    return before[index].pair, after[index].pair
-
-
-def _merged_repeats(selected: Sequence[tuple[CandidateRun, ModelPair, ModelPair]]) -> tuple[NextRun, ...]:
-    """Merge runs that were selected several times into repeats."""
+def _merged_repeats(chosen: Sequence[_ChosenRun]) -> tuple[NextRun, ...]:
+    """Merge runs that were chosen several times into repeats."""
     merged: dict[int, NextRun] = {}
-    for candidate, before, after in selected:
-        known = merged.get(id(candidate))
+    for entry in chosen:
+        candidate, known = entry.candidate, merged.get(id(entry.candidate))
         if known is None:
-            merged[id(candidate)] = NextRun(candidate.step, candidate.minutes, before, after)
+            merged[id(candidate)] = NextRun(candidate.step, candidate.minutes, entry.gain_bits, entry.about)
             continue
         step = known.step.model_copy(update={"repeats": known.step.repeats + candidate.step.repeats})
-        merged[id(candidate)] = replace(known, step=step, minutes=known.minutes + candidate.minutes, after=after)
+        gain_bits = (known.gain_bits or 0.0) + entry.gain_bits
+        minutes = known.minutes + candidate.minutes
+        merged[id(candidate)] = replace(known, step=step, minutes=minutes, gain_bits=gain_bits)
     return tuple(merged.values())
 
 
@@ -413,10 +390,6 @@ def _with_prompts(steps: Iterator[PlanStep]) -> Iterator[PlanStep]:
         previous_fixture = fixture
 
 
-MAX_QUOTED_SHARE = 0.9
-"""Shares above this are not quoted: the rival hardly resembles the assumed effect."""
-
-
 def run_text(step: PlanStep) -> str:
     """Describe a run: a drag at 1 mm/s over 20 mm."""
     settings = step.parameters
@@ -442,35 +415,22 @@ def run_text(step: PlanStep) -> str:
     return f"{text}, twice" if step.repeats == 2 else f"{text}, {step.repeats} times"
 
 
-def recommendation_reason(run: NextRun, tried: int) -> str:
-    """Say why a run is recommended, with numbers, and whether it is optional."""
-    text = f"{run_subject(run.step)} {separation_text(run.before, run.after)}"
+def recommendation_reason(run: NextRun, open_bits: float, compared: int, subject: str) -> str:
+    """Say why a run is recommended: what it tells of `subject` in how much time."""
+    gain_bits = run.gain_bits or 0.0
+    told = f"{bits_text(gain_bits)} of the {bits_text(open_bits)} bit that"
+    most = f", most of it about {join_names([display_name(name) for name in run.about])}" if run.about else ""
     return (
-        f"{'The leading hypotheses are already separated well enough. ' if run.optional else ''}{text} "
-        f"in {run.minutes:.1f} min of rig time, the largest gain per minute of {tried} candidate runs."
+        f"{run_subject(run.step)} is expected to tell {told} {subject}{most}: {run.minutes:.1f} min of rig time, "
+        f"the most per minute of {compared} candidate runs."
     )
+
+
+def bits_text(bits: float) -> str:
+    """Write an amount of information with two digits."""
+    return significant_text(bits, 2)
 
 
 def run_subject(step: PlanStep) -> str:
     """Return a run as the begin of a sentence."""
     return capitalise(run_text(step)) + ("," if step.repeats > 1 else "")
-
-
-def separation_text(before: ModelPair, after: ModelPair) -> str:
-    """Say what a run separates, as the rest of a sentence."""
-    change = f"d′ grows {_growth_text(before.d_prime, after.d_prime)}"
-    if not after.rival:
-        return f"lowers the detection limit of {display_name(after.truth)}: {change}"
-    truth, rival = display_name(after.truth), display_name(after.rival)
-    text = f"separates {truth} from {rival}: {change}"
-    if before.remaining_share > MAX_QUOTED_SHARE:
-        return text
-    shares = f"from {percent_text(before.remaining_share)} to {percent_text(after.remaining_share)}"
-    return f"{text}, and the share of {truth} that {rival} cannot explain {shares}"
-
-
-def _growth_text(before: float, after: float) -> str:
-    """Write both with two digits, or with as many as it takes to tell them apart: `from 0.19 to 0.23`."""
-    texts = [(significant_text(before, digits), significant_text(after, digits)) for digits in (2, 3, 4)]
-    low, high = next((ends for ends in texts if ends[0] != ends[1]), texts[0])
-    return f"from {low} to {high}"

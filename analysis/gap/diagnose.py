@@ -72,7 +72,7 @@ from dragrig.analysis.gap.gap_reduction import (
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, converged
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
-from dragrig.analysis.gap.next_run import reasons_for_no_run, recommend_next_run
+from dragrig.analysis.gap.next_run import Recommendation, reasons_for_no_run, recommend_next_run
 from dragrig.analysis.gap.position_channel import (
     PositionAnalysis,
     analyse_position,
@@ -313,8 +313,8 @@ class DiagnosisOptions:
     """Effects to leave out."""
     tolerance_mN: float = DEFAULT_TOLERANCE_MN
     """Smallest relevant rms force of an effect where it acts."""
-    next_runs: ExperimentBudget = field(default_factory=ExperimentBudget)
-    """Limits of the next experiment; default: one run of the short grid."""
+    next_runs: ExperimentBudget | None = field(default_factory=ExperimentBudget)
+    """Limits of the next experiment; default: one run of the short grid. None recommends none."""
     calibration: VerdictCalibration | None = None
     """Gate and weights of the verdict; default: the shipped ones."""
 
@@ -438,7 +438,10 @@ def _assembled_diagnosis(
         unexplained_position = position.has_position_error and not in_position & set(classification.effects)
         left_over = unexplained_position or budget.leaves_more_than(RESIDUAL_SHARE, options.tolerance_mN)
         classification = replace(classification, residual_unknown=left_over)
-    next_run = recommend_next_run(study, search, position, classification, judgement.on_force, options.next_runs)
+    next_runs, no_run_because = Recommendation(), list[str]()
+    if options.next_runs is not None:
+        next_runs = recommend_next_run(study, search, position, classification, options.next_runs)
+        no_run_because = list(reasons_for_no_run(study, position, classification, next_runs.experiment))
     return Diagnosis(
         specimen=selection.specimen,
         backends=selection.backends,
@@ -459,12 +462,13 @@ def _assembled_diagnosis(
         unknown=describe_unexplained_gap(where, blocks, classification, line, inputs),
         model=amended_model(study, fit, position, lines, classification, search, reduction, selection),
         traces=traces,
-        limitations=(*study.limitations(), *reasons_for_no_run(study, position, classification, next_run)),
+        limitations=(*study.limitations(), *no_run_because),
         remarks=selection.remarks,
         calibration=CALIBRATION_NOTE,
         decision_inputs=inputs,
-        next_experiment=next_run,
+        next_experiment=next_runs.experiment,
         budget=budget,
+        open_causes=next_runs.open_causes,
     )
 
 

@@ -171,26 +171,6 @@ class GapLocation:
 
 
 @dataclass(frozen=True, slots=True)
-class ModelPair:
-    """Two hypotheses and how far runs separate them.
-
-    Attributes
-    ----------
-    truth, rival
-        Effects; an empty rival stands for no effect.
-    d_prime
-        d′ between them, the first assumed present and the second fitted to it.
-    remaining_share
-        Share of the first one's squares that the second leaves.
-    """
-
-    truth: str
-    rival: str
-    d_prime: float
-    remaining_share: float
-
-
-@dataclass(frozen=True, slots=True)
 class NextRun:
     """A recommended run.
 
@@ -200,17 +180,16 @@ class NextRun:
         Step of a plan: kind, settings, repeats and the rest before it.
     minutes
         Rig time of all repeats, with rests and returns.
-    before, after
-        Most improved pair, without and with the run.
-    optional
-        Whether all pairs are decided without it.
+    gain_bits
+        Information that it is expected to add to the runs before it; None for a motion that nothing is known of yet.
+    about
+        What it tells most of: the effects whose presence, or which of which, is open.
     """
 
     step: PlanStep
     minutes: float
-    before: ModelPair
-    after: ModelPair
-    optional: bool = False
+    gain_bits: float | None
+    about: tuple[str, ...] = ()
 
     @property
     def settings(self) -> Mapping[str, object]:
@@ -230,16 +209,42 @@ class NextExperiment:
         Number of candidate runs.
     reason
         Reason in plain words.
+    open_bits
+        Entropy of the question before these runs; None for a motion that nothing is known of yet.
     """
 
     runs: tuple[NextRun, ...]
     compared: int
     reason: str
+    open_bits: float | None = None
 
     @property
     def minutes(self) -> float:
         """Rig time of all runs."""
         return sum(run.minutes for run in self.runs)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenCauses:
+    """What is open about which causes act on the force, sizes included that these runs cannot show.
+
+    Attributes
+    ----------
+    probabilities
+        Probability that each cause acts: ids of effects, and `unexplained`. Effects that no explanation names are left
+        out.
+    none
+        Probability that none acts.
+    surest
+        Probability of the most likely set of causes.
+    bits
+        Entropy of which set of causes acts.
+    """
+
+    probabilities: Mapping[str, float]
+    none: float
+    surest: float
+    bits: float
 
 
 class Verdict(StrEnum):
@@ -520,6 +525,8 @@ class Diagnosis:
         The gap by causes, with the probability that each effect is there.
     backends
         Where the runs come from: simulated, hardware, external.
+    open_causes
+        What is open about the causes; None for other models than the friction model, or where no run was looked for.
     """
 
     specimen: str
@@ -548,6 +555,7 @@ class Diagnosis:
     next_experiment: NextExperiment | None = None
     budget: GapBudget | None = None
     backends: tuple[str, ...] = ()
+    open_causes: OpenCauses | None = None
 
 
 NAMES_WITHOUT_EFFECT = {"no_gap": "no gap", "unknown": "none of the catalogue"}

@@ -1,15 +1,15 @@
-"""The next run after a diagnosis: for effects on the force, on the position, or for motions not yet covered.
+"""The next runs after a diagnosis: those that are expected to tell most per minute of what causes the gap.
 
-Of the force, the run that separates the leading hypotheses best per minute is recommended. Position errors are
-explained by free-form model classes scored on held-out runs, as in a diagnosis; errors of further runs are predicted
-with each leading effect as it was fitted, each in turn assumed to be true.
+Of the force, the question is which causes act (`information`), or before any run which of two effects. Position errors
+are explained by free-form model classes scored on held-out runs, as in a diagnosis; errors of further runs are
+predicted with each leading effect as it was fitted, each in turn assumed to be true.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby, permutations
+from functools import cached_property
+from itertools import groupby
 from math import log
-from typing import Self
 
 import numpy as np
 
@@ -20,12 +20,9 @@ from dragrig.analysis import (
     single_blas_thread,
 )
 from dragrig.analysis.gap.candidate_runs import (
-    DECIDED_LOG_ODDS,
     FIXTURE_CHANGE_MIN,
-    UNBOUNDED,
     CandidateRun,
     ExperimentBudget,
-    PairSeparation,
     RigLimits,
     campaign_specimen,
     candidate_experiments,
@@ -44,24 +41,23 @@ from dragrig.analysis.gap.design import (
     ColumnKind,
     Design,
     EffectVariant,
-    RankedEffect,
     Study,
     gauss_newton_step,
     linearise,
 )
 from dragrig.analysis.gap.diagnosis import (
-    NO_GAP,
     UNKNOWN,
     Classification,
-    ModelPair,
     NextExperiment,
     NextRun,
+    OpenCauses,
     Verdict,
     display_name,
     marginal_probability,
 )
 from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
+from dragrig.analysis.gap.information import entropy_bits, expected_bits, forecast
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
 from dragrig.analysis.gap.position_channel import (
     MIN_POSITION_SHARE,
@@ -77,10 +73,36 @@ from dragrig.analysis.gap.position_channel import (
 from dragrig.analysis.gap.studies import CapsuleStudy
 from dragrig.config import AnalysisError
 from dragrig.rig import FloatArray
-from dragrig.sim_backend.effects import Channel, catalogue, hum_effect
+from dragrig.sim_backend.effects import Channel, catalogue
 
 LOG_ODDS_PER_SHARE = 14.0
 """Log odds per share of an effect's squares that a rival leaves."""
+
+
+DECIDED_LOG_ODDS = 12.0
+"""Log odds from which a diagnosis is sure of an effect on the position."""
+LOG_ODDS_PER_DISTANCE = 4.0
+"""Expected log odds of two Gaussian predictions of one covariance, d'^2 / 2, over their Bhattacharyya distance."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelPair:
+    """Two effects and how far runs separate them.
+
+    Attributes
+    ----------
+    truth, rival
+        Effects.
+    d_prime
+        d′ between them, the first assumed present and the second fitted to it.
+    remaining_share
+        Share of the first one's squares that the second leaves.
+    """
+
+    truth: str
+    rival: str
+    d_prime: float
+    remaining_share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,11 +116,15 @@ class AssumedEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairQuestion:
-    """A pair to separate: an assumed effect and a rival, with a weight."""
+    """Two effects of which one may be there, either in turn assumed."""
 
-    assumed: AssumedEffect
-    rival: str
-    weight: float
+    first: AssumedEffect
+    second: AssumedEffect
+
+    @property
+    def effects(self) -> tuple[str, str]:
+        """Their ids."""
+        return self.first.effect, self.second.effect
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,25 +180,22 @@ def information_rows(design: Design, effects: Sequence[str]) -> FloatArray:
     )
 
 
-def separate_pair(information: Information, gram: FloatArray, question: PairQuestion) -> ModelPair:
+def separate_pair(information: Information, gram: FloatArray, assumed: AssumedEffect, rival: str) -> ModelPair:
     """Return how far an assumed effect is from a rival, from the projected Gram matrix."""
-    assumed = question.assumed
     index = list(assumed.columns)
     squares = float(assumed.amplitude @ gram[np.ix_(index, index)] @ assumed.amplitude)
     moment = gram[:, index] @ assumed.amplitude
     absorbed = max(
-        (_absorbed_chi2(information, gram, moment, variant) for variant in information.variants_of(question.rival)),
+        (_absorbed_chi2(information, gram, moment, variant) for variant in information.variants_of(rival)),
         default=0.0,
     )
     remaining = max(squares - absorbed, 0.0)
-    return ModelPair(assumed.effect, question.rival, float(np.sqrt(remaining)), remaining / max(squares, 1e-12))
+    return ModelPair(assumed.effect, rival, float(np.sqrt(remaining)), remaining / max(squares, 1e-12))
 
 
 def expected_log_odds(pair: ModelPair) -> float:
     """Return the approximate log odds of a diagnosis, with form error and noise."""
     remaining = pair.d_prime**2
-    if not pair.rival:
-        return 0.5 * remaining
     squares = remaining / max(pair.remaining_share, 1e-12)
     return LOG_ODDS_PER_SHARE * pair.remaining_share + 0.5 * remaining / (1.0 + 0.5 * FORM_LOSS * squares)
 
@@ -188,47 +211,54 @@ def _absorbed_chi2(information: Information, gram: FloatArray, moment: FloatArra
     return float(moment[index] @ np.linalg.solve(gram_of_variant + 1e-9 * strength * np.eye(len(index)), moment[index]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceSeparation:
-    """Separation of pairs of effects on the force by the information of runs."""
+@dataclass(frozen=True, eq=False)
+class WhichOfTwo:
+    """Which effect of each of some pairs is there, either as likely: answered by the information of runs."""
 
     information: Information
     questions: tuple[PairQuestion, ...]
+    before: "WhichOfTwo | None" = None
+    """With the runs alone that are taken as made; None for itself."""
 
-    def with_run(self, observation: FloatArray) -> Self:
-        """Add a run by its Gram matrix."""
-        return replace(self, information=self.information.with_run(observation))
+    def with_run(self, observation: FloatArray) -> "WhichOfTwo":
+        """Choose a further run by its Gram matrix."""
+        return WhichOfTwo(self.information.with_run(observation), self.questions, self.before or self)
 
-    def separations(self) -> tuple[PairSeparation, ...]:
-        """Return the separation of each pair."""
+    @property
+    def open_bits(self) -> float:
+        """Mean entropy of a pair before the chosen runs."""
+        return 1.0 - (self.before or self).mean_told
+
+    @property
+    def bits(self) -> float:
+        """Mean information of the chosen runs on a pair."""
+        return self.mean_told - (self.before or self).mean_told
+
+    def about(self, before: "WhichOfTwo") -> tuple[str, ...]:
+        """Return the pair that is told apart most; nothing for the only one."""
+        gains = [now - then for now, then in zip(self.told, before.told, strict=True)]
+        return () if len(gains) == 1 else self.questions[gains.index(max(gains))].effects
+
+    @property
+    def mean_told(self) -> float:
+        """Mean information on a pair by all runs."""
+        return float(np.mean(self.told))
+
+    @cached_property
+    def told(self) -> tuple[float, ...]:
+        """Information on each pair by all runs."""
         gram = self.information.projected_gram()
-        pairs = [(separate_pair(self.information, gram, question), question.weight) for question in self.questions]
-        return tuple(PairSeparation(pair, expected_log_odds(pair), weight) for pair, weight in pairs)
+        return tuple(self._told_of(question, gram) for question in self.questions)
 
-
-def search_force_runs(
-    study: Study,
-    design: Design,
-    questions: Sequence[PairQuestion],
-    candidates: Sequence[CandidateRun],
-    budget: ExperimentBudget,
-) -> tuple[NextRun, ...]:
-    """Return the runs that separate the pairs best, each given those before.
-
-    Parameters
-    ----------
-    study, design
-        Campaign, and its design with the dictionary around the fitted nominal parameters.
-    questions
-        Pairs with their weights; at least one.
-    """
-    names = {question.assumed.effect for question in questions} | {question.rival for question in questions}
-    effects = [effect.id for effect in study.effects if effect.id in names]
-    grams = _candidate_grams(
-        replace(study, effects=tuple(effect for effect in study.effects if effect.id in effects)), design, candidates
-    )
-    model = ForceSeparation(Information.of(design, effects), tuple(questions))
-    return greedy_search(model, list(zip(candidates, grams, strict=True)), budget)
+    def _told_of(self, question: PairQuestion, gram: FloatArray) -> float:
+        first, second = question.first, question.second
+        pairs = [
+            separate_pair(self.information, gram, assumed, rival.effect)
+            for assumed, rival in ((first, second), (second, first))
+        ]
+        distances = np.zeros((2, 2))
+        distances[0, 1], distances[1, 0] = (expected_log_odds(pair) / LOG_ODDS_PER_DISTANCE for pair in pairs)
+        return expected_bits(np.full(2, 0.5), distances, question.effects)
 
 
 def _candidate_grams(study: Study, design: Design, candidates: Sequence[CandidateRun]) -> list[FloatArray]:
@@ -238,83 +268,53 @@ def _candidate_grams(study: Study, design: Design, candidates: Sequence[Candidat
 
 
 LEADING_HYPOTHESES = 3
-SURE_PROBABILITY = 0.9
-"""Below this probability of the best hypothesis, remaining time is used even if all pairs seem decided: the expected
-log odds only know the catalogue's forms."""
-MIN_PAIR_WEIGHT = 0.05
+MIN_WEIGHT = 0.05
 """Smallest weight of a leading effect, however improbable."""
 
 
-def recommend_force_run(
-    study: Study,
-    design: Design,
-    ranked: Sequence[RankedEffect],
-    probabilities: Mapping[str, float],
-    budget: ExperimentBudget,
-    *,
-    gap: bool,
-) -> NextExperiment | None:
+@dataclass(frozen=True, slots=True)
+class Recommendation:
+    """Recommended runs, None where no run would help, and what is open about the causes in the force."""
+
+    experiment: NextExperiment | None = None
+    open_causes: OpenCauses | None = None
+
+
+def recommend_force_run(search: ForceSearchResult, budget: ExperimentBudget) -> Recommendation:
     """Recommend one run from the short grid, or several from the full grid.
 
     Parameters
     ----------
-    design
-        Design of the campaign around the nominal model, with the dictionary.
-    ranked
-        Best variant of each effect.
-    probabilities
-        Probabilities of hypotheses; several effects joined with `+`.
+    search
+        Hypotheses that were fitted to the force of a campaign.
     budget
         Number of runs and rig time.
-    gap
-        Whether there is a gap; if not, the run is to lower the detection limit.
 
     Returns
     -------
-    None if the nominal model is not the friction model, or no run would help.
+    Nothing if the nominal model is not the friction model.
     """
+    study = search.study
     if not isinstance(study, CapsuleStudy):
-        return None
-    questions = open_questions(study, design, ranked, probabilities, gap=gap)
+        return Recommendation()
     specimen = campaign_specimen(study)
     grid = short_grid(specimen) if budget.runs == 1 else full_grid(specimen)
     limits = budget.limits or limits_of_campaign(study)
     candidates = [candidate for candidate in grid if limits.allow(candidate)]
-    if not questions or not candidates:
-        return None
-    sure = (
-        max((value for name, value in probabilities.items() if name not in (NO_GAP, UNKNOWN)), default=0.0)
-        > SURE_PROBABILITY
-    )
-    budget_for_search = replace(budget, use_all_time=not sure) if gap else replace(budget, decided_log_odds=UNBOUNDED)
-    return next_experiment_of(
-        search_force_runs(study, design, questions, candidates, budget_for_search), len(candidates)
-    )
+    if not candidates:
+        return Recommendation()
+    question, grams = forecast(search, study_of_candidates(study, candidates))
+    runs = greedy_search(question, list(zip(candidates, grams, strict=True)), budget)
+    experiment = next_experiment_of(runs, question.open_bits, len(candidates), "is open about which causes act")
+    return Recommendation(experiment, question.open_causes)
 
 
-def next_experiment_of(runs: Sequence[NextRun], tried: int) -> NextExperiment | None:
+def next_experiment_of(runs: Sequence[NextRun], open_bits: float, compared: int, subject: str) -> NextExperiment | None:
     """Return recommended runs with the reason; None for no runs."""
-    return NextExperiment(tuple(runs), tried, recommendation_reason(runs[0], tried)) if runs else None
-
-
-def open_questions(
-    study: Study, design: Design, ranked: Sequence[RankedEffect], probabilities: Mapping[str, float], *, gap: bool
-) -> tuple[PairQuestion, ...]:
-    """Return the pairs of leading hypotheses that a campaign leaves open."""
-    probability_of = {
-        entry.effect: marginal_probability(entry.effect, probabilities) for entry in ranked if entry.llr > 0 or not gap
-    }
-    if gap:
-        order = sorted(probability_of, key=lambda name: -probability_of[name])[:LEADING_HYPOTHESES]
-    else:
-        periodic = {effect.id for effect in study.effects if effect.phase is not None}
-        order = [name for name in probability_of if name not in periodic]
-    ranked_by_effect = {entry.effect: entry for entry in ranked}
-    information = Information.of(design, [effect.id for effect in study.effects if effect.id in order])
-    assumed_effects = {name: _assumed_effect(information, design, ranked_by_effect[name], gap=gap) for name in order}
-    return tuple(
-        _pair_questions(assumed_effects, {name: max(probability_of[name], MIN_PAIR_WEIGHT) for name in order}, gap=gap)
-    )
+    if not runs:
+        return None
+    reason = recommendation_reason(runs[0], open_bits, compared, subject)
+    return NextExperiment(tuple(runs), compared, reason, open_bits)
 
 
 def limits_of_campaign(study: Study) -> RigLimits:
@@ -323,30 +323,6 @@ def limits_of_campaign(study: Study) -> RigLimits:
     travel = max(float(np.max(run.coordinates.position_mm)) for run in study.runs)
     speed = max(float(np.max(run.coordinates.top_speed_mm_s)) for run in study.runs)
     return RigLimits(max(default.travel_mm, travel), max(default.speed_mm_s, speed), default.accel_mm_s2)
-
-
-def _pair_questions(
-    assumed_effects: Mapping[str, AssumedEffect], weights: Mapping[str, float], *, gap: bool
-) -> Iterator[PairQuestion]:
-    if not gap:
-        for name, assumed in assumed_effects.items():
-            yield PairQuestion(assumed, "", weights[name])
-        return
-    for name_assumed, rival in permutations(assumed_effects, 2):
-        yield PairQuestion(assumed_effects[name_assumed], rival, weights[name_assumed] * weights[rival])
-    if len(assumed_effects) == 1:
-        for name, assumed in assumed_effects.items():
-            yield PairQuestion(assumed, "", weights[name])
-
-
-def _assumed_effect(information: Information, design: Design, ranked: RankedEffect, *, gap: bool) -> AssumedEffect:
-    """Return an effect as fitted, or without a gap at its detection limit."""
-    columns = information.columns_of(design, ranked.effect, ranked.variants)
-    if gap:
-        return AssumedEffect(ranked.effect, columns, ranked.amplitude)
-    amplitude = np.zeros(len(columns))
-    amplitude[0] = DETECTABLE_D_PRIME / max(ranked.d_prime_per_unit, 1e-9)
-    return AssumedEffect(ranked.effect, columns, amplitude)
 
 
 MAX_PAIRS = 3
@@ -387,8 +363,15 @@ def recommend_for_pair(
         )
     limits = budget.limits or limits_of_campaign(study)
     candidates = [candidate for candidate in full_grid(campaign_specimen(study)) if limits.allow(candidate)]
-    questions = _questions_of_pairs(study_of_pair, design, angles, pairs)
-    return next_experiment_of(search_force_runs(study_of_pair, design, questions, candidates, budget), len(candidates))
+    names = {name for item in pairs for name in item}
+    study_of_names = replace(study, effects=tuple(effect for effect in study.effects if effect.id in names))
+    question = _which_of_two(study_of_names, design, angles, pairs)
+    grams = _candidate_grams(study_of_names, design, candidates)
+    runs = greedy_search(question, list(zip(candidates, grams, strict=True)), budget)
+    between = (
+        f"between {display_name('+'.join(pairs[0]))}" if len(pairs) == 1 else "between effects that are most alike"
+    )
+    return next_experiment_of(runs, question.open_bits, len(candidates), f"is open {between}")
 
 
 def _closest_pairs(angles: SignatureAngles) -> Iterator[tuple[str, str]]:
@@ -403,21 +386,19 @@ def _closest_pairs(angles: SignatureAngles) -> Iterator[tuple[str, str]]:
     yield from (confused or ordered[:1])[:MAX_PAIRS]
 
 
-def _questions_of_pairs(
+def _which_of_two(
     study: Study, design: Design, angles: SignatureAngles, pairs: Sequence[tuple[str, str]]
-) -> tuple[PairQuestion, ...]:
-    """Return both questions for each pair, with the variant of the assumed effect nearest to the rival."""
-    names = {name for pair in pairs for name in pair}
-    information = Information.of(design, [effect.id for effect in study.effects if effect.id in names])
-    questions = []
-    for pair in pairs:
-        for assumed, rival in (pair, pair[::-1]):
-            nearest = angles.variants_of_effect(assumed)[int(np.argmin(angles.sin2(assumed, rival)))]
-            columns = information.columns_of(design, assumed, angles.variants[nearest].variants)
-            amplitude = np.zeros(len(columns))
-            amplitude[0] = 1.0
-            questions.append(PairQuestion(AssumedEffect(assumed, columns, amplitude), rival, 1.0))
-    return tuple(questions)
+) -> WhichOfTwo:
+    """Return the question for some pairs, each effect by its variant that is nearest to the other one."""
+    information = Information.of(design, [effect.id for effect in study.effects])
+
+    def assumed(effect: str, rival: str) -> AssumedEffect:
+        nearest = angles.variants_of_effect(effect)[int(np.argmin(angles.sin2(effect, rival)))]
+        columns = information.columns_of(design, effect, angles.variants[nearest].variants)
+        return AssumedEffect(effect, columns, np.eye(len(columns))[0])
+
+    questions = [PairQuestion(assumed(*pair), assumed(*pair[::-1])) for pair in pairs]
+    return WhichOfTwo(information, tuple(questions))
 
 
 MIN_LOG_DISTANCE = log(1.5)
@@ -436,7 +417,6 @@ def search_new_motions(
 ) -> NextExperiment | None:
     """Return the runs furthest from all motions so far per minute of rig time; None for no new motion."""
     covered = [motion_features(run) for run in position.runs]
-    pair = _current_pair(position)
     selected: list[NextRun] = []
     reason = ""
     minutes = 0.0
@@ -456,7 +436,7 @@ def search_new_motions(
             candidates, key=lambda item: float(item[0].max()) / (item[1].minutes + FIXTURE_CHANGE_MIN)
         )
         reason = reason or _coverage_reason(candidate, distance, len(observed))
-        selected.append(NextRun(candidate.step, candidate.minutes, pair, pair))
+        selected.append(NextRun(candidate.step, candidate.minutes, None))
         covered.append(motion_features(observation))
         minutes += candidate.minutes
     return NextExperiment(tuple(selected), len(observed), reason) if selected else None
@@ -479,15 +459,6 @@ def motion_features(run: PositionErrors) -> FloatArray:
 def _distance_to_nearest(motion: FloatArray, covered: Sequence[FloatArray]) -> FloatArray:
     """Return the difference to the most similar motion, in each aspect."""
     return min((np.abs(motion - distance) for distance in covered), key=lambda distance: float(distance.max()))
-
-
-def _current_pair(position: PositionAnalysis) -> ModelPair:
-    """Return the share of the errors that the best model class leaves."""
-    remaining = 1.0 - max((model_class.held_out_share for model_class in position.model_classes), default=0.0)
-    error_ratio = max(run.rms_mm / run.detectable_mm for run in position.runs)
-    return ModelPair(
-        UNKNOWN, "", DETECTABLE_D_PRIME * error_ratio * float(np.sqrt(min(remaining, 1.0))), min(remaining, 1.0)
-    )
 
 
 def _coverage_reason(candidate: CandidateRun, distance: FloatArray, tried: int) -> str:
@@ -526,27 +497,62 @@ class AssumedPositionEffect:
         return run.zeroed(run.delayed_command(self.latency_s) - run.delayed_command(0.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PositionSeparation:
-    """Separation of effects on the position by the motions of runs."""
+@dataclass(frozen=True, eq=False)
+class WhatMovesAstray:
+    """Which of the leading effects on the position is there: answered by the motions of runs."""
 
     runs: tuple[PositionErrors, ...]
     """Runs with different motions; their errors are not used."""
     assumed_effects: tuple[AssumedPositionEffect, ...]
     """Effects that may be present."""
-    weights: Mapping[tuple[str, str], float]
-    """Weight of each pair of assumed effect and rival."""
+    weights: Mapping[str, float]
+    """Probability of each leading effect, those included that explain too little to be assumed."""
+    before: "WhatMovesAstray | None" = None
+    """With the runs so far alone; None for itself."""
 
-    def with_run(self, observation: Sequence[PositionErrors]) -> Self:
-        """Add a run by its motion, repeats included."""
-        return replace(self, runs=(*self.runs, *observation))
+    def with_run(self, observation: Sequence[PositionErrors]) -> "WhatMovesAstray":
+        """Choose a further run by its motion, repeats included."""
+        runs = (*self.runs, *observation)
+        return WhatMovesAstray(runs, self.assumed_effects, self.weights, self.before or self)
 
-    def separations(self) -> tuple[PairSeparation, ...]:
-        """Return the separation of each assumed effect from each rival."""
-        return tuple(separation for assumed in self.assumed_effects for separation in self._separations_of(assumed))
+    @property
+    def open_bits(self) -> float:
+        """Entropy of which effect is there, before the chosen runs."""
+        return entropy_bits(self._probabilities, list(self.weights))
 
-    def _separations_of(self, assumed: AssumedPositionEffect) -> Iterator[PairSeparation]:
-        rivals = [name for assumed_name, name in self.weights if assumed_name == assumed.effect]
+    @property
+    def bits(self) -> float:
+        """Information of the chosen runs on which effect is there."""
+        further = np.maximum(self.distances - (self.before or self).distances, 0.0)
+        return expected_bits(self._probabilities, further, list(self.weights))
+
+    def about(self, before: "WhatMovesAstray") -> tuple[str, ...]:
+        """Return the two effects that are told apart most."""
+        further = self.distances - before.distances
+        first, second = np.unravel_index(int(np.argmax(further + further.T)), further.shape)
+        names = list(self.weights)
+        return names[int(first)], names[int(second)]
+
+    @property
+    def _probabilities(self) -> FloatArray:
+        values = np.array(list(self.weights.values()))
+        return np.asarray(values / values.sum())
+
+    @cached_property
+    def distances(self) -> FloatArray:
+        """Distances that all runs put between the leading effects, each in turn assumed, shape `(N, N)`."""
+        names = list(self.weights)
+        distances = np.zeros((len(names), len(names)))
+        for assumed in self.assumed_effects:
+            first = names.index(assumed.effect)
+            for rival, log_odds in self._log_odds(assumed):
+                distances[first, names.index(rival)] = max(log_odds, 0.0) / LOG_ODDS_PER_DISTANCE
+        assumable = [name in {assumed.effect for assumed in self.assumed_effects} for name in names]
+        # What is not assumed itself is as far from an assumed effect as that is from it.
+        return np.where(np.array(assumable)[:, None], distances, distances.T)
+
+    def _log_odds(self, assumed: AssumedPositionEffect) -> Iterator[tuple[str, float]]:
+        rivals = [name for name in self.weights if name != assumed.effect]
         runs = [replace(run, error_mm=assumed.error_in(run)) for run in self.runs]
         rms_mm = float(np.sqrt(sum(np.mean(run.error_mm**2) for run in runs)))
         shares = {
@@ -561,9 +567,7 @@ class PositionSeparation:
                 DETECTABLE_D_PRIME * rms_mm / self.runs[0].detectable_mm * float(np.sqrt(remaining)),
                 remaining,
             )
-            yield PairSeparation(
-                pair, _position_log_odds(pair, shares[assumed.effect]), self.weights[assumed.effect, rival]
-            )
+            yield rival, _position_log_odds(pair, shares[assumed.effect])
 
 
 def _position_log_odds(pair: ModelPair, explained: float) -> float:
@@ -616,15 +620,14 @@ def recommend_position_run(
         for model_class in position.model_classes[:LEADING_HYPOTHESES]
     }
     assumed_effects = tuple(assumed for assumed in leading.values() if assumed is not None)
-    weight_of = {name: max(probability_of[name], MIN_PAIR_WEIGHT) for name in leading}
-    pairs = [(assumed.effect, rival) for assumed in assumed_effects for rival in leading if rival != assumed.effect]
+    if not assumed_effects or len(leading) == 1:
+        return None
+    weights = {name: max(probability_of[name], MIN_WEIGHT) for name in leading}
     motions = tuple(map(_thinned_blocks, _distinct_motions(position.runs)))
-    model = PositionSeparation(
-        motions, assumed_effects, {pair: weight_of[pair[0]] * weight_of[pair[1]] for pair in pairs}
-    )
+    question = WhatMovesAstray(motions, assumed_effects, weights)
     thinned = [(candidate_run, (_thinned_blocks(run),) * candidate_run.step.repeats) for candidate_run, run in observed]
-    limited_budget = replace(budget, runs=min(budget.runs, MAX_NEXT_RUNS))
-    return next_experiment_of(greedy_search(model, thinned, limited_budget), len(observed))
+    runs = greedy_search(question, thinned, replace(budget, runs=min(budget.runs, MAX_NEXT_RUNS)))
+    return next_experiment_of(runs, question.open_bits, len(observed), "is open about what leads the stage astray")
 
 
 def _assumed_position_effect(
@@ -678,22 +681,23 @@ def recommend_next_run(
     search: ForceSearchResult,
     position: PositionAnalysis,
     classification: Classification,
-    force_classification: Classification,
     budget: ExperimentBudget,
-) -> NextExperiment | None:
-    """Recommend the next run; `force_classification` is the verdict without the position channel.
+) -> Recommendation:
+    """Recommend the next runs, for the force or for the position: whichever tells more per minute.
 
-    With effects on both channels, the run is for the less certain one.
+    Where nothing explains a position error, motions that were not made yet come first.
     """
-    if position.has_position_error:
-        force_effects = set(classification.effects) & set(force_classification.effects) - {hum_effect().id}
-        if not force_effects or 1.0 - force_classification.probabilities[
-            "+".join(force_classification.effects)
-        ] <= _position_doubt(classification, position):
-            return recommend_position_run(study, position, classification.probabilities, budget)
-        classification = force_classification
-    gap = classification.verdict is not Verdict.NO_GAP
-    return recommend_force_run(study, search.nominal, search.ranked, classification.probabilities, budget, gap=gap)
+    of_force = recommend_force_run(search, budget)
+    if not position.has_position_error:
+        return of_force
+    of_position = recommend_position_run(study, position, classification.probabilities, budget)
+    recommended = [experiment for experiment in (of_position, of_force.experiment) if experiment is not None]
+    return replace(of_force, experiment=max(recommended, key=_bits_per_minute, default=None))
+
+
+def _bits_per_minute(experiment: NextExperiment) -> float:
+    first = experiment.runs[0]
+    return float("inf") if first.gain_bits is None else first.gain_bits / first.minutes
 
 
 def reasons_for_no_run(
@@ -710,10 +714,3 @@ def reasons_for_no_run(
         names = [name for name in classification.effects if name in position_effects]
         apart = f"{display_name('+'.join(names))} from {display_name('+'.join(rivals))}"
         yield f"No candidate run would distinguish {apart} either."
-
-
-def _position_doubt(classification: Classification, position: PositionAnalysis) -> float:
-    """Return the probability that the named effect on the position is wrong."""
-    position_effects = {model_class.effect for model_class in position.model_classes}
-    names = {name for name in classification.effects if name in position_effects}
-    return 1.0 - sum(value for name, value in classification.probabilities.items() if names & set(name.split("+")))

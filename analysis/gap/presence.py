@@ -221,29 +221,44 @@ class ColumnStore:
 
 def prepare_competition(search: ForceSearchResult) -> ForceCompetition:
     """Return all causes that may act on the force of a campaign, beside its nominal model."""
-    study, fits = search.study, sorted(search.fits, key=lambda fit: fit.chi2)
-    design = search.nominal
-    if fits:
-        # Far from the truth the signatures would be those of another specimen.
-        design = linearise(study, fits[0].parameters.z, dictionary=True, reference=search.nominal)
-    whitenings = tuple(
-        run.whitening.with_form_error(FORM_ERROR * _smoothed_size(residual))
-        for run, residual in zip(design.runs, nominal_residuals(search.nominal), strict=True)
-    )
-    store = ColumnStore()
-    _add_causes(store, search, design, whitenings)
+    design = fitted_design(search)
+    whitenings = form_error_whitenings(design, search.nominal)
+    store = collect_causes(search, search.study, design, whitenings)
     # The dictionary has become causes; beside them it would need as much memory again.
     return _compete(design.with_columns(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR), whitenings, store)
 
 
-def _add_causes(
-    store: ColumnStore,
-    search: ForceSearchResult,
-    design: Design,
-    whitenings: tuple[Whitening, ...],
-) -> None:
-    """Add unnamed causes, effects as the dictionary has them and as they were fitted, and exchanges."""
-    study, fits = search.study, sorted(search.fits, key=lambda fit: fit.chi2)
+def fitted_design(search: ForceSearchResult) -> Design:
+    """Return a campaign linearised around the nominal parameters of the best hypothesis, with the dictionary.
+
+    Far from the truth the signatures would be those of another specimen.
+    """
+    if not search.fits:
+        return search.nominal
+    best = min(search.fits, key=lambda fit: fit.chi2)
+    return linearise(search.study, best.parameters.z, dictionary=True, reference=search.nominal)
+
+
+def form_error_whitenings(design: Design, nominal: Design) -> tuple[Whitening, ...]:
+    """Return the whitening of each run, with the form error of what the nominal model leaves of it."""
+    return tuple(
+        run.whitening.with_form_error(FORM_ERROR * _smoothed_size(residual))
+        for run, residual in zip(design.runs, nominal_residuals(nominal), strict=True)
+    )
+
+
+def collect_causes(
+    search: ForceSearchResult, study: Study, design: Design, whitenings: tuple[Whitening, ...]
+) -> ColumnStore:
+    """Return unnamed causes, effects as the dictionary has them and as they were fitted, and exchanges.
+
+    Parameters
+    ----------
+    study, design, whitenings
+        The runs that were searched, and further ones after them that may not have been made.
+    """
+    store = ColumnStore()
+    fits = sorted(search.fits, key=lambda fit: fit.chi2)
     free_laws = dict(_add_unnamed_causes(store, study, design))
     effects = _EffectCauses(store, study, design, whitenings, free_laws)
     for variants, alternatives in _variant_groups(search, design):
@@ -254,7 +269,8 @@ def _add_causes(
         effects.add_fitted(candidate, z)
     best = store.causes[first_fitted : first_fitted + (len(fits[0].parameters.candidates) if fits else 0)]
     of_best = np.concatenate((np.zeros(0, dtype=np.intp), *(cause.columns for cause in best)))
-    _add_exchanges(store, study, design, whitenings, np.unique(of_best))
+    _add_exchanges(store, study, design, whitenings, np.unique(of_best), len(search.study.runs))
+    return store
 
 
 def _smoothed_size(residual: FloatArray) -> FloatArray:
@@ -312,7 +328,12 @@ def _model_columns(study: Study, design: Design) -> Iterator[tuple[str, FloatArr
 
 
 def _add_exchanges(
-    store: ColumnStore, study: Study, design: Design, whitenings: Sequence[Whitening], fitted: IndexArray
+    store: ColumnStore,
+    study: Study,
+    design: Design,
+    whitenings: Sequence[Whitening],
+    fitted: IndexArray,
+    made: int,
 ) -> None:
     """Add the most likely exchanges that nobody recorded: all later runs are of a specimen with own parameters.
 
@@ -320,11 +341,13 @@ def _add_exchanges(
     ----------
     fitted
         Columns of the best explanation, beside which exchanges are looked for as well as without.
+    made
+        Number of runs that were made; further ones are after any exchange.
     """
-    if len(study.runs) < MIN_RUNS_WITH_EXCHANGE or not all(run.has_clock for run in study.runs):
+    if made < MIN_RUNS_WITH_EXCHANGE or not all(run.has_clock for run in study.runs[:made]):
         return
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
-    by_time = sorted(range(len(study.runs)), key=lambda index: study.runs[index].session_start_s)
+    by_time = sorted(range(made), key=lambda index: study.runs[index].session_start_s)
     of_run = np.repeat(np.arange(len(design.runs)), [run.residual.size for run in design.runs])
     beside = store.columns_at(fitted) if fitted.size else np.zeros((of_run.size, 0))
     grams = []
@@ -342,7 +365,8 @@ def _add_exchanges(
         chosen |= dict.fromkeys(np.argsort(evidence)[::-1][:EXCHANGES_TRIED].tolist())
     columns = np.concatenate([run.columns[:, nuisances] for run in design.runs])
     for boundary in chosen:
-        added = store.add(columns * np.isin(of_run, by_time[boundary + 1 :])[:, None])
+        later_runs = np.isin(of_run, by_time[boundary + 1 :]) | (of_run >= made)
+        added = store.add(columns * later_runs[:, None])
         sds, when = np.ones(added.size), f"after run {boundary + 1}"
         store.causes.append(
             Cause(

@@ -16,7 +16,6 @@ from dragrig.analysis.gap import (
     Verdict,
     display_name,
     run_text,
-    separation_text,
 )
 from dragrig.analysis.paper import published
 from dragrig.config import FrictionModelSettings
@@ -43,6 +42,7 @@ from dragrig.present import (
     probability_text,
     round_to_sum,
     shortest,
+    significant,
     to_json_object,
     unit_text,
 )
@@ -71,7 +71,7 @@ from dragrig.present.gap_budget import (
 from dragrig.sim_backend.effects import catalogue
 
 FORMAT, VERSION = "dragrig-gap", 2
-NEXT_FORMAT, NEXT_VERSION = "dragrig-next", 1
+NEXT_FORMAT, NEXT_VERSION = "dragrig-next", 2
 PROBABILITY_STEPS = 1_000_000
 """JSON has probabilities in millionths."""
 MAX_RANKED = 8
@@ -127,10 +127,16 @@ def diagnosis_document(
     )
 
 
+BITS_EXPLAINED = (
+    "Bits are what a run is expected to tell beyond the runs above it. One bit is the answer to whether an effect acts "
+    "that is as likely as not."
+)
+
+
 def next_experiment_document(recommendation: NextExperiment | None) -> Document:
     """Lay out which runs to make next."""
     if recommendation is None:
-        answer = "No run of the grid would separate the leading hypotheses any better."
+        answer = "No run of the grid is expected to tell anything more that would be worth its time."
         return Document(title="Next runs", answer=answer, data=next_experiment_json(None))
 
     caption = f"{recommendation.minutes:.1f} min of rig time in all"
@@ -148,12 +154,10 @@ def next_experiment_document(recommendation: NextExperiment | None) -> Document:
                         recommendation.runs,
                         Field("run", "run", lambda run: run_text(run.step)),
                         Field("minutes", "min", lambda run: run.minutes, decimals(1)),
-                        Field(
-                            "effect",
-                            "what it adds to the runs above",
-                            lambda run: separation_text(run.before, run.after),
-                        ),
+                        Field("gain", "bit", lambda run: run.gain_bits, significant(2)),
+                        Field("about", "most of it about", lambda run: display_name("+".join(run.about))),
                     ),
+                    Text(BITS_EXPLAINED, TextKind.EXPLANATION),
                 ),
             ),
         ),
@@ -541,6 +545,7 @@ def next_experiment_json(recommendation: NextExperiment | None) -> Mapping[str, 
             "version": NEXT_VERSION,
             "why": None if recommendation is None else recommendation.reason,
             "minutes": None if recommendation is None else recommendation.minutes,
+            "open_bits": None if recommendation is None else recommendation.open_bits,
             "tried": 0 if recommendation is None else recommendation.compared,
             "runs": [_planned_run_json(run) for run in runs],
         }
@@ -593,9 +598,8 @@ def _planned_run_json(run: NextRun) -> Mapping[str, object]:
         "wait_s": run.step.wait_s,
         "repeats": run.step.repeats,
         "minutes": run.minutes,
-        "between": [run.after.truth, run.after.rival or "no_gap"],
-        "d_prime": {"before": run.before.d_prime, "after": run.after.d_prime},
-        "left": {"before": run.before.remaining_share, "after": run.after.remaining_share},
+        "gain_bits": run.gain_bits,
+        "about": run.about,
     }
 
 
