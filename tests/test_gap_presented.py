@@ -24,8 +24,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from dragrig.analysis import RETURN_REASON, Exclusion, percent_text
-from dragrig.analysis.gap import separation_text
-from dragrig.analysis.gap.diagnosis import Diagnosis, ModelPair, R2BeforeAfter, RankedHypothesis, display_name
+from dragrig.analysis.gap.diagnosis import Diagnosis, R2BeforeAfter, RankedHypothesis, display_name
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.present.diagnosis import (
     diagnosis_document,
@@ -207,15 +206,6 @@ def test_a_coordinate_that_explains_little_is_not_called_the_main_one(score: flo
 )
 def test_shares_are_never_rounded_to_all_or_nothing(share: float, words: str) -> None:
     assert percent_text(share) == words
-
-
-def test_growth_is_told_with_as_many_digits_as_it_takes() -> None:
-    def told(before: float, after: float) -> str:
-        return separation_text(ModelPair("stribeck", "folds", before, 1.0), ModelPair("stribeck", "folds", after, 1.0))
-
-    assert told(0.19, 0.23).endswith("d′ grows from 0.19 to 0.23")
-    assert told(84.0, 88.6).endswith("d′ grows from 84 to 89")
-    assert told(42.1, 42.4).endswith("d′ grows from 42.1 to 42.4")
 
 
 def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:

@@ -353,12 +353,11 @@ def test_a_diagnosis_can_be_cancelled(diagnose: DiagnosePage, folder: Path) -> N
 def test_the_next_experiment_is_handed_on_as_a_plan(diagnose: DiagnosePage) -> None:
     from dataclasses import replace
 
-    from dragrig.analysis.gap.diagnosis import ModelPair, NextExperiment, NextRun
+    from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
     from dragrig.config.plan import PlanStep
 
     step = PlanStep.model_validate({"kind": "drag", "speed_mm_s": 2.0, "travel_mm": 30.0})
-    contest = ModelPair("stribeck", "adhesion", 2.0, 0.5)
-    next_experiment = NextExperiment((NextRun(step, 2.0, contest, contest),), 12, "A slow drag tells them apart.")
+    next_experiment = NextExperiment((NextRun(step, 2.0, 0.5),), 12, "A slow drag tells them apart.")
     diagnose.results.show_diagnosis(completed(replace(STRIBECK, next_experiment=next_experiment)))
     assert diagnose.results.next_words.text() == "A slow drag tells them apart."
     handed: list[object] = []

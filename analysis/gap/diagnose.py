@@ -72,7 +72,7 @@ from dragrig.analysis.gap.gap_reduction import (
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, converged
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, detection_limit
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
-from dragrig.analysis.gap.next_run import Recommendation, reasons_for_no_run, recommend_next_run
+from dragrig.analysis.gap.next_run import Recommendation, recommend_next_run
 from dragrig.analysis.gap.position_channel import (
     PositionAnalysis,
     analyse_position,
@@ -438,10 +438,9 @@ def _assembled_diagnosis(
         unexplained_position = position.has_position_error and not in_position & set(classification.effects)
         left_over = unexplained_position or budget.leaves_more_than(RESIDUAL_SHARE, options.tolerance_mN)
         classification = replace(classification, residual_unknown=left_over)
-    next_runs, no_run_because = Recommendation(), list[str]()
+    next_runs = Recommendation()
     if options.next_runs is not None:
         next_runs = recommend_next_run(study, search, position, classification, options.next_runs)
-        no_run_because = list(reasons_for_no_run(study, position, classification, next_runs.experiment))
     return Diagnosis(
         specimen=selection.specimen,
         backends=selection.backends,
@@ -462,7 +461,7 @@ def _assembled_diagnosis(
         unknown=describe_unexplained_gap(where, blocks, classification, line, inputs),
         model=amended_model(study, fit, position, lines, classification, search, reduction, selection),
         traces=traces,
-        limitations=(*study.limitations(), *no_run_because),
+        limitations=(*study.limitations(), *next_runs.limitations),
         remarks=selection.remarks,
         calibration=CALIBRATION_NOTE,
         decision_inputs=inputs,

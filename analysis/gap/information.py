@@ -35,9 +35,9 @@ from dragrig.rig import FloatArray, IndexArray
 EVIDENCE_WEIGHT = 0.5
 """Weight of log likelihoods, of runs so far and of further ones: real effects never have the forms that are assumed, so
 that a competition at full weight is too sure. The same weight as in the intervals of the budget."""
-MAX_EXPLANATIONS, MAX_ALIKE = 40, 3
+MAX_EXPLANATIONS, MAX_ALIKE = 30, 3
 """Most likely explanations that are compared, in all and of those that name the same causes."""
-MIN_SIGNAL_VARIANCE, MAX_DIRECTIONS = 0.01, 60
+MIN_SIGNAL_VARIANCE, MAX_DIRECTIONS = 0.01, 40
 """Directions in which all further runs together vary by less than this, relative to noise, tell nothing."""
 MIN_RUN_SIGNAL = 1e-4
 MAX_NAMED = 2

@@ -278,6 +278,8 @@ class Recommendation:
 
     experiment: NextExperiment | None = None
     open_causes: OpenCauses | None = None
+    limitations: tuple[str, ...] = ()
+    """Why no run is recommended for a position error whose cause is uncertain, a sentence each."""
 
 
 def recommend_force_run(search: ForceSearchResult, budget: ExperimentBudget) -> Recommendation:
@@ -546,7 +548,7 @@ class WhatMovesAstray:
         for assumed in self.assumed_effects:
             first = names.index(assumed.effect)
             for rival, log_odds in self._log_odds(assumed):
-                distances[first, names.index(rival)] = max(log_odds, 0.0) / LOG_ODDS_PER_DISTANCE
+                distances[first, names.index(rival)] = min(max(log_odds, 0.0), DECIDED_LOG_ODDS) / LOG_ODDS_PER_DISTANCE
         assumable = [name in {assumed.effect for assumed in self.assumed_effects} for name in names]
         # What is not assumed itself is as far from an assumed effect as that is from it.
         return np.where(np.array(assumable)[:, None], distances, distances.T)
@@ -574,8 +576,7 @@ def _position_log_odds(pair: ModelPair, explained: float) -> float:
     """Return the approximate log odds of a diagnosis for an effect with this held-out share."""
     rival_odds = POSITION_RIVAL_SLOPE * max(pair.remaining_share - CHANCE_SHARE, 0.0)
     own_odds = DECIDED_LOG_ODDS * (explained - MIN_POSITION_SHARE) / (CLEAR_SHARE - MIN_POSITION_SHARE)
-    log_odds = min(rival_odds, own_odds)
-    return log_odds if log_odds < DECIDED_LOG_ODDS else DECIDED_LOG_ODDS + log(max(pair.d_prime, 1.0))
+    return min(rival_odds, own_odds)
 
 
 def recommend_position_run(
@@ -692,7 +693,9 @@ def recommend_next_run(
         return of_force
     of_position = recommend_position_run(study, position, classification.probabilities, budget)
     recommended = [experiment for experiment in (of_position, of_force.experiment) if experiment is not None]
-    return replace(of_force, experiment=max(recommended, key=_bits_per_minute, default=None))
+    limitations = () if of_position is not None else tuple(_no_run_for_position(study, position, classification))
+    best = max(recommended, key=_bits_per_minute, default=None)
+    return replace(of_force, experiment=best, limitations=limitations)
 
 
 def _bits_per_minute(experiment: NextExperiment) -> float:
@@ -700,11 +703,8 @@ def _bits_per_minute(experiment: NextExperiment) -> float:
     return float("inf") if first.gain_bits is None else first.gain_bits / first.minutes
 
 
-def reasons_for_no_run(
-    study: Study, position: PositionAnalysis, classification: Classification, next_experiment: NextExperiment | None
-) -> Iterator[str]:
-    """Yield why no run is recommended although the cause of position errors is uncertain."""
-    if not position.has_position_error or next_experiment is not None or not isinstance(study, CapsuleStudy):
+def _no_run_for_position(study: Study, position: PositionAnalysis, classification: Classification) -> Iterator[str]:
+    if not isinstance(study, CapsuleStudy):
         return
     position_effects = {model_class.effect for model_class in position.model_classes}
     rivals = [name for name in classification.confusable_with if name in position_effects]

@@ -1,13 +1,13 @@
 """Spending rig time until a gap is settled: when to stop, and how long the next batch of runs may be."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget, RigLimits
 from dragrig.analysis.gap.diagnosis import Diagnosis, NextRun, OpenCauses, Verdict
 
-MIN_BATCH_MIN, BATCH_SHARE = 4.0, 1 / 3
+MIN_BATCH_MIN, BATCH_SHARE = 5.0, 0.5
 """A batch takes at least so many minutes, or this share of the time that is left: long enough for a change of fixture
 to pay, short enough that what it shows changes what follows."""
 MAX_BATCH_RUNS = 12
