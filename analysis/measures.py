@@ -313,17 +313,18 @@ def _with_copies(rows: Iterable[TableRow]) -> Iterator[TableRow]:
 
 
 def _with_drifts(rows: Iterable[TableRow]) -> list[TableRow]:
-    """Compare each sentinel with the first of its specimen that counts."""
-    first: dict[str, SteadyForce] = {}
+    """Compare each sentinel with the first of its specimen, capsule and settings that counts."""
+    first: dict[tuple[object, ...], SteadyForce] = {}
     compared: list[TableRow] = []
     for row in rows:
         if row.role != SENTINEL_ROLE or not row.counts or row.order is None:
             compared.append(row)
             continue
         force = SteadyForce(row.order, row.steady_above_rest_mN, row.steady_above_rest_error_mN)
-        drift = Drift(force, first.get(row.specimen))
+        settings = (row.specimen, row.capsule, row.kind, row.speed_mm_s, row.shear_strain, row.travel_mm)
+        drift = Drift(force, first.get(settings))
         if force.value_mN is not None:
-            first.setdefault(row.specimen, force)
+            first.setdefault(settings, force)
         compared.append(replace(row, drift_percent=drift.percent, drift_error_percent=drift.error_percent))
     return compared
 

@@ -3,12 +3,14 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from dragrig.analysis.estimates import Exclusion, Progress, no_progress, summarise_exclusions
 from dragrig.analysis.models import Experiment
+from dragrig.analysis.models.experiment import session_starts
 from dragrig.analysis.segments import at_rest
 from dragrig.analysis.wording import count_text
 from dragrig.config import AnalysisError, RunFileError, reason_of
@@ -30,6 +32,8 @@ MAX_UNTOUCHED_MN = 20.0
 """A capsule that nothing touches needs less force, however the stage moves."""
 MIN_MOVING_MM_S = 0.05
 SHEARED_SHARE = 0.5
+MIN_BREAK_H = 2.0
+"""A longer pause between runs is more than a lunch: the specimen lay by."""
 BLANK_KIND, RETURN_KIND, FORCE_CHANNEL = "blank", "return", "force"
 
 RETURN_REASON = "it is a return stroke, through wall that the stroke before has just slid over"
@@ -137,10 +141,15 @@ def _usable_infos(infos: Iterable[RunInfo], marks: Mapping[Path, str], left_out:
     """
     usable = []
     first_of_run: dict[str, str] = {}
+    infos = tuple(infos)
+    marked = {info.header.run_id: (info.path, marks[info.path]) for info in infos if info.path in marks}
     for info in infos:
         reason = f"it is marked bad: {marks[info.path]}" if info.path in marks else incomplete_reason(info)
         if not reason and info.kind == RETURN_KIND:
             reason = RETURN_REASON
+        if not reason and info.header.run_id in marked:
+            path, why = marked[info.header.run_id]
+            reason = f"it is the same run as {path.name}, which is marked bad: {why}"
         if not reason and info.header.run_id in first_of_run:
             reason = f"it is the same run as {first_of_run[info.header.run_id]}, which counts once"
         if reason:
@@ -187,7 +196,29 @@ def _usable_selection(specimen: str, runs: Iterable[Run], left_out: Iterable[Exc
             remarks.append(f"{experiment.file}: {invalid} samples are clipped or missing (NaN) and were ignored")
     if not usable:
         raise AnalysisError(f"{where}: no run can be used ({summarise_exclusions(excluded)}).")
-    return RunSelection(specimen, tuple(usable), tuple(excluded), (*remarks, *_fault_remarks(usable)))
+    return RunSelection(
+        specimen, tuple(usable), tuple(excluded), (*remarks, *_break_remarks(usable), *_fault_remarks(usable))
+    )
+
+
+def _break_remarks(experiments: Sequence[Experiment]) -> Iterator[str]:
+    """Say where a specimen lay by between two sessions: its age goes on meanwhile, and nobody looked."""
+    if session_starts(experiments) is None:
+        return
+    infos = sorted((experiment.run.info for experiment in experiments), key=lambda info: info.header.start_time)
+    breaks = [
+        (later, hours)
+        for earlier, later in pairwise(infos)
+        if (hours := (later.header.start_time - (earlier.end_time or earlier.header.start_time)).total_seconds() / 3600)
+        > MIN_BREAK_H
+    ]
+    if breaks:
+        pauses = ", ".join(f"{hours:.1f} h before {info.path.name}" for info, hours in breaks)
+        yield (
+            f"the runs were made in {len(breaks) + 1} sessions, with breaks of {pauses}: time goes on in a break, so "
+            "that whatever changed in it (the tissue, how it was mounted again, the sensor) looks like a change with "
+            "session time; a specimen that was taken out and is to count as another needs an id of its own"
+        )
 
 
 def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:

@@ -1,4 +1,4 @@
-"""Carrying out a plan: the session on its worker thread, its campaign folder, and resuming an interrupted campaign."""
+"""Carrying out a plan: the session on its worker thread, its campaign folder, and campaigns that go on."""
 
 import queue
 import threading
@@ -10,15 +10,19 @@ from datetime import datetime, timedelta
 from itertools import count
 from pathlib import Path
 from threading import Event as Signal
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, Unpack
 
+from dragrig.analysis import count_text
 from dragrig.config import (
+    UNSTATED,
     AbortedError,
     Calibration,
     CommissioningRecord,
     DragrigError,
     OutputError,
     RigSettings,
+    SettingsError,
+    Specimen,
     reason_of,
     rig_file_of,
 )
@@ -41,6 +45,7 @@ from dragrig.rig import (
     Prompt,
     RecoveryOutcome,
     ReturnProtocol,
+    RunInfo,
     RunStatus,
     Session,
     SessionObserver,
@@ -54,7 +59,9 @@ from dragrig.rig import (
     read_commissioning,
     read_idle,
     read_run,
+    read_session_records,
     recover,
+    specimen_key,
     specimen_remark,
     wiring_key,
     write_commissioning,
@@ -63,12 +70,16 @@ from dragrig.rig import (
 from dragrig.session_state import SessionState, StatePublisher, session_lock
 from dragrig.setup import (
     HARDWARE_BACKEND,
+    Assignments,
     Pace,
+    PlanLike,
     Setup,
+    SetupChoices,
     contact_position,
     load_settings,
     opened_rig,
     require_shipped_dialect,
+    resolve,
     resolve_pace,
     within_lab,
 )
@@ -360,6 +371,7 @@ def _session_record(
         calibration_id=ids.get("force", ""),
         encoder_calibration_id=ids.get("encoder", ""),
         beside=setup.plan_folder,
+        first_order=options.progress.first_order,
         plan=setup.plan,
         specimen=setup.specimen,
         model=setup.model,
@@ -426,7 +438,7 @@ class _FolderTakenError(OutputError):
 def resume_campaign(
     folder: Path, options: SessionOptions, person: SessionOperator | None, assignments: Sequence[str] = ()
 ) -> Made:
-    """Make the missing runs of a campaign, with its own settings.
+    """Make the missing runs of a campaign's latest plan, with its own settings.
 
     Runs that a crash left unfinished are recovered first. A run counts when it is complete and not marked bad.
 
@@ -442,21 +454,163 @@ def resume_campaign(
     DragrigError
         What `run_session` raises.
     """
+    with _continued_campaign(folder, options.tell) as (record, before):
+        setup = _setup_from_record(record, folder).with_rig(assignments)
+        progress = _progress(before, setup, record.first_order)
+        return _continue_campaign(setup, record, before, replace(options, progress=progress), person)
+
+
+def append_to_campaign(
+    plan: PlanLike,
+    folder: Path,
+    options: SessionOptions,
+    person: SessionOperator | None,
+    **choices: Unpack[SetupChoices],
+) -> Made:
+    """Carry out a further plan into a campaign, on its rig and, where no other is stated, its specimen.
+
+    Parameters
+    ----------
+    choices
+        As of `resolve`; what is not chosen is as in the campaign's latest session.
+
+    Raises
+    ------
+    RunFileError, SettingsError
+        When there is no campaign, or what is chosen does not suit its runs.
+    DragrigError
+        What `run_session` raises.
+    """
+    with _continued_campaign(folder, options.tell) as (latest, before):
+        record = _session_of_specimen(folder, latest, choices)
+        setup = resolve(plan, folder=folder, campaign=record, **choices)
+        _require_suiting(setup, record, folder)
+        for remark in _append_remarks(setup, record, latest, before, folder):
+            options.tell(f"{remark}.")
+        first_order = max((run.header.order for run in before.runs), default=-1) + 1
+        progress = _progress(before, setup, first_order)
+        return _continue_campaign(setup, latest, before, replace(options, progress=progress), person)
+
+
+@contextmanager
+def _continued_campaign(folder: Path, tell: Callable[[str], None]) -> Iterator[tuple[SessionRecord, Campaign]]:
+    """Hold a campaign for a further session, its interrupted runs recovered; yield its latest session and its runs."""
     latest_session_record(folder)
     with session_lock(folder):
         for recording in recover(folder):
             if recording.outcome is RecoveryOutcome.IN_USE:
-                raise OutputError(f"{recording.recording}: is being recorded; resume the campaign after its session.")
-        (record, damaged), before = latest_session_record(folder), read_campaign(folder)
+                raise OutputError(f"{recording.recording}: is being recorded; go on with the campaign after that.")
+        record, damaged = latest_session_record(folder)
         for problem in damaged:
-            options.tell(f"{problem.rstrip('.')}. The session before it is resumed.")
-        # Rests of a dry run take no wall time, so that its last run may end in the future.
-        ended = [run.end_time or run.header.start_time for run in before.runs]
-        origin = max([datetime.now().astimezone(), record.begun_at + timedelta(seconds=1), *ended])
-        setup = _setup_from_record(record, folder).with_rig(assignments)
-        first = min((run.header.start_time for run in before.runs), default=None)
-        options = replace(options, folder=folder, origin=origin, first_run_at=first, progress=_resume_progress(before))
-        return _run_campaign(setup, options, person, lambda: None, before)
+            tell(f"{problem.rstrip('.')}. The session before it counts.")
+        yield record, read_campaign(folder)
+
+
+def _continue_campaign(
+    setup: Setup, latest: SessionRecord, before: Campaign, options: SessionOptions, person: SessionOperator | None
+) -> Made:
+    # Rests of a dry run take no wall time, so that its last run may end in the future.
+    ended = [run.end_time or run.header.start_time for run in before.runs]
+    origin = max([datetime.now().astimezone(), latest.begun_at + timedelta(seconds=1), *ended])
+    first = min((run.header.start_time for run in _runs_of_specimen(before.runs, setup.specimen)), default=None)
+    options = replace(options, folder=before.folder, origin=origin, first_run_at=first)
+    return _run_campaign(setup, options, person, lambda: None, before)
+
+
+def _identity(specimen: Specimen) -> str:
+    """Return what `specimen_key` is of its runs."""
+    return specimen.name if specimen.id in {"", UNSTATED} else specimen.id
+
+
+def _runs_of_specimen(runs: Sequence[RunInfo], specimen: Specimen) -> Sequence[RunInfo]:
+    return [run for run in runs if specimen_key(run) == _identity(specimen)]
+
+
+def _session_of_specimen(folder: Path, latest: SessionRecord, choices: SetupChoices) -> SessionRecord:
+    """Return the campaign's latest session with the specimen that is asked for, as it was stated then.
+
+    Raises `SettingsError` where the campaign has several specimens and none is named.
+    """
+    records, _ = read_session_records(folder)
+    specimens = {_identity(record.specimen): record.specimen for record in records}
+    stated = Assignments.of(choices.get("assignments", ())).others["specimen"]
+    if choices.get("specimen") is None and len(specimens) > 1 and not stated.keys() & {"id", "name"}:
+        raise SettingsError(
+            f"{folder}: has runs of several specimens ({', '.join(sorted(specimens))}); say which one is on the "
+            "rig with --set specimen.id=…, or a fresh id."
+        )
+    named = str(stated.get("id", stated.get("name", "")))
+    return latest.model_copy(update={"specimen": specimens.get(named, latest.specimen)})
+
+
+_SAME_IN_A_CAMPAIGN = ("encoder", "force_sensor", "sampling", "simulated")
+_SAME_IN_A_SPECIMEN = ("wall_thickness_mm", "animal", "segment", "excised_at")
+
+
+def _require_suiting(setup: Setup, record: SessionRecord, folder: Path) -> None:
+    """Refuse runs whose differences from those of the campaign would be taken for the specimen's or the rig's.
+
+    Raises `SettingsError`.
+    """
+
+    def shown(backend: str, *, double: bool) -> str:
+        return f"the double of {backend}" if double else backend
+
+    ours, theirs = shown(setup.backend, double=setup.double), shown(record.backend, double=record.double)
+    if ours != theirs:
+        raise SettingsError(f"{folder}: its runs were made on {theirs}, not on {ours}; start a campaign of its own.")
+    now, then = setup.rig.model_dump(mode="json"), record.rig.model_dump(mode="json")
+    differing = [
+        f"{part}.{key} is {now[part][key]}, not {then[part][key]}"
+        for part in _SAME_IN_A_CAMPAIGN
+        for key in now[part]
+        if now[part][key] != then[part][key]
+    ]
+    if differing:
+        raise SettingsError(
+            f"{folder}: its runs were made with another rig: {'; '.join(differing)}; start a campaign of its own."
+        )
+    if _identity(setup.specimen) != _identity(record.specimen):
+        return
+    for key in _SAME_IN_A_SPECIMEN:
+        value, before = getattr(setup.specimen, key), getattr(record.specimen, key)
+        if value != before and before not in {None, ""}:
+            raise SettingsError(
+                f"specimen.{key} = {value}: is {before} in {folder}; a fresh piece needs an id of its own, as "
+                "--set specimen.id=P8."
+            )
+    is_simulated = setup.backend != HARDWARE_BACKEND or setup.double
+    if is_simulated and setup.model != record.model:
+        raise SettingsError(
+            f"{folder}: its simulated gut follows another friction model; leave out --model, --effect and --set "
+            "model.…, or give the other gut an id of its own, as --set specimen.id=P8."
+        )
+
+
+def _append_remarks(
+    setup: Setup, record: SessionRecord, latest: SessionRecord, before: Campaign, folder: Path
+) -> Iterator[str]:
+    ours, theirs = _identity(setup.specimen), _identity(record.specimen)
+    if ours != theirs:
+        yield (
+            f"The runs are of specimen {ours}; those of {theirs} in {folder} stay apart, and an evaluation is of one "
+            "of them"
+        )
+    elif before.runs:
+        ended = max(run.end_time or run.header.start_time for run in before.runs)
+        hours = (datetime.now().astimezone() - ended).total_seconds() / 3600
+        if hours > 1:
+            yield (
+                f"The last run in {folder} ended {hours:.1f} h ago; the runs count as of the same specimen {ours}, "
+                "which is so much older now: a fresh piece needs --set specimen.id=…"
+            )
+    missing = _setup_from_record(latest, folder).programme()
+    if left := len(missing.pending(_progress_done(before, latest.first_order))):
+        yield (
+            f"{count_text(left, 'run')} of the plan {latest.plan.name} before it "
+            f"{'is' if left == 1 else 'are'} missing and will not be made: --resume makes them, as long as nothing is "
+            "appended"
+        )
 
 
 def _folder_maker(folder: Path, lock: ExitStack, *, new: bool) -> Callable[[], None]:
@@ -478,7 +632,9 @@ def _folder_maker(folder: Path, lock: ExitStack, *, new: bool) -> Callable[[], N
 
 def _require_no_runs(folder: Path) -> None:
     if folder.is_dir() and any(folder.glob("*.h5")):
-        raise OutputError(f"{folder}: holds runs already; name another folder, or continue it with --resume {folder}.")
+        raise OutputError(
+            f"{folder}: holds runs already; name another folder, or go on with --resume {folder}, or --append {folder}."
+        )
 
 
 def _run_campaign(
@@ -583,27 +739,48 @@ def _setup_from_record(record: SessionRecord, folder: Path) -> Setup:
     )
 
 
-def _resume_progress(before: Campaign) -> CampaignProgress:
-    numbers = [run.header.entry.get("plan_run") for run in before.good if run.status is RunStatus.COMPLETE]
-    orders = [run.header.order for run in before.runs]
-    sentinels = _sentinel_forces(before)
+def _progress_done(before: Campaign, first_order: int) -> frozenset[int]:
+    """Return the runs of the plan that begins with this order which are made."""
+    numbers = [
+        run.header.entry.get("plan_run")
+        for run in before.good
+        if run.status is RunStatus.COMPLETE and run.header.order >= first_order
+    ]
+    return frozenset(number for number in numbers if isinstance(number, int))
+
+
+def _progress(before: Campaign, setup: Setup, first_order: int) -> CampaignProgress:
+    sentinels = _sentinel_forces(before, setup)
+    own = [force for force in sentinels if force.order >= first_order]
     made_after = [
-        run
-        for run in before.runs
-        if sentinels and run.header.order > sentinels[-1].order and run.kind != ReturnProtocol.kind
+        run for run in before.runs if own and run.header.order > own[-1].order and run.kind != ReturnProtocol.kind
     ]
     return CampaignProgress(
-        done=frozenset(number for number in numbers if isinstance(number, int)),
-        next_order=max(orders, default=-1) + 1,
+        done=_progress_done(before, first_order),
+        first_order=first_order,
+        next_order=max((run.header.order for run in before.runs), default=-1) + 1,
         sentinels=sentinels,
-        undecided=bool(sentinels) and not made_after,
+        undecided=bool(own) and not made_after,
     )
 
 
-def _sentinel_forces(before: Campaign) -> tuple[SteadyForce, ...]:
-    """Measure a campaign's complete sentinels that are not marked bad, in the order in which they were made."""
+def _sentinel_forces(before: Campaign, setup: Setup) -> tuple[SteadyForce, ...]:
+    """Measure the complete sentinels that this plan's can be compared with, in the order in which they were made.
+
+    They are of the same specimen, capsule and settings, and not marked bad.
+    """
     from dragrig.analysis import steady_force_of
 
-    made = (run for run in before.good if run.is_sentinel and run.status is RunStatus.COMPLETE)
-    ordered = sorted(made, key=lambda run: run.header.order)
-    return tuple(steady_force_of(read_run(run.path)) for run in ordered)
+    planned = next((run for run in setup.programme().runs if run.sentinel), None)
+    if planned is None:
+        return ()
+    settings = {key: value for key, value in planned.protocol.attributes().items() if key != "kind"}
+    made = [
+        run
+        for run in _runs_of_specimen(before.good, planned.specimen)
+        if run.is_sentinel
+        and run.status is RunStatus.COMPLETE
+        and (run.kind, dict(run.header.protocol)) == (planned.protocol.kind, settings)
+        and run.header.capsule.get("name") == planned.capsule.name
+    ]
+    return tuple(steady_force_of(read_run(run.path)) for run in sorted(made, key=lambda run: run.header.order))

@@ -468,13 +468,21 @@ class Setup(RigSetup):
         return build_programme(self.plan, self.specimen, stage.start_mm, self.plan_source, self.plan_folder, zero_mm)
 
 
-def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[SetupChoices]) -> Setup:
+def resolve(
+    plan: PlanLike,
+    *,
+    folder: Path | None = None,
+    campaign: "SessionRecord | None" = None,
+    **choices: Unpack[SetupChoices],
+) -> Setup:
     """Find all settings of a session and apply the assignments.
 
     Parameters
     ----------
     folder
         Where to look for the lab folder (default: the working folder).
+    campaign
+        A session whose rig, specimen, model and backend are the defaults, whatever the plan.
     choices
         `rig`, `specimen`, `model`: a file or a shipped name, the model also as settings; by default the rig of the lab
         folder, or the shipped one outside of a lab; without a stated specimen, that of the real rig is unknown.
@@ -489,14 +497,15 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
     SettingsError, PlanError
         With file, key and what is allowed.
     """
-    before = _stored_session(plan)
+    stored = _stored_session(plan)
+    before = campaign or stored
     rig = choices.get("rig") or rig_file_of(folder or Path.cwd())
     rig_settings, rig_folder = load_settings(RigSettings, "rig", rig)
     changes = Assignments.of(choices.get("assignments", ()))
     if (capsule := choices.get("capsule")) is not None:
         # The plan may be elsewhere, and files in it are relative to it.
         changes.steps["capsule"] = str(Path(capsule).absolute() if Path(capsule).is_file() else capsule)
-    default_backend = rig_settings.backend
+    default_backend = rig_settings.backend if campaign is None else campaign.backend
     differences: tuple[str, ...] = ()
     if before is not None and not choices.get("rig"):
         if rig is None:
@@ -511,16 +520,12 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
     if specimen_choice is None and backend == HARDWARE_BACKEND and (before is None or before.backend != backend):
         # A real specimen is what somebody states; that of the simulated rig would be an invention.
         specimen_choice = UNSTATED
-    if before is None:
+    if stored is None:
         base_plan, source, plan_folder = _load_plan(plan)
-        specimen = choose_settings(Specimen, "specimen", specimen_choice, None)
-        model = choose_settings(FrictionModelSettings, "model", choices.get("model"), None)
-        contact_mm = None
     else:
-        base_plan, source, plan_folder = before.plan, str(plan), before.beside
-        specimen = choose_settings(Specimen, "specimen", specimen_choice, before.specimen)
-        model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model)
-        contact_mm = before.contact_mm
+        base_plan, source, plan_folder = stored.plan, str(plan), stored.beside
+    specimen = choose_settings(Specimen, "specimen", specimen_choice, before.specimen if before else None)
+    model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
     model = changes.applied_to(model, "model")
     return Setup(
         plan=_with_step_keys(changes.applied_to(base_plan, "plan"), changes.steps),
@@ -528,7 +533,7 @@ def resolve(plan: PlanLike, *, folder: Path | None = None, **choices: Unpack[Set
         plan_folder=plan_folder,
         rig=rig_changed,
         specimen=_of_the_past(changes.applied_to(specimen, "specimen")),
-        contact_mm=contact_position(rig_folder, contact_mm),
+        contact_mm=contact_position(rig_folder, before.contact_mm if before else None),
         model=with_allowed_effects(model, choices.get("effects", ()), backend=backend, double=double),
         rig_folder=rig_folder,
         backend=backend,

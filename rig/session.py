@@ -146,11 +146,14 @@ class CampaignProgress:
     """Runs that earlier sessions of the same campaign made."""
 
     done: frozenset[int] = frozenset()
+    """Runs of the plan."""
+    first_order: int = 0
+    """Order of the plan's first run: earlier runs are of the plans that it is appended to."""
     next_order: int = 0
     sentinels: tuple[SteadyForce, ...] = ()
     """Steady forces of its sentinels, in order."""
     undecided: bool = False
-    """Whether nothing was made after the last sentinel."""
+    """Whether nothing was made after the plan's last sentinel."""
 
 
 def unmeasured(run: Run) -> SteadyForce:

@@ -111,7 +111,7 @@ def test_a_torn_session_record_leaves_the_one_before(run: Runner, tmp_path: Path
     mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
     resumed = run.json_answer("--resume", "c", "--yes")
     assert newer.name in resumed.err
-    assert "The session before it is resumed." in resumed.err
+    assert "The session before it counts." in resumed.err
     for path in (tmp_path / "c").glob("session-*"):
         path.write_bytes(b"plan = [")
     assert newer.name in run.json_answer("--resume", "c", "--yes", code=2).err
@@ -234,7 +234,7 @@ def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, tmp_path: 
     run(*QUICK, "--yes", "--out", "c")
     before = sorted((tmp_path / "c").iterdir())
     with Recorder(tmp_path / "c" / "20260504-093000-drag-009.h5", header(order=9)):
-        assert "is being recorded; resume" in run.json_answer("--resume", "c", "--yes", code=2).err
+        assert "is being recorded; go on" in run.json_answer("--resume", "c", "--yes", code=2).err
     assert [path for path in sorted((tmp_path / "c").iterdir()) if "009" not in path.name] == before
 
 

@@ -171,6 +171,7 @@ def run(
     plan: PlanLike,
     *,
     out: str | Path | None = None,
+    append: str | Path | None = None,
     operator: str = "",
     note: str = "",
     pace: Pace | None = None,
@@ -190,6 +191,9 @@ def run(
         A shipped plan's name, a file, a `Plan`, or a protocol.
     out
         Folder of the campaign, new or without runs (default: a new one in the rig's data root).
+    append
+        Folder of a campaign, in place of `out`, to which the runs are added, on another day too. What `choices` leaves
+        open is as in its latest session; another rig, or another state of the same specimen, is refused.
     operator, note
         Stored in the run files.
     pace
@@ -223,11 +227,14 @@ def run(
     >>> made = dragrig.run("drag", out="first-drag", operator="me")  # doctest: +SKIP
     >>> dragrig.table(made.folder)  # doctest: +SKIP
     """
-    from dragrig.campaign_session import start_campaign
+    from dragrig.campaign_session import append_to_campaign, start_campaign
 
-    setup = resolve(plan, **choices)
-    folder = Path(out) if out is not None else None
-    return start_campaign(setup, folder, _session_options(operator, note, pace, mirror, tell, pause), person)
+    options = _session_options(operator, note, pace, mirror, tell, pause)
+    if append is not None:
+        if out is not None:
+            raise OutputError(f"{append}: the runs go into this campaign, so leave out the folder {out}.")
+        return append_to_campaign(plan, _campaign_folder(append), options, person, **choices)
+    return start_campaign(resolve(plan, **choices), Path(out) if out is not None else None, options, person)
 
 
 def resume(
@@ -242,7 +249,7 @@ def resume(
     tell: Callable[[str], None] | None = None,
     pause: Signal | None = None,
 ) -> "Made":
-    """Resume a campaign that ended early, with its own settings.
+    """Resume the latest plan of a campaign that ended early, with its own settings.
 
     Runs that a crash left unfinished are recovered first; every run that is not complete, or is marked bad, is made
     again.
@@ -263,11 +270,16 @@ def resume(
     """
     from dragrig.campaign_session import resume_campaign
 
+    options = _session_options(operator, note, pace, mirror, tell, pause)
+    return resume_campaign(_campaign_folder(campaign), options, person, assignments)
+
+
+def _campaign_folder(campaign: str | Path) -> Path:
     folder = Path(campaign)
     if not folder.is_dir():
         missing = "is a file" if folder.is_file() else "there is no such campaign"
         raise OutputError(f"{folder}: {missing}; name the folder that run printed.")
-    return resume_campaign(folder, _session_options(operator, note, pace, mirror, tell, pause), person, assignments)
+    return folder
 
 
 def _session_options(

@@ -152,6 +152,12 @@ def _rig_choices(ctx: click.Context, settings: options.SettingsOptions, out: Pat
 @click.argument("plan", required=False)
 @options.settings
 @options.out("Folder of the campaign, new or empty (default: a new one in the rig's data root).")
+@click.option(
+    "--append",
+    metavar="CAMPAIGN",
+    type=click.Path(path_type=Path),
+    help="Add the runs to this campaign, with its rig and, where none is stated, its specimen.",
+)
 @click.option("--resume", metavar="CAMPAIGN", type=click.Path(path_type=Path), help="Resume an interrupted campaign.")
 @options.session_notes("in the run files")
 @click.option(
@@ -168,6 +174,7 @@ def _rig_choices(ctx: click.Context, settings: options.SettingsOptions, out: Pat
 def run_command(
     plan: str | None,
     out: Path | None,
+    append: Path | None,
     resume: Path | None,
     operator: str,
     note: str,
@@ -189,7 +196,7 @@ def run_command(
 
     Exit codes: 0 done, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """
-    _require_plan_or_campaign(plan, resume, settings, out)
+    _require_plan_or_campaign(plan, resume, settings, out, append)
     from dragrig.api import resume as resume_campaign
     from dragrig.api import run as run_plan
     from dragrig.cli.operator import TerminalOperator
@@ -197,7 +204,7 @@ def run_command(
     if resume is not None:
         start = partial(resume_campaign, resume, assignments=settings["assignments"])
     else:
-        start = partial(run_plan, plan or "", out=out, **settings)
+        start = partial(run_plan, plan or "", out=out, append=append, **settings)
     with TerminalOperator(yes=yes, plot=plot) as person:
         made = start(
             operator=operator,
@@ -218,14 +225,20 @@ def run_command(
 
 
 def _require_plan_or_campaign(
-    plan: str | None, campaign: Path | None, settings: options.SettingsOptions, out: Path | None
+    plan: str | None,
+    campaign: Path | None,
+    settings: options.SettingsOptions,
+    out: Path | None,
+    append: Path | None,
 ) -> None:
     context = click.get_current_context()
+    if append is not None and out is not None:
+        raise click.UsageError("--append names the folder of the runs, so leave out --out", context)
     if plan is not None and campaign is not None:
         raise click.UsageError("--resume takes its plan from the campaign, so leave the plan out", context)
     if plan is None and campaign is None:
         raise click.UsageError("Name a plan, or a campaign to go on with after --resume", context)
-    fixed = {**settings, "assignments": (), "effects": (), "effect": settings["effects"], "out": out}
+    fixed = {**settings, "assignments": (), "effects": (), "effect": settings["effects"], "out": out, "append": append}
     if campaign is not None and (unused := [name for name, value in fixed.items() if value]):
         raise click.UsageError(
             f"A campaign goes on with its own settings, so leave out --{' --'.join(unused)}", context

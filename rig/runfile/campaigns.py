@@ -208,6 +208,8 @@ class SessionRecord(Settings):
     """Absolute position of the contact that touch-off found; None where it is not known."""
     beside: Path | None = None
     """Folder that files named in the plan are relative to."""
+    first_order: int = 0
+    """Order of its plan's first run in the campaign: an appended plan begins after the runs of those before it."""
     plan: Plan
     specimen: Specimen
     model: FrictionModelSettings
@@ -268,7 +270,7 @@ def latest_session_record(folder: Path) -> tuple[SessionRecord, tuple[str, ...]]
     """
     paths = sorted(folder.glob(RECORD_PATTERN), reverse=True)
     if not paths:
-        raise RunFileError(f"{folder}: contains no session-….toml, so there is no session to resume.")
+        raise RunFileError(f"{folder}: contains no session-….toml, so it is no campaign that could go on.")
     damaged: list[str] = []
     for path in paths:
         try:
