@@ -21,6 +21,8 @@ from .api.model_fit import identify as identify
 from .api.model_fit import identify_many as identify_many
 from .api.reports import paper as paper
 from .api.reports import report as report
+from .api.settle import resume_settling as resume_settling
+from .api.settle import settle as settle
 from .api.stage import calibrate_encoder as calibrate_encoder
 from .api.stage import calibrate_force as calibrate_force
 from .api.stage import home as home

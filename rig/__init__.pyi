@@ -107,6 +107,7 @@ from .runfile.filesystem import move_into_place as move_into_place
 from .runfile.filesystem import remove_file as remove_file
 from .runfile.filesystem import remove_quietly as remove_quietly
 from .runfile.filesystem import rename_into_place as rename_into_place
+from .runfile.filesystem import replace_text as replace_text
 from .runfile.filesystem import written_atomically as written_atomically
 from .runfile.finisher import RecoveredRecording as RecoveredRecording
 from .runfile.finisher import RecoveryOutcome as RecoveryOutcome

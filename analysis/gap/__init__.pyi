@@ -1,5 +1,6 @@
 from .candidate_runs import ExperimentBudget as ExperimentBudget
 from .candidate_runs import RigLimits as RigLimits
+from .candidate_runs import mounting as mounting
 from .candidate_runs import plan_of_next_runs as plan_of_next_runs
 from .candidate_runs import run_text as run_text
 from .diagnose import DiagnosisOptions as DiagnosisOptions
@@ -15,6 +16,7 @@ from .diagnosis import GapLocation as GapLocation
 from .diagnosis import GapReduction as GapReduction
 from .diagnosis import NextExperiment as NextExperiment
 from .diagnosis import NextRun as NextRun
+from .diagnosis import OpenCauses as OpenCauses
 from .diagnosis import PhaseCell as PhaseCell
 from .diagnosis import R2BeforeAfter as R2BeforeAfter
 from .diagnosis import RankedHypothesis as RankedHypothesis
@@ -40,6 +42,17 @@ from .isolability import isolability_sentences as isolability_sentences
 from .isolability import isolate as isolate
 from .next_run import recommend_for_pair as recommend_for_pair
 from .run_data import choose_runs as choose_runs
+from .settling import DEFAULT_UNTIL as DEFAULT_UNTIL
+from .settling import SETTLE_FILE as SETTLE_FILE
+from .settling import Batch as Batch
+from .settling import Ending as Ending
+from .settling import SettleRecord as SettleRecord
+from .settling import SettleStep as SettleStep
+from .settling import batch_budget as batch_budget
+from .settling import ending_of as ending_of
+from .settling import settle_step as settle_step
+from .settling import surest_causes as surest_causes
+from .settling import verdict_probability as verdict_probability
 from .training import TrainingCase as TrainingCase
 from .training import calibrate as calibrate
 from .training import cross_validate as cross_validate

@@ -14,7 +14,7 @@ from dragrig.analysis import Experiment, capitalise, join_names, prepare_channel
 from dragrig.analysis.gap.design import Study
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun, display_name
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData
-from dragrig.config import Fixture, Plan, PlanStep, ReturnMode, RunOrder, Specimen
+from dragrig.config import Plan, PlanStep, ReturnMode, RunOrder, Specimen
 from dragrig.rig import (
     AnyFloatArray,
     PlannedRun,
@@ -171,6 +171,12 @@ MIN_GAIN_BITS = 0.001
 FIXTURE_CHANGE_MIN = 2.0
 """Time of a person's hands at a change of fixture or capsule, in minutes."""
 
+
+def mounting(kind: str) -> str:
+    """Return what fixture and capsule a kind of run needs, by the name of a kind that needs them too."""
+    return "drag" if kind == "motion" else kind
+
+
 SeenT_contra = TypeVar("SeenT_contra", contravariant=True)
 
 
@@ -204,8 +210,8 @@ class ExperimentBudget:
     runs: int = 1
     limits: RigLimits | None = None
     """Limits of the rig; default: the range of the campaign's runs."""
-    mounted: Fixture | None = None
-    """Fixture that is on the rig, which needs no hands."""
+    mounted: str = ""
+    """What is mounted on the rig, as `mounting` names it, and needs no hands; default: that of the last run."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +238,7 @@ def greedy_search(
         Candidate runs, each with what the question needs of it.
     """
     chosen: list[_ChosenRun] = []
-    fixtures, spent = {budget.mounted}, 0.0
+    mounted, spent = {budget.mounted}, 0.0
     # The gain of a run rarely grows with the runs chosen before it, so that old gains tell which to compute anew
     # first (Minoux 1978, accelerated greedy algorithms).
     gains = [float("inf")] * len(candidates)
@@ -241,7 +247,7 @@ def greedy_search(
 
         def rate(index: int, known: Sequence[float] = gains) -> float:
             candidate = candidates[index][0]
-            hands = 0.0 if candidate.run.fixture in fixtures else FIXTURE_CHANGE_MIN
+            hands = 0.0 if mounting(candidate.step.kind) in mounted else FIXTURE_CHANGE_MIN
             return known[index] / (candidate.minutes + hands)
 
         affordable = [index for index, (run, _) in enumerate(candidates) if spent + run.minutes <= budget.minutes]
@@ -255,7 +261,7 @@ def greedy_search(
         candidate, updated = candidates[best][0], fresh[best]
         chosen.append(_ChosenRun(candidate, gains[best], updated.about(question)))
         question, spent = updated, spent + candidate.minutes
-        fixtures.add(candidate.run.fixture)
+        mounted.add(mounting(candidate.step.kind))
     return _merged_repeats(chosen)
 
 
@@ -352,15 +358,22 @@ PROMPTS = {
 SWEPT_SETTING = "speed_mm_s"
 
 
-def plan_of_next_runs(next_experiment: NextExperiment, name: str = "next") -> Plan:
-    """Return a plan of the runs, grouped by fixture to minimise manual work.
+def plan_of_next_runs(next_experiment: NextExperiment, name: str = "next", mounted: str = "") -> Plan:
+    """Return a plan of the runs, grouped by fixture so that hands are needed rarely.
 
     Strokes that differ only in speed become one step with its speeds in random order.
+
+    Parameters
+    ----------
+    mounted
+        What is on the rig, as `mounting` names it: its runs come first, and ask for no hands.
     """
-    steps = sorted((run.step for run in next_experiment.runs), key=lambda step: KIND_ORDER.index(step.kind))
-    return Plan(
-        name=name, description=next_experiment.reason, seed=1, steps=tuple(_with_prompts(_merged_sweeps(steps)))
-    )
+
+    def order(step: PlanStep) -> tuple[bool, int]:
+        return mounting(step.kind) != mounted, KIND_ORDER.index(step.kind)
+
+    steps = tuple(_with_prompts(_merged_sweeps(sorted((run.step for run in next_experiment.runs), key=order)), mounted))
+    return Plan(name=name, description=next_experiment.reason, seed=1, steps=steps)
 
 
 def _merged_sweeps(steps: Sequence[PlanStep]) -> Iterator[PlanStep]:
@@ -382,12 +395,11 @@ def _merged_sweeps(steps: Sequence[PlanStep]) -> Iterator[PlanStep]:
         yield first.model_copy(update=update)
 
 
-def _with_prompts(steps: Iterator[PlanStep]) -> Iterator[PlanStep]:
-    previous_fixture = ""
+def _with_prompts(steps: Iterator[PlanStep], mounted: str) -> Iterator[PlanStep]:
     for step in steps:
-        fixture = "drag" if step.kind == "motion" else step.kind
-        yield step if fixture == previous_fixture else step.model_copy(update={"prompt": PROMPTS[fixture]})
-        previous_fixture = fixture
+        needed = mounting(step.kind)
+        yield step if needed == mounted else step.model_copy(update={"prompt": PROMPTS[needed]})
+        mounted = needed
 
 
 def run_text(step: PlanStep) -> str:

@@ -29,6 +29,7 @@ from dragrig.analysis.gap.candidate_runs import (
     full_grid,
     greedy_search,
     motion_grid,
+    mounting,
     recommendation_reason,
     run_subject,
     short_grid,
@@ -306,6 +307,8 @@ def recommend_force_run(search: ForceSearchResult, budget: ExperimentBudget) -> 
     if not candidates:
         return Recommendation()
     question, grams = forecast(search, study_of_candidates(study, candidates))
+    last = max(study.runs, key=lambda run: run.session_start_s)
+    budget = replace(budget, mounted=budget.mounted or mounting(last.experiment.kind))
     runs = greedy_search(question, list(zip(candidates, grams, strict=True)), budget)
     experiment = next_experiment_of(runs, question.open_bits, len(candidates), "is open about which causes act")
     return Recommendation(experiment, question.open_causes)

@@ -4,7 +4,7 @@ Amended model and report are written on the way; a plan or a campaign also says 
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, Unpack
@@ -33,7 +33,7 @@ from dragrig.config import DragrigError, ModelSettings, SettingsError, absolute_
 from dragrig.parallel import map_tasks, open_executor, parallel_map
 from dragrig.present import write_text
 from dragrig.rig import Run
-from dragrig.setup import PlanLike, SetupChoices, resolve
+from dragrig.setup import PlanLike, Setup, SetupChoices, resolve
 
 if TYPE_CHECKING:
     from dragrig.analysis.gap import DiagnosisOptions, VerdictCalibration
@@ -89,12 +89,16 @@ class DiagnosisRequest:
     tolerance_mN: float | None = None
     specimen: str | None = None
     calibration: str | Path | None = None
+    next_runs: ExperimentBudget | None = field(default_factory=ExperimentBudget)
+    """Limits of the next runs to recommend; None recommends none."""
 
     def diagnose(self, campaign: str | Path | Iterable[Run], progress: Progress = no_progress) -> DiagnosedCampaign:
         """Diagnose one campaign; raises as `dragrig.diagnose`."""
         from dragrig.analysis.gap.diagnose import diagnose as diagnose_selection
 
-        options = diagnosis_options(self.without, self.tolerance_mN, self.calibration)
+        options = replace(
+            diagnosis_options(self.without, self.tolerance_mN, self.calibration), next_runs=self.next_runs
+        )
         model = find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
         named = isinstance(campaign, str | Path)
         reading, diagnosing = parts_of(progress, READING_COST, DIAGNOSIS_COST)
@@ -419,7 +423,9 @@ def next_experiment(
         raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
     if between is not None:
         _require_two_effects(between)
-    budget = ExperimentBudget(minutes, MAX_RUNS, limits=_stage_range(choices.get("rig")))
+    budget = ExperimentBudget(
+        minutes, MAX_RUNS, limits=stage_range(resolve("drag", rig=choices.get("rig"), backend="simulated"))
+    )
     runs = runs_to_isolate(plan_or_campaign, **choices)
     if between is None and not runs.planned:
         return diagnose(runs.selection, runs.nominal, DiagnosisOptions(next_runs=budget), progress).next_experiment
@@ -433,8 +439,8 @@ def save_next_plan(experiment: NextExperiment, path: Path, *, overwrite: bool = 
     return write_text(to_toml(plan_of_next_runs(experiment)), path, overwrite=overwrite)
 
 
-def _stage_range(rig: str | Path | None) -> RigLimits:
-    setup = resolve("drag", rig=rig, backend="simulated")
+def stage_range(setup: Setup) -> RigLimits:
+    """Return the range of a rig's stage, from its start on, within which further runs are looked for."""
     stage = setup.limits
     return RigLimits(stage.highest_mm - setup.rig.stage.start_mm, stage.speed_mm_s, stage.acceleration_mm_s2)
 

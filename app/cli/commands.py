@@ -97,6 +97,7 @@ GAP_SECTIONS: Sections = {
         "next": CommandEntry(
             "gap_commands:next_command", "Recommend the runs that best separate the remaining hypotheses."
         ),
+        "settle": CommandEntry("gap_commands:settle_command", "Make runs until the gap is settled."),
         "isolability": CommandEntry(
             "gap_commands:isolability_command", "Show which effects a plan or a campaign can tell apart."
         ),

@@ -9,7 +9,7 @@ import time
 import traceback
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar
@@ -65,6 +65,12 @@ def print_document(document: "Document", *, as_json: bool) -> None:
         print_json(document.data)
     else:
         terminal.print_document(document)
+
+
+def print_warning(sentence: str) -> None:
+    """Print what must be known even with --quiet, such as a missing copy; from any thread."""
+    with suppress(OSError):  # the terminal may be closed; the work goes on
+        echo(f"\n{sentence}", err=True)
 
 
 def write_report(

@@ -15,6 +15,7 @@ from dragrig.cli.console import (
     print_json_line,
     print_remark,
     print_result,
+    print_warning,
     write_report,
 )
 
@@ -222,6 +223,86 @@ def next_command(
         print_remark(f"{display_path(save_plan)} is not written: there is no run to recommend")
     elif save_plan is not None and not as_json:
         print_result(f"plan    {display_path(save_plan)}")
+
+
+@click.command("settle")
+@click.argument("plan", required=False)
+@click.option("--minutes", metavar="MIN", type=float, help="Rig time of all runs (default: 30).")
+@click.option("--until", metavar="P", type=float, help="Probability from which the gap is settled (default: 0.95).")
+@click.option("--resume", metavar="CAMPAIGN", type=FILE, help="Go on with a campaign, whatever ended it.")
+@options.settings
+@options.out("Folder of the campaign, new or empty (default: a new one in the rig's data root).")
+@options.session_notes("in the run files")
+@click.option("--mirror", metavar="DIR", type=FILE, help="Write a second, verified copy of each finished file here.")
+@options.pace
+@options.yes
+@options.report
+@options.overwrite
+@options.as_json
+@options.quiet
+def settle_command(
+    plan: str | None,
+    minutes: float | None,
+    until: float | None,
+    resume: Path | None,
+    out: Path | None,
+    operator: str,
+    note: str,
+    mirror: Path | None,
+    pace: options.Pace | None,
+    yes: bool,
+    report: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    **settings: Unpack[options.SettingsOptions],
+) -> None:
+    """Make runs until the gap is settled: the runs of PLAN first, then batches of those that tell most per minute.
+
+    After each batch the campaign is diagnosed. It ends when verdict and causes are as probable as --until, when the rig
+    time is spent, or when no further run would tell more. PLAN is a file or a shipped name; first has eight runs to
+    begin with. On a rig that needs hands it asks for them where fixture or capsule change, and bundles runs so that
+    they change rarely. All runs and decisions are kept in the campaign's folder: after a kill, --resume goes on.
+
+    Exit codes: 0 ended as it should, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
+    """
+    from dragrig.analysis.gap import DEFAULT_UNTIL, SettleRecord
+    from dragrig.api import DEFAULT_SETTLE_MIN, SettleHands, resume_settling
+    from dragrig.api import settle as settle_plan
+    from dragrig.cli.operator import TerminalOperator
+    from dragrig.present import require_writable, settlement_document, step_sentence
+
+    context = click.get_current_context()
+    if (plan is None) == (resume is None):
+        raise click.UsageError("Name a plan, or a campaign to go on with after --resume, and not both", context)
+    if resume is not None and (until is not None or out is not None or any(settings.values())):
+        raise click.UsageError("--resume goes on as it began: only --minutes may be changed", context)
+    if report is not None:
+        require_writable(report, overwrite=overwrite)
+
+    def tell(record: SettleRecord) -> None:
+        print_remark(step_sentence(record))
+
+    with TerminalOperator(yes=yes) as person:
+        hands = SettleHands(operator, note, pace, person, mirror, print_warning)
+        if resume is not None:
+            settled = resume_settling(resume, hands=hands, step=tell, minutes=minutes)
+        else:
+            settled = settle_plan(
+                plan or "",
+                minutes=DEFAULT_SETTLE_MIN if minutes is None else minutes,
+                until=DEFAULT_UNTIL if until is None else until,
+                out=out,
+                hands=hands,
+                step=tell,
+                **settings,
+            )
+    document = settlement_document(settled.record, settled.diagnosed.result, source=str(settled.folder))
+    write_report(document, report, overwrite=overwrite)
+    print_document(document, as_json=as_json)
+    if not as_json:
+        print_result(f"folder  {display_path(settled.folder)}")
+        if report is not None:
+            print_result(f"report  {display_path(report)}")
 
 
 @click.command("isolability")

@@ -2,7 +2,6 @@
 
 import os
 import sys
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
@@ -14,12 +13,12 @@ from dragrig.cli.console import (
     BAD_INPUT,
     ProgressMeter,
     display_path,
-    echo,
     print_document,
     print_error,
     print_json,
     print_remark,
     print_result,
+    print_warning,
 )
 
 if TYPE_CHECKING:
@@ -212,7 +211,7 @@ def run_command(
             pace=pace,
             person=person,
             mirror=mirror,
-            tell=_print_warning,
+            tell=print_warning,
             pause=person.pause,
         )
     if as_json:
@@ -279,12 +278,6 @@ def _print_mirror_state(made: "Made") -> None:
     if missing:
         reasons = "; ".join(f"{name}: {why}" for name, why in missing.items())
         print_error(f"NOT MIRRORED, {len(missing)} of {len(missing) + copied} files: {reasons}")
-
-
-def _print_warning(sentence: str) -> None:
-    # From the mirror's thread, and even with --quiet: a missing copy must be known.
-    with suppress(OSError):  # the terminal may be closed; copying goes on
-        echo(f"\n{sentence}", err=True)
 
 
 @click.command("recover")

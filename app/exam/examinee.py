@@ -39,7 +39,7 @@ def diagnose_blind(task: BlindTask) -> BlindDiagnosis:
     from dragrig.present import diagnosis_json
 
     try:
-        diagnosed = DiagnosisRequest(without=task.without).diagnose(task.campaign)
+        diagnosed = DiagnosisRequest(without=task.without, next_runs=None).diagnose(task.campaign)
     except Exception as error:  # noqa: BLE001  # whatever it is, the campaign counts as not diagnosed
         return BlindDiagnosis({}, None, f"{type(error).__name__}: {error}")
     result = diagnosed.result

@@ -153,3 +153,6 @@ from .run import InspectedFile as InspectedFile
 from .run import files_document as files_document
 from .run import run_document as run_document
 from .run_figures import run_figure as run_figure
+from .settle import probabilities_figure as probabilities_figure
+from .settle import settlement_document as settlement_document
+from .settle import step_sentence as step_sentence

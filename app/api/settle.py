@@ -1,0 +1,300 @@
+"""Settle a gap: make runs, diagnose, choose the next runs, make them, until the answer is sure or the time is spent.
+
+What was decided is kept beside the runs after each step, so that whatever ends the program, it goes on from there.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from datetime import datetime
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict, Unpack
+
+from pydantic import ValidationError
+
+from dragrig.analysis.gap import (
+    DEFAULT_UNTIL,
+    SETTLE_FILE,
+    Batch,
+    NextExperiment,
+    RigLimits,
+    SettleRecord,
+    batch_budget,
+    ending_of,
+    mounting,
+    plan_of_next_runs,
+    run_text,
+    settle_step,
+)
+from dragrig.api.gap import DiagnosedCampaign, DiagnosisRequest, stage_range
+from dragrig.api.measure import check, resume, run
+from dragrig.config import DragrigError, PlanError, RunFileError, SettingsError
+from dragrig.rig import latest_session_record, read_campaign, read_session_records, replace_text
+from dragrig.setup import PlanLike, SetupChoices, resolve
+
+if TYPE_CHECKING:
+    from dragrig.campaign_session import Made, SessionOperator
+    from dragrig.setup import Pace
+
+DEFAULT_SETTLE_MIN = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settlement:
+    """A settled gap, or how far it was settled.
+
+    Attributes
+    ----------
+    folder
+        The campaign.
+    record
+        What was decided after each batch, and why it ended.
+    diagnosed
+        The last diagnosis.
+    made
+        How the last session ended; None where no run was made this time.
+    """
+
+    folder: Path
+    record: SettleRecord
+    diagnosed: DiagnosedCampaign
+    made: "Made | None" = None
+
+
+def _say_nothing(sentence: str) -> None:
+    del sentence
+
+
+def _ignore(record: SettleRecord) -> None:
+    del record
+
+
+class RunOptions(TypedDict):
+    """How runs are made, as arguments of `dragrig.run`."""
+
+    operator: str
+    note: str
+    pace: "Pace | None"
+    person: "SessionOperator | None"
+    mirror: str | Path | None
+    tell: Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class SettleHands:
+    """Who is at the rig, and how its runs are made; the arguments of `dragrig.run`."""
+
+    operator: str = ""
+    note: str = ""
+    pace: "Pace | None" = None
+    person: "SessionOperator | None" = None
+    mirror: str | Path | None = None
+    tell: Callable[[str], None] = _say_nothing
+
+
+def settle(
+    plan: PlanLike,
+    *,
+    minutes: float = DEFAULT_SETTLE_MIN,
+    until: float = DEFAULT_UNTIL,
+    out: str | Path | None = None,
+    hands: SettleHands | None = None,
+    step: Callable[[SettleRecord], None] | None = None,
+    **choices: Unpack[SetupChoices],
+) -> Settlement:
+    """Make the runs of a plan, and after them those that tell most of what causes the gap, until that is settled.
+
+    Parameters
+    ----------
+    plan
+        The first runs; a few of each kind suffice, as the shipped plan `first`.
+    minutes
+        Rig time of all runs, rests and returns included; a person's hands are not counted.
+    until
+        Probability of verdict and causes from which the gap counts as settled.
+    out
+        Folder of the campaign, new or without runs (default: a new one in the rig's data root).
+    hands
+        Who answers prompts, and how the runs are made.
+    step
+        Called after each decision with all decisions so far.
+    choices
+        As of `check`.
+
+    Returns
+    -------
+    The last diagnosis, and what was decided on the way.
+
+    Raises
+    ------
+    SettingsError
+        For a time or a probability that cannot be.
+    PlanError
+        When the first runs take longer than all of the time.
+    AbortedError, TrippedError, DeviceError
+        When a session ended early; `resume_settling` goes on.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> settled = dragrig.settle("first", minutes=20)  # doctest: +SKIP
+    >>> settled.record.ending, settled.diagnosed.result.effects  # doctest: +SKIP
+    """
+    if not (isfinite(minutes) and minutes > 0):
+        raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
+    if not 0.5 <= until < 1.0:
+        raise SettingsError(f"--until {until:g}: is a probability from 0.5 to below 1.")
+    setup = resolve(plan, **choices)
+    first_min = setup.programme().duration_s / 60
+    if first_min > minutes:
+        raise PlanError(
+            f"{setup.plan.name}: takes {first_min:.1f} min of rig time, more than --minutes {minutes:g}; begin with a "
+            "shorter plan, as first, or give more time."
+        )
+    check(plan, out=out, **choices).require()
+    now = datetime.now().astimezone()
+    folder = setup.data_root / f"{now:%Y%m%d-%H%M%S}-settle-{setup.plan.name}" if out is None else Path(out)
+    first = Batch(plan=setup.plan, minutes=first_min, reason="the first runs")
+    record = SettleRecord(plan=setup.plan.name, begun_at=now, minutes=minutes, until=until, batches=(first,))
+    settling = _Settling(folder, hands or SettleHands(), step or _ignore)
+    with _no_trace_if_nothing_began(folder):
+        settling.keep(record)
+        made = run(plan, out=folder, **settling.how, **choices)
+    made.session.require()
+    return settling.go_on(record, made)
+
+
+def resume_settling(
+    campaign: str | Path,
+    *,
+    hands: SettleHands | None = None,
+    step: Callable[[SettleRecord], None] | None = None,
+    minutes: float | None = None,
+) -> Settlement:
+    """Go on with settling a gap, whatever ended it; runs that are missing are made first.
+
+    Parameters
+    ----------
+    campaign
+        The campaign's folder.
+    minutes
+        Rig time of all runs (default: as it began); more makes a settling go on that had spent its time.
+
+    Raises
+    ------
+    RunFileError
+        Where nothing was being settled.
+    DragrigError
+        As `settle`.
+    """
+    folder = Path(campaign)
+    record = read_settle_record(folder)
+    if minutes is not None:
+        record = record.model_copy(update={"minutes": minutes, "ending": None})
+    settling = _Settling(folder, hands or SettleHands(), step or _ignore)
+    made = settling.made_last_batch(record) if len(record.steps) < len(record.batches) else None
+    return settling.go_on(record, made)
+
+
+def read_settle_record(folder: Path) -> SettleRecord:
+    """Read what was decided in a campaign; raises `RunFileError` where nothing was, or it cannot be read."""
+    path = folder / SETTLE_FILE
+    try:
+        return SettleRecord.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        raise RunFileError(
+            f"{folder}: holds no {SETTLE_FILE}, so nothing was being settled there; name the folder that gap settle "
+            "printed."
+        ) from None
+    except (OSError, ValidationError) as error:
+        raise RunFileError(
+            f"{path}: cannot be read ({type(error).__name__}); the runs are sound: dragrig gap diagnose {folder}."
+        ) from error
+
+
+@contextmanager
+def _no_trace_if_nothing_began(folder: Path) -> Iterator[None]:
+    """Leave no folder behind where a session did not even begin."""
+    try:
+        yield
+    except DragrigError:
+        if not read_session_records(folder)[0]:
+            (folder / SETTLE_FILE).unlink(missing_ok=True)
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+@dataclass(frozen=True, slots=True)
+class _Settling:
+    """The steps after the first runs."""
+
+    folder: Path
+    hands: SettleHands
+    step: Callable[[SettleRecord], None]
+
+    @property
+    def how(self) -> "RunOptions":
+        """How runs are made, as arguments of `dragrig.run`."""
+        hands = self.hands
+        return {
+            "operator": hands.operator,
+            "note": hands.note,
+            "pace": hands.pace,
+            "person": hands.person,
+            "mirror": hands.mirror,
+            "tell": hands.tell,
+        }
+
+    def keep(self, record: SettleRecord) -> None:
+        """Write what was decided, and tell of it."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        replace_text(self.folder / SETTLE_FILE, record.model_dump_json(indent=1))
+        self.step(record)
+
+    def made_last_batch(self, record: SettleRecord) -> "Made":
+        """Make the runs of the last batch that are missing."""
+        batch = record.batches[-1]
+        if latest_session_record(self.folder)[0].plan.name == batch.plan.name:
+            made = resume(self.folder, **self.how)
+        else:
+            made = run(batch.plan, append=self.folder, **self.how)
+        made.session.require()
+        return made
+
+    def go_on(self, record: SettleRecord, made: "Made | None") -> Settlement:
+        """Diagnose, and make further runs, until there is a reason to end."""
+        while True:
+            left_min = record.left_min
+            request = DiagnosisRequest(next_runs=batch_budget(left_min, self._limits()))
+            diagnosed = request.diagnose(self.folder)
+            result = diagnosed.result
+            if len(record.steps) < len(record.batches):
+                record = record.model_copy(update={"steps": (*record.steps, settle_step(result, record))})
+            ending = ending_of(result, record.until, left_min)
+            if ending is not None or result.next_experiment is None:
+                record = record.model_copy(update={"ending": ending})
+                self.keep(record)
+                return Settlement(self.folder, record, diagnosed, made)
+            batch = self._batch(result.next_experiment, record)
+            record = record.model_copy(update={"batches": (*record.batches, batch)})
+            self.keep(record)
+            made = self.made_last_batch(record)
+
+    def _limits(self) -> RigLimits:
+        stored = latest_session_record(self.folder)[0]
+        return stage_range(resolve("drag", folder=self.folder, campaign=stored))
+
+    def _batch(self, experiment: NextExperiment, record: SettleRecord) -> Batch:
+        runs = [info for info in read_campaign(self.folder).runs if info.kind != "return"]
+        name = f"{record.plan}-then-{len(record.batches)}"
+        plan = plan_of_next_runs(experiment, name, mounting(runs[-1].kind))
+        gains = [run.gain_bits for run in experiment.runs if run.gain_bits is not None]
+        return Batch(
+            plan=plan,
+            minutes=experiment.minutes,
+            runs=tuple(run_text(run.step) for run in experiment.runs),
+            reason=experiment.reason,
+            gain_bits=sum(gains) if gains else None,
+        )

@@ -1,0 +1,164 @@
+"""How a gap was settled, laid out for a reader: the verdict, how its probabilities moved, and why each run was made."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from dragrig.analysis import count_text
+from dragrig.analysis.gap import Diagnosis, Ending, SettleRecord, SettleStep, display_name
+from dragrig.present import (
+    CYCLE,
+    GREY,
+    CurveLabel,
+    Document,
+    Field,
+    Figure,
+    Items,
+    Section,
+    Table,
+    Text,
+    TextKind,
+    decimals,
+    diagnosis_document,
+    figure_style,
+    label_curves,
+    new_figure,
+    probability_text,
+    significant,
+    to_json_object,
+)
+from dragrig.present.diagnosis import BITS_EXPLAINED
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as MatplotlibFigure
+
+
+MIN_DRAWN_PRESENCE = 0.1
+"""Effects that were less likely throughout are not drawn."""
+VERDICTS = {"no_gap": "no gap", "unknown": "a gap without a name"}
+
+
+def settlement_document(record: SettleRecord, diagnosis: Diagnosis, *, source: str = "") -> Document:
+    """Lay out a settled gap: the last diagnosis, and how it came about.
+
+    Parameters
+    ----------
+    record
+        What was decided after each batch of runs.
+    diagnosis
+        The last one.
+    source
+        The campaign.
+    """
+    document = diagnosis_document(diagnosis, source=source)
+    return replace(
+        document,
+        title=f"Settled: {diagnosis.specimen}" if record.ending is Ending.SETTLED else f"Gap of {diagnosis.specimen}",
+        lead=(ending_sentence(record), *document.lead),
+        sections=(_way_section(record), *document.sections),
+        data={**_mapping(document), "settle": to_json_object(record.model_dump(mode="json"))},
+    )
+
+
+def _mapping(document: Document) -> Mapping[str, object]:
+    return document.data if isinstance(document.data, Mapping) else {}
+
+
+def ending_sentence(record: SettleRecord) -> str:
+    """Say why no further run was made, and what it took."""
+    last = record.steps[-1]
+    spent = f"after {count_text(last.runs, 'run')} and {last.spent_min:.1f} of {record.minutes:g} min of rig time"
+    sure = (
+        f"the causes are sure to {probability_text(last.surest)}, the verdict to {probability_text(last.probability)}"
+    )
+    match record.ending:
+        case Ending.SETTLED:
+            return f"Settled {spent}: {sure}."
+        case Ending.NO_RUN:
+            return f"Ended {spent}, since no further run would tell more that is worth its time: {sure}."
+        case Ending.TIME:
+            return f"Ended {spent}, for the time is spent: {sure}; asked for was {record.until:g}."
+    return f"Not ended: {sure} {spent}."
+
+
+def step_sentence(record: SettleRecord) -> str:
+    """Say what the latest diagnosis found, and what is made next and why, as it goes."""
+    if not record.steps:
+        return f"First: {count_text(len(record.batches[0].plan.steps), 'step')}, {record.batches[0].minutes:.1f} min."
+    last = record.steps[-1]
+    found = f"{count_text(last.runs, 'run')}, {last.spent_min:.1f} min: {verdict_text(last)}"
+    if len(record.batches) == len(record.steps):
+        return f"{found}. {ending_sentence(record)}"
+    return f"{found}. Next, {record.batches[-1].minutes:.1f} min: {record.batches[-1].reason}"
+
+
+def verdict_text(step: SettleStep) -> str:
+    """Return the verdict of a step with its probability."""
+    name = display_name("+".join(step.effects)) if step.effects else VERDICTS.get(step.verdict, step.verdict)
+    return f"{name} {probability_text(step.probability)}"
+
+
+def _way_section(record: SettleRecord) -> Section:
+    rows = list(enumerate(record.steps))
+    return Section(
+        "way",
+        "How it was settled",
+        (
+            Figure(
+                "probabilities",
+                "Probabilities against rig time: a curve for each effect that was ever likely, and one for the causes.",
+                "Presence of each effect by the diagnosis after each batch of runs. Dashed, the probability of the "
+                "most likely set of causes, sizes included that the runs so far could not show; dotted, what was asked "
+                "for.",
+                lambda: probabilities_figure(record.steps, record.until),
+            ),
+            Table.of(
+                "batches",
+                "",
+                rows,
+                Field("batch", "batch", lambda row: row[0] + 1, decimals(0)),
+                Field("runs", "runs", lambda row: row[1].runs, decimals(0)),
+                Field("minutes", "min", lambda row: row[1].spent_min, decimals(1)),
+                Field("verdict", "verdict", lambda row: verdict_text(row[1])),
+                Field("causes", "causes", lambda row: row[1].surest, decimals(2)),
+                Field("open", "open, bit", lambda row: row[1].open_bits, significant(2)),
+                Field("expected", "expected, bit", lambda row: record.batches[row[0]].gain_bits, significant(2)),
+            ),
+            Text(BITS_EXPLAINED, TextKind.EXPLANATION),
+            Section("why", "Why these runs", (Items(tuple(_reasons(record))),)),
+        ),
+    )
+
+
+def _reasons(record: SettleRecord) -> Iterator[str]:
+    for number, batch in enumerate(record.batches, 1):
+        if number > 1:
+            yield f"Batch {number}: {'; '.join(batch.runs)}. {batch.reason}"
+
+
+def probabilities_figure(steps: Sequence[SettleStep], until: float) -> "MatplotlibFigure":
+    """Draw how probabilities moved against rig time: presence of each effect that was ever likely, and the causes."""
+    minutes = [step.spent_min for step in steps]
+    highest: dict[str, float] = {}
+    for step in steps:
+        for name, value in step.presence.items():
+            highest[name] = max(highest.get(name, 0.0), value)
+    drawn = sorted((name for name, value in highest.items() if value >= MIN_DRAWN_PRESENCE), key=lambda n: -highest[n])
+    with figure_style():
+        figure = new_figure(
+            9.0, 4.2, "How the probabilities moved", "After each batch of runs: presence of effects, and the causes"
+        )
+        axes = figure.add_subplot(ylim=(-0.03, 1.03))
+        labels = []
+        for name, colour in zip(drawn, CYCLE, strict=False):
+            values = [step.presence.get(name, 0.0) for step in steps]
+            axes.plot(minutes, values, "o-", color=colour, clip_on=False)
+            labels.append(CurveLabel(values[-1], display_name(name), colour))
+        surest = [step.surest for step in steps]
+        axes.plot(minutes, surest, "s--", color=GREY, clip_on=False)
+        labels.append(CurveLabel(surest[-1], "causes, all sizes", GREY))
+        axes.axhline(until, color=GREY, linestyle=":", linewidth=1.2)
+        axes.set_xlabel("Rig time, min")
+        axes.set_ylabel("Probability")
+        label_curves(axes, labels)
+        return figure
