@@ -1,9 +1,10 @@
 """What the loop of `dragrig gap settle` is worth on hidden campaigns, against a fixed plan.
 
-`python bench/settle.py --cases 30 --seed 91100` hides what an exam hides (its plant, fresh seeds), begins with the eight
-runs of the plan `first`, and goes on as `gap settle` does, with at most 60 % of the rig time of the plan `diagnose`; the
-same campaign is then diagnosed by the runs of `diagnose`. `--plant drawn` hides forms that taught nothing. The plant has
-no runs there and back: neither plan has them. A second call with the same `--out` goes on where the first was stopped.
+`python bench/settle.py --cases 30 --seed 91100` hides what an exam hides (its plant, fresh seeds), begins with the
+eight runs of the plan `first`, and goes on as `gap settle` does, with at most 60 % of the rig time of the plan
+`diagnose`; the same campaign is then diagnosed by the runs of `diagnose`. `--plant drawn` hides forms that taught
+nothing. The plant has no runs there and back: neither plan has them. A second call with the same `--out` goes on where
+the first was stopped.
 """
 
 import os
