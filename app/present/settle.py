@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from dragrig.analysis import count_text
+from dragrig.analysis import count_text, join_names
 from dragrig.analysis.gap import Diagnosis, Ending, SettleRecord, SettleStep, display_name
 from dragrig.present import (
     CYCLE,
@@ -55,7 +55,8 @@ def settlement_document(record: SettleRecord, diagnosis: Diagnosis, *, source: s
         document,
         title=f"Settled: {diagnosis.specimen}" if record.ending is Ending.SETTLED else f"Gap of {diagnosis.specimen}",
         lead=(ending_sentence(record), *document.lead),
-        sections=(_way_section(record), *document.sections),
+        # The figure that shows the conclusion comes first.
+        sections=(*document.sections[:1], _way_section(record), *document.sections[1:]),
         data={**_mapping(document), "settle": to_json_object(record.model_dump(mode="json"))},
     )
 
@@ -69,16 +70,17 @@ def ending_sentence(record: SettleRecord) -> str:
     last = record.steps[-1]
     spent = f"after {count_text(last.runs, 'run')} and {last.spent_min:.1f} of {record.minutes:g} min of rig time"
     sure = (
-        f"the causes are sure to {probability_text(last.surest)}, the verdict to {probability_text(last.probability)}"
+        f"the verdict has a probability of {probability_text(last.probability)}, the likeliest causes, of any size, "
+        f"{probability_text(last.surest)}"
     )
     match record.ending:
         case Ending.SETTLED:
             return f"Settled {spent}: {sure}."
         case Ending.NO_RUN:
-            return f"Ended {spent}, since no further run would tell more that is worth its time: {sure}."
+            return f"Ended {spent}, for no further run would tell more that is worth its time: {sure}."
         case Ending.TIME:
-            return f"Ended {spent}, for the time is spent: {sure}; asked for was {record.until:g}."
-    return f"Not ended: {sure} {spent}."
+            return f"Ended {spent}, for the time is spent: {sure}, where {record.until:g} was asked for."
+    return f"Not ended yet, {spent}: {sure}."
 
 
 def step_sentence(record: SettleRecord) -> str:
@@ -108,7 +110,7 @@ def _way_section(record: SettleRecord) -> Section:
                 "probabilities",
                 "Probabilities against rig time: a curve for each effect that was ever likely, and one for the causes.",
                 "Presence of each effect by the diagnosis after each batch of runs. Dashed, the probability of the "
-                "most likely set of causes, sizes included that the runs so far could not show; dotted, what was asked "
+                "likeliest set of causes, sizes included that the runs so far could not show; dotted, what was asked "
                 "for.",
                 lambda: probabilities_figure(record.steps, record.until),
             ),
@@ -120,7 +122,7 @@ def _way_section(record: SettleRecord) -> Section:
                 Field("runs", "runs", lambda row: row[1].runs, decimals(0)),
                 Field("minutes", "min", lambda row: row[1].spent_min, decimals(1)),
                 Field("verdict", "verdict", lambda row: verdict_text(row[1])),
-                Field("causes", "causes", lambda row: row[1].surest, decimals(2)),
+                Field("causes", "likeliest causes", lambda row: row[1].surest, decimals(2)),
                 Field("open", "open, bit", lambda row: row[1].open_bits, significant(2)),
                 Field("expected", "expected, bit", lambda row: record.batches[row[0]].gain_bits, significant(2)),
             ),
@@ -133,7 +135,8 @@ def _way_section(record: SettleRecord) -> Section:
 def _reasons(record: SettleRecord) -> Iterator[str]:
     for number, batch in enumerate(record.batches, 1):
         if number > 1:
-            yield f"Batch {number}: {'; '.join(batch.runs)}. {batch.reason}"
+            then = f" Then {join_names(batch.runs[1:])}." if len(batch.runs) > 1 else ""
+            yield f"Batch {number}: {batch.reason}{then}"
 
 
 def probabilities_figure(steps: Sequence[SettleStep], until: float) -> "MatplotlibFigure":
@@ -156,7 +159,7 @@ def probabilities_figure(steps: Sequence[SettleStep], until: float) -> "Matplotl
             labels.append(CurveLabel(values[-1], display_name(name), colour))
         surest = [step.surest for step in steps]
         axes.plot(minutes, surest, "s--", color=GREY, clip_on=False)
-        labels.append(CurveLabel(surest[-1], "causes, all sizes", GREY))
+        labels.append(CurveLabel(surest[-1], "likeliest causes", GREY))
         axes.axhline(until, color=GREY, linestyle=":", linewidth=1.2)
         axes.set_xlabel("Rig time, min")
         axes.set_ylabel("Probability")

@@ -1,0 +1,146 @@
+"""`dragrig gap settle`: one campaign of batches, each with its reason, that goes on after a kill and ends for one."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from diagnoses import STRIBECK
+
+import dragrig
+from dragrig.analysis.gap import Ending, OpenCauses, SettleRecord, plan_of_next_runs
+from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
+from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
+from dragrig.api import read_settle_record
+from dragrig.cli import main
+from dragrig.config import Plan, PlanStep, to_toml
+from dragrig.config.errors import PlanError, RunFileError, SettingsError
+from dragrig.present import settlement_document
+from dragrig.present.terminal import document_text
+from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
+
+FIRST = Plan.model_validate(
+    {
+        "name": "few",
+        "steps": [
+            {"kind": "relaxation", "shear_strain": 1.0, "hold_s": 10.0, "wait_s": 5.0},
+            {"kind": "drag", "speed_mm_s": [20.0, 5.0, 60.0], "travel_mm": 20.0, "wait_s": 10.0},
+        ],
+    }
+)
+MINUTES = 3.0
+EFFECT = "stribeck:ratio=0.3"
+SURE = OpenCauses({"stribeck": 0.99}, 0.0, 0.97, 0.1)
+DRAG = {"kind": "drag", "wait_s": 5.0, "speed_mm_s": 5.0, "travel_mm": 20.0}
+
+
+@pytest.mark.timeout(300)
+def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path) -> None:
+    settled = dragrig.settle(FIRST, minutes=MINUTES, out=tmp_path / "settled", effects=[EFFECT])
+    record = read_settle_record(settled.folder)
+    assert record == settled.record
+    assert len(record.batches) == len(record.steps) > 1
+    assert record.ending is not None
+    assert record.planned_min <= MINUTES
+    spent = [step.spent_min for step in record.steps]
+    assert spent == sorted(spent)
+    assert all(batch.reason and batch.runs for batch in record.batches[1:])
+    runs = read_campaign(settled.folder).runs
+    assert len({run.header.order for run in runs}) == len(runs)
+    assert sum(run.kind != "return" for run in runs) == record.steps[-1].runs
+    assert len(read_session_records(settled.folder)[0]) == len(record.batches)
+    assert {run.header.specimen["name"] for run in runs} == {runs[0].header.specimen["name"]}
+    assert SettleRecord.model_validate_json(record.model_dump_json()) == record
+    document = settlement_document(settled.record, settled.diagnosed.result)
+    said = document_text(document)
+    assert str(settled.record.steps[-1].runs) in document.lead[0]
+    for batch in settled.record.batches[1:]:
+        assert batch.reason.split(" is expected")[0].split(",")[0] in said
+    assert "probabilities" in [figure.name for figure in document.figures()]
+    assert json.loads(json.dumps(document.data))["settle"]["batches"][0]["plan"]["name"] == "few"
+
+
+@pytest.mark.timeout(300)
+def test_a_killed_loop_goes_on_where_it_was(tmp_path: Path) -> None:
+    plan, folder = tmp_path / "few.toml", tmp_path / "killed"
+    plan.write_text(to_toml(FIRST), "utf-8")
+    command = [sys.executable, "-m", "dragrig", "gap", "settle", str(plan), "--minutes", str(MINUTES), "--yes"]
+    loop = subprocess.Popen(
+        [*command, "--out", str(folder), "--effect", EFFECT], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    # Killed while the second batch is made, or just after.
+    while len(read_session_records(folder)[0] if folder.is_dir() else ()) < 2:
+        assert loop.poll() is None
+        time.sleep(0.02)
+    os.kill(loop.pid, signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
+    loop.wait()
+    before = read_settle_record(folder)
+    assert before.ending is None
+    gone_on = dragrig.resume_settling(folder)
+    record = gone_on.record
+    assert record.batches[: len(before.batches)] == before.batches
+    assert record.steps[: len(before.steps)] == before.steps
+    assert record.ending is not None
+    complete = [run for run in read_campaign(folder).good if run.kind != "return" and run.status.value == "complete"]
+    assert len(complete) == record.steps[-1].runs
+    assert len({run.header.order for run in complete}) == len(complete)
+
+
+def test_it_ends_for_the_reason_that_is_told() -> None:
+    sure = replace(STRIBECK, open_causes=SURE)
+    doubtful = replace(sure, open_causes=replace(SURE, surest=0.7))
+    step = PlanStep.model_validate(DRAG)
+    advised = replace(doubtful, next_experiment=NextExperiment((NextRun(step, 1.0, 0.1),), 9, "Because."))
+    probability = max(entry.probability for entry in sure.ranking)
+    assert ending_of(sure, min(0.95, probability), 10.0) is Ending.SETTLED
+    assert ending_of(replace(doubtful, next_experiment=None), 0.95, 10.0) is Ending.NO_RUN
+    assert ending_of(advised, 0.95, 0.1) is Ending.TIME
+    assert ending_of(advised, 0.95, 10.0) is None
+
+
+def test_a_batch_never_takes_more_than_is_left() -> None:
+    assert batch_budget(20.0, None).minutes == pytest.approx(10.0)
+    assert batch_budget(3.0, None).minutes == pytest.approx(3.0)
+    assert batch_budget(-1.0, None).minutes == 0.0
+
+
+def test_hands_are_asked_for_only_where_something_else_must_be_mounted() -> None:
+    blank = PlanStep(kind="blank", parameters={"speed_mm_s": 40.0, "travel_mm": 40.0})
+    experiment = NextExperiment(
+        (NextRun(blank, 1.0, 0.2), NextRun(PlanStep.model_validate(DRAG), 1.0, 0.1)), 9, "Because."
+    )
+    on_foam = plan_of_next_runs(experiment, mounted="drag")
+    assert [step.kind for step in on_foam.steps] == ["drag", "blank"]
+    assert [bool(step.prompt) for step in on_foam.steps] == [False, True]
+    assert [bool(step.prompt) for step in plan_of_next_runs(experiment).steps] == [True, True]
+
+
+def test_what_cannot_be_settled_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    folder = tmp_path / "none"
+    with pytest.raises(PlanError, match="more than --minutes 1"):
+        dragrig.settle(FIRST, minutes=1.0, out=folder)
+    with pytest.raises(SettingsError, match=r"--until 1\.2"):
+        dragrig.settle(FIRST, until=1.2, out=folder)
+    with pytest.raises(SettingsError, match="--minutes"):
+        dragrig.settle(FIRST, minutes=float("nan"), out=folder)
+    assert not folder.exists()
+    tmp_path.joinpath("plain").mkdir()
+    with pytest.raises(RunFileError, match=SETTLE_FILE):
+        dragrig.resume_settling(tmp_path / "plain")
+    (tmp_path / "plain" / SETTLE_FILE).write_text("{}", "utf-8")
+    with pytest.raises(RunFileError, match="cannot be read"):
+        dragrig.resume_settling(tmp_path / "plain")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [[], ["first", "--resume", "there"], ["--resume", "there", "--until", "0.9"], ["first", "--until", "2"]],
+)
+def test_the_command_refuses_what_makes_no_sense(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gap", "settle", *arguments]) == 2
+    assert "Traceback" not in capsys.readouterr().err
