@@ -32,6 +32,8 @@ MAX_ORDER = 8
 MAX_DIRECT_WINDOW = 512
 """Longer windows are convolved by Fourier transform."""
 _MIN_THREADED_SAMPLES = 1_000_000
+_DISPLAY_BLOCK_SAMPLES, _BLOCK_WINDOWS, _BLOCKS_AT_ONCE = 8192, 8, 8
+"""Of the Fourier transforms for display: so few stay in the processor's cache."""
 MIN_MOTION_WINDOWS = 4.0
 """A motion shorter than this many windows is blurred, which an event says."""
 FILTER_EVENT = "filter"
@@ -73,10 +75,11 @@ class SavgolKernel:
         """Samples before and after the middle of the window."""
         return self.window // 2
 
-    def whole(self, piece: FloatArray) -> FloatArray:
+    def whole(self, piece: FloatArray, *, for_display: bool = False) -> FloatArray:
         """Filter a piece of `n >= window` samples to as many."""
         first, last = self.ends(piece[: self.window]), self.ends(piece[-self.window :])
-        return np.concatenate((first[: self.half], self.middle(piece), last[self.half + 1 :]))
+        middle = self.middle_for_display(piece) if for_display else self.middle(piece)
+        return np.concatenate((first[: self.half], middle, last[self.half + 1 :]))
 
     def middle(self, piece: FloatArray) -> FloatArray:
         """Filter a piece of `n >= window` samples to the `n - window + 1` that have a full window."""
@@ -85,6 +88,29 @@ class SavgolKernel:
 
             return np.asarray(oaconvolve(piece, self.weights, mode="valid"), dtype=np.float64)
         return np.convolve(piece, self.weights, mode="valid")
+
+    def middle_for_display(self, piece: FloatArray) -> FloatArray:
+        """As `middle`, in nearly the same time for every window; rounded otherwise, by some 1e-15 of the values.
+
+        Overlap-save: only full blocks are transformed, the samples after the last one are filtered by `middle`.
+        """
+        from scipy.fft import irfft, next_fast_len, rfft
+
+        block = next_fast_len(max(_DISPLAY_BLOCK_SAMPLES, _BLOCK_WINDOWS * self.window), real=True)
+        step = block - self.window + 1
+        if len(piece) < block:
+            return self.middle(piece)
+        blocks = np.lib.stride_tricks.sliding_window_view(piece, block)[::step]
+        done = len(blocks) * step
+        result = np.empty(len(piece) - self.window + 1)
+        steps = result[:done].reshape(len(blocks), step)
+        transfer = rfft(self.weights, block)
+        for first in range(0, len(blocks), _BLOCKS_AT_ONCE):
+            some = slice(first, first + _BLOCKS_AT_ONCE)
+            steps[some] = irfft(rfft(blocks[some]) * transfer, block)[:, self.window - 1 :]
+        if done < len(result):
+            result[done:] = self.middle(piece[done:])
+        return result
 
     def ends(self, samples: FloatArray) -> FloatArray:
         """Evaluate the polynomial through exactly one window at each of its samples; the middle one is not used."""
@@ -173,6 +199,8 @@ def smooth(
     settings: SavgolSettings,
     gaps: npt.ArrayLike = (),
     time: FloatArray | None = None,
+    *,
+    for_display: bool = False,
 ) -> SmoothedTrace:
     """Filter a trace, each unbroken piece on its own.
 
@@ -190,6 +218,8 @@ def smooth(
         Index of each first sample after a gap, as `gap_starts` returns them.
     time
         Times of the samples [s] for the events; default: sample index over rate.
+    for_display
+        Faster on a long trace; rounding differs, far below single precision. Not for what is stored.
 
     Raises
     ------
@@ -212,7 +242,7 @@ def smooth(
             at = float(time[piece.start]) if time is not None else piece.start / sample_rate_hz
             events.append(too_short_event(at, samples, window))
             continue
-        result[piece] = kernel.whole(source[piece])
+        result[piece] = kernel.whole(source[piece], for_display=for_display)
     read_only(result)
     return SmoothedTrace(result, tuple(events))
 
@@ -356,7 +386,13 @@ def default_filter_settings(sample_rate_hz: float) -> SavgolSettings:
     return SavgolSettings(window_s=DEFAULT_WINDOW_S)
 
 
-def filter_run(run: Run, settings: SavgolSettings | None = None, forces: Collection[str] | None = None) -> FilteredRun:
+def filter_run(
+    run: Run,
+    settings: SavgolSettings | None = None,
+    forces: Collection[str] | None = None,
+    *,
+    for_display: bool = False,
+) -> FilteredRun:
     """Filter the forces of a run, and derive `speed` [mm/s] from its position.
 
     Parameters
@@ -366,6 +402,8 @@ def filter_run(run: Run, settings: SavgolSettings | None = None, forces: Collect
         (then in mN/s^k); the speed is always the first derivative of the position.
     forces
         Names of the forces to filter; default: all.
+    for_display
+        As for `smooth`.
 
     Raises
     ------
@@ -381,7 +419,7 @@ def filter_run(run: Run, settings: SavgolSettings | None = None, forces: Collect
 
     def smoothed(task: tuple[AnyFloatArray, SavgolSettings]) -> SmoothedTrace:
         values, how = task
-        return smooth(values, trace.sample_rate_hz, how, gaps, trace.time)
+        return smooth(values, trace.sample_rate_hz, how, gaps, trace.time, for_display=for_display)
 
     # A convolution leaves the interpreter to other threads; for fewer samples they cost more than they save.
     threads = len(tasks) if len(trace.time) >= _MIN_THREADED_SAMPLES else 1

@@ -583,7 +583,7 @@ def filtered_anew(
     window = default.window_s if window_s is None else window_s
     samples = default.window_samples if window is None else None
     settings = SavgolSettings(window, samples, default.order if order is None else order)
-    smooth = filter_run(shown.run, settings, None if force is None else (force,)).trace
+    smooth = filter_run(shown.run, settings, None if force is None else (force,), for_display=True).trace
     return replace(
         shown,
         filtered=_shown_channels(smooth.channels, shown.even, _origin_mm(shown.run.info)),

@@ -183,3 +183,16 @@ def test_a_window_that_does_not_suit_rate_or_run_is_refused() -> None:
 )
 def test_a_window_in_seconds_becomes_the_nearest_odd_number(seconds: float, rate: float, samples: int) -> None:
     assert SavgolSettings(window_s=seconds).samples(rate) == samples
+
+
+@pytest.mark.parametrize("window", [5, 51, 501, 4001])
+@pytest.mark.parametrize("derivative", [0, 1])
+def test_a_long_trace_is_shown_as_it_is_filtered(window: int, derivative: int) -> None:
+    samples = np.random.default_rng(3).normal(100.0, 3.0, 90_001)
+    samples[40_000] = np.nan
+    how = SavgolSettings(window_samples=window, order=3, derivative=derivative)
+    exact = smooth(samples, 1000.0, how, gaps=[70_000])
+    shown = smooth(samples, 1000.0, how, gaps=[70_000], for_display=True)
+    largest = float(np.nanmax(np.abs(exact.values)))
+    np.testing.assert_allclose(shown.values, exact.values, rtol=0, atol=1e-11 * max(largest, 100.0))
+    assert shown.events == exact.events
