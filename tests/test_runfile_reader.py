@@ -307,6 +307,25 @@ def test_text_of_gigabytes_that_lies_nowhere_is_caught_before(own: bool, tmp_pat
     assert "its text is damaged" in refused(path)
 
 
+@pytest.mark.parametrize("dataset", ["/entry/run/settings", "/entry/run/words"])
+def test_a_dataset_with_text_of_gigabytes_is_caught_before(dataset: str, tmp_path: Path) -> None:
+    path = whole(tmp_path / "run.h5")
+    with h5py.File(path, "r+") as file:
+        if dataset in file:
+            del file[dataset]
+        kind = np.dtype([("time", "<f8"), ("word", h5py.string_dtype())])
+        if dataset.endswith("words"):
+            file[dataset] = np.array([(0.0, "a"), (1.0, "b")], kind)
+            at = file[dataset].id.get_offset() + 24 + 8
+        else:
+            file[dataset] = "text"
+            at = file[dataset].id.get_offset()
+    raw = bytearray(path.read_bytes())
+    raw[at : at + 12] = b"\x42\xff\xff\xff" + (1 << 40).to_bytes(8, "little")
+    path.write_bytes(raw)
+    assert f"its text is damaged at byte {at}" in refused(path)
+
+
 def test_nothing_is_written_over(tmp_path: Path) -> None:
     path = whole(tmp_path / "run.h5")
     before = path.read_bytes()

@@ -41,6 +41,7 @@ _TEXT_TYPES = (
 _DATASPACE_HEADER_BYTES, _MAX_RANK = {1: 8, 2: 4}, 32
 """By version of the dataspace, which follows the datatype (section IV.A.2.b)."""
 _MAX_REFERENCES = 10_000
+_POINTER_BYTES = 8
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK_BYTES = 48
@@ -190,6 +191,47 @@ def refuse_foreign_storage(file: "h5py.File") -> None:
 
     if (found := file.id.links.visit(foreign, info=True)) is not None:
         raise ForeignStorageError(found)
+
+
+def find_oversized_text(file: "h5py.File", path: Path) -> int | None:
+    """Return the offset [bytes] of a text in a dataset that claims more than there may be, or None.
+
+    Compact and filtered datasets are not searched.
+    """
+    import h5py
+
+    with path.open("rb") as raw:
+
+        def oversized(name: bytes, link: h5py.h5l.LinkInfo) -> int | None:
+            item = h5py.h5o.open(file.id, name) if link.type == h5py.h5l.TYPE_HARD else None
+            if not isinstance(item, h5py.h5d.DatasetID):
+                return None
+            texts, offset = _text_offsets(item.get_type()), item.get_offset()
+            rows = math.prod(item.shape)
+            if offset is None or not texts or not rows:
+                return None
+            # In memory a text is a pointer, in the file a reference of twice its size.
+            stored = [at + before * _POINTER_BYTES for before, at in enumerate(sorted(texts))]
+            row_bytes = item.get_storage_size() // rows
+            raw.seek(offset)
+            data = raw.read(min(rows, _MAX_REFERENCES) * row_bytes)
+            for text in (row + at for row in range(0, len(data), max(1, row_bytes)) for at in stored):
+                if int.from_bytes(data[text : text + 4], "little") > MAX_TEXT_BYTES:
+                    return int(offset + text)
+            return None
+
+        found: int | None = file.id.links.visit(oversized, info=True)
+    return found
+
+
+def _text_offsets(kind: "h5py.h5t.TypeID") -> list[int]:
+    """Return where text of variable length stands in a row, in memory."""
+    import h5py
+
+    if isinstance(kind, h5py.h5t.TypeCompoundID):
+        members = [(kind.get_member_offset(at), kind.get_member_type(at)) for at in range(kind.get_nmembers())]
+        return [offset + inner for offset, member in members for inner in _text_offsets(member)]
+    return [0] if isinstance(kind, h5py.h5t.TypeStringID) and kind.is_variable_str() else []
 
 
 def is_open_for_writing(path: Path) -> bool:
