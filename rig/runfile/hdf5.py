@@ -196,7 +196,7 @@ def refuse_foreign_storage(file: "h5py.File") -> None:
 def find_oversized_text(file: "h5py.File", path: Path) -> int | None:
     """Return the offset [bytes] of a text in a dataset that claims more than there may be, or None.
 
-    Compact and filtered datasets are not searched.
+    Datasets that are compact, chunked or filtered are not searched, nor rows beyond the first 16 MiB.
     """
     import h5py
 
@@ -214,7 +214,8 @@ def find_oversized_text(file: "h5py.File", path: Path) -> int | None:
             stored = [at + before * _POINTER_BYTES for before, at in enumerate(sorted(texts))]
             row_bytes = item.get_storage_size() // rows
             raw.seek(offset)
-            data = raw.read(min(rows, _MAX_REFERENCES) * row_bytes)
+            # The sizes are the file's own word: what is read is bounded whatever it says.
+            data = raw.read(min(rows * row_bytes, MAX_TEXT_BYTES))
             for text in (row + at for row in range(0, len(data), max(1, row_bytes)) for at in stored):
                 if int.from_bytes(data[text : text + 4], "little") > MAX_TEXT_BYTES:
                     return int(offset + text)
