@@ -4,8 +4,8 @@ One way, from runs to the next run:
 
 `run_data` → `design` (linearised campaign, candidates, and fits in it) → `studies` → `hypothesis_fit` →
 `forward_selection` → `features` → `classifier` → `presence` and `budget` (which causes, and how much of the gap each
-has) → `excess` and `localise` (where) → `unknown_gap` → `gap_reduction` (how far it closes) → `isolability` and
-`next_run` (what next) → `diagnose`.
+has) → `excess` and `localise` (where) → `unknown_gap` → `gap_reduction` (how far it closes) → `isolability`,
+`information` and `next_run` (what next) → `diagnose` → `settling` (whether anything is left to run).
 
 `__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """

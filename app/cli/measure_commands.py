@@ -60,7 +60,7 @@ def check_command(
 ) -> None:
     """Check PLAN, a file or a shipped name; without PLAN, check the rig. Nothing moves.
 
-    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, paper, relaxation.
+    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, first, paper, relaxation.
 
     With PLAN: every run with its range, speed and duration, and each limit that it violates.
 
@@ -188,7 +188,7 @@ def run_command(
 
     A run file in place of a plan repeats its whole session, with the settings stored in it.
 
-    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, paper, relaxation.
+    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, first, paper, relaxation.
 
     Everything is checked before anything moves. Ctrl-C stops the stage first and keeps what was recorded; p, typed at
     the terminal, pauses the session after the run in progress. The campaign's folder is printed at the end.
