@@ -59,6 +59,9 @@ def test_explanations_that_name_the_same_causes_are_one_answer() -> None:
     same = replace(forecast, causes=(("stribeck",),) * 7)
     assert same.open_bits == pytest.approx(0.0, abs=1e-12)
     assert same.with_run(1e6 * np.eye(3)).bits == pytest.approx(0.0, abs=1e-6)
+    # Whichever of two that predict the same is meant, all that is open is told.
+    weights, apart = np.array([0.3, 0.2, 0.5]), 50.0 * np.array([[0, 0, 1], [0, 0, 1], [1, 1, 0]])
+    assert expected_bits(weights, apart, ("folds", "folds", "none")) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("apart", [1.0, 2.0, 4.0, 8.0])

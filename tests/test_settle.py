@@ -23,6 +23,7 @@ from dragrig.config.errors import PlanError, RunFileError, SettingsError
 from dragrig.present import settlement_document
 from dragrig.present.terminal import document_text
 from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
+from dragrig.setup import resolve
 
 FIRST = Plan.model_validate(
     {
@@ -88,6 +89,8 @@ def test_a_killed_loop_goes_on_where_it_was(tmp_path: Path) -> None:
     assert record.ending is not None
     complete = [run for run in read_campaign(folder).good if run.kind != "return" and run.status.value == "complete"]
     assert len(complete) == record.steps[-1].runs
+    planned = [resolve(batch.plan, backend="simulated").programme().runs for batch in record.batches]
+    assert len(complete) == sum(run.protocol.kind != "return" for runs in planned for run in runs)
     assert len({run.header.order for run in complete}) == len(complete)
 
 
@@ -98,7 +101,7 @@ def test_it_ends_for_the_reason_that_is_told() -> None:
     advised = replace(doubtful, next_experiment=NextExperiment((NextRun(step, 1.0, 0.1),), 9, "Because."))
     probability = max(entry.probability for entry in sure.ranking)
     assert ending_of(sure, min(0.95, probability), 10.0) is Ending.SETTLED
-    assert ending_of(replace(doubtful, next_experiment=None), 0.95, 10.0) is Ending.NO_RUN
+    assert ending_of(replace(doubtful, next_experiment=None), probability, 10.0) is Ending.NO_RUN
     assert ending_of(advised, 0.95, 0.1) is Ending.TIME
     assert ending_of(advised, 0.95, 10.0) is None
 
