@@ -154,8 +154,10 @@ from .segments import mask_spans as mask_spans
 from .segments import steady_stretch as steady_stretch
 from .selection import RETURN_KIND as RETURN_KIND
 from .selection import RETURN_REASON as RETURN_REASON
+from .selection import PooledCampaign as PooledCampaign
 from .selection import RunSelection as RunSelection
 from .selection import incomplete_reason as incomplete_reason
+from .selection import pool_campaigns as pool_campaigns
 from .selection import select_loaded_runs as select_loaded_runs
 from .selection import select_runs as select_runs
 from .selection import unusable_files as unusable_files

@@ -105,6 +105,50 @@ def select_runs(
     return _usable_selection(specimen_key(chosen[0]), runs, left_out, str(folder))
 
 
+@dataclass(frozen=True, slots=True)
+class PooledCampaign:
+    """One of several campaigns that are evaluated together, without the runs that an earlier one of them has too."""
+
+    campaign: Campaign
+    copies: tuple[Exclusion, ...] = ()
+    """The runs that it does not count."""
+
+
+def pool_campaigns(folders: Sequence[Path]) -> tuple[PooledCampaign, ...]:
+    """Read campaigns, attributes only, so that a run that lies in several of them counts once, in the first.
+
+    A folder that is named twice is one campaign. A run that is marked bad in any of them is bad in all.
+
+    Raises
+    ------
+    RunFileError
+        When one of the folders is missing.
+    """
+    from dragrig.rig import read_campaign
+
+    campaigns = [read_campaign(folder) for folder in {folder.resolve(): folder for folder in folders}.values()]
+    marks = {
+        run.header.run_id: campaign.marks[run.path]
+        for campaign in campaigns
+        for run in campaign.runs
+        if run.path in campaign.marks
+    }
+    first: dict[str, Path] = {}
+    pooled: list[PooledCampaign] = []
+    for campaign in campaigns:
+        earlier = dict(first)
+        copies = [run for run in campaign.runs if run.header.run_id in earlier]
+        own = tuple(run for run in campaign.runs if run.header.run_id not in earlier)
+        first |= {run.header.run_id: run.path for run in own}
+        bad = {run.path: marks[run.header.run_id] for run in own if run.header.run_id in marks}
+        left_out = (
+            Exclusion(run.path.name, f"it is the same run as {earlier[run.header.run_id]}, which counts once")
+            for run in copies
+        )
+        pooled.append(PooledCampaign(replace(campaign, runs=own, marks=bad), tuple(left_out)))
+    return tuple(pooled)
+
+
 def select_loaded_runs(runs: Iterable[Run], specimen: str | None = None) -> RunSelection:
     """Select among runs in memory; raises `AnalysisError` as `select_runs`, and where two have one file name."""
     loaded = tuple(runs)

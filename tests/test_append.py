@@ -10,7 +10,7 @@ import pytest
 from runfiles import header
 
 import dragrig
-from dragrig.analysis import select_runs, table_rows
+from dragrig.analysis import pool_campaigns, select_runs, table_rows
 from dragrig.cli import main
 from dragrig.config import OutputError, RunFileError, SettingsError, TrippedError
 from dragrig.rig.runfile import Recorder, mark_bad, read_campaign
@@ -179,3 +179,15 @@ def test_a_copy_counts_once_and_a_copy_of_a_bad_run_never(campaign: Path) -> Non
     assert "counts once" in " ".join(reasons.values())
     counting = [row.run_id for row in table_rows(campaign) if row.counts and row.kind == "drag"]
     assert counting == [drags[1].header.run_id]
+
+
+def test_of_campaigns_together_a_run_counts_once_and_a_mark_in_any_of_them(campaign: Path, tmp_path: Path) -> None:
+    second = Path(shutil.copytree(campaign, tmp_path / "second"))
+    dragrig.run("drag", append=second, assignments=SLOW)
+    (drag,) = [run.path for run in read_campaign(campaign).runs if run.kind == "drag"]
+    both = pool_campaigns([campaign, second, campaign])
+    assert [len(pooled.campaign.runs) for pooled in both] == [2, 2]
+    assert [copy.item for copy in both[1].copies] == [run.path.name for run in read_campaign(campaign).runs]
+    assert both[1].copies[0].reason == f"it is the same run as {drag}, which counts once"
+    mark_bad(second / drag.name, "slipped")
+    assert list(pool_campaigns([campaign, second])[0].campaign.marks) == [drag]
