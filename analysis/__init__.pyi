@@ -49,6 +49,11 @@ from .identification.identify import identified_settings as identified_settings
 from .identification.identify import identify_specimen as identify_specimen
 from .identification.identify import why_no_model as why_no_model
 from .identification.identify import with_identified_wall as with_identified_wall
+from .identification.population import Population as Population
+from .identification.population import PopulationParameter as PopulationParameter
+from .identification.population import SpecimenFit as SpecimenFit
+from .identification.population import SpecimenValue as SpecimenValue
+from .identification.population import pool_specimens as pool_specimens
 from .identification.relaxation_elements import ELEMENT_NAMES as ELEMENT_NAMES
 from .identification.relaxation_elements import RelaxationResiduals as RelaxationResiduals
 from .identification.relaxation_elements import evaluate_strain_law as evaluate_strain_law

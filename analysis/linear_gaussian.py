@@ -92,6 +92,11 @@ class PriorScales:
             grown = self.nominal * np.exp(np.where(self.positive, self.sd * z, 0.0))
         return np.asarray(np.where(self.positive, grown, self.nominal + self.sd * z))
 
+    def deviations(self, values: FloatArray) -> FloatArray:
+        """Return `z` of values, shape `(P,)`: the inverse of `values`."""
+        growth = np.where(self.positive, values, 1.0) / np.where(self.positive, self.nominal, 1.0)
+        return np.asarray(np.where(self.positive, np.log(growth), values - self.nominal) / self.sd)
+
     def slopes(self, values: FloatArray) -> FloatArray:
         """Return dvalue/dz, shape `(P,)`."""
         return np.asarray(np.where(self.positive, values * self.sd, self.sd))

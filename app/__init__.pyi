@@ -19,6 +19,7 @@ from .api.measure import simulate as simulate
 from .api.model_fit import IdentifiedCampaign as IdentifiedCampaign
 from .api.model_fit import identify as identify
 from .api.model_fit import identify_many as identify_many
+from .api.model_fit import identify_together as identify_together
 from .api.reports import paper as paper
 from .api.reports import report as report
 from .api.settle import resume_settling as resume_settling

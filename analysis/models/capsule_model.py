@@ -45,6 +45,7 @@ SPECIMEN_PRIORS = {
     "insertion_dwell_scale": (0.25, "true over recorded contact age"),
 }
 """Relative standard deviations between specimens and rigs, by name in the model's settings."""
+RIG_PARAMETERS = ("force_gain",)
 DWELL_PARAMETER = "insertion_dwell_scale"
 ANGLE_PARAMETER = "contact_angle_offset_deg"
 ANGLE_SD_DEG = 0.7
@@ -57,7 +58,7 @@ RUN_VARIATIONS = (Variation("stiffness", STIFFNESS_SCATTER), Variation("friction
 def capsule_parameters(settings: FrictionModelSettings) -> tuple[Parameter, ...]:
     """Return scales, friction coefficient, gain and contact angle, with their priors over specimens."""
     scales = tuple(
-        Parameter(name, "1", float(getattr(settings, name)), sd, meaning=meaning)
+        Parameter(name, "1", float(getattr(settings, name)), sd, meaning=meaning, of_rig=name in RIG_PARAMETERS)
         for name, (sd, meaning) in SPECIMEN_PRIORS.items()
     )
     offset_deg = settings.contact_angle_offset_deg

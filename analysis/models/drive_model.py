@@ -36,11 +36,11 @@ NORMAL_MEDIAN = 0.6745
 """Median of the magnitude of a standard normal variable."""
 
 DRIVE_PARAMETERS = (
-    Parameter("moving_mass_g", "g", 1000.0, 3.0, meaning="mass that the motor accelerates"),
-    Parameter("viscous_mN_s_mm", "mN·s/mm", 0.0, 1e3, positive=False, meaning="friction per speed"),
-    Parameter("coulomb_mN", "mN", 0.0, 1e4, positive=False, meaning="friction at any speed"),
-    Parameter("offset_mN", "mN", 0.0, 1e4, positive=False, meaning="force at rest without load"),
-    Parameter("load_gain", "1", 1.0, 0.02, meaning="motor force per force at the sensor"),
+    Parameter("moving_mass_g", "g", 1000.0, 3.0, meaning="mass that the motor accelerates", of_rig=True),
+    Parameter("viscous_mN_s_mm", "mN·s/mm", 0.0, 1e3, positive=False, meaning="friction per speed", of_rig=True),
+    Parameter("coulomb_mN", "mN", 0.0, 1e4, positive=False, meaning="friction at any speed", of_rig=True),
+    Parameter("offset_mN", "mN", 0.0, 1e4, positive=False, meaning="force at rest without load", of_rig=True),
+    Parameter("load_gain", "1", 1.0, 0.02, meaning="motor force per force at the sensor", of_rig=True),
 )
 
 

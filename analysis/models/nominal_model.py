@@ -36,6 +36,8 @@ class Parameter:
         Whether the value must be above 0; its prior is then lognormal, with median `nominal`.
     meaning
         A few words for tables.
+    of_rig
+        Whether it belongs to the rig, so that it is the same for every specimen measured on it.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Parameter:
     prior_sd: float
     positive: bool = True
     meaning: str = ""
+    of_rig: bool = False
 
 
 @dataclass(frozen=True, slots=True)

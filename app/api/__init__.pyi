@@ -24,6 +24,7 @@ from .model_fit import IdentifiedFolder as IdentifiedFolder
 from .model_fit import identified_folder as identified_folder
 from .model_fit import identify as identify
 from .model_fit import identify_many as identify_many
+from .model_fit import identify_together as identify_together
 from .model_fit import save_identified_model as save_identified_model
 from .model_fit import write_identified_files as write_identified_files
 from .reports import DEMO_PICTURES as DEMO_PICTURES

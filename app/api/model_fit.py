@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,18 +10,24 @@ from typing import TYPE_CHECKING, Literal
 from dragrig import present
 from dragrig.analysis import (
     CapsuleModel,
+    Exclusion,
     Identification,
     JointFit,
     NominalModel,
     ParameterEstimate,
+    PooledCampaign,
+    Population,
     Progress,
     RunSelection,
+    SpecimenFit,
     determined_values,
     find_model,
     identified_settings,
     identify_relaxation,
     no_progress,
     parts_of,
+    pool_campaigns,
+    pool_specimens,
     select_loaded_runs,
     select_runs,
     why_no_model,
@@ -29,6 +35,7 @@ from dragrig.analysis import (
 )
 from dragrig.analysis import identify_specimen as identify_selection
 from dragrig.config import (
+    UNSTATED,
     AnalysisError,
     DragrigError,
     FrictionModelSettings,
@@ -36,11 +43,12 @@ from dragrig.config import (
     IdentifiedValue,
     SettingsError,
     absolute_if_file,
+    reason_of,
     to_toml,
 )
 from dragrig.parallel import map_tasks
 from dragrig.present import unused_path, write_text
-from dragrig.rig import Run, software_version
+from dragrig.rig import Campaign, Run, session_record_of_run, software_version
 from dragrig.setup import friction_model
 
 if TYPE_CHECKING:
@@ -158,7 +166,7 @@ def _identified_value(parameter: ParameterEstimate) -> IdentifiedValue:
 
 
 def identify(
-    campaign: str | Path | Iterable[Run],
+    campaign: str | Path | Campaign | Iterable[Run],
     *,
     nominal: str | Path | NominalModel = "capsule",
     model: str | Path | FrictionModelSettings = "paper",
@@ -171,7 +179,7 @@ def identify(
     Parameters
     ----------
     campaign
-        A campaign's folder, or runs in memory.
+        A campaign's folder or its listing, or runs in memory.
     nominal
         The model to fit: `capsule` (the paper's friction model), `drive` (the stage alone, from its motor force), a
         Python file with a model of your own, a friction model as TOML, or a model.
@@ -200,6 +208,8 @@ def identify(
     reading, fitting = parts_of(progress, READING_COST, FITTING_COST)
     if isinstance(campaign, str | Path):
         source, selection = str(campaign), select_runs(Path(campaign), specimen, reading)
+    elif isinstance(campaign, Campaign):
+        source, selection = str(campaign.folder), select_runs(campaign, specimen, reading)
     else:
         source, selection = "these runs", select_loaded_runs(campaign, specimen)
     fitted = _nominal_model(nominal, model)
@@ -366,6 +376,88 @@ class _IdentificationRequest:
         except DragrigError as error:
             return IdentifiedFolder(name, None, (), str(error).replace(str(folder), name))
         return IdentifiedFolder(name, identified.result, files, why_not.replace(str(folder), name))
+
+
+@dataclass(frozen=True, slots=True)
+class _PooledIdentification(_IdentificationRequest):
+    def fit(self, task: tuple[str, PooledCampaign]) -> SpecimenFit | Exclusion:
+        """Identify one of the campaigns of a population; an error is the reason why it takes no part."""
+        name, pooled = task
+        campaign = pooled.campaign
+        try:
+            identified = identify(
+                campaign, nominal=self.nominal, model=self.model, wall=self.wall, specimen=self.specimen
+            )
+        except DragrigError as error:
+            return Exclusion(name, reason_of(error).removeprefix(f"{campaign.folder}: "))
+        infos = [experiment.run.info for experiment in identified.selection.experiments]
+        serials = {str(info.header.entry.get("sensor_serial", "")) for info in infos} - {""}
+        result = identified.result
+        has_id = str(infos[0].header.specimen.get("id") or UNSTATED) != UNSTATED
+        return SpecimenFit(
+            source=name,
+            # Without an id nobody said that it is the piece of another campaign.
+            specimen=result.specimen if has_id else f"{result.specimen} in {name}",
+            identification=replace(result, left_out=(*pooled.copies, *result.left_out)),
+            rig=_rig_of(infos[0].path),
+            sensor=", ".join(sorted(serials)),
+        )
+
+
+def _rig_of(run_file: Path) -> str:
+    """Return what names the rig of a run, "" where its file does not say."""
+    try:
+        record = session_record_of_run(run_file)
+    except DragrigError:
+        return ""
+    return f"{record.rig.name} ({'double of ' if record.double else ''}{record.backend})"
+
+
+def identify_together(
+    campaigns: Sequence[str | Path],
+    *,
+    nominal: str | Path = "capsule",
+    model: str | Path = "paper",
+    wall: WallChoice = "scaled",
+    specimen: str | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress = no_progress,
+) -> Population:
+    """Identify campaigns of one rig together: what is the rig's once, what is the specimens' with mean and spread.
+
+    Each campaign is identified in parallel, as `dragrig.identify` does; a run that lies in several counts once.
+
+    Parameters
+    ----------
+    campaigns, nominal, model, wall, specimen, workers, scheduler
+        As in `dragrig.identify_many`.
+
+    Raises
+    ------
+    RunFileError
+        When a folder is missing.
+    AnalysisError
+        When fewer than two specimens can be identified, or the campaigns are of several rigs.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> population = dragrig.identify_together(["runs/p7", "runs/p8", "runs/p9"])  # doctest: +SKIP
+    >>> population.parameters[6].next_specimen  # doctest: +SKIP
+    """
+    names = {Path(campaign).resolve(): str(campaign) for campaign in reversed(campaigns)}
+    pooled = pool_campaigns([Path(campaign).absolute() for campaign in campaigns])
+    request = _PooledIdentification(
+        absolute_if_file(str(nominal)), absolute_if_file(str(model)), wall, specimen, overwrite=False
+    )
+    tasks = [(names[each.campaign.folder.resolve()], each) for each in pooled]
+    fits = map_tasks(request.fit, tasks, workers, scheduler, progress)
+    identified = [fit for fit in fits if isinstance(fit, SpecimenFit)]
+    left_out = [fit for fit in fits if isinstance(fit, Exclusion)]
+    copies = [replace(copy, item=f"{name}/{copy.item}") for name, each in tasks for copy in each.copies]
+    parameters = _nominal_model(request.nominal, request.model).parameters
+    return pool_specimens(identified, parameters, (*left_out, *copies))
 
 
 def identified_folder(campaign: Path) -> Path:
