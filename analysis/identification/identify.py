@@ -187,7 +187,7 @@ def _joint_remarks(
             f"{' and '.join(pinned)} reached the bound of the fit, {PARAMETER_BOUND:g} prior standard deviations from "
             "the nominal value: the model does not describe these runs"
         )
-    for group in _correlated_groups(correlation):
+    for group in correlated_groups(correlation):
         names = [parameters[index].name for index in group]
         yield (
             f"{', '.join(names[:-1])} and {names[-1]} can hardly be separated by these runs (correlation at least "
@@ -200,7 +200,8 @@ def _joint_remarks(
         )
 
 
-def _correlated_groups(correlation: FloatArray) -> Iterator[list[int]]:
+def correlated_groups(correlation: FloatArray) -> Iterator[list[int]]:
+    """Yield the places of parameters that are correlated by more than `MAX_CORRELATION`."""
     from scipy.sparse.csgraph import connected_components
 
     count, label = connected_components(np.abs(correlation) > MAX_CORRELATION, directed=False)

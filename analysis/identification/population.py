@@ -25,6 +25,7 @@ from dragrig.analysis import (
     join_names,
 )
 from dragrig.analysis.identification.identification import MIN_LEARNT, Identification, JointFit
+from dragrig.analysis.identification.identify import correlated_groups
 from dragrig.config import AnalysisError
 from dragrig.rig import BoolArray, FloatArray
 
@@ -157,7 +158,7 @@ def pool_specimens(
             "population needs at least two: runs of the same specimen id count as one specimen."
         )
     _require_one_rig([fit for fit, _ in usable])
-    pooled = _pool_joint_fits(usable, specimens, parameters)
+    pooled, inseparable = _pool_joint_fits(usable, specimens, parameters)
     coulomb = tuple(_pool_coulomb(usable, specimens))
     return Population(
         nominal=usable[0][1].nominal,
@@ -165,7 +166,7 @@ def pool_specimens(
         specimens=specimens,
         parameters=(*pooled, *coulomb),
         left_out=tuple(excluded),
-        remarks=tuple(_remarks(usable, specimens, pooled)),
+        remarks=(*_remarks(usable, specimens, pooled), *inseparable),
     )
 
 
@@ -319,7 +320,7 @@ def _mixture_quantiles(weights: FloatArray, means: FloatArray, sds: FloatArray) 
 
 def _pool_joint_fits(
     usable: Sequence[tuple[SpecimenFit, JointFit]], specimens: Sequence[str], parameters: Sequence[Parameter]
-) -> tuple[PopulationParameter, ...]:
+) -> tuple[tuple[PopulationParameter, ...], Sequence[str]]:
     scales = PriorScales.of(parameters)
     shape = (len(specimens), len(parameters))
     matrices, vectors = np.zeros((*shape, shape[1])), np.zeros(shape)
@@ -338,20 +339,39 @@ def _pool_joint_fits(
         }
     of_rig = np.array([parameter.of_rig for parameter in parameters])
     information = _Information(matrices, vectors, np.where(of_rig, 1.0, MEAN_PRIOR_SD))
-    return _pooled_parameters(information, parameters, scales, specimens, own)
+    best = _restricted_maximum(information, _free_spreads(information, parameters, specimens))
+    return (
+        _pooled_parameters(information, best, parameters, scales, specimens, own),
+        tuple(_inseparable(information, best, parameters)),
+    )
+
+
+def _free_spreads(information: _Information, parameters: Sequence[Parameter], specimens: Sequence[str]) -> BoolArray:
+    """Return of which parameters a spread can be seen, shape `(P,)`."""
+    of_rig = np.array([parameter.of_rig for parameter in parameters])
+    # Nothing is known of what no run depends on: it has neither mean nor spread.
+    return np.asarray(~of_rig & (information.informed > 0) & (len(specimens) >= MIN_SPECIMENS))
+
+
+def _inseparable(information: _Information, best: FloatArray, parameters: Sequence[Parameter]) -> Iterator[str]:
+    _, covariance = information.mean(best)
+    sd = np.sqrt(np.diag(covariance))
+    for group in correlated_groups(covariance / np.outer(sd, sd)):
+        yield (
+            f"the means of {join_names([parameters[place].name for place in group])} can hardly be separated by these "
+            "runs: their product is known better than each of them"
+        )
 
 
 def _pooled_parameters(
     information: _Information,
+    best: FloatArray,
     parameters: Sequence[Parameter],
     scales: PriorScales,
     specimens: Sequence[str],
     own: Sequence[dict[str, EstimatedQuantity]],
 ) -> tuple[PopulationParameter, ...]:
-    of_rig = np.array([parameter.of_rig for parameter in parameters])
-    # Nothing is known of what no run depends on: it has neither mean nor spread.
-    free = ~of_rig & (information.informed > 0) & (len(specimens) >= MIN_SPECIMENS)
-    best = _restricted_maximum(information, free)
+    free = _free_spreads(information, parameters, specimens)
     values, sds = information.specimens(best)
     return tuple(
         _PooledParameter(information, best, place, parameter, scales).result(
@@ -464,7 +484,8 @@ def _pool_coulomb(
             np.full(1, 100.0),
         )
         own = [{name: estimates[specimen]} for specimen in tested]
-        yield from _pooled_parameters(information, [parameter], PriorScales.of([parameter]), tested, own)
+        best = _restricted_maximum(information, np.ones(1, dtype=np.bool_))
+        yield from _pooled_parameters(information, best, [parameter], PriorScales.of([parameter]), tested, own)
 
 
 def _remarks(

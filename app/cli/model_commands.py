@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 import click
 
@@ -198,6 +198,9 @@ def paper_command(
     type=click.Path(path_type=Path, dir_okay=False),
     help="Write the model that the simulator loads to this file, in place of the folder of --out.",
 )
+@click.option(
+    "--together", is_flag=True, help="Specimens of one rig as a population: mean, spread, the range of the next one."
+)
 @options.workers("campaigns")
 @options.out("Folder for model and pictures (default: identified in the campaign; with --json: none).")
 @options.report
@@ -212,6 +215,7 @@ def identify_command(
     wall: Literal["scaled", "fitted"],
     specimen: str | None,
     save_model: Path | None,
+    together: bool,
     workers: int | None,
     scheduler: str | None,
     out: Path | None,
@@ -227,25 +231,34 @@ def identify_command(
     model is written then, nor where the runs determine none of its parameters.
 
     Several campaigns are identified in parallel and printed as a table, or with --json as one line each; each has its
-    own folder in that of --out.
+    own folder in that of --out. With --together they are one population: what belongs to the rig is one value for all,
+    what belongs to specimens has a mean and a spread between them; a run that lies in several campaigns counts once.
     """
     from dragrig.analysis import parts_of
-    from dragrig.api import identified_folder, identify, identify_many, save_identified_model, write_identified_files
+    from dragrig.api import (
+        identified_folder,
+        identify,
+        identify_many,
+        save_identified_model,
+        write_identified_files,
+    )
     from dragrig.parallel import worker_count
     from dragrig.present import identification_document, identification_json, require_writable
 
     worker_count(workers, scheduler)
     if report is not None:
         require_writable(report, overwrite=overwrite)
+    choices: _FitChoices = {"nominal": nominal, "model": model, "wall": wall, "specimen": specimen}
+    if together:
+        _require_no_model(save_model, out)
+        _identify_together(campaigns, choices, workers, scheduler, report, overwrite=overwrite, as_json=as_json)
+        return
     if len(campaigns) > 1:
         options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
         with ProgressMeter(f"identifying {len(campaigns)} campaigns") as meter:
             folders = identify_many(
                 campaigns,
-                nominal=nominal,
-                model=model,
-                wall=wall,
-                specimen=specimen,
+                **choices,
                 write=out is not None or not as_json,
                 out=out,
                 overwrite=overwrite,
@@ -255,15 +268,14 @@ def identify_command(
             )
         _print_identifications(folders, as_json=as_json)
         return
-    if scheduler is not None:
-        raise SettingsError(f"--scheduler {scheduler}: is for several campaigns, and one was given; leave it out.")
     [campaign] = campaigns
+    _require_no_cluster(scheduler)
     draws = out is not None or not as_json
     with ProgressMeter("identifying") as meter:
         fitting, reporting, drawing = parts_of(
             meter.at, IDENTIFY_COST, PAGE_COST * (report is not None), PAGE_COST * draws
         )
-        identified = identify(campaign, nominal=nominal, model=model, wall=wall, specimen=specimen, progress=fitting)
+        identified = identify(campaign, **choices, progress=fitting)
         result = identified.result
         # Written before anything is printed: a reader such as head ends the command.
         document = identification_document(result)
@@ -285,6 +297,47 @@ def identify_command(
             print_result(display_path(path))
     if result.joint is not None and not result.joint.converged:
         raise AnalysisError(f"{campaign}: {identified.why_no_model}.")
+
+
+def _require_no_cluster(scheduler: str | None) -> None:
+    if scheduler is not None:
+        raise SettingsError(f"--scheduler {scheduler}: is for several campaigns, and one was given; leave it out.")
+
+
+def _require_no_model(save_model: Path | None, out: Path | None) -> None:
+    if named := [name for name, path in (("--save-model", save_model), ("--out", out)) if path is not None]:
+        raise SettingsError(f"{' '.join(named)}: a population has no model of its own to write; leave it out.")
+
+
+class _FitChoices(TypedDict):
+    nominal: str
+    model: str
+    wall: Literal["scaled", "fitted"]
+    specimen: str | None
+
+
+def _identify_together(
+    campaigns: tuple[Path, ...],
+    choices: _FitChoices,
+    workers: int | None,
+    scheduler: str | None,
+    report: Path | None,
+    *,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    from dragrig.analysis import parts_of
+    from dragrig.api import identify_together
+    from dragrig.present import population_document
+
+    with ProgressMeter(f"identifying {len(campaigns)} campaigns") as meter:
+        fitting, reporting = parts_of(meter.at, IDENTIFY_COST * len(campaigns), PAGE_COST * (report is not None))
+        population = identify_together(campaigns, **choices, workers=workers, scheduler=scheduler, progress=fitting)
+        document = population_document(population)
+        write_report(document, report, overwrite=overwrite, progress=reporting)
+    print_document(document, as_json=as_json)
+    if report is not None and not as_json:
+        print_result(display_path(report))
 
 
 def _print_identifications(folders: "Sequence[IdentifiedFolder]", *, as_json: bool) -> None:

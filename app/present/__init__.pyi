@@ -144,6 +144,9 @@ from .numbers import unit_text as unit_text
 from .paper import PaperReportData as PaperReportData
 from .paper import paper_document as paper_document
 from .paper import paper_tables as paper_tables
+from .population import population_document as population_document
+from .population import population_figure as population_figure
+from .population import population_json as population_json
 from .rig_results import commissioning_document as commissioning_document
 from .rig_results import encoder_calibration_document as encoder_calibration_document
 from .rig_results import force_calibration_document as force_calibration_document

@@ -1,0 +1,330 @@
+"""Specimens of one rig together, laid out for a reader: means, spreads between specimens, and a forest plot."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Picture
+
+from dragrig import present
+from dragrig.analysis import (
+    UNKNOWN,
+    EstimatedQuantity,
+    Population,
+    PopulationParameter,
+    SpecimenValue,
+    count_text,
+    range_text,
+    significant_text,
+    value_with_error,
+)
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREY,
+    PALE,
+    SMALL_PT,
+    Cell,
+    Column,
+    Document,
+    Field,
+    Figure,
+    FormattedNumber,
+    Items,
+    Section,
+    Table,
+    exclusions_json,
+    figure_style,
+    interval_text,
+    listed_exclusions,
+    new_figure,
+    p_value_text,
+    to_json_object,
+    unit_text,
+)
+
+MAX_IN_ANSWER = 3
+"""Parameters that the first sentences name."""
+MAX_DRAWN_SPECIMENS = 40
+DRAWN_COLUMNS = 3
+NO_SPREAD = "no spread beyond error"
+
+
+def population_document(population: Population) -> Document:
+    """Lay out a population."""
+    rig = [parameter for parameter in population.parameters if parameter.of_rig]
+    of_specimens = [parameter for parameter in population.parameters if not parameter.of_rig]
+    specimens, campaigns = len(population.specimens), len(population.campaigns)
+    return Document(
+        title=f"{count_text(specimens, 'specimen')} together",
+        answer=_answer(population, of_specimens),
+        lead=(
+            f"{count_text(campaigns, 'campaign')} of {count_text(specimens, 'specimen')}, {population.nominal} model; "
+            "intervals hold 95 %, ± is a standard error. The mean of a positive parameter is the median of its "
+            "lognormal distribution.",
+        ),
+        sections=(
+            Section("population-figure", "", (_figure(population),)),
+            Section("population", "Specimens", (_population_table(of_specimens),)),
+            Section("rig", "Rig", (_rig_table(rig),) if rig else ()),
+            Section(
+                "each",
+                "Each specimen",
+                tuple(_specimen_table(parameter) for parameter in of_specimens if parameter.determined),
+                collapsed=True,
+            ),
+            Section(
+                "left-out",
+                "Left out",
+                (
+                    Table.of(
+                        "exclusions",
+                        "",
+                        listed_exclusions(population.left_out),
+                        Field("what", "left out", lambda exclusion: exclusion.item),
+                        Field("reason", "reason", lambda exclusion: exclusion.reason),
+                    ),
+                ),
+            ),
+            Section("remarks", "Remarks", (Items(population.remarks, remarks=True),)),
+        ),
+        data=population_json(population),
+    )
+
+
+def _answer(population: Population, parameters: Sequence[PopulationParameter]) -> str:
+    known = [parameter for parameter in parameters if parameter.determined]
+    if not known:
+        return f"The campaigns determine none of the {population.nominal} model's parameters of specimens."
+    if all(parameter.spread is None for parameter in known):
+        return f"{count_text(len(population.specimens), 'specimen')} have means, but are too few to show a spread."
+    differing = sorted((entry for entry in known if entry.spreads), key=_relative_spread, reverse=True)
+    if not differing:
+        return (
+            f"The {len(population.specimens)} specimens show {NO_SPREAD} in any of {len(known)} parameters that the "
+            "runs determine."
+        )
+    named = "; ".join(
+        f"{entry.name} {_range(entry)} {unit_text(entry.unit)}".rstrip() for entry in differing[:MAX_IN_ANSWER]
+    )
+    alike = len(known) - len(differing)
+    rest = f"; {alike} {'has' if alike == 1 else 'have'} {NO_SPREAD}" if alike else ""
+    return (
+        f"The {len(population.specimens)} specimens differ in {len(differing)} of {len(known)} parameters{rest}. "
+        f"The next specimen will have, most spread first: {named}."
+    )
+
+
+def _relative_spread(parameter: PopulationParameter) -> float:
+    """Return the spread relative to the mean; 0 for a parameter around 0, such as an angle's offset."""
+    spread = 0.0 if parameter.spread is None else parameter.spread.value
+    return spread / abs(parameter.mean.value) if parameter.unit == "1" and parameter.mean.value else 0.0
+
+
+def _range(parameter: PopulationParameter) -> str:
+    """Write where the next specimen will be."""
+    following = parameter.next_specimen
+    return range_text(following, None if following is None else (following[1] - following[0]) / 4)
+
+
+def _population_table(parameters: Sequence[PopulationParameter]) -> Table:
+    return Table.of(
+        "population",
+        f"± is a standard error; “{NO_SPREAD}” where an apparent spread as large has a probability of 5 % or more",
+        parameters,
+        Field("parameter", "parameter", lambda entry: entry.name),
+        Field("mean", "mean", lambda entry: _value_cell(entry.mean if entry.determined else None)),
+        Field("mean_95", "95 % interval", lambda entry: interval_text(entry.mean) if entry.determined else ""),
+        Field("spread", "spread between specimens", _spread_cell),
+        Field("spread_95", "95 % interval of the spread", _spread_interval_text),
+        Field("next_95", "next specimen, 95 %", lambda entry: _range(entry) if entry.determined else ""),
+        Field("unit", "unit", lambda entry: unit_text(entry.unit)),
+        Field("meaning", "meaning", lambda entry: entry.meaning),
+    )
+
+
+def _spread_cell(parameter: PopulationParameter) -> Cell:
+    if parameter.spread is None or not parameter.determined:
+        return FormattedNumber(None, UNKNOWN)
+    if not parameter.spreads:
+        return FormattedNumber(parameter.spread.value, NO_SPREAD)
+    p_value = 1.0 if parameter.spread_p is None else parameter.spread_p
+    text = significant_text(parameter.spread.value, 2)
+    return FormattedNumber(parameter.spread.value, f"{text} ({p_value_text(p_value)})")
+
+
+def _spread_interval_text(parameter: PopulationParameter) -> str:
+    if parameter.spread is None or not parameter.determined:
+        return ""
+    low, high = parameter.spread.interval
+    if not parameter.spreads:
+        return f"at most {significant_text(high, 2)}"
+    return f"{significant_text(low, 2)} to {significant_text(high, 2)}"
+
+
+def _rig_table(parameters: Sequence[PopulationParameter]) -> Table:
+    return Table.of(
+        "rig",
+        "One value for all campaigns",
+        parameters,
+        Field("parameter", "parameter", lambda entry: entry.name),
+        Field("value", "value", lambda entry: _value_cell(entry.mean if entry.determined else None)),
+        Field("interval_95", "95 % interval", lambda entry: interval_text(entry.mean) if entry.determined else ""),
+        Field("same_p", "same in all campaigns", _same_text),
+        Field("unit", "unit", lambda entry: unit_text(entry.unit)),
+        Field("meaning", "meaning", lambda entry: entry.meaning),
+    )
+
+
+def _same_text(parameter: PopulationParameter) -> str:
+    return "" if parameter.spread_p is None else p_value_text(parameter.spread_p)
+
+
+def _specimen_table(parameter: PopulationParameter) -> Table:
+    return Table(
+        f"specimens-{parameter.name}",
+        f"{parameter.name}: by the specimen's own runs, and with what the other specimens add",
+        (
+            Column("specimen", "specimen"),
+            Column("own", "own runs"),
+            Column("own_95", "95 % interval"),
+            Column("pooled", "with the others"),
+            Column("pooled_95", "95 % interval"),
+            Column("unit", "unit"),
+        ),
+        tuple(_specimen_row(value, parameter.unit) for value in parameter.specimens),
+    )
+
+
+def _specimen_row(value: SpecimenValue, unit: str) -> tuple[Cell, ...]:
+    own = "" if value.own is None else interval_text(value.own)
+    return (
+        value.specimen,
+        _value_cell(value.own),
+        own,
+        _value_cell(value.pooled),
+        interval_text(value.pooled),
+        unit_text(unit),
+    )
+
+
+def _value_cell(quantity: EstimatedQuantity | None) -> FormattedNumber:
+    if quantity is None:
+        return FormattedNumber(None, UNKNOWN)
+    return FormattedNumber(quantity.value, value_with_error(quantity.value, quantity.standard_error))
+
+
+def _figure(population: Population) -> Figure:
+    return Figure(
+        "population",
+        "Each specimen's parameters: grey by its own runs, blue with what the others add; below, the mean and, pale, "
+        "where the next specimen will be.",
+        "Bars are 95 % intervals.",
+        lambda: present.population_figure(population),
+    )
+
+
+def population_figure(population: Population) -> Picture:
+    """Draw a panel for each parameter of specimens that the campaigns determine: a row for each specimen."""
+    shown = [entry for entry in population.parameters if entry.determined and not entry.of_rig]
+    specimens = population.specimens[:MAX_DRAWN_SPECIMENS]
+    columns = max(min(DRAWN_COLUMNS, len(shown)), 1)
+    rows = -(-len(shown) // columns)
+    beyond = len(population.specimens) - len(specimens)
+    subtitle = f"{count_text(len(population.specimens), 'specimen')}, bars are 95 % intervals" + (
+        f"; the first {len(specimens)} are drawn" if beyond else ""
+    )
+    with figure_style():
+        figure = new_figure(
+            16.0, max(rows, 1) * (0.24 * len(specimens) + 1.9), f"{population.nominal} model over specimens", subtitle
+        )
+        panels = figure.subplots(max(rows, 1), columns, squeeze=False)
+        for place, axes in enumerate(panels.flat):
+            if place < len(shown):
+                _draw_parameter(axes, shown[place], specimens, names=place % columns == 0)
+            else:
+                axes.set_axis_off()
+        handles, words = panels[0, 0].get_legend_handles_labels()
+        if words:
+            figure.legend(handles, words, loc="outside upper left", ncols=len(words))
+    return figure
+
+
+def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Sequence[str], *, names: bool) -> None:
+    values = {value.specimen: value for value in parameter.specimens}
+    mean_row = len(specimens) + 0.5
+    if parameter.next_specimen is not None:
+        low, high = parameter.next_specimen
+        axes.axvspan(low, high, color=PALE, linewidth=0, label="next specimen", zorder=0)
+    drawn = (
+        ("own runs", GREY, -0.15, [(row, values[name].own) for row, name in enumerate(specimens) if name in values]),
+        (
+            "with the others",
+            BLUE,
+            0.15,
+            [(row, values[name].pooled) for row, name in enumerate(specimens) if name in values],
+        ),
+        ("mean", BLACK, 0.0, [(mean_row, parameter.mean)]),
+    )
+    for label, colour, offset, points in drawn:
+        known = [(row, quantity) for row, quantity in points if quantity is not None]
+        if known:
+            centre = np.array([quantity.value for _, quantity in known])
+            ends = np.abs(np.array([quantity.interval for _, quantity in known]).T - centre)
+            at = [row + offset for row, _ in known]
+            marker = "D" if label == "mean" else "o"
+            axes.errorbar(centre, at, xerr=ends, fmt=marker, color=colour, markersize=5, capsize=2, label=label)
+    axes.set_yticks(
+        [*range(len(specimens)), mean_row], [*map(_short, specimens), "mean"] if names else [], size=SMALL_PT
+    )
+    axes.set_ylim(mean_row + 0.7, -0.7)
+    axes.grid(visible=False, axis="y")
+    axes.set_title(parameter.name)
+    none = NO_SPREAD if parameter.spread is not None and not parameter.spreads else ""
+    axes.set_xlabel(" · ".join(filter(None, (unit_text(parameter.unit), none))))
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}"
+
+
+def population_json(population: Population) -> Mapping[str, object]:
+    """Return a population as JSON, without any NaN or infinity."""
+    return to_json_object(
+        {
+            "nominal": population.nominal,
+            "campaigns": population.campaigns,
+            "specimens": population.specimens,
+            "parameters": {parameter.name: dict(_parameter_json(parameter)) for parameter in population.parameters},
+            "left_out": exclusions_json(population.left_out),
+            "remarks": population.remarks,
+        }
+    )
+
+
+def _parameter_json(parameter: PopulationParameter) -> Iterator[tuple[str, object]]:
+    known = parameter.determined
+    yield "unit", parameter.unit
+    yield "meaning", parameter.meaning
+    yield "of_rig", parameter.of_rig
+    yield "determined", known
+    yield "mean", _quantity_json(parameter.mean) if known else None
+    yield "spread", _quantity_json(parameter.spread) if known and parameter.spread is not None else None
+    yield "spread_p", parameter.spread_p if known else None
+    yield "spreads", parameter.spreads
+    yield "next_specimen_95", parameter.next_specimen if known else None
+    yield (
+        "specimens",
+        [
+            {
+                "specimen": value.specimen,
+                "own": None if value.own is None else _quantity_json(value.own),
+                "pooled": _quantity_json(value.pooled),
+            }
+            for value in parameter.specimens
+        ],
+    )
+
+
+def _quantity_json(quantity: EstimatedQuantity) -> Mapping[str, object]:
+    return {"value": quantity.value, "standard_error": quantity.standard_error, "interval_95": quantity.interval}
