@@ -52,6 +52,8 @@ from .rig import RigSettings as RigSettings
 from .rig import StageSettings as StageSettings
 from .rig import VariationSettings as VariationSettings
 from .rig import VelocityOutputSettings as VelocityOutputSettings
+from .robot import RobotDrive as RobotDrive
+from .robot import RobotSettings as RobotSettings
 from .settings import Settings as Settings
 from .settings import Table as Table
 from .settings import absolute_if_file as absolute_if_file

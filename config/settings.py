@@ -33,7 +33,14 @@ _EXPECTED_SHAPES = {
     "list_type": "a list",
     "tuple_type": "a list",
 }
-SHIPPED_FOLDERS = {"rig": "rigs", "capsule": "capsules", "specimen": "specimens", "model": "models", "plan": "plans"}
+SHIPPED_FOLDERS = {
+    "rig": "rigs",
+    "capsule": "capsules",
+    "specimen": "specimens",
+    "model": "models",
+    "plan": "plans",
+    "robot": "robots",
+}
 
 
 class Settings(BaseModel):
@@ -279,7 +286,7 @@ def _model_in(annotation: object) -> type[BaseModel] | None:
 
 
 def shipped_files(kind: str) -> dict[str, Traversable]:
-    """Return the shipped files of a kind (rig, capsule, specimen, model, plan), by name."""
+    """Return the shipped files of a kind (rig, capsule, specimen, model, plan, robot), by name."""
     folder = resources.files("dragrig.config") / "files" / SHIPPED_FOLDERS[kind]
     files = {entry.name.removesuffix(".toml"): entry for entry in folder.iterdir() if entry.name.endswith(".toml")}
     return dict(sorted(files.items()))

@@ -1,3 +1,4 @@
+from .contact import REVERSAL_SLACK_MM as REVERSAL_SLACK_MM
 from .contact import ContactHistory as ContactHistory
 from .contact import gauss_legendre as gauss_legendre
 from .contact import leading_motion as leading_motion
@@ -31,6 +32,7 @@ from .wall import TABLE1_STRAIN as TABLE1_STRAIN
 from .wall import HemisphereContact as HemisphereContact
 from .wall import MaxwellBranches as MaxwellBranches
 from .wall import ParameterSetDifference as ParameterSetDifference
+from .wall import SidePressure as SidePressure
 from .wall import WallKind as WallKind
 from .wall import WallParameters as WallParameters
 from .wall import linear_recursion as linear_recursion

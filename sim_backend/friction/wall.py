@@ -299,6 +299,16 @@ class HemisphereContact:
         slope = (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm)
         return self._hoop_stress_per_radius(x_mm, age_s) * slope
 
+    def axial_branches(self, x_mm: FloatArray) -> FloatArray:
+        """Return the axial load by branches: fast and its rate, slow and its rate, spring, along a first axis of 5.
+
+        `axial_load` is their sum after a contact age; loads in mN/mm, rates in 1/s.
+        """
+        wall, per_stress = self._wall_at(x_mm)
+        load = per_stress * (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm)
+        fast_rate, slow_rate = wall.rates
+        return np.stack((load * wall.E1, fast_rate, load * wall.E2, slow_rate, load * wall.E3))
+
     def side_pressure(self) -> SidePressure:
         """Return P(L) S as a function of contact age, the radial force of Eq. 13 at θ = 0."""
         strain = self.strain_at_equator

@@ -1,0 +1,743 @@
+"""A capsule robot with "internal force–static friction" drive: its housing slips and sticks as an inner mass is thrown.
+
+The inner mass moves relative to the housing in four phases of constant acceleration, +slow, −fast, −fast, +slow, and
+rests for a pause. The housing obeys `(M + m) x'' = −m s'' − F`. It sticks while the actuator's force m s'' does not
+exceed the static resistance; starts are at a phase's begin, or where the wall at rest has relaxed far enough, and stops
+at zero speed. Between two events the motion is a polynomial that satisfies the equation of motion at Gauss points.
+
+What the friction model does not say of a motion that the dynamics decide is decided so:
+
+* Coulomb friction has its exact sign instead of the regularised one; at rest it is whatever the balance needs, up to
+  μ N.
+* f_e opposes the motion, or the impending motion. Its size is that of the leading hemisphere, at rest too.
+* The contact follows the capsule with a play of `REVERSAL_SLACK_MM`: in a shorter reversal the same hemisphere leads
+  and the wall under it ages; in a longer one the other leads.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import groupby
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import brentq
+
+from dragrig.config import AnalysisError, FrictionModelSettings, RobotDrive, RobotSettings
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.friction import (
+    GRAVITY_M_S2,
+    REVERSAL_SLACK_MM,
+    HemisphereContact,
+    SidePressure,
+    gauss_legendre,
+    viscous_force,
+)
+
+MN_PER_G_MM_S2 = 1e-3
+"""g · mm/s² is µN."""
+NODES = 8
+"""Gauss points of a panel."""
+FRESH_NODES = 6
+"""Gauss points of the wall that a panel brings into contact."""
+INSERTED_NODES = 16
+"""Gauss points of each of three parts of the wall in contact at the insertion."""
+TABLE_POINTS = 2049
+"""Points of a tabulated contact."""
+MAX_PANEL_S = 0.02
+"""Longest panel: some relaxation times of the wall's fast branch."""
+MAX_TRAVEL_MM = 1.2
+"""Greatest travel in a panel in the gut."""
+MIN_PANEL_S = 1e-10
+"""Shorter panels are skipped."""
+SPEED_STEP_MM_S = 1e-4
+"""Step of the speed for the slope of viscous friction."""
+MAX_ITERATIONS = 40
+MAX_HALVINGS = 12
+TRAVEL_TOLERANCE_MM = 1e-9
+SPEED_TOLERANCE = 1e-10
+"""Change of speed at which the iteration of a panel ends, relative to the drive's."""
+WALL_POINTS = ((1, 0.02), (2, 0.1), (3, 0.3), (5, 0.6))
+"""Points that stand for the wall that a panel brings into contact, and the travel [mm] below which they suffice."""
+
+
+@dataclass(frozen=True, slots=True)
+class AddedForce:
+    """A force beside the nominal one on a capsule that slips, by the time since the slip began [mN].
+
+    Positive resists the slip. Beyond the last time the last force holds.
+    """
+
+    time_s: FloatArray
+    forwards_mN: FloatArray
+    backwards_mN: FloatArray
+
+    def resistance(self, direction: int, since_start_s: FloatArray | float) -> FloatArray:
+        """Return it at times since the start of a slip."""
+        values = self.forwards_mN if direction > 0 else self.backwards_mN
+        return np.asarray(np.interp(since_start_s, self.time_s, values))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rule:
+    """Gauss points of a panel of width 1, and integrals of the polynomial through values there."""
+
+    nodes: FloatArray
+    weights: FloatArray
+    integral: FloatArray
+    """From 0 to each node, shape `(n, n)`."""
+    double_integral: FloatArray
+    within: FloatArray
+    """Values at the points between 0 and each node at which fresh wall is integrated, shape `(n · f, n)`."""
+    within_integral: FloatArray
+    fresh_nodes: FloatArray
+    fresh_weights: FloatArray
+    at_end: FloatArray
+    """Value at the end, shape `(n,)`."""
+
+
+@cache
+def _rule() -> _Rule:
+    nodes, weights = gauss_legendre(NODES)
+    fresh_nodes, fresh_weights = gauss_legendre(FRESH_NODES)
+    within = (nodes[:, None] * fresh_nodes).ravel()
+    integral = interpolation(nodes, 1)
+    return _Rule(
+        nodes=nodes,
+        weights=weights,
+        integral=integral,
+        double_integral=interpolation(nodes, 2),
+        within=interpolation(within, 0),
+        within_integral=interpolation(within, 1),
+        fresh_nodes=fresh_nodes,
+        fresh_weights=fresh_weights,
+        at_end=interpolation(np.ones(1), 0)[0],
+    )
+
+
+@cache
+def _wall_points(count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return so many Gauss points of a panel, their weights, and the matrix to values there."""
+    nodes, weights = gauss_legendre(count)
+    return nodes, weights, interpolation(nodes, 0)
+
+
+def interpolation(at: FloatArray, integrals: int) -> FloatArray:
+    """Return the matrix from values at the Gauss points to their polynomial, integrated so often from 0, at places."""
+    nodes, _ = gauss_legendre(NODES)
+    to_coefficients = np.linalg.inv(np.polynomial.legendre.legvander(2 * nodes - 1, NODES - 1))
+    rows = np.eye(NODES)
+    if integrals:
+        rows = np.polynomial.legendre.legint(rows, integrals, lbnd=-1, scl=0.5, axis=0)
+    values = np.polynomial.legendre.legvander(2 * at - 1, rows.shape[0] - 1) @ rows
+    return np.asarray(values @ to_coefficients)
+
+
+class Resistance(Protocol):
+    """Resistance to slip [mN] as the capsule moves; not negative."""
+
+    @property
+    def constant(self) -> bool:
+        """Whether it never changes."""
+        ...
+
+    @property
+    def max_panel_s(self) -> float:
+        """Longest panel in which its changes are resolved."""
+        ...
+
+    @property
+    def max_travel_mm(self) -> float:
+        """Greatest travel in a panel."""
+        ...
+
+    def at_rest(self, time_s: float) -> float:
+        """Return the force that the actuator must exceed."""
+        ...
+
+    def damping(self, speed_mm_s: FloatArray) -> FloatArray:
+        """Return by how much it grows with the speed [mN·s/mm]."""
+        ...
+
+    def sliding(
+        self, direction: int, start_s: float, width_s: float, position_mm: FloatArray, speed_mm_s: FloatArray
+    ) -> FloatArray:
+        """Return the resistance at the Gauss points of a panel."""
+        ...
+
+    def way_left(self, direction: int, position_mm: float) -> float:
+        """Return the distance to where the resistance jumps."""
+        ...
+
+    def advance(
+        self,
+        direction: int,
+        start_s: float,
+        width_s: float,
+        position_mm: FloatArray,
+        speed_mm_s: FloatArray,
+        end_mm: float,
+    ) -> None:
+        """Take over a finished panel."""
+        ...
+
+
+@dataclass(slots=True)
+class _HardSurface:
+    """Coulomb friction alone."""
+
+    friction_mN: float
+    constant: bool = True
+    max_panel_s: float = np.inf
+    max_travel_mm: float = np.inf
+
+    def at_rest(self, time_s: float) -> float:
+        del time_s
+        return self.friction_mN
+
+    def damping(self, speed_mm_s: FloatArray) -> FloatArray:
+        return np.zeros_like(speed_mm_s)
+
+    def sliding(
+        self, direction: int, start_s: float, width_s: float, position_mm: FloatArray, speed_mm_s: FloatArray
+    ) -> FloatArray:
+        del direction, start_s, width_s, position_mm
+        return np.full_like(speed_mm_s, self.friction_mN)
+
+    def way_left(self, direction: int, position_mm: float) -> float:
+        del direction, position_mm
+        return np.inf
+
+    def advance(
+        self,
+        direction: int,
+        start_s: float,
+        width_s: float,
+        position_mm: FloatArray,
+        speed_mm_s: FloatArray,
+        end_mm: float,
+    ) -> None:
+        del direction, start_s, width_s, position_mm, speed_mm_s, end_mm
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LoadTable:
+    """The axial load of a contact, its branches interpolated linearly between points of the contact."""
+
+    length_mm: float
+    branches: FloatArray
+    rises: FloatArray
+    """`branches`, `rises`: at each point, and from it to the next, shape `(5, p)`."""
+
+    @classmethod
+    def of(cls, contact: HemisphereContact) -> "_LoadTable":
+        """Tabulate a contact; beyond its ends the load is that at the ends."""
+        branches = contact.axial_branches(np.linspace(0.0, contact.length_mm, TABLE_POINTS))
+        return cls(contact.length_mm, branches, np.diff(branches, append=branches[:, -1:]))
+
+    def load(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
+        """Return the axial load [mN/mm] at contact coordinates and ages of one shape."""
+        place = np.clip(x_mm, 0.0, self.length_mm) * ((TABLE_POINTS - 1) / self.length_mm)
+        index = place.astype(np.intp)
+        fast, fast_rate, slow, slow_rate, spring = self.branches[:, index] + self.rises[:, index] * (place - index)
+        return np.asarray(fast * np.exp(-fast_rate * age_s) + slow * np.exp(-slow_rate * age_s) + spring)
+
+
+@dataclass(slots=True)
+class _GutWall:
+    """Friction in the gut: f_e and f_v, and Coulomb friction under weight and wall.
+
+    The wall in contact is known at points: `z_mm`, when each was touched, and the length of wall that it stands for.
+    `lead_mm` is where the front contact is; `leading` the direction whose hemisphere presses against the wall.
+    """
+
+    contact: HemisphereContact
+    table: _LoadTable
+    side: SidePressure
+    weight_mN: float
+    reach_mm: float
+    z_mm: FloatArray
+    touched_s: FloatArray
+    length_mm: FloatArray
+    lead_mm: float = 0.0
+    leading: int = 1
+    constant: bool = False
+    max_panel_s: float = MAX_PANEL_S
+    max_travel_mm: float = MAX_TRAVEL_MM
+
+    @classmethod
+    def inserted(cls, contact: HemisphereContact, weight_mN: float, dwell_s: float) -> "_GutWall":
+        """Begin with a capsule that was inserted `dwell_s` ago."""
+        length, side = contact.length_mm, contact.model.side_contact_mm
+        nodes, weights = gauss_legendre(INSERTED_NODES)
+        edges = np.array([-length - side, -side, -length, 0.0]) if side > length else np.array([-length - side, 0.0])
+        widths = np.diff(np.sort(edges))
+        z = (np.sort(edges)[:-1, None] + widths[:, None] * nodes).ravel()
+        return cls(
+            contact=contact,
+            table=_LoadTable.of(contact),
+            side=contact.side_pressure(),
+            weight_mN=weight_mN,
+            reach_mm=length + side,
+            z_mm=z,
+            touched_s=np.full_like(z, -dwell_s),
+            length_mm=(widths[:, None] * weights).ravel(),
+        )
+
+    def at_rest(self, time_s: float) -> float:
+        time, lead = np.array([time_s]), np.array([self.lead_mm])
+        return float(self._inherited(time, lead)[0] + self._coulomb(time, lead)[0])
+
+    def damping(self, speed_mm_s: FloatArray) -> FloatArray:
+        faster = np.maximum(speed_mm_s, 0.0) + SPEED_STEP_MM_S
+        return np.asarray((self._viscous(faster) - self._viscous(speed_mm_s)) / (faster - speed_mm_s))
+
+    def _viscous(self, speed_mm_s: FloatArray) -> FloatArray:
+        """Return f_v, in proportion to the speed where it would otherwise grow infinitely steeply."""
+        model = self.contact.model
+        least = model.regularisation_mm_s
+        share = np.minimum(speed_mm_s / least, 1.0)
+        return share * viscous_force(np.maximum(speed_mm_s, least), model, self.contact.area_mm2)
+
+    def _contact_coordinate(self, z_mm: FloatArray, lead_mm: FloatArray) -> FloatArray:
+        return lead_mm - z_mm if self.leading > 0 else z_mm - (lead_mm - self.reach_mm)
+
+    def _inherited(self, time_s: FloatArray, lead_mm: FloatArray) -> FloatArray:
+        """Return f_e of the wall that was in contact before, at times of shape `(n,)`."""
+        length = self.contact.length_mm
+        x_now = self._contact_coordinate(self.z_mm, np.asarray(self.lead_mm))
+        near = (
+            slice(int(np.searchsorted(-x_now, -length)), None)
+            if self.leading > 0
+            else slice(0, int(np.searchsorted(x_now, length)))
+        )
+        x = self._contact_coordinate(self.z_mm[near], lead_mm[:, None])
+        age = time_s[:, None] - self.touched_s[near]
+        return np.asarray(self.table.load(x, age) @ self.length_mm[near])
+
+    def _coulomb(self, time_s: FloatArray, lead_mm: FloatArray) -> FloatArray:
+        length = self.contact.length_mm
+        z = lead_mm - length if self.leading > 0 else lead_mm - self.reach_mm + length
+        age = time_s - np.interp(z, self.z_mm, self.touched_s)
+        normal = self.weight_mN + self.side.force(np.maximum(age, 0.0))
+        return np.asarray(self.contact.model.friction_coefficient * normal)
+
+    def sliding(
+        self, direction: int, start_s: float, width_s: float, position_mm: FloatArray, speed_mm_s: FloatArray
+    ) -> FloatArray:
+        rule = _rule()
+        time = start_s + width_s * rule.nodes
+        lead = self._lead(direction, position_mm)
+        environment = self._inherited(time, lead)
+        if direction == self.leading and lead[-1] != self.lead_mm:
+            environment = environment + self._fresh(width_s, lead, speed_mm_s)
+        friction = self._coulomb(time, lead)
+        return np.asarray(environment + friction + self._viscous(speed_mm_s))
+
+    def _lead(self, direction: int, position_mm: FloatArray) -> FloatArray:
+        if direction != self.leading:
+            return np.full_like(position_mm, self.lead_mm)
+        if direction > 0:
+            return np.maximum(position_mm, self.lead_mm)
+        return np.minimum(position_mm + REVERSAL_SLACK_MM, self.lead_mm)
+
+    def _fresh(self, width_s: float, lead_mm: FloatArray, speed_mm_s: FloatArray) -> FloatArray:
+        """Return f_e of the wall that this panel brings into contact, integrated over the time of passing."""
+        rule = _rule()
+        speed = np.maximum(speed_mm_s, 0.0)
+        passing_speed = np.maximum(rule.within @ speed, 0.0).reshape(NODES, FRESH_NODES)
+        travelled = width_s * (rule.within_integral @ speed).reshape(NODES, FRESH_NODES)
+        total = width_s * (rule.integral @ speed)
+        moved = np.abs(lead_mm - self.lead_mm)
+        shift = np.maximum(total - moved, 0.0)[:, None]
+        x = total[:, None] - np.maximum(travelled, shift)
+        age = width_s * rule.nodes[:, None] * (1 - rule.fresh_nodes)
+        load = self.table.load(x, age) * np.where(travelled >= shift, passing_speed, 0.0)
+        return np.asarray((load @ rule.fresh_weights) * (width_s * rule.nodes))
+
+    def way_left(self, direction: int, position_mm: float) -> float:
+        if direction == self.leading:
+            return np.inf
+        behind = self.lead_mm - position_mm  # between 0 and the play
+        return REVERSAL_SLACK_MM - behind if direction < 0 else behind
+
+    def advance(
+        self,
+        direction: int,
+        start_s: float,
+        width_s: float,
+        position_mm: FloatArray,
+        speed_mm_s: FloatArray,
+        end_mm: float,
+    ) -> None:
+        if direction != self.leading:
+            if self.way_left(direction, end_mm) <= 1e-9:
+                self.leading = direction
+            return
+        end = float(self._lead(direction, np.array([end_mm]))[0])
+        if end == self.lead_mm:
+            return
+        travel = abs(end - self.lead_mm)
+        points = next((count for count, reach in WALL_POINTS if travel < reach), NODES)
+        times, weights, values = _wall_points(points)
+        position, speed = values @ position_mm, values @ speed_mm_s
+        fresh = self._lead(direction, position)
+        passed = fresh != self.lead_mm
+        z, touched = fresh[passed], start_s + width_s * times[passed]
+        length = (width_s * weights * np.maximum(speed, 0.0))[passed]
+        self.lead_mm = end
+        if direction > 0:
+            kept = self.z_mm >= end - self.reach_mm
+            self.z_mm = np.concatenate((self.z_mm[kept], z))
+            self.touched_s = np.concatenate((self.touched_s[kept], touched))
+            self.length_mm = np.concatenate((self.length_mm[kept], length))
+        else:
+            kept = self.z_mm <= end
+            self.z_mm = np.concatenate((z[::-1] - self.reach_mm, self.z_mm[kept]))
+            self.touched_s = np.concatenate((touched[::-1], self.touched_s[kept]))
+            self.length_mm = np.concatenate((length[::-1], self.length_mm[kept]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slip:
+    """A panel of a slip: speeds and forces at its Gauss points, counted in the direction of the slip."""
+
+    start_s: float
+    width_s: float
+    direction: int
+    since_s: float
+    """When the slip began."""
+    start_mm: float
+    start_speed_mm_s: float
+    acceleration_mm_s2: FloatArray
+    speed_mm_s: FloatArray
+    travel_mm: FloatArray
+    resistance_mN: FloatArray
+    end_speed_mm_s: float
+    end_travel_mm: float
+
+    @property
+    def end_s(self) -> float:
+        """When it ends."""
+        return self.start_s + self.width_s
+
+    @property
+    def end_mm(self) -> float:
+        """Where it ends."""
+        return self.start_mm + self.direction * self.end_travel_mm
+
+    @property
+    def end_acceleration_mm_s2(self) -> float:
+        """Acceleration at its end."""
+        return float(_rule().at_end @ self.acceleration_mm_s2)
+
+    @property
+    def first_stop_s(self) -> float:
+        """Time from its begin to where the speed is first 0."""
+        places = np.linspace(0.0, 1.0, 65)
+        speed = self.direction * self.at(self.start_s + self.width_s * places)[1]
+        after = int(np.argmax(speed[1:] <= 0)) + 1 if bool((speed[1:] <= 0).any()) else 64
+        share = speed[after - 1] / max(speed[after - 1] - speed[after], 1e-300)
+        return float(self.width_s * (places[after - 1] + share * places[1]))
+
+    @property
+    def gauss_s(self) -> FloatArray:
+        """Its Gauss points."""
+        return self.start_s + self.width_s * _rule().nodes
+
+    @property
+    def loss_uJ(self) -> float:
+        """Work of the friction; mN · mm is µJ."""
+        return float(self.width_s * (gauss_legendre(NODES)[1] @ (self.resistance_mN * self.speed_mm_s)))
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position [mm], velocity [mm/s] and friction [mN, against positive motion] at times within it."""
+        place = np.clip((time_s - self.start_s) / self.width_s, 0.0, 1.0)
+        speed = self.start_speed_mm_s + self.width_s * (interpolation(place, 1) @ self.acceleration_mm_s2)
+        travel = self.width_s * (
+            place * self.start_speed_mm_s + self.width_s * (interpolation(place, 2) @ self.acceleration_mm_s2)
+        )
+        friction = interpolation(place, 0) @ self.resistance_mN
+        return self.start_mm + self.direction * travel, self.direction * speed, self.direction * friction
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """A period of a walk; energies in µJ."""
+
+    begin_s: float
+    begin_mm: float
+    end_mm: float
+    forwards_mm: float
+    backwards_mm: float
+    """`forwards_mm`, `backwards_mm`: slip in either direction."""
+    slip_s: float
+    """How long it slipped."""
+    work_uJ: float
+    """Work of the actuator; what it takes back is subtracted."""
+    loss_uJ: float
+    """Work lost to friction."""
+    begin_kinetic_uJ: float
+    end_kinetic_uJ: float
+    first_slip: int
+    """Number of its first slip in the walk."""
+
+    @property
+    def travel_mm(self) -> float:
+        """Travel of the housing."""
+        return self.end_mm - self.begin_mm
+
+
+def energy_error(periods: Sequence[Period]) -> float:
+    """Return the work that is neither lost to friction nor kinetic, over the loss; 0 where nothing slips."""
+    loss = sum(period.loss_uJ for period in periods)
+    work = sum(period.work_uJ for period in periods)
+    stored = periods[-1].end_kinetic_uJ - periods[0].begin_kinetic_uJ
+    return abs(work - loss - stored) / loss if loss > 0 else 0.0
+
+
+@dataclass(slots=True)
+class Walker:
+    """A robot as it walks, from rest."""
+
+    robot: RobotSettings
+    drive: RobotDrive
+    resistance: Resistance
+    added: AddedForce | None = None
+    time_s: float = 0.0
+    position_mm: float = 0.0
+    velocity_mm_s: float = 0.0
+    since_s: float = 0.0
+    first_slip: int = 0
+    """`since_s`, `first_slip`: when the present slip began, and number of the present period's first panel."""
+    slips: list[Slip] = field(default_factory=list)
+    periods: list[Period] = field(default_factory=list)
+
+    def period(self) -> Period:
+        """Walk for a period."""
+        begin_mm, begin_uJ, relative_mm_s, work = self.position_mm, self._kinetic_uJ, 0.0, 0.0
+        first = self.first_slip = len(self.slips)
+        begin_s = self.time_s
+        for duration_s, relative_mm_s2 in self._spans:
+            end_s, number = self.time_s + duration_s, len(self.slips)
+            self._phase(self.time_s, end_s, relative_mm_s2)
+            gained = relative_mm_s2 * duration_s
+            work += 0.5 * self._inner * ((relative_mm_s + gained) ** 2 - relative_mm_s**2)
+            for slip in self.slips[number:]:
+                relative = relative_mm_s + relative_mm_s2 * (slip.gauss_s - self.time_s)
+                work += (
+                    self._inner
+                    * slip.direction
+                    * slip.width_s
+                    * (_rule().weights @ (slip.acceleration_mm_s2 * relative))
+                )
+            relative_mm_s += gained
+            self.time_s = end_s
+        loss = sum(slip.loss_uJ for slip in self.slips[first:])
+        forward = sum(slip.end_travel_mm for slip in self.slips[first:] if slip.direction > 0)
+        backward = sum(slip.end_travel_mm for slip in self.slips[first:] if slip.direction < 0)
+        slip_s = sum(slip.width_s for slip in self.slips[first:])
+        made = Period(
+            begin_s,
+            begin_mm,
+            self.position_mm,
+            forward,
+            backward,
+            slip_s,
+            work,
+            loss,
+            begin_uJ,
+            self._kinetic_uJ,
+            first,
+        )
+        self.periods.append(made)
+        return made
+
+    @property
+    def _spans(self) -> list[tuple[float, float]]:
+        """Duration and relative acceleration of each span of constant acceleration in a period."""
+        spans = groupby(self.drive.phases, key=lambda phase: phase[1])
+        return [(sum(duration for duration, _ in span), acceleration) for acceleration, span in spans]
+
+    @property
+    def _inner(self) -> float:
+        return MN_PER_G_MM_S2 * self.robot.inner_mass_g
+
+    @property
+    def _total(self) -> float:
+        return MN_PER_G_MM_S2 * self.robot.mass_g
+
+    @property
+    def _kinetic_uJ(self) -> float:
+        """Kinetic energy while the inner mass rests in the housing."""
+        return 0.5 * self._total * self.velocity_mm_s**2
+
+    @property
+    def _tolerance_mm_s(self) -> float:
+        return SPEED_TOLERANCE * self.drive.peak_speed_mm_s
+
+    def _phase(self, begin_s: float, end_s: float, relative_mm_s2: float) -> None:
+        """Go through a phase of constant relative acceleration."""
+        push = -self._inner * relative_mm_s2
+        time = begin_s
+        while end_s - time > MIN_PANEL_S:
+            if self.velocity_mm_s == 0.0:
+                start = self._start(push, time, end_s)
+                if start is None:
+                    return
+                time = self.since_s = start
+                direction = 1 if push > 0 else -1
+            else:
+                direction = 1 if self.velocity_mm_s > 0 else -1
+            time = self._advance(direction, push * direction, time, end_s)
+
+    def _start(self, push: float, time_s: float, end_s: float) -> float | None:
+        """Return when the capsule at rest starts, None where it stays."""
+        direction = 1 if push > 0 else -1
+
+        def excess(time: float) -> float:
+            added = 0.0 if self.added is None else float(self.added.resistance(direction, 0.0))
+            return abs(push) - max(self.resistance.at_rest(time) + added, 0.0)
+
+        if push == 0:
+            return None
+        if excess(time_s) > 0:
+            return time_s
+        if excess(end_s) <= 0:
+            return None
+        root, report = brentq(excess, time_s, end_s, xtol=1e-12, full_output=True)
+        return float(root) if report.converged and end_s - root > MIN_PANEL_S else None
+
+    def _advance(self, direction: int, push: float, time_s: float, end_s: float) -> float:
+        """Slip for a panel, up to an event; return when it ends."""
+        whole = (end_s - time_s) / max(np.ceil((end_s - time_s) / self.resistance.max_panel_s - 1e-9), 1.0)
+        ahead = min(self.resistance.way_left(direction, self.position_mm), self.resistance.max_travel_mm)
+        acceleration, stop_s = self._expected(direction, push, time_s)
+        stopping, width = stop_s < whole, min(stop_s, whole)
+        for _ in range(MAX_ITERATIONS):
+            panel = self._solve(direction, push, time_s, width, acceleration)
+            acceleration = panel.acceleration_mm_s2
+            if panel.end_travel_mm > ahead + TRAVEL_TOLERANCE_MM:
+                mean_speed = panel.end_travel_mm / panel.width_s
+                width -= (panel.end_travel_mm - ahead) / max(panel.end_speed_mm_s, mean_speed)
+                whole, stopping = width, False
+            elif stopping:
+                if abs(panel.end_speed_mm_s) <= self._tolerance_mm_s:
+                    break
+                width = panel.width_s - panel.end_speed_mm_s / min(panel.end_acceleration_mm_s2, -1e-6)
+                if width > whole:
+                    width, stopping = whole, False
+            elif panel.end_speed_mm_s < 0 or float(panel.speed_mm_s.min()) < 0:
+                width, stopping = panel.first_stop_s, True
+            else:
+                break
+            width = max(width, MIN_PANEL_S)
+        self._take(panel)
+        return panel.end_s
+
+    def _expected(self, direction: int, push: float, time_s: float) -> tuple[FloatArray, float]:
+        """Return accelerations to begin with, and when they would stop the capsule [s from now]."""
+        before = None if self.resistance.constant else self._same_slip_before(direction, time_s)
+        if before is not None:
+            stops = before.end_speed_mm_s <= 2 * self._tolerance_mm_s
+            return before.acceleration_mm_s2, before.width_s if stops else np.inf
+        goes_on = self.velocity_mm_s != 0
+        resistance = float(self.slips[-1].resistance_mN[-1]) if goes_on else self.resistance.at_rest(time_s)
+        acceleration = (push - resistance) / self._total
+        stop_s = abs(self.velocity_mm_s) / -acceleration if acceleration < 0 and goes_on else np.inf
+        return np.full(NODES, acceleration), stop_s
+
+    def _same_slip_before(self, direction: int, time_s: float) -> Slip | None:
+        """Return the panel of the period before at the same place in its period."""
+        if not self.periods:
+            return None
+        number = self.periods[-1].first_slip + len(self.slips) - self.first_slip
+        if number >= self.first_slip:
+            return None
+        before = self.slips[number]
+        same_place = abs(before.start_s + self.drive.period_s - time_s) < 0.1 * before.width_s
+        return before if same_place and before.direction == direction else None
+
+    def _solve(
+        self, direction: int, push: float, time_s: float, width_s: float, acceleration_mm_s2: FloatArray
+    ) -> Slip:
+        """Solve the equation of motion at the Gauss points, by Newton's method with the slope of viscous friction.
+
+        A panel in which that does not converge is halved.
+        """
+        for _ in range(MAX_HALVINGS):
+            panel = self._iterate(direction, push, time_s, width_s, acceleration_mm_s2)
+            if panel is not None:
+                return panel
+            width_s *= 0.5
+        raise AnalysisError(
+            f"The robot's motion at {time_s:.4f} s cannot be integrated, because the friction changes too steeply; "
+            "use a model with smaller effects."
+        )
+
+    def _iterate(
+        self, direction: int, push: float, time_s: float, width_s: float, acceleration_mm_s2: FloatArray
+    ) -> Slip | None:
+        rule = _rule()
+        start_speed, acceleration, step = abs(self.velocity_mm_s), acceleration_mm_s2, np.inf
+        for count in range(MAX_ITERATIONS):
+            speed = start_speed + width_s * (rule.integral @ acceleration)
+            travel = width_s * (rule.nodes * start_speed + width_s * (rule.double_integral @ acceleration))
+            position = self.position_mm + direction * travel
+            resistance = self.resistance.sliding(direction, time_s, width_s, position, speed)
+            if self.added is not None:
+                since = time_s + width_s * rule.nodes - self.since_s
+                resistance = np.maximum(resistance + self.added.resistance(direction, since), 0.0)
+            wanted = (push - resistance) / self._total
+            if (count and step <= self._tolerance_mm_s) or (self.resistance.constant and self.added is None):
+                return Slip(
+                    start_s=time_s,
+                    width_s=width_s,
+                    direction=direction,
+                    since_s=self.since_s,
+                    start_mm=self.position_mm,
+                    start_speed_mm_s=start_speed,
+                    acceleration_mm_s2=wanted,
+                    speed_mm_s=start_speed + width_s * (rule.integral @ wanted),
+                    travel_mm=travel,
+                    resistance_mN=resistance,
+                    end_speed_mm_s=float(start_speed + width_s * (rule.weights @ wanted)),
+                    end_travel_mm=float(width_s * (start_speed + width_s * ((1 - rule.nodes) * rule.weights @ wanted))),
+                )
+            slope = self.resistance.damping(speed) / self._total
+            jacobian = np.eye(NODES) + width_s * slope[:, None] * rule.integral
+            change = np.linalg.solve(jacobian, wanted - acceleration)
+            acceleration = acceleration + change
+            step = float(np.abs(width_s * (rule.integral @ change)).max())
+        return None
+
+    def _take(self, panel: Slip) -> None:
+        self.slips.append(panel)
+        positions = panel.start_mm + panel.direction * panel.travel_mm
+        end = panel.end_mm
+        self.resistance.advance(panel.direction, panel.start_s, panel.width_s, positions, panel.speed_mm_s, end)
+        self.position_mm = end
+        stopped = panel.end_speed_mm_s <= 2 * self._tolerance_mm_s
+        self.velocity_mm_s = 0.0 if stopped else panel.direction * panel.end_speed_mm_s
+
+
+def hard_ground(robot: RobotSettings) -> Resistance:
+    """Return a hard surface, on which the robot has Coulomb friction alone."""
+    return _HardSurface(robot.hard_friction_coefficient * robot.mass_g * GRAVITY_M_S2)
+
+
+def gut(robot: RobotSettings, model: FrictionModelSettings, wall_thickness_mm: float) -> Resistance:
+    """Return the gut around a robot that was inserted; raises `SettingsError` for a wall that is not positive."""
+    contact = HemisphereContact.of(robot.capsule, wall_thickness_mm, model)
+    dwell_s = robot.insertion_dwell_s * model.insertion_dwell_scale
+    return _GutWall.inserted(contact, robot.mass_g * GRAVITY_M_S2, dwell_s)
+
+
+def walk(
+    robot: RobotSettings, drive: RobotDrive, surface: Resistance, periods: int, added: AddedForce | None = None
+) -> Walker:
+    """Return a robot that has walked from rest for some periods."""
+    walker = Walker(robot, drive, surface, added)
+    for _ in range(periods):
+        walker.period()
+    return walker

@@ -1,0 +1,125 @@
+"""The capsule robot: its motion against an independent integration, its energy, and its wall against the model's."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from dragrig.config import FrictionModelSettings, RobotDrive, RobotSettings, SettingsError, find_settings, parse
+from dragrig.rig import FloatArray
+from dragrig.sim_backend.robot import energy_error, gut, hard_ground, walk
+
+ROBOT = find_settings(RobotSettings, "robot", "capsubot")
+MODEL = FrictionModelSettings()
+
+
+def independent_speed(robot: RobotSettings, drive: RobotDrive, periods: int) -> float:
+    """Integrate x'' = (−m s'' − μ N sign x') / (M + m) with events at stops; mean speed of the last third."""
+    total, friction = robot.mass_g, robot.hard_friction_coefficient * robot.mass_g * 9806.65
+    position, velocity, time, places = 0.0, 0.0, 0.0, [0.0]
+
+    def stop(_: float, state: FloatArray) -> float:
+        return float(state[1])
+
+    stop.terminal = True  # type: ignore[attr-defined]  # read by solve_ivp
+    for _ in range(periods):
+        for duration, relative in drive.phases:
+            push, end = -robot.inner_mass_g * relative, time + duration
+            while end - time > 1e-12:
+                if velocity == 0.0:
+                    if abs(push) <= friction:
+                        time = end
+                        break
+                    sign = np.sign(push)
+                else:
+                    sign = np.sign(velocity)
+                acceleration = (push - sign * friction) / total
+                # Events at the start itself are avoided by a small step along the motion.
+                step = min(1e-9, 0.5 * (end - time))
+                begin = (
+                    position + velocity * step + 0.5 * acceleration * step**2,
+                    velocity + acceleration * step,
+                )
+                solved = solve_ivp(
+                    lambda _, state, a=acceleration: (state[1], a),
+                    (time + step, end),
+                    begin,
+                    events=stop,
+                    rtol=1e-9,
+                    atol=1e-12,
+                )
+                time = float(solved.t[-1])
+                position, velocity = (float(value) for value in solved.y[:, -1])
+                if solved.status == 1:
+                    velocity = 0.0
+            time = end
+        places.append(position)
+    first = 2 * periods // 3
+    return (places[-1] - places[first]) / ((periods - first) * drive.period_s)
+
+
+@pytest.mark.parametrize(
+    ("slow", "fast", "stroke", "pause", "friction"),
+    [
+        pytest.param(2800, 17000, 6.0, 0.0, 0.1, id="sticks while the mass is pushed slowly"),
+        pytest.param(4000, 17000, 6.0, 0.0, 0.1, id="slips back"),
+        pytest.param(8000, 17000, 6.0, 0.02, 0.1, id="slips back, with a pause"),
+        pytest.param(1000, 9000, 3.0, 0.0, 0.2, id="rests in between"),
+        pytest.param(9000, 17000, 8.0, 0.0, 0.01, id="never rests"),
+    ],
+)
+def test_speed_on_a_hard_surface_is_that_of_an_independent_integration(
+    slow: float, fast: float, stroke: float, pause: float, friction: float
+) -> None:
+    robot = ROBOT.model_copy(update={"housing_g": 13.0, "inner_mass_g": 7.0, "hard_friction_coefficient": friction})
+    drive = RobotDrive(slow_mm_s2=slow, fast_mm_s2=fast, stroke_mm=stroke, pause_s=pause)
+    periods = walk(robot, drive, hard_ground(robot), 12).periods
+    speed = (periods[-1].end_mm - periods[8].begin_mm) / (4 * drive.period_s)
+    assert speed == pytest.approx(independent_speed(robot, drive, 12), rel=1e-3)
+
+
+drives = st.builds(
+    RobotDrive,
+    slow_mm_s2=st.floats(500, 15000),
+    fast_mm_s2=st.floats(2000, 20000),
+    stroke_mm=st.floats(0.5, 8.0),
+    pause_s=st.sampled_from([0.0, 0.01, 0.05]),
+)
+
+
+@given(drive=drives)
+@settings(max_examples=15, deadline=None)
+def test_energy_balance_closes_on_both_surfaces(drive: RobotDrive) -> None:
+    for surface, periods in ((hard_ground(ROBOT), 5), (gut(ROBOT, MODEL, 2.5), 4)):
+        made = walk(ROBOT, drive, surface, periods)
+        assert energy_error(made.periods) < 1e-6
+        # The loss by a rule of its own, on the motion as it is drawn.
+        for slip in made.slips[-3:]:
+            time = np.linspace(slip.start_s, slip.end_s, 4001)
+            _, velocity, friction = slip.at(time)
+            assert np.trapezoid(friction * velocity, time) == pytest.approx(slip.loss_uJ, rel=1e-4, abs=1e-7)
+
+
+@given(drive=drives)
+@settings(max_examples=20, deadline=None)
+def test_a_slip_begins_where_another_ends_and_goes_one_way(drive: RobotDrive) -> None:
+    made = walk(ROBOT, drive, hard_ground(ROBOT), 6)
+    for before, after in pairwise(made.slips):
+        assert after.start_s >= before.end_s - 1e-9
+        assert after.start_mm == pytest.approx(before.end_mm, abs=1e-9)
+        goes_on = after.start_s - before.end_s < 1e-9 and before.end_speed_mm_s > 1e-6
+        assert not goes_on or after.start_speed_mm_s == pytest.approx(before.end_speed_mm_s)
+    assert all(slip.speed_mm_s.min() > -1e-6 for slip in made.slips)
+
+
+def test_a_weak_drive_does_not_move_it() -> None:
+    static_mN = gut(ROBOT, MODEL, 2.5).at_rest(0.0)
+    weak, strong = (
+        RobotDrive(slow_mm_s2=500, fast_mm_s2=share * 1e3 * static_mN / ROBOT.inner_mass_g, stroke_mm=3)
+        for share in (0.99, 1.05)
+    )
+    assert not walk(ROBOT, weak, gut(ROBOT, MODEL, 2.5), 3).slips
+    assert walk(ROBOT, strong, gut(ROBOT, MODEL, 2.5), 3).slips
