@@ -1,20 +1,42 @@
-"""What a capsule robot reaches: its steady walk, the drive that is fastest within its actuator's limits."""
+"""What a capsule robot reaches: its steady walk, the fastest drive, what assumptions change, the price of effects."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import exp, log
+from types import MappingProxyType
 
 import numpy as np
 
-from dragrig.config import RobotDrive, RobotSettings
-from dragrig.rig import FloatArray
-from dragrig.sim_backend.robot import AddedForce, Period, Resistance, Walker, energy_error
+from dragrig.analysis import Progress, no_progress
+from dragrig.config import Fixture, FrictionModelSettings, RobotDrive, RobotSettings, SettingsError, Specimen
+from dragrig.rig import Acquisition, Contact, FloatArray, MotionProfile
+from dragrig.sim_backend.effects import ActiveEffect, ForceEffect, active_effects, gut_run_state
+from dragrig.sim_backend.friction import RecordedMotion
+from dragrig.sim_backend.robot import AddedForce, Period, Resistance, Walker, energy_error, gut, hard_ground
+
+HARD_DRIVE, GUT_DRIVE, OWN_DRIVE = "best on the hard surface", "chosen for the gut", "as given"
+SLIP_POINTS = 25
+"""Times of a panel by which a walk becomes a motion of the effects."""
+MIN_STEP_S = 1e-8
+ADDED_POINTS = 24
+"""Times at which the force of effects is known."""
+MEAN_SLIPS = 8
+"""Last slips over which it is averaged."""
+FIRST_S = 2e-6
+"""Begin and end of a slip that are left out, since the motion is at rest there."""
+EXACT_SIGN_MM_S = 1e-6
+"""Speed over which Coulomb friction changes sign in the effects: the robot's has its exact sign."""
+MAX_RELAXATIONS, UNDAMPED = 15, 3
+"""Iterations between effects and walk, and how many are undamped."""
 
 MIN_SHARE = 0.005
 """Least acceleration that the optimisation tries, over the actuator's greatest."""
 MIN_STROKE = 0.05
 """Least stroke that it tries, over the greatest."""
 MAX_PERIODS = 400
+MAX_SEARCH_PERIODS = 40
+"""Longest walk, and the longest while a drive is sought."""
 STEADY_MM = 7.0
 """Travel after which the wall under the leading hemisphere is the walk's own."""
 STEADY_CHANGE = 1e-5
@@ -43,6 +65,7 @@ def steady_walk(
     surface: Callable[[], Resistance],
     added: AddedForce | None = None,
     change: float = STEADY_CHANGE,
+    max_periods: int = MAX_PERIODS,
 ) -> SteadyWalk:
     """Walk from rest until the periods are alike."""
     resistance = surface()
@@ -50,7 +73,7 @@ def steady_walk(
     settle_mm = 0.0 if resistance.constant else STEADY_MM
     last: tuple[Period, ...] = ()
     converged = False
-    for number in range(MAX_PERIODS):
+    for number in range(max_periods):
         made = walker.period()
         if made.forwards_mm == made.backwards_mm == 0.0 and number >= 2:
             last, converged = (made,), True
@@ -102,7 +125,11 @@ def place_of(robot: RobotSettings, drive: RobotDrive) -> FloatArray:
 
 
 def fastest_drive(
-    robot: RobotSettings, surface: Callable[[], Resistance], seed: int, start: RobotDrive | None = None
+    robot: RobotSettings,
+    surface: Callable[[], Resistance],
+    seed: int,
+    start: RobotDrive | None = None,
+    added: AddedForce | None = None,
 ) -> RobotDrive:
     """Return the drive within the limits that is fastest on a surface.
 
@@ -112,21 +139,329 @@ def fastest_drive(
         Of the global search, differential evolution.
     start
         A drive near the best, from which the search is local.
+    added
+        Force of effects.
     """
     from scipy.optimize import differential_evolution, minimize
 
     def slowness(place: FloatArray) -> float:
-        return -steady_walk(robot, drive_within(robot, place), surface, change=1e-3).speed_mm_s
+        return -steady_walk(robot, drive_within(robot, place), surface, added, 1e-3, MAX_SEARCH_PERIODS).speed_mm_s
 
     bounds = [(0.0, 1.0)] * 4
     if start is None:
         found = differential_evolution(
-            slowness, bounds, popsize=8, maxiter=25, tol=1e-3, seed=seed, polish=False, init="sobol"
+            slowness, bounds, popsize=4, maxiter=5, tol=1e-2, seed=seed, polish=False, init="sobol"
         )
         place = found.x
     else:
         place = place_of(robot, start)
     result = minimize(
-        slowness, place, method="Nelder-Mead", bounds=bounds, options={"xatol": 1e-3, "fatol": 1e-4, "maxfev": 150}
+        slowness,
+        place,
+        method="Nelder-Mead",
+        bounds=bounds,
+        options={"xatol": 1e-3, "fatol": 1e-4, "maxfev": 70 if start is None else 30},
     )
     return drive_within(robot, result.x)
+
+
+@dataclass(frozen=True, slots=True)
+class RelaxedWalk:
+    """A walk with effects: their force along the walk and the walk under their force, until both agree."""
+
+    walk: SteadyWalk
+    added: AddedForce | None
+    iterations: int
+    converged: bool
+
+
+def added_force(
+    walk: SteadyWalk, effects: Sequence[ActiveEffect], model: FrictionModelSettings, specimen: Specimen
+) -> AddedForce | None:
+    """Return the mean force of effects over the last slips of a walk; None where nothing slips.
+
+    What is periodic in position or in the session's clock enters by its mean over these slips. A direction in which
+    nothing slips has the force of the other.
+    """
+    walker = walk.walker
+    if not walker.slips:
+        return None
+    robot = walker.robot
+    times = [np.linspace(slip.start_s, slip.end_s, SLIP_POINTS) for slip in walker.slips]
+    time_s = np.unique(np.concatenate((*times, [0.0, walker.time_s])))
+    time_s = time_s[np.append(True, np.diff(time_s) > MIN_STEP_S)]
+    motion = RecordedMotion.computed(time_s, walker.sample(time_s)[0])
+    starts = {(slip.since_s, slip.direction): slip.end_s for slip in walker.slips}
+    longest = max(end - since for (since, _), end in starts.items())
+    since_s = longest * np.linspace(0.0, 1.0, ADDED_POINTS) ** 2
+    forces: dict[int, FloatArray] = {}
+    exact = model.model_copy(update={"regularisation_mm_s": EXACT_SIGN_MM_S})
+    acquisition = Acquisition(
+        run_id="robot",
+        order=0,
+        kind="robot",
+        profile=MotionProfile.from_pieces(()),
+        capsule=robot.capsule,
+        specimen=specimen,
+        fixture=Fixture.FOAM,
+        contact=Contact.SLIDING,
+        insertion_dwell_s=robot.insertion_dwell_s,
+    )
+    for direction in (1, -1):
+        slips = [(since, end) for (since, sign), end in starts.items() if sign == direction][-MEAN_SLIPS:]
+        if not slips:
+            continue
+        at = np.concatenate([np.minimum(since + FIRST_S + since_s, end - FIRST_S) for since, end in slips])
+        rising, back = np.unique(at, return_inverse=True)
+        run = gut_run_state(acquisition, exact, motion, rising)
+        force = sum((active.effect.added_force(run, active.values) for active in effects), np.zeros_like(rising))
+        forces[direction] = direction * force[back].reshape(len(slips), -1).mean(axis=0)
+    forwards = forces.get(1, forces.get(-1))
+    backwards = forces.get(-1, forwards)
+    if forwards is None or backwards is None:
+        return None
+    return AddedForce(since_s, forwards, backwards)
+
+
+def walk_with_effects(
+    robot: RobotSettings,
+    drive: RobotDrive,
+    surface: Callable[[], Resistance],
+    effects: Sequence[ActiveEffect],
+    model: FrictionModelSettings,
+    specimen: Specimen,
+) -> RelaxedWalk:
+    """Walk with effects: simulate, compute their force along the motion found, simulate with it, until both agree."""
+    walk = steady_walk(robot, drive, surface)
+    if not effects:
+        return RelaxedWalk(walk, None, 0, converged=True)
+    added: AddedForce | None = None
+    tolerance = max(1e-3 * abs(walk.speed_mm_s), 1e-4)
+    for number in range(1, MAX_RELAXATIONS + 1):
+        fresh = added_force(walk, effects, model, specimen)
+        if fresh is None:
+            return RelaxedWalk(walk, added, number, converged=True)
+        added = fresh if added is None or number <= UNDAMPED else _mean_force(added, fresh)
+        before, walk = walk.speed_mm_s, steady_walk(robot, drive, surface, added)
+        if abs(walk.speed_mm_s - before) < tolerance:
+            return RelaxedWalk(walk, added, number, converged=True)
+    return RelaxedWalk(walk, added, MAX_RELAXATIONS, converged=False)
+
+
+def _mean_force(before: AddedForce, after: AddedForce) -> AddedForce:
+    """Return the mean of two forces, which damps a relaxation that swings."""
+    time = after.time_s
+    return AddedForce(
+        time,
+        0.5 * (before.resistance(1, time) + after.forwards_mN),
+        0.5 * (before.resistance(-1, time) + after.backwards_mN),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivenRobot:
+    """A drive on the hard surface and in the gut."""
+
+    name: str
+    hard: SteadyWalk
+    gut: SteadyWalk
+    iterations: int = 0
+    converged: bool = True
+    """`iterations`, `converged`: of the force of effects in the gut."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensitivity:
+    """The three speeds [mm/s] at the ends of an assumption's range: on the hard surface, its drive in the gut, best."""
+
+    key: str
+    value: float
+    low: float
+    high: float
+    at_low: tuple[float, float, float]
+    at_high: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Price:
+    """What an effect costs: speed and work per mm of the drive chosen for the gut, beside those without it."""
+
+    effect: str
+    speed_mm_s: float | None
+    speed_change_mm_s: float | None
+    speed_error_mm_s: float | None
+    """Standard error, from that of the effect's size; None where that is not known."""
+    work_change_uJ_mm: float | None
+    note: str = ""
+    """Why it has no price, or what there is to say of it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotStudy:
+    """What a robot reaches, and what that depends on."""
+
+    robot: RobotSettings
+    model: FrictionModelSettings
+    seed: int
+    drives: tuple[DrivenRobot, ...]
+    """The drives best on the hard surface and best in the gut, or the one that was given; prices are of the last."""
+    static_mN: float
+    """Static resistance in the gut when the robot starts."""
+    sensitivities: tuple[Sensitivity, ...]
+    prices: tuple[Price, ...]
+    effects: tuple[str, ...]
+
+
+def study_robot(
+    robot: RobotSettings,
+    model: FrictionModelSettings,
+    specimen: Specimen,
+    *,
+    drive: RobotDrive | None = None,
+    diagnosed: FrictionModelSettings | None = None,
+    errors: Mapping[str, float] = MappingProxyType({}),
+    sensitivity: bool = True,
+    seed: int = 1,
+    progress: Progress = no_progress,
+) -> RobotStudy:
+    """Study a robot in a model.
+
+    Parameters
+    ----------
+    drive
+        To simulate; without it the best ones are sought.
+    diagnosed
+        Model with the effects that are priced; their base is the same model without them.
+    errors
+        Standard errors of the sizes of its effects, by id.
+    sensitivity
+        Whether to vary the assumptions.
+
+    Raises
+    ------
+    SettingsError
+        For a drive beyond the actuator's limits, or a model that the robot cannot have.
+    AnalysisError
+        Where a motion cannot be integrated.
+    """
+    if drive is not None and (reason := robot.why_not(drive)):
+        raise SettingsError(f"{reason}; choose a weaker drive or a stronger actuator.")
+    base = (model if diagnosed is None else diagnosed).model_copy(update={"effects": ()})
+    acting = [active for active in active_effects(model) if isinstance(active.effect, ForceEffect)]
+    hard, inside = partial(hard_ground, robot), partial(gut, robot, base, specimen.wall_thickness_mm)
+    varied = robot.ranges if sensitivity and drive is None else {}
+    priced = () if diagnosed is None else active_effects(diagnosed)
+    steps = 2 + len(varied) + len(priced)
+    if drive is None:
+        hard_drive = fastest_drive(robot, hard, seed)
+        progress(0.5, steps)
+        gut_drive = fastest_drive(robot, inside, seed)
+        if acting:
+            relaxed = walk_with_effects(robot, gut_drive, inside, acting, base, specimen)
+            gut_drive = fastest_drive(robot, inside, seed, gut_drive, relaxed.added)
+        chosen = {HARD_DRIVE: hard_drive, GUT_DRIVE: gut_drive}
+    else:
+        chosen = {OWN_DRIVE: drive}
+    progress(2, steps)
+    drives = []
+    for name, of in chosen.items():
+        relaxed = walk_with_effects(robot, of, inside, acting, base, specimen)
+        drives.append(
+            DrivenRobot(name, steady_walk(robot, of, hard), relaxed.walk, relaxed.iterations, relaxed.converged)
+        )
+    sensitivities = []
+    for number, (key, (low, high)) in enumerate(varied.items()):
+        ends = [
+            _speeds(robot.model_copy(update={key: value}), base, specimen, drives[0].hard.drive, drives[1].gut.drive)
+            for value in (low, high)
+        ]
+        sensitivities.append(Sensitivity(key, float(getattr(robot, key)), low, high, ends[0], ends[1]))
+        progress(3 + number, steps)
+    prices = []
+    for number, active in enumerate(priced):
+        prices.append(_price(robot, drives[-1].gut.drive, inside, active, errors, base, specimen))
+        progress(3 + len(varied) + number, steps)
+    slips = [active for active in priced if isinstance(active.effect, ForceEffect)]
+    if len(slips) > 1:
+        without = steady_walk(robot, drives[-1].gut.drive, inside)
+        together = walk_with_effects(robot, drives[-1].gut.drive, inside, slips, base, specimen)
+        prices.append(_difference("all of them", without, together, None))
+    return RobotStudy(
+        robot=robot,
+        model=model,
+        seed=seed,
+        drives=tuple(drives),
+        static_mN=inside().at_rest(0.0),
+        sensitivities=tuple(sensitivities),
+        prices=tuple(prices),
+        effects=tuple(active.effect.id for active in acting),
+    )
+
+
+def _speeds(
+    robot: RobotSettings,
+    model: FrictionModelSettings,
+    specimen: Specimen,
+    hard_drive: RobotDrive,
+    gut_drive: RobotDrive,
+) -> tuple[float, float, float]:
+    """Return the three speeds of another robot, whose drives are sought near those given."""
+    hard, inside = partial(hard_ground, robot), partial(gut, robot, model, specimen.wall_thickness_mm)
+    best_hard = fastest_drive(robot, hard, 1, hard_drive)
+    best_gut = fastest_drive(robot, inside, 1, gut_drive)
+    return (
+        steady_walk(robot, best_hard, hard).speed_mm_s,
+        steady_walk(robot, best_hard, inside).speed_mm_s,
+        steady_walk(robot, best_gut, inside).speed_mm_s,
+    )
+
+
+def _price(
+    robot: RobotSettings,
+    drive: RobotDrive,
+    surface: Callable[[], Resistance],
+    active: ActiveEffect,
+    errors: Mapping[str, float],
+    model: FrictionModelSettings,
+    specimen: Specimen,
+) -> Price:
+    effect = active.effect
+    if not isinstance(effect, ForceEffect):
+        return Price(effect.id, None, None, None, None, "belongs to the rig, not to the robot: no price")
+    without = steady_walk(robot, drive, surface)
+    relaxed = walk_with_effects(robot, drive, surface, [active], model, specimen)
+    error = errors.get(effect.id)
+    spread = None
+    if error:
+        sizes = [active.values[effect.size.name] + sign * error for sign in (-1, 1)]
+        ends = [
+            walk_with_effects(
+                robot,
+                drive,
+                surface,
+                [ActiveEffect(effect, {**active.values, effect.size.name: size})],
+                model,
+                specimen,
+            ).walk.speed_mm_s
+            for size in sizes
+        ]
+        spread = 0.5 * abs(ends[1] - ends[0])
+    return _difference(effect.id, without, relaxed, spread)
+
+
+def _difference(name: str, without: SteadyWalk, relaxed: RelaxedWalk, spread: float | None) -> Price:
+    walk = relaxed.walk
+    moves = np.isfinite(walk.loss_uJ_mm) and np.isfinite(without.loss_uJ_mm)
+    notes = []
+    if not relaxed.converged:
+        notes.append(f"not settled after {relaxed.iterations} iterations: the last is told")
+    if walk.speed_mm_s == 0:
+        notes.append("the robot does not move with it")
+    return Price(
+        effect=name,
+        speed_mm_s=walk.speed_mm_s,
+        speed_change_mm_s=walk.speed_mm_s - without.speed_mm_s,
+        speed_error_mm_s=spread,
+        work_change_uJ_mm=walk.loss_uJ_mm - without.loss_uJ_mm if moves else None,
+        note="; ".join(notes),
+    )

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dragrig.config import FrictionModelSettings, RobotDrive, RobotSettings, SettingsError, find_settings, parse
+from dragrig.config import FrictionModelSettings, RobotDrive, RobotSettings, find_settings
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.robot import energy_error, gut, hard_ground, walk
 
