@@ -21,8 +21,8 @@ SLIP_POINTS = 25
 MIN_STEP_S = 1e-8
 ADDED_POINTS = 24
 """Times at which the force of effects is known."""
-MEAN_SLIPS = 8
-"""Last slips over which it is averaged."""
+MEAN_MM = 20.0
+"""Travel over which it is averaged at the end of a walk."""
 FIRST_S = 2e-6
 """Begin and end of a slip that are left out, since the motion is at rest there."""
 EXACT_SIGN_MM_S = 1e-6
@@ -39,7 +39,11 @@ MAX_SEARCH_PERIODS = 40
 """Longest walk, and the longest while a drive is sought."""
 STEADY_MM = 7.0
 """Travel after which the wall under the leading hemisphere is the walk's own."""
-STEADY_CHANGE = 1e-5
+STEADY_CHANGE, SEARCH_CHANGE = 1e-5, 1e-3
+"""Relative change of the travel from period to period at the end of a walk, and while a drive is sought."""
+SOBOL_POINTS, STRONGEST_POINTS, BEST_PLACES = 16, 12, 2
+"""Drives that a search begins with: of all kinds, the strongest, and how many of the best it goes on from."""
+EVALUATIONS, LOCAL_EVALUATIONS = 50, 25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +70,9 @@ def steady_walk(
     added: AddedForce | None = None,
     change: float = STEADY_CHANGE,
     max_periods: int = MAX_PERIODS,
+    further_mm: float = 0.0,
 ) -> SteadyWalk:
-    """Walk from rest until the periods are alike."""
+    """Walk from rest until the periods are alike, and `further_mm` more."""
     resistance = surface()
     walker = Walker(robot, drive, resistance, added)
     settle_mm = 0.0 if resistance.constant else STEADY_MM
@@ -85,6 +90,10 @@ def steady_walk(
         if np.ptp(travel) <= change * max(abs(float(travel.mean())), made.forwards_mm * 0.01):
             last, converged = (made,), True
             break
+    while converged and last[0].travel_mm and abs(walker.position_mm - last[0].end_mm) < further_mm:
+        if len(walker.periods) >= max_periods:
+            break
+        walker.period()
     if not last:
         last = tuple(walker.periods[-len(walker.periods) // 3 :])
     travel_mm = last[-1].end_mm - last[0].begin_mm
@@ -136,32 +145,29 @@ def fastest_drive(
     Parameters
     ----------
     seed
-        Of the global search, differential evolution.
+        Of the Sobol points from whose best the search goes on, by Nelder and Mead's method.
     start
         A drive near the best, from which the search is local.
     added
         Force of effects.
     """
-    from scipy.optimize import differential_evolution, minimize
+    from scipy.optimize import OptimizeResult, minimize
+    from scipy.stats import qmc
 
     def slowness(place: FloatArray) -> float:
-        return -steady_walk(robot, drive_within(robot, place), surface, added, 1e-3, MAX_SEARCH_PERIODS).speed_mm_s
+        drive = drive_within(robot, place)
+        return -steady_walk(robot, drive, surface, added, SEARCH_CHANGE, MAX_SEARCH_PERIODS).speed_mm_s
 
-    bounds = [(0.0, 1.0)] * 4
-    if start is None:
-        found = differential_evolution(
-            slowness, bounds, popsize=4, maxiter=5, tol=1e-2, seed=seed, polish=False, init="sobol"
-        )
-        place = found.x
-    else:
-        place = place_of(robot, start)
-    result = minimize(
-        slowness,
-        place,
-        method="Nelder-Mead",
-        bounds=bounds,
-        options={"xatol": 1e-3, "fatol": 1e-4, "maxfev": 70 if start is None else 30},
-    )
+    def search(place: FloatArray, evaluations: int) -> OptimizeResult:
+        options = {"xatol": 1e-3, "fatol": 1e-4, "maxfev": evaluations}
+        return minimize(slowness, place, method="Nelder-Mead", bounds=[(0.0, 1.0)] * 4, options=options)
+
+    if start is not None:
+        return drive_within(robot, search(place_of(robot, start), LOCAL_EVALUATIONS).x)
+    everywhere = qmc.Sobol(4, rng=seed).random(SOBOL_POINTS)
+    strongest = [np.array([slow, 1.0, 1.0, 0.0]) for slow in np.linspace(0.05, 1.0, STRONGEST_POINTS)]
+    places = sorted((*everywhere, *strongest), key=slowness)[:BEST_PLACES]
+    result = min((search(place, EVALUATIONS) for place in places), key=lambda found: float(found.fun))
     return drive_within(robot, result.x)
 
 
@@ -178,7 +184,7 @@ class RelaxedWalk:
 def added_force(
     walk: SteadyWalk, effects: Sequence[ActiveEffect], model: FrictionModelSettings, specimen: Specimen
 ) -> AddedForce | None:
-    """Return the mean force of effects over the last slips of a walk; None where nothing slips.
+    """Return the mean force of effects over the slips at the end of a walk; None where nothing slips.
 
     What is periodic in position or in the session's clock enters by its mean over these slips. A direction in which
     nothing slips has the force of the other.
@@ -191,7 +197,10 @@ def added_force(
     time_s = np.unique(np.concatenate((*times, [0.0, walker.time_s])))
     time_s = time_s[np.append(True, np.diff(time_s) > MIN_STEP_S)]
     motion = RecordedMotion.computed(time_s, walker.sample(time_s)[0])
-    starts = {(slip.since_s, slip.direction): slip.end_s for slip in walker.slips}
+    begin_s = walk.last[0].begin_s
+    starts = {(slip.since_s, slip.direction): slip.end_s for slip in walker.slips if slip.since_s >= begin_s}
+    if not starts:
+        return None
     longest = max(end - since for (since, _), end in starts.items())
     since_s = longest * np.linspace(0.0, 1.0, ADDED_POINTS) ** 2
     forces: dict[int, FloatArray] = {}
@@ -208,7 +217,7 @@ def added_force(
         insertion_dwell_s=robot.insertion_dwell_s,
     )
     for direction in (1, -1):
-        slips = [(since, end) for (since, sign), end in starts.items() if sign == direction][-MEAN_SLIPS:]
+        slips = [(since, end) for (since, sign), end in starts.items() if sign == direction]
         if not slips:
             continue
         at = np.concatenate([np.minimum(since + FIRST_S + since_s, end - FIRST_S) for since, end in slips])
@@ -232,7 +241,7 @@ def walk_with_effects(
     specimen: Specimen,
 ) -> RelaxedWalk:
     """Walk with effects: simulate, compute their force along the motion found, simulate with it, until both agree."""
-    walk = steady_walk(robot, drive, surface)
+    walk = steady_walk(robot, drive, surface, further_mm=MEAN_MM)
     if not effects:
         return RelaxedWalk(walk, None, 0, converged=True)
     added: AddedForce | None = None
@@ -242,7 +251,7 @@ def walk_with_effects(
         if fresh is None:
             return RelaxedWalk(walk, added, number, converged=True)
         added = fresh if added is None or number <= UNDAMPED else _mean_force(added, fresh)
-        before, walk = walk.speed_mm_s, steady_walk(robot, drive, surface, added)
+        before, walk = walk.speed_mm_s, steady_walk(robot, drive, surface, added, further_mm=MEAN_MM)
         if abs(walk.speed_mm_s - before) < tolerance:
             return RelaxedWalk(walk, added, number, converged=True)
     return RelaxedWalk(walk, added, MAX_RELAXATIONS, converged=False)
@@ -385,7 +394,7 @@ def study_robot(
     if len(slips) > 1:
         without = steady_walk(robot, drives[-1].gut.drive, inside)
         together = walk_with_effects(robot, drives[-1].gut.drive, inside, slips, base, specimen)
-        prices.append(_difference("all of them", without, together, None))
+        prices.append(_difference("all of them together", without, together, None))
     return RobotStudy(
         robot=robot,
         model=model,

@@ -24,6 +24,7 @@ from .api.reports import paper as paper
 from .api.reports import report as report
 from .api.settle import resume_settling as resume_settling
 from .api.settle import settle as settle
+from .api.robot import robot as robot
 from .api.stage import calibrate_encoder as calibrate_encoder
 from .api.stage import calibrate_force as calibrate_force
 from .api.stage import home as home

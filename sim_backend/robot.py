@@ -553,6 +553,16 @@ class Walker:
         self.periods.append(made)
         return made
 
+    def sample(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position [mm], velocity [mm/s] and friction of a slip [mN] at rising times; at rest no friction."""
+        position, velocity, friction = np.zeros((3, time_s.size))
+        for slip in self.slips:
+            begin, end = np.searchsorted(time_s, (slip.start_s, slip.end_s))
+            if end > begin:
+                position[begin:end], velocity[begin:end], friction[begin:end] = slip.at(time_s[begin:end])
+            position[end:] = slip.end_mm
+        return position, velocity, friction
+
     @property
     def _spans(self) -> list[tuple[float, float]]:
         """Duration and relative acceleration of each span of constant acceleration in a period."""

@@ -43,6 +43,7 @@ from .settle import Settlement as Settlement
 from .settle import read_settle_record as read_settle_record
 from .settle import resume_settling as resume_settling
 from .settle import settle as settle
+from .robot import robot as robot
 from .stage import MoveResult as MoveResult
 from .stage import calibrate_encoder as calibrate_encoder
 from .stage import calibrate_force as calibrate_force

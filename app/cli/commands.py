@@ -64,6 +64,10 @@ SECTIONS: Sections = {
         "model": CommandEntry(
             "model_commands:model_command", "Print and plot the steady forces that the friction model predicts."
         ),
+        "robot": CommandEntry(
+            "model_commands:robot_command",
+            "Simulate a capsule robot in the gut, choose its drive, price the gap in mm/s.",
+        ),
         "paper": CommandEntry(
             "model_commands:paper_command", "Simulate the paper's programme, identify it, and write a report."
         ),

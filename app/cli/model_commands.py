@@ -1,4 +1,4 @@
-"""Commands on the friction model: model (what it predicts), identify (parameters from runs), paper (the programme)."""
+"""Commands on the friction model: model (what it predicts), robot, identify (parameters from runs), paper."""
 
 import math
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from dragrig.config import AnalysisError, SettingsError
 
 if TYPE_CHECKING:
     from dragrig.api import IdentifiedFolder, PaperViscous, PaperWall
-    from dragrig.config import FrictionModelSettings
+    from dragrig.config import FrictionModelSettings, RobotDrive
 
 
 IDENTIFY_COST, PAGE_COST = 7, 10
@@ -113,6 +113,90 @@ def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple
     changes = {key: value for key, value in (("wall", wall), ("viscous", viscous)) if value is not None}
     changed = parse(FrictionModelSettings, model.model_dump() | changes, name) if changes else model
     return with_effects(changed, effects)
+
+
+@click.command("robot")
+@click.option("--robot", "name", metavar="F|NAME", default="capsubot", show_default=True, help="Robot.")
+@click.option("--model", metavar="F|NAME", default="paper", show_default=True, help="Friction model, amended or not.")
+@options.effects("Add an effect to the model, as listed by dragrig gap effects, and price it; repeatable.")
+@click.option("--specimen", metavar="F|NAME", default="jejunum", show_default=True, help="Specimen.")
+@click.option("--diagnosis", metavar="CAMPAIGN|F", help="Campaign, or amended model's file, whose effects are priced.")
+@click.option("--slow", metavar="MM/S²", type=float, help="Simulate this drive: acceleration of the slow phases.")
+@click.option("--fast", metavar="MM/S²", type=float, help="Acceleration of the fast phases.")
+@click.option("--stroke", metavar="MM", type=float, help="Stroke of the inner mass.")
+@click.option("--pause", metavar="S", type=float, default=0.0, help="Rest at the end of a period (default: 0).")
+@click.option("--no-assumptions", is_flag=True, help="Do not vary what is assumed of the robot, which takes longest.")
+@click.option("--seed", metavar="N", type=click.IntRange(min=0), default=1, show_default=True, help="Of the search.")
+@options.report
+@options.figures
+@options.overwrite
+@options.as_json
+@options.quiet
+def robot_command(
+    name: str,
+    model: str,
+    effects: tuple[str, ...],
+    specimen: str,
+    diagnosis: str | None,
+    slow: float | None,
+    fast: float | None,
+    stroke: float | None,
+    pause: float,
+    no_assumptions: bool,
+    seed: int,
+    report: Path | None,
+    figures: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Simulate a capsule robot with an inner mass, and choose its drive for the gut.
+
+    The inner mass is pushed slowly and thrown back fast; the housing sticks, then slips. Without --slow, --fast and
+    --stroke, the drives that are fastest on a hard surface and in the gut are sought within the actuator's limits, and
+    what is assumed of the robot is varied over its ranges. The price of an effect is the speed that it takes.
+    """
+    from dragrig.api import robot as study
+    from dragrig.present import require_writable, robot_document, save_figures
+
+    drive = _robot_drive(slow, fast, stroke, pause)
+    if report is not None:
+        require_writable(report, overwrite=overwrite)
+    with ProgressMeter("walking") as meter:
+        document = robot_document(
+            study(
+                name,
+                model=model,
+                effects=effects,
+                specimen=specimen,
+                drive=drive,
+                diagnosis=diagnosis,
+                sensitivity=not no_assumptions,
+                seed=seed,
+                progress=meter.at,
+            )
+        )
+    # Written before anything is printed: a reader such as head ends the command.
+    write_report(document, report, overwrite=overwrite)
+    written = [] if report is None else [report]
+    if figures is not None:
+        written += save_figures(document, options.make_folder(figures), overwrite=overwrite)
+    print_document(document, as_json=as_json)
+    for path in written:
+        (print_remark if as_json else print_result)(display_path(path))
+
+
+def _robot_drive(slow: float | None, fast: float | None, stroke: float | None, pause: float) -> "RobotDrive | None":
+    given = {"slow_mm_s2": slow, "fast_mm_s2": fast, "stroke_mm": stroke}
+    if all(value is None for value in given.values()):
+        if pause:
+            raise SettingsError("--pause belongs to a drive; give --slow, --fast and --stroke too.")
+        return None
+    missing = ["--" + key.split("_")[0] for key, value in given.items() if value is None]
+    if missing:
+        raise SettingsError(f"A drive needs --slow, --fast and --stroke; add {' and '.join(missing)}.")
+    from dragrig.config import RobotDrive, parse
+
+    return parse(RobotDrive, {**given, "pause_s": pause}, "the drive")
 
 
 @click.command("paper")

@@ -152,6 +152,7 @@ from .rig_results import encoder_calibration_document as encoder_calibration_doc
 from .rig_results import force_calibration_document as force_calibration_document
 from .rig_results import preflight_document as preflight_document
 from .rig_results import rig_check_document as rig_check_document
+from .robot import robot_document as robot_document
 from .run import InspectedFile as InspectedFile
 from .run import files_document as files_document
 from .run import run_document as run_document

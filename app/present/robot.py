@@ -1,0 +1,353 @@
+"""A capsule robot laid out for a reader: its speeds, one period, what assumptions change, and the price of effects."""
+
+from collections.abc import Sequence
+from math import inf
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as MatplotlibFigure
+
+from dragrig.analysis import capitalise
+from dragrig.analysis.gap import display_name
+from dragrig.analysis.robot import GUT_DRIVE, HARD_DRIVE, DrivenRobot, Price, RobotStudy, Sensitivity, SteadyWalk
+from dragrig.config import RobotDrive
+from dragrig.present import (
+    BLACK,
+    BLUE,
+    GREY,
+    SMALL_PT,
+    VERMILLION,
+    Document,
+    Field,
+    Figure,
+    FormattedNumber,
+    Section,
+    Table,
+    Text,
+    TextKind,
+    decimals,
+    figure_style,
+    new_figure,
+    significant,
+    tint,
+    to_json_object,
+)
+from dragrig.sim_backend.friction import GRAVITY_M_S2
+from dragrig.sim_backend.robot import MN_PER_G_MM_S2
+
+FORMAT, VERSION = "dragrig-robot", 1
+PAPER_SPEEDS = "32 mm/s on a hard surface, 1 to 2 mm/s in the gut, 7 to 10 mm/s with a drive chosen by the model"
+LABELS = {
+    "housing_g": "mass of the housing, g",
+    "inner_mass_g": "inner mass, g",
+    "diameter_mm": "diameter, mm",
+    "length_mm": "length, mm",
+    "contact_angle_deg": "contact angle, °",
+    "insertion_dwell_s": "time in the gut before it starts, s",
+    "hard_friction_coefficient": "μ on the hard surface",
+    "max_force_mN": "greatest force, mN",
+    "max_stroke_mm": "greatest stroke, mm",
+    "max_relative_speed_mm_s": "greatest relative speed, mm/s",
+    "max_pause_s": "longest pause, s",
+}
+CURVE_POINTS = 1200
+
+
+def robot_document(study: RobotStudy) -> Document:
+    """Lay out what a robot reaches."""
+    return Document(
+        title=f"Robot {study.robot.name}",
+        answer=" ".join(robot_sentences(study)),
+        sections=(
+            Section("speeds", "Speed and work", (_drive_table(study), *_settling(study.drives))),
+            Section("period", "One period", tuple(_period_figure(study, driven) for driven in study.drives)),
+            Section("price", "The price of the gap", _price_blocks(study)),
+            Section("assumptions", "What is assumed", _assumption_blocks(study)),
+        ),
+        data=_json(study),
+    )
+
+
+def robot_sentences(study: RobotStudy) -> tuple[str, ...]:
+    """Say what a robot reaches."""
+    named = {driven.name: driven for driven in study.drives}
+    if HARD_DRIVE not in named or GUT_DRIVE not in named:
+        (driven,) = study.drives
+        return tuple(_speed_sentence(study, driven, on) for on in ("the hard surface", "the gut"))
+    hard, gut = named[HARD_DRIVE], named[GUT_DRIVE]
+    if gut.gut.speed_mm_s <= 0:
+        return (_speed_sentence(study, gut, "the gut"),)
+    first = (
+        f"The drive that is best on the hard surface reaches {hard.hard.speed_mm_s:.1f} mm/s there and "
+        f"{hard.gut.speed_mm_s:.1f} mm/s in the gut."
+    )
+    chosen = f"The drive chosen for the gut reaches {gut.gut.speed_mm_s:.1f} mm/s there"
+    if hard.gut.speed_mm_s > 0:
+        chosen += f", {gut.gut.speed_mm_s / hard.gut.speed_mm_s:.1f} times as much"
+    return first, chosen + "."
+
+
+def _speed_sentence(study: RobotStudy, driven: DrivenRobot, on: str) -> str:
+    walk = driven.hard if on == "the hard surface" else driven.gut
+    if walk.walker.slips and walk.speed_mm_s:
+        return (
+            f"On {on} it moves at {walk.speed_mm_s:.1f} mm/s."
+            if on != "the gut"
+            else (f"In the gut it moves at {walk.speed_mm_s:.1f} mm/s.")
+        )
+    robot, drive = study.robot, walk.drive
+    static = (
+        robot.hard_friction_coefficient * robot.mass_g * GRAVITY_M_S2 if on == "the hard surface" else study.static_mN
+    )
+    force = MN_PER_G_MM_S2 * robot.inner_mass_g * max(drive.slow_mm_s2, drive.fast_mm_s2)
+    place = "In the gut" if on == "the gut" else f"On {on}"
+    if walk.walker.slips:
+        return f"{place} it slips to and fro and does not move on."
+    return (
+        f"{place} it does not move: the actuator's force of {force:.1f} mN does not exceed the static resistance of "
+        f"{static:.1f} mN."
+    )
+
+
+def _drive_table(study: RobotStudy) -> Table:
+    def work(walk: SteadyWalk) -> float | None:
+        return None if walk.loss_uJ_mm == inf else walk.loss_uJ_mm
+
+    return Table.of(
+        "drives",
+        "Work is mechanical; what the actuator takes back while braking is subtracted",
+        study.drives,
+        Field("drive", "drive", lambda driven: driven.name),
+        Field("slow_mm_s2", "slow, mm/s²", lambda driven: driven.gut.drive.slow_mm_s2, decimals(0)),
+        Field("fast_mm_s2", "fast, mm/s²", lambda driven: driven.gut.drive.fast_mm_s2, decimals(0)),
+        Field("stroke_mm", "stroke, mm", lambda driven: driven.gut.drive.stroke_mm, decimals(1)),
+        Field("pause_ms", "pause, ms", lambda driven: 1e3 * driven.gut.drive.pause_s, decimals(0)),
+        Field("period_ms", "period, ms", lambda driven: 1e3 * driven.gut.drive.period_s, decimals(0)),
+        Field("hard_mm_s", "hard surface, mm/s", lambda driven: driven.hard.speed_mm_s, decimals(1)),
+        Field("gut_mm_s", "gut, mm/s", lambda driven: driven.gut.speed_mm_s, decimals(2)),
+        Field("hard_uJ_mm", "hard surface, µJ/mm", lambda driven: work(driven.hard), significant(3)),
+        Field("gut_uJ_mm", "gut, µJ/mm", lambda driven: work(driven.gut), significant(3)),
+    )
+
+
+def _settling(drives: Sequence[DrivenRobot]) -> tuple[Text, ...]:
+    worst = max(walk.energy_error for driven in drives for walk in (driven.hard, driven.gut))
+    blocks = [
+        Text(
+            f"The energy balance closes to {worst:.0e}: the actuator's work is the loss to friction and the change of "
+            "kinetic energy.",
+            TextKind.EXPLANATION,
+        )
+    ]
+    for driven in drives:
+        if not driven.gut.converged:
+            blocks.append(
+                Text(f"{capitalise(driven.name)}: the periods in the gut are not alike; the speed is a mean.")
+            )
+        if not driven.converged:
+            blocks.append(
+                Text(
+                    f"{capitalise(driven.name)}: effects and walk do not agree after {driven.iterations} iterations; "
+                    "the last is told."
+                )
+            )
+    return tuple(blocks)
+
+
+def _period_figure(study: RobotStudy, driven: DrivenRobot) -> Figure:
+    number = study.drives.index(driven) + 1
+    return Figure(
+        f"robot-period-{number}",
+        f"Force, positions and slip over one period in the gut, {driven.name}.",
+        f"In the gut, drive {driven.name}. Positions count from the period's begin; shaded is where the housing slips.",
+        lambda: period_figure(driven.gut, driven.name, study.robot.inner_mass_g),
+    )
+
+
+def period_figure(walk: SteadyWalk, name: str, inner_mass_g: float) -> MatplotlibFigure:
+    """Draw force, positions and speed over the last period of a walk."""
+    period, drive = walk.last[-1], walk.drive
+    time = np.linspace(0.0, drive.period_s, CURVE_POINTS)
+    place, velocity, friction = walk.walker.sample(period.begin_s + time)
+    relative_mm, acceleration = _relative_motion(drive, time)
+    slips = walk.walker.slips[period.first_slip :]
+    push = -MN_PER_G_MM_S2 * inner_mass_g * acceleration
+    resting = velocity == 0
+    with figure_style():
+        figure = new_figure(
+            9.0, 8.0, "One period of the robot in the gut", f"{name}: {walk.speed_mm_s:.2f} mm/s", narrow=True
+        )
+        force_axes, place_axes, speed_axes = figure.subplots(3, 1, sharex=True)
+        for axes in (force_axes, place_axes, speed_axes):
+            for slip in slips:
+                begin, end = (1e3 * (at - period.begin_s) for at in (slip.start_s, slip.end_s))
+                axes.axvspan(begin, end, color=tint(BLUE, 0.12), linewidth=0)
+            axes.axhline(0.0, color=GREY, linewidth=0.8)
+        force_axes.plot(1e3 * time, push, color=BLACK, label="push on the housing, −m s″")
+        force_axes.plot(
+            1e3 * time, np.where(resting, push, friction), color=VERMILLION, linewidth=1.8, label="friction against it"
+        )
+        place_axes.plot(1e3 * time, place - period.begin_mm, color=BLUE, label="housing")
+        place_axes.plot(
+            1e3 * time, place - period.begin_mm + relative_mm, color=BLACK, linewidth=1.8, label="inner mass"
+        )
+        speed_axes.plot(1e3 * time, velocity, color=BLUE, label="slip of the housing")
+        for axes, label in (
+            (force_axes, "Force (mN)"),
+            (place_axes, "Position (mm)"),
+            (speed_axes, "Speed (mm/s)"),
+        ):
+            axes.set_ylabel(label)
+            _legend(axes)
+        speed_axes.set_xlim(0.0, 1e3 * drive.period_s)
+        speed_axes.set_xlabel("Time in the period (ms)")
+        return figure
+
+
+def _legend(axes: Axes) -> None:
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.3 * (high - low))
+    axes.legend(loc="upper right", ncols=2, fontsize=SMALL_PT, labelcolor="linecolor")
+
+
+def _relative_motion(drive: RobotDrive, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return relative position and acceleration of the inner mass in a period."""
+    position, acceleration = np.zeros_like(time_s), np.zeros_like(time_s)
+    begin, place, speed = 0.0, 0.0, 0.0
+    for duration, relative in drive.phases:
+        inside = time_s >= begin
+        elapsed = time_s[inside] - begin
+        position[inside] = place + speed * elapsed + 0.5 * relative * elapsed**2
+        acceleration[inside] = relative
+        place += speed * duration + 0.5 * relative * duration**2
+        speed += relative * duration
+        begin += duration
+    return position, acceleration
+
+
+def _price_blocks(study: RobotStudy) -> tuple[Text | Table, ...]:
+    if not study.prices:
+        return ()
+    table = Table.of(
+        "prices",
+        "Of the last drive above, in the gut: each effect alone, beside the same model without effects",
+        study.prices,
+        Field("effect", "effect", _effect_name),
+        Field("speed_mm_s", "speed with it, mm/s", lambda price: price.speed_mm_s, decimals(2)),
+        Field("price_mm_s", "price, mm/s", _price_cell, decimals(2)),
+        Field("work_uJ_mm", "more work, µJ/mm", lambda price: price.work_change_uJ_mm, decimals(1, signed=True)),
+        Field("note", "remark", lambda price: price.note),
+    )
+    return (
+        Text(
+            "The price is the speed that an effect takes; a negative price is speed gained. ± is the standard error "
+            "that follows from that of the effect's size, where a diagnosis gives one. What is periodic in position or "
+            "in time enters by its mean."
+        ),
+        table,
+    )
+
+
+def _effect_name(price: Price) -> str:
+    return price.effect if " " in price.effect else capitalise(display_name(price.effect))
+
+
+def _price_cell(price: Price) -> float | FormattedNumber | None:
+    if price.speed_change_mm_s is None:
+        return None
+    cost = -price.speed_change_mm_s
+    if price.speed_error_mm_s is None:
+        return cost
+    return FormattedNumber(cost, f"{cost:.2f} ± {price.speed_error_mm_s:.2f}".replace("-", "−"))
+
+
+def _assumption_blocks(study: RobotStudy) -> tuple[Text | Table, ...]:
+    robot = study.robot
+    if not study.sensitivities:
+        return (
+            Text(
+                "What the robot is and what its actuator can do is assumed: "
+                + ", ".join(f"{LABELS[key]} {getattr(robot, key):g}" for key in robot.ranges)
+                + "."
+            ),
+        )
+
+    def ends(number: int, place: int) -> Field[Sensitivity]:
+        names = ("hard", "hard_in_gut", "gut")
+        words = ("hard surface", "its drive in the gut", "chosen for the gut")
+        end = ("low", "high")[number]
+        return Field(
+            f"{names[place]}_at_{end}_mm_s",
+            f"{words[place]}, {'least' if number == 0 else 'greatest'}",
+            lambda entry: (entry.at_low, entry.at_high)[number][place],
+            decimals(1),
+        )
+
+    table = Table.of(
+        "assumptions",
+        "Speeds in mm/s at both ends of each assumption's range, the others unchanged and the drives chosen anew",
+        study.sensitivities,
+        Field("assumption", "assumption", lambda entry: LABELS[entry.key]),
+        Field("value", "value", lambda entry: entry.value, significant(3)),
+        Field("low", "least", lambda entry: entry.low, significant(3)),
+        Field("high", "greatest", lambda entry: entry.high, significant(3)),
+        *(ends(number, place) for place in range(3) for number in range(2)),
+    )
+    return (Text(f"The paper states speeds alone: {PAPER_SPEEDS}. All of this is assumed."), table)
+
+
+def _json(study: RobotStudy) -> dict[str, object]:
+    def walk_json(walk: SteadyWalk) -> dict[str, object]:
+        return {
+            "speed_mm_s": walk.speed_mm_s,
+            "work_uJ_mm": None if walk.loss_uJ_mm == inf else walk.loss_uJ_mm,
+            "forward_mm": walk.last[-1].forwards_mm,
+            "backward_mm": walk.last[-1].backwards_mm,
+            "periods": len(walk.walker.periods),
+            "steady": walk.converged,
+            "energy_error": walk.energy_error,
+        }
+
+    return to_json_object(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "robot": study.robot.model_dump(mode="json"),
+            "model": study.model.name,
+            "effects": study.effects,
+            "seed": study.seed,
+            "in_words": robot_sentences(study),
+            "static_resistance_mN": study.static_mN,
+            "drives": [
+                {
+                    "name": driven.name,
+                    **driven.gut.drive.model_dump(),
+                    "period_s": driven.gut.drive.period_s,
+                    "hard": walk_json(driven.hard),
+                    "gut": walk_json(driven.gut),
+                    "effects_settled": driven.converged,
+                }
+                for driven in study.drives
+            ],
+            "prices": [
+                {
+                    "effect": price.effect,
+                    "speed_mm_s": price.speed_mm_s,
+                    "price_mm_s": None if price.speed_change_mm_s is None else -price.speed_change_mm_s,
+                    "standard_error_mm_s": price.speed_error_mm_s,
+                    "work_change_uJ_mm": price.work_change_uJ_mm,
+                    "note": price.note,
+                }
+                for price in study.prices
+            ],
+            "assumptions": [
+                {
+                    "key": entry.key,
+                    "value": entry.value,
+                    "range": (entry.low, entry.high),
+                    "speeds_mm_s": {"low": entry.at_low, "high": entry.at_high},
+                }
+                for entry in study.sensitivities
+            ],
+        }
+    )
