@@ -1,15 +1,32 @@
 """The capsule robot: its motion against an independent integration, its energy, and its wall against the model's."""
 
+import json
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dragrig.config import FrictionModelSettings, RobotDrive, RobotSettings, find_settings
-from dragrig.rig import FloatArray
+from dragrig.analysis.robot import fastest_drive, steady_walk, study_robot
+from dragrig.cli.model_commands import robot_command
+from dragrig.config import (
+    DragrigError,
+    Fixture,
+    FrictionModelSettings,
+    RobotDrive,
+    RobotSettings,
+    SettingsError,
+    Specimen,
+    find_settings,
+    parse,
+    parse_effects,
+)
+from dragrig.rig import Acquisition, Contact, FloatArray, MotionProfile
+from dragrig.sim_backend.friction import REVERSAL_SLACK_MM, RecordedMotion, prepare
 from dragrig.sim_backend.robot import energy_error, gut, hard_ground, walk
 
 ROBOT = find_settings(RobotSettings, "robot", "capsubot")
@@ -123,3 +140,103 @@ def test_a_weak_drive_does_not_move_it() -> None:
     )
     assert not walk(ROBOT, weak, gut(ROBOT, MODEL, 2.5), 3).slips
     assert walk(ROBOT, strong, gut(ROBOT, MODEL, 2.5), 3).slips
+
+
+def test_resistance_in_the_gut_is_that_of_the_friction_model_on_the_same_motion() -> None:
+    drive = RobotDrive(slow_mm_s2=6000, fast_mm_s2=16000, stroke_mm=10)
+    made = walk(ROBOT, drive, gut(ROBOT, MODEL, 2.5), 8)
+    time = np.unique(np.concatenate([np.linspace(slip.start_s, slip.end_s, 60) for slip in made.slips]))
+    time = np.append(0.0, time[np.append(True, np.diff(time) > 1e-8)])
+    motion = RecordedMotion.computed(time, made.sample(time)[0])
+    acquisition = Acquisition(
+        run_id="robot",
+        order=0,
+        kind="robot",
+        profile=MotionProfile.from_pieces(()),
+        capsule=ROBOT.capsule,
+        specimen=find_settings(Specimen, "specimen", "jejunum"),
+        fixture=Fixture.FOAM,
+        contact=Contact.SLIDING,
+        insertion_dwell_s=ROBOT.insertion_dwell_s,
+    )
+    exact = MODEL.model_copy(update={"regularisation_mm_s": 1e-6})
+    forces = prepare(acquisition, exact, motion)
+    for slip in made.slips[-3:]:
+        inside = np.linspace(slip.start_s, slip.end_s, 40)[4:-4]
+        _, _, friction = slip.at(inside)
+        assert forces.components(inside).total == pytest.approx(friction, rel=3e-3)
+
+
+def test_a_short_reversal_keeps_the_leading_hemisphere_and_a_long_one_does_not() -> None:
+    drive = RobotDrive(slow_mm_s2=16000, fast_mm_s2=15000, stroke_mm=10)
+    surface = gut(ROBOT, MODEL, 2.5)
+    made = walk(ROBOT, drive, surface, 3)
+    assert any(slip.direction < 0 and slip.end_travel_mm > REVERSAL_SLACK_MM for slip in made.slips) or (
+        sum(slip.end_travel_mm for slip in made.slips if slip.direction < 0) > REVERSAL_SLACK_MM
+    )
+    assert energy_error(made.periods) < 1e-6
+
+
+def test_an_added_force_slows_the_walk_and_a_rig_effect_has_no_price() -> None:
+    drive = RobotDrive(slow_mm_s2=6000, fast_mm_s2=16000, stroke_mm=10)
+    specimen = find_settings(Specimen, "specimen", "jejunum")
+    amended = MODEL.model_copy(
+        update={"effects": parse_effects(("adhesion:force_mN=3", "mains_hum", "adhesion:force_mN=200"))}
+    )
+    study = study_robot(ROBOT, MODEL, specimen, drive=drive, diagnosed=amended)
+    tack, hum, stuck, *_ = study.prices
+    assert tack.speed_change_mm_s is not None
+    assert -2.0 < tack.speed_change_mm_s < -0.1
+    assert hum.speed_mm_s is None
+    assert "no price" in hum.note
+    assert stuck.speed_mm_s == 0
+    assert "does not move" in stuck.note
+
+
+def test_the_gut_needs_a_drive_of_its_own() -> None:
+    """The paper: the hard surface's drive is slow in the gut, and one chosen for it at least three times as fast."""
+    hard = partial(hard_ground, ROBOT)
+    inside = partial(gut, ROBOT, MODEL, 2.5)
+    hard_drive = fastest_drive(ROBOT, hard, 1)
+    start = hard_drive.model_copy(update={"slow_mm_s2": 0.8 * ROBOT.max_acceleration_mm_s2})
+    found = fastest_drive(ROBOT, inside, 1, start)
+    assert ROBOT.why_not(found) == ""
+    slow, fast = (steady_walk(ROBOT, drive, inside).speed_mm_s for drive in (hard_drive, found))
+    assert steady_walk(ROBOT, hard_drive, hard).speed_mm_s == pytest.approx(32, rel=0.02)
+    assert fast > 3 * slow > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ({"housing_g": -1.0}, "housing_g"),
+        ({"ranges": {"housing_g": (20.0, 30.0)}}, "does not hold"),
+        ({"ranges": {"houssing_g": (1.0, 30.0)}}, "housing_g"),
+    ],
+)
+def test_a_robot_that_cannot_be_is_refused_by_name(changes: dict[str, object], names: str) -> None:
+    with pytest.raises(SettingsError, match=names):
+        parse(RobotSettings, {**ROBOT.model_dump(), **changes}, "own.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--slow", "3000"), "add --fast and --stroke"),
+        (("--slow", "3000", "--fast", "90000", "--stroke", "5"), "fast_mm_s2 is 9e+04"),
+        (("--slow", "3000", "--fast", "9000", "--stroke", "0"), "stroke_mm"),
+        (("--effect", "stribek"), "did you mean stribeck"),
+        (("--robot", "nobody"), "known are capsubot"),
+    ],
+)
+def test_a_wrong_request_is_answered_in_a_sentence(arguments: tuple[str, ...], says: str) -> None:
+    result = CliRunner().invoke(robot_command, ["--no-assumptions", *arguments])
+    assert isinstance(result.exception, DragrigError)
+    assert says in str(result.exception)
+
+
+def test_a_drive_too_weak_for_the_gut_is_told_with_both_forces() -> None:
+    result = CliRunner().invoke(robot_command, ["--slow", "500", "--fast", "5000", "--stroke", "5", "--json"])
+    told = json.loads(result.stdout)
+    assert "In the gut it does not move: the actuator's force of 25.0 mN" in told["in_words"][1]
+    assert told["drives"][0]["gut"]["speed_mm_s"] == 0
