@@ -16,13 +16,13 @@ from dragrig.sim_backend.friction import RecordedMotion
 from dragrig.sim_backend.robot import AddedForce, Period, Resistance, Walker, energy_error, gut, hard_ground
 
 HARD_DRIVE, GUT_DRIVE, OWN_DRIVE = "best on the hard surface", "chosen for the gut", "as given"
-SLIP_POINTS = 25
+SLIP_POINTS = 13
 """Times of a panel by which a walk becomes a motion of the effects."""
 MIN_STEP_S = 1e-8
 ADDED_POINTS = 24
 """Times at which the force of effects is known."""
 MEAN_MM = 20.0
-"""Travel over which it is averaged at the end of a walk."""
+"""Travel over which the force of a periodic effect is averaged at the end of a walk."""
 FIRST_S = 2e-6
 """Begin and end of a slip that are left out, since the motion is at rest there."""
 EXACT_SIGN_MM_S = 1e-6
@@ -35,15 +35,15 @@ MIN_SHARE = 0.005
 MIN_STROKE = 0.05
 """Least stroke that it tries, over the greatest."""
 MAX_PERIODS = 400
-MAX_SEARCH_PERIODS = 40
+MAX_SEARCH_PERIODS = 20
 """Longest walk, and the longest while a drive is sought."""
 STEADY_MM = 7.0
 """Travel after which the wall under the leading hemisphere is the walk's own."""
 STEADY_CHANGE, SEARCH_CHANGE = 1e-5, 1e-3
 """Relative change of the travel from period to period at the end of a walk, and while a drive is sought."""
-SOBOL_POINTS, STRONGEST_POINTS, BEST_PLACES = 16, 12, 2
+SOBOL_POINTS, STRONGEST_POINTS, BEST_PLACES = 16, 10, 1
 """Drives that a search begins with: of all kinds, the strongest, and how many of the best it goes on from."""
-EVALUATIONS, LOCAL_EVALUATIONS = 50, 25
+EVALUATIONS, LOCAL_EVALUATIONS = 60, 25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,7 +241,9 @@ def walk_with_effects(
     specimen: Specimen,
 ) -> RelaxedWalk:
     """Walk with effects: simulate, compute their force along the motion found, simulate with it, until both agree."""
-    walk = steady_walk(robot, drive, surface, further_mm=MEAN_MM)
+    periodic = any(active.effect.period is not None for active in effects)
+    further_mm = MEAN_MM if periodic else 0.0
+    walk = steady_walk(robot, drive, surface, further_mm=further_mm)
     if not effects:
         return RelaxedWalk(walk, None, 0, converged=True)
     added: AddedForce | None = None
@@ -251,7 +253,7 @@ def walk_with_effects(
         if fresh is None:
             return RelaxedWalk(walk, added, number, converged=True)
         added = fresh if added is None or number <= UNDAMPED else _mean_force(added, fresh)
-        before, walk = walk.speed_mm_s, steady_walk(robot, drive, surface, added, further_mm=MEAN_MM)
+        before, walk = walk.speed_mm_s, steady_walk(robot, drive, surface, added, further_mm=further_mm)
         if abs(walk.speed_mm_s - before) < tolerance:
             return RelaxedWalk(walk, added, number, converged=True)
     return RelaxedWalk(walk, added, MAX_RELAXATIONS, converged=False)

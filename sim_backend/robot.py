@@ -55,7 +55,7 @@ SPEED_STEP_MM_S = 1e-4
 MAX_ITERATIONS = 40
 MAX_HALVINGS = 12
 TRAVEL_TOLERANCE_MM = 1e-9
-SPEED_TOLERANCE = 1e-10
+SPEED_TOLERANCE = 1e-9
 """Change of speed at which the iteration of a panel ends, relative to the drive's."""
 WALL_POINTS = ((1, 0.02), (2, 0.1), (3, 0.3), (5, 0.6))
 """Points that stand for the wall that a panel brings into contact, and the travel [mm] below which they suffice."""
