@@ -2,7 +2,7 @@
 
     python bench/robot.py [PERIODS]
 
-User CPU time, one thread of linear algebra; the first periods, in which the wall under the robot becomes its own, count.
+User CPU time, one thread of linear algebra; the first periods count, in which the wall becomes the walk's own.
 """
 
 import sys

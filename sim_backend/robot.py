@@ -52,12 +52,14 @@ MIN_PANEL_S = 1e-10
 """Shorter panels are skipped."""
 SPEED_STEP_MM_S = 1e-4
 """Step of the speed for the slope of viscous friction."""
+STIFFNESS, MAX_STIFFNESS = 10.0, 1000.0
+"""Growth of the resistance with the travel in a slip [mN/mm]: a first guess for Newton's method, and a limit."""
 MAX_ITERATIONS = 40
 MAX_HALVINGS = 12
 TRAVEL_TOLERANCE_MM = 1e-9
 SPEED_TOLERANCE = 1e-9
 """Change of speed at which the iteration of a panel ends, relative to the drive's."""
-WALL_POINTS = ((1, 0.02), (2, 0.1), (3, 0.3), (5, 0.6))
+WALL_POINTS = ((1, 0.03), (2, 0.2), (3, 0.6), (4, 1.0))
 """Points that stand for the wall that a panel brings into contact, and the travel [mm] below which they suffice."""
 
 
@@ -87,6 +89,7 @@ class _Rule:
     integral: FloatArray
     """From 0 to each node, shape `(n, n)`."""
     double_integral: FloatArray
+    identity: FloatArray
     within: FloatArray
     """Values at the points between 0 and each node at which fresh wall is integrated, shape `(n · f, n)`."""
     within_integral: FloatArray
@@ -107,6 +110,7 @@ def _rule() -> _Rule:
         weights=weights,
         integral=integral,
         double_integral=interpolation(nodes, 2),
+        identity=np.eye(NODES),
         within=interpolation(within, 0),
         within_integral=interpolation(within, 1),
         fresh_nodes=fresh_nodes,
@@ -690,6 +694,8 @@ class Walker:
     ) -> Slip | None:
         rule = _rule()
         start_speed, acceleration, step = abs(self.velocity_mm_s), acceleration_mm_s2, np.inf
+        travel_before = speed_before = resistance_before = np.zeros(NODES)
+        stiffness = STIFFNESS
         for count in range(MAX_ITERATIONS):
             speed = start_speed + width_s * (rule.integral @ acceleration)
             travel = width_s * (rule.nodes * start_speed + width_s * (rule.double_integral @ acceleration))
@@ -714,8 +720,19 @@ class Walker:
                     end_speed_mm_s=float(start_speed + width_s * (rule.weights @ wanted)),
                     end_travel_mm=float(width_s * (start_speed + width_s * ((1 - rule.nodes) * rule.weights @ wanted))),
                 )
-            slope = self.resistance.damping(speed) / self._total
-            jacobian = np.eye(NODES) + width_s * slope[:, None] * rule.integral
+            damping = self.resistance.damping(speed)
+            if count:
+                # The wall's stiffness, from the step before: without it each step would win but a digit.
+                moved = travel - travel_before
+                stiffened = resistance - resistance_before - damping * (speed - speed_before)
+                square = float(moved @ moved)
+                stiffness = min(max(float(moved @ stiffened) / square, 0.0), MAX_STIFFNESS) if square else stiffness
+            travel_before, speed_before, resistance_before = travel, speed, resistance
+            jacobian = (
+                rule.identity
+                + (width_s / self._total) * damping[:, None] * rule.integral
+                + (width_s**2 * stiffness / self._total) * rule.double_integral
+            )
             change = np.linalg.solve(jacobian, wanted - acceleration)
             acceleration = acceleration + change
             step = float(np.abs(width_s * (rule.integral @ change)).max())
