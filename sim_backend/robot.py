@@ -130,7 +130,7 @@ def interpolation(at: FloatArray, integrals: int) -> FloatArray:
     """Return the matrix from values at the Gauss points to their polynomial, integrated so often from 0, at places."""
     nodes, _ = gauss_legendre(NODES)
     to_coefficients = np.linalg.inv(np.polynomial.legendre.legvander(2 * nodes - 1, NODES - 1))
-    rows = np.eye(NODES)
+    rows: FloatArray = np.eye(NODES)
     if integrals:
         rows = np.polynomial.legendre.legint(rows, integrals, lbnd=-1, scl=0.5, axis=0)
     values = np.polynomial.legendre.legvander(2 * at - 1, rows.shape[0] - 1) @ rows
@@ -529,12 +529,8 @@ class Walker:
             work += 0.5 * self._inner * ((relative_mm_s + gained) ** 2 - relative_mm_s**2)
             for slip in self.slips[number:]:
                 relative = relative_mm_s + relative_mm_s2 * (slip.gauss_s - self.time_s)
-                work += (
-                    self._inner
-                    * slip.direction
-                    * slip.width_s
-                    * (_rule().weights @ (slip.acceleration_mm_s2 * relative))
-                )
+                power = float(_rule().weights @ (slip.acceleration_mm_s2 * relative))
+                work += self._inner * slip.direction * slip.width_s * power
             relative_mm_s += gained
             self.time_s = end_s
         loss = sum(slip.loss_uJ for slip in self.slips[first:])
