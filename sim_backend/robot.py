@@ -130,9 +130,9 @@ def interpolation(at: FloatArray, integrals: int) -> FloatArray:
     """Return the matrix from values at the Gauss points to their polynomial, integrated so often from 0, at places."""
     nodes, _ = gauss_legendre(NODES)
     to_coefficients = np.linalg.inv(np.polynomial.legendre.legvander(2 * nodes - 1, NODES - 1))
-    rows: FloatArray = np.eye(NODES)
+    rows: FloatArray = np.asarray(np.eye(NODES), dtype=np.float64)
     if integrals:
-        rows = np.polynomial.legendre.legint(rows, integrals, lbnd=-1, scl=0.5, axis=0)
+        rows = np.asarray(np.polynomial.legendre.legint(rows, integrals, lbnd=-1, scl=0.5, axis=0), dtype=np.float64)
     values = np.polynomial.legendre.legvander(2 * at - 1, rows.shape[0] - 1) @ rows
     return np.asarray(values @ to_coefficients)
 
