@@ -34,6 +34,8 @@ MIN_SHARE = 0.005
 """Least acceleration that the optimisation tries, over the actuator's greatest."""
 MIN_STROKE = 0.05
 """Least stroke that it tries, over the greatest."""
+MIN_PAUSE_S = 1e-3
+"""A shorter pause is none."""
 MAX_PERIODS = 400
 MAX_SEARCH_PERIODS = 30
 """Longest walk, and the longest while a drive is sought."""
@@ -118,11 +120,12 @@ def drive_within(robot: RobotSettings, place: FloatArray) -> RobotDrive:
     slow_mm_s2, fast_mm_s2 = (most * exp((1 - share) * log(MIN_SHARE)) for share in (slow, fast))
     stroke_mm = robot.max_stroke_mm * (MIN_STROKE + (1 - MIN_STROKE) * stroke)
     fastest = 0.5 * robot.max_relative_speed_mm_s**2 * (1 / slow_mm_s2 + 1 / fast_mm_s2)
+    pause_s = robot.max_pause_s * pause**3
     return RobotDrive(
         slow_mm_s2=slow_mm_s2,
         fast_mm_s2=fast_mm_s2,
         stroke_mm=min(stroke_mm, fastest),
-        pause_s=robot.max_pause_s * pause**3,
+        pause_s=pause_s if pause_s >= MIN_PAUSE_S else 0.0,
     )
 
 
