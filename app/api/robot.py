@@ -31,7 +31,7 @@ def robot(
     specimen: str | Path = "jejunum",
     drive: RobotDrive | None = None,
     diagnosis: str | Path | Diagnosis | None = None,
-    sensitivity: bool = True,
+    sensitivity: bool = False,
     seed: int = 1,
     progress: Progress = no_progress,
 ) -> RobotStudy:

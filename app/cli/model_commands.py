@@ -125,7 +125,9 @@ def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple
 @click.option("--fast", metavar="MM/S²", type=float, help="Acceleration of the fast phases.")
 @click.option("--stroke", metavar="MM", type=float, help="Stroke of the inner mass.")
 @click.option("--pause", metavar="S", type=float, default=0.0, help="Rest at the end of a period (default: 0).")
-@click.option("--no-assumptions", is_flag=True, help="Do not vary what is assumed of the robot, which takes longest.")
+@click.option(
+    "--assumptions", is_flag=True, help="Vary what is assumed of the robot over its ranges too; takes many minutes."
+)
 @click.option("--seed", metavar="N", type=click.IntRange(min=0), default=1, show_default=True, help="Of the search.")
 @options.report
 @options.figures
@@ -142,7 +144,7 @@ def robot_command(
     fast: float | None,
     stroke: float | None,
     pause: float,
-    no_assumptions: bool,
+    assumptions: bool,
     seed: int,
     report: Path | None,
     figures: Path | None,
@@ -152,8 +154,8 @@ def robot_command(
     """Simulate a capsule robot with an inner mass, and choose its drive for the gut.
 
     The inner mass is pushed slowly and thrown back fast; the housing sticks, then slips. Without --slow, --fast and
-    --stroke, the drives that are fastest on a hard surface and in the gut are sought within the actuator's limits, and
-    what is assumed of the robot is varied over its ranges. The price of an effect is the speed that it takes.
+    --stroke, the drives that are fastest on a hard surface and in the gut are sought within the actuator's limits. The
+    price of an effect is the speed that it takes.
     """
     from dragrig.api import robot as study
     from dragrig.present import require_writable, robot_document, save_figures
@@ -170,7 +172,7 @@ def robot_command(
                 specimen=specimen,
                 drive=drive,
                 diagnosis=diagnosis,
-                sensitivity=not no_assumptions,
+                sensitivity=assumptions,
                 seed=seed,
                 progress=meter.at,
             )
