@@ -414,7 +414,7 @@ def study_robot(
         model=model,
         seed=seed,
         drives=tuple(drives),
-        static_mN=inside().at_rest(0.0),
+        static_mN=inside().at_rest()(0.0),
         sensitivities=tuple(sensitivities),
         prices=tuple(prices),
         effects=tuple(active.effect.id for active in acting),

@@ -3,7 +3,8 @@
 The inner mass moves relative to the housing in four phases of constant acceleration, +slow, −fast, −fast, +slow, and
 rests for a pause. The housing obeys `(M + m) x'' = −m s'' − F`. It sticks while the actuator's force m s'' does not
 exceed the static resistance; starts are at a phase's begin, or where the wall at rest has relaxed far enough, and stops
-at zero speed. Between two events the motion is a polynomial that satisfies the equation of motion at Gauss points.
+at zero speed. Between two events the motion is a polynomial that satisfies the equation of motion at Gauss points. Once
+a period ends in the state in which it began, all further ones are the same: they are copied.
 
 What the friction model does not say of a motion that the dynamics decide is decided so:
 
@@ -14,11 +15,11 @@ What the friction model does not say of a motion that the dynamics decide is dec
   and the wall under it ages; in a longer one the other leads.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import groupby
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from scipy.optimize import brentq
@@ -44,7 +45,7 @@ INSERTED_NODES = 16
 """Gauss points of each of three parts of the wall in contact at the insertion."""
 TABLE_POINTS = 2049
 """Points of a tabulated contact."""
-MAX_PANEL_S = 0.02
+MAX_PANEL_S = 0.06
 """Longest panel: some relaxation times of the wall's fast branch."""
 MAX_TRAVEL_MM = 1.2
 """Greatest travel in a panel in the gut."""
@@ -59,7 +60,9 @@ MAX_HALVINGS = 12
 TRAVEL_TOLERANCE_MM = 1e-9
 SPEED_TOLERANCE = 1e-9
 """Change of speed at which the iteration of a panel ends, relative to the drive's."""
-WALL_POINTS = ((1, 0.03), (2, 0.2), (3, 0.6), (4, 1.0))
+REPEAT_TOLERANCE, REPEAT_SPEED = 1e-9, 1e-12
+"""Difference of the wall [mm, s], and of the speed relative to the drive's, that is none, if it is twice."""
+WALL_POINTS = ((1, 0.01), (2, 0.05), (3, 0.15), (5, 0.4))
 """Points that stand for the wall that a panel brings into contact, and the travel [mm] below which they suffice."""
 
 
@@ -128,13 +131,18 @@ def _wall_points(count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def interpolation(at: FloatArray, integrals: int) -> FloatArray:
     """Return the matrix from values at the Gauss points to their polynomial, integrated so often from 0, at places."""
+    coefficients = _coefficients(integrals)
+    return np.asarray(np.polynomial.legendre.legvander(2 * at - 1, coefficients.shape[0] - 1) @ coefficients)
+
+
+@cache
+def _coefficients(integrals: int) -> FloatArray:
+    """Return the matrix from values at the Gauss points to Legendre coefficients."""
     nodes, _ = gauss_legendre(NODES)
-    to_coefficients = np.linalg.inv(np.polynomial.legendre.legvander(2 * nodes - 1, NODES - 1))
-    rows: FloatArray = np.asarray(np.eye(NODES), dtype=np.float64)
-    if integrals:
-        rows = np.asarray(np.polynomial.legendre.legint(rows, integrals, lbnd=-1, scl=0.5, axis=0), dtype=np.float64)
-    values = np.polynomial.legendre.legvander(2 * at - 1, rows.shape[0] - 1) @ rows
-    return np.asarray(values @ to_coefficients)
+    of_values = np.linalg.inv(np.polynomial.legendre.legvander(2 * nodes - 1, NODES - 1))
+    if not integrals:
+        return np.asarray(of_values)
+    return np.asarray(np.polynomial.legendre.legint(of_values, integrals, lbnd=-1, scl=0.5, axis=0), dtype=np.float64)
 
 
 class Resistance(Protocol):
@@ -155,8 +163,8 @@ class Resistance(Protocol):
         """Greatest travel in a panel."""
         ...
 
-    def at_rest(self, time_s: float) -> float:
-        """Return the force that the actuator must exceed."""
+    def at_rest(self) -> Callable[[float], float]:
+        """Return, by time while it rests, the force that the actuator must exceed."""
         ...
 
     def damping(self, speed_mm_s: FloatArray) -> FloatArray:
@@ -185,6 +193,14 @@ class Resistance(Protocol):
         """Take over a finished panel."""
         ...
 
+    def moved(self, time_s: float, way_mm: float) -> Self:
+        """Return what it would be had everything happened so much later and further on."""
+        ...
+
+    def difference(self, before: Self) -> float:
+        """Return by how much it differs, in mm and s; infinite where it is not alike."""
+        ...
+
 
 @dataclass(slots=True)
 class _HardSurface:
@@ -195,9 +211,8 @@ class _HardSurface:
     max_panel_s: float = np.inf
     max_travel_mm: float = np.inf
 
-    def at_rest(self, time_s: float) -> float:
-        del time_s
-        return self.friction_mN
+    def at_rest(self) -> Callable[[float], float]:
+        return lambda _: self.friction_mN
 
     def damping(self, speed_mm_s: FloatArray) -> FloatArray:
         return np.zeros_like(speed_mm_s)
@@ -223,28 +238,44 @@ class _HardSurface:
     ) -> None:
         del direction, start_s, width_s, position_mm, speed_mm_s, end_mm
 
+    def moved(self, time_s: float, way_mm: float) -> Self:
+        del time_s, way_mm
+        return self
+
+    def difference(self, before: Self) -> float:
+        return abs(self.friction_mN - before.friction_mN)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LoadTable:
     """The axial load of a contact, its branches interpolated linearly between points of the contact."""
 
     length_mm: float
-    branches: FloatArray
-    rises: FloatArray
-    """`branches`, `rises`: at each point, and from it to the next, shape `(5, p)`."""
+    lines: FloatArray
+    """Each branch as value at 0 and slope of the line between a point and the next, shape `(10, p)`."""
 
     @classmethod
     def of(cls, contact: HemisphereContact) -> "_LoadTable":
         """Tabulate a contact; beyond its ends the load is that at the ends."""
-        branches = contact.axial_branches(np.linspace(0.0, contact.length_mm, TABLE_POINTS))
-        return cls(contact.length_mm, branches, np.diff(branches, append=branches[:, -1:]))
+        x = np.linspace(0.0, contact.length_mm, TABLE_POINTS)
+        branches = contact.axial_branches(x)
+        slopes = np.diff(branches, append=branches[:, -1:]) / x[1]
+        return cls(contact.length_mm, np.concatenate((branches - slopes * x, slopes)))
 
-    def load(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
-        """Return the axial load [mN/mm] at contact coordinates and ages of one shape."""
-        place = np.clip(x_mm, 0.0, self.length_mm) * ((TABLE_POINTS - 1) / self.length_mm)
-        index = place.astype(np.intp)
-        fast, fast_rate, slow, slow_rate, spring = self.branches[:, index] + self.rises[:, index] * (place - index)
-        return np.asarray(fast * np.exp(-fast_rate * age_s) + slow * np.exp(-slow_rate * age_s) + spring)
+    def branches(self, x_mm: FloatArray) -> FloatArray:
+        """Return the branches [mN/mm, 1/s] at contact coordinates, along a first axis of 5 as `axial_branches`."""
+        x = np.minimum(np.maximum(x_mm, 0.0), self.length_mm)
+        lines = self.lines.take((x * ((TABLE_POINTS - 1) / self.length_mm)).astype(np.intp), axis=1)
+        branches = lines[5:]
+        branches *= x
+        branches += lines[:5]
+        return branches
+
+
+def relaxed(branches: FloatArray, age_s: FloatArray) -> FloatArray:
+    """Return the load of branches after contact ages."""
+    fast, fast_rate, slow, slow_rate, spring = branches
+    return np.asarray(fast * np.exp(-fast_rate * age_s) + slow * np.exp(-slow_rate * age_s) + spring)
 
 
 @dataclass(slots=True)
@@ -288,9 +319,17 @@ class _GutWall:
             length_mm=(widths[:, None] * weights).ravel(),
         )
 
-    def at_rest(self, time_s: float) -> float:
-        time, lead = np.array([time_s]), np.array([self.lead_mm])
-        return float(self._inherited(time, lead)[0] + self._coulomb(time, lead)[0])
+    def at_rest(self) -> Callable[[float], float]:
+        near = self._near()
+        branches = self.table.branches(self._contact_coordinate(self.z_mm[near], self.lead_mm))
+        touched, length = self.touched_s[near], self.length_mm[near]
+        side_touched = float(self._side_touched(np.array([self.lead_mm]))[0])
+
+        def force(time_s: float) -> float:
+            environment = relaxed(branches, time_s - touched) @ length
+            return float(environment + self._coulomb(np.asarray(max(time_s - side_touched, 0.0))))
+
+        return force
 
     def damping(self, speed_mm_s: FloatArray) -> FloatArray:
         faster = np.maximum(speed_mm_s, 0.0) + SPEED_STEP_MM_S
@@ -303,28 +342,32 @@ class _GutWall:
         share = np.minimum(speed_mm_s / least, 1.0)
         return share * viscous_force(np.maximum(speed_mm_s, least), model, self.contact.area_mm2)
 
-    def _contact_coordinate(self, z_mm: FloatArray, lead_mm: FloatArray) -> FloatArray:
+    def _contact_coordinate(self, z_mm: FloatArray, lead_mm: FloatArray | float) -> FloatArray:
         return lead_mm - z_mm if self.leading > 0 else z_mm - (lead_mm - self.reach_mm)
 
     def _inherited(self, time_s: FloatArray, lead_mm: FloatArray) -> FloatArray:
         """Return f_e of the wall that was in contact before, at times of shape `(n,)`."""
-        length = self.contact.length_mm
-        x_now = self._contact_coordinate(self.z_mm, np.asarray(self.lead_mm))
-        near = (
-            slice(int(np.searchsorted(-x_now, -length)), None)
-            if self.leading > 0
-            else slice(0, int(np.searchsorted(x_now, length)))
-        )
+        near = self._near()
         x = self._contact_coordinate(self.z_mm[near], lead_mm[:, None])
         age = time_s[:, None] - self.touched_s[near]
-        return np.asarray(self.table.load(x, age) @ self.length_mm[near])
+        return np.asarray(relaxed(self.table.branches(x), age) @ self.length_mm[near])
 
-    def _coulomb(self, time_s: FloatArray, lead_mm: FloatArray) -> FloatArray:
-        length = self.contact.length_mm
+    def _near(self) -> slice:
+        """Return which points are at the leading hemisphere."""
+        length = self.table.length_mm
+        if self.leading > 0:
+            return slice(int(np.searchsorted(self.z_mm, self.lead_mm - length)), None)
+        return slice(0, int(np.searchsorted(self.z_mm, self.lead_mm - self.reach_mm + length, side="right")))
+
+    def _side_touched(self, lead_mm: FloatArray) -> FloatArray:
+        """Return when the wall at the equator of the leading hemisphere was touched."""
+        length = self.table.length_mm
         z = lead_mm - length if self.leading > 0 else lead_mm - self.reach_mm + length
-        age = time_s - np.interp(z, self.z_mm, self.touched_s)
-        normal = self.weight_mN + self.side.force(np.maximum(age, 0.0))
-        return np.asarray(self.contact.model.friction_coefficient * normal)
+        return np.interp(z, self.z_mm, self.touched_s)
+
+    def _coulomb(self, age_s: FloatArray) -> FloatArray:
+        """Return Coulomb friction by the age of the wall at the equator."""
+        return np.asarray(self.contact.model.friction_coefficient * (self.weight_mN + self.side.force(age_s)))
 
     def sliding(
         self, direction: int, start_s: float, width_s: float, position_mm: FloatArray, speed_mm_s: FloatArray
@@ -335,7 +378,7 @@ class _GutWall:
         environment = self._inherited(time, lead)
         if direction == self.leading and lead[-1] != self.lead_mm:
             environment = environment + self._fresh(width_s, lead, speed_mm_s)
-        friction = self._coulomb(time, lead)
+        friction = self._coulomb(np.maximum(time - self._side_touched(lead), 0.0))
         return np.asarray(environment + friction + self._viscous(speed_mm_s))
 
     def _lead(self, direction: int, position_mm: FloatArray) -> FloatArray:
@@ -356,7 +399,7 @@ class _GutWall:
         shift = np.maximum(total - moved, 0.0)[:, None]
         x = total[:, None] - np.maximum(travelled, shift)
         age = width_s * rule.nodes[:, None] * (1 - rule.fresh_nodes)
-        load = self.table.load(x, age) * np.where(travelled >= shift, passing_speed, 0.0)
+        load = relaxed(self.table.branches(x), age) * np.where(travelled >= shift, passing_speed, 0.0)
         return np.asarray((load @ rule.fresh_weights) * (width_s * rule.nodes))
 
     def way_left(self, direction: int, position_mm: float) -> float:
@@ -400,6 +443,25 @@ class _GutWall:
             self.z_mm = np.concatenate((z[::-1] - self.reach_mm, self.z_mm[kept]))
             self.touched_s = np.concatenate((touched[::-1], self.touched_s[kept]))
             self.length_mm = np.concatenate((length[::-1], self.length_mm[kept]))
+
+    def moved(self, time_s: float, way_mm: float) -> Self:
+        return replace(
+            self,
+            z_mm=self.z_mm + way_mm,
+            touched_s=self.touched_s + time_s,
+            length_mm=self.length_mm.copy(),
+            lead_mm=self.lead_mm + way_mm,
+        )
+
+    def difference(self, before: Self) -> float:
+        if self.z_mm.size != before.z_mm.size or self.leading != before.leading:
+            return np.inf
+        pairs = (
+            (self.z_mm, before.z_mm),
+            (self.touched_s, before.touched_s),
+            (self.length_mm, before.length_mm),
+        )
+        return max(abs(self.lead_mm - before.lead_mm), *(float(np.abs(now - then).max()) for now, then in pairs))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -454,6 +516,12 @@ class Slip:
         """Work of the friction; mN · mm is µJ."""
         return float(self.width_s * (gauss_legendre(NODES)[1] @ (self.resistance_mN * self.speed_mm_s)))
 
+    def moved(self, time_s: float, way_mm: float) -> "Slip":
+        """Return the same slip so much later and further on."""
+        return replace(
+            self, start_s=self.start_s + time_s, since_s=self.since_s + time_s, start_mm=self.start_mm + way_mm
+        )
+
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position [mm], velocity [mm/s] and friction [mN, against positive motion] at times within it."""
         place = np.clip((time_s - self.start_s) / self.width_s, 0.0, 1.0)
@@ -486,6 +554,16 @@ class Period:
     first_slip: int
     """Number of its first slip in the walk."""
 
+    def moved(self, time_s: float, way_mm: float, first_slip: int) -> "Period":
+        """Return the same period so much later and further on."""
+        return replace(
+            self,
+            begin_s=self.begin_s + time_s,
+            begin_mm=self.begin_mm + way_mm,
+            end_mm=self.end_mm + way_mm,
+            first_slip=first_slip,
+        )
+
     @property
     def travel_mm(self) -> float:
         """Travel of the housing."""
@@ -498,6 +576,22 @@ def energy_error(periods: Sequence[Period]) -> float:
     work = sum(period.work_uJ for period in periods)
     stored = periods[-1].end_kinetic_uJ - periods[0].begin_kinetic_uJ
     return abs(work - loss - stored) / loss if loss > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """All that the walk after a period depends on; time and place count from the period's end."""
+
+    velocity_mm_s: float
+    since_s: float
+    resistance: Resistance
+
+    def repeats(self, before: "_State", speed_mm_s: float) -> bool:
+        """Whether it is an earlier state, speeds compared with the drive's."""
+        if abs(self.velocity_mm_s - before.velocity_mm_s) > REPEAT_SPEED * speed_mm_s:
+            return False
+        slips_as_long = self.velocity_mm_s == 0 or abs(self.since_s - before.since_s) <= REPEAT_TOLERANCE
+        return slips_as_long and self.resistance.difference(before.resistance) <= REPEAT_TOLERANCE
 
 
 @dataclass(slots=True)
@@ -516,9 +610,42 @@ class Walker:
     """`since_s`, `first_slip`: when the present slip began, and number of the present period's first panel."""
     slips: list[Slip] = field(default_factory=list)
     periods: list[Period] = field(default_factory=list)
+    may_copy: bool = True
+    """Whether periods are copied once they repeat themselves."""
+    settled_periods: int = 0
+    """How many periods were simulated before they did; 0 where they do not yet."""
+    _state: _State | None = None
+    _alike: int = 0
+    """State at the end of the last period, and how many periods long it has been the same."""
 
     def period(self) -> Period:
         """Walk for a period."""
+        made = self._copied_period() if self.settled_periods else self._simulated_period()
+        self.periods.append(made)
+        if self.may_copy and not self.settled_periods:
+            self._compare_states()
+        return made
+
+    def _copied_period(self) -> Period:
+        """Repeat the last period."""
+        before, time_s = self.periods[-1], self.drive.period_s
+        self.first_slip = len(self.slips)
+        self.slips += [slip.moved(time_s, before.travel_mm) for slip in self.slips[before.first_slip :]]
+        self.time_s, self.position_mm = self.time_s + time_s, self.position_mm + before.travel_mm
+        self.since_s += time_s
+        self.resistance = self.resistance.moved(time_s, before.travel_mm)
+        return before.moved(time_s, before.travel_mm, self.first_slip)
+
+    def _compare_states(self) -> None:
+        """Find whether the period ended in the state in which it began."""
+        before, since_s = self._state, self.since_s - self.time_s
+        self._state = _State(self.velocity_mm_s, since_s, self.resistance.moved(-self.time_s, -self.position_mm))
+        same = before is not None and self._state.repeats(before, self.drive.peak_speed_mm_s)
+        self._alike = self._alike + 1 if same else 0
+        if self._alike > 1:
+            self.settled_periods = len(self.periods)
+
+    def _simulated_period(self) -> Period:
         begin_mm, begin_uJ, relative_mm_s, work = self.position_mm, self._kinetic_uJ, 0.0, 0.0
         first = self.first_slip = len(self.slips)
         begin_s = self.time_s
@@ -537,7 +664,7 @@ class Walker:
         forward = sum(slip.end_travel_mm for slip in self.slips[first:] if slip.direction > 0)
         backward = sum(slip.end_travel_mm for slip in self.slips[first:] if slip.direction < 0)
         slip_s = sum(slip.width_s for slip in self.slips[first:])
-        made = Period(
+        return Period(
             begin_s,
             begin_mm,
             self.position_mm,
@@ -550,17 +677,16 @@ class Walker:
             self._kinetic_uJ,
             first,
         )
-        self.periods.append(made)
-        return made
 
     def sample(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position [mm], velocity [mm/s] and friction of a slip [mN] at rising times; at rest no friction."""
         position, velocity, friction = np.zeros((3, time_s.size))
-        for slip in self.slips:
-            begin, end = np.searchsorted(time_s, (slip.start_s, slip.end_s))
-            if end > begin:
-                position[begin:end], velocity[begin:end], friction[begin:end] = slip.at(time_s[begin:end])
-            position[end:] = slip.end_mm
+        begins, ends = np.searchsorted(time_s, [(slip.start_s, slip.end_s) for slip in self.slips] or [(0, 0)]).T
+        after = np.searchsorted([slip.end_s for slip in self.slips], time_s, side="right")
+        position[:] = np.array([0.0, *(slip.end_mm for slip in self.slips)])[after]
+        for number in np.flatnonzero(ends > begins):
+            inside = slice(begins[number], ends[number])
+            position[inside], velocity[inside], friction[inside] = self.slips[number].at(time_s[inside])
         return position, velocity, friction
 
     @property
@@ -605,12 +731,14 @@ class Walker:
         """Return when the capsule at rest starts, None where it stays."""
         direction = 1 if push > 0 else -1
 
-        def excess(time: float) -> float:
-            added = 0.0 if self.added is None else float(self.added.resistance(direction, 0.0))
-            return abs(push) - max(self.resistance.at_rest(time) + added, 0.0)
-
         if push == 0:
             return None
+        resting = self.resistance.at_rest()
+        added = 0.0 if self.added is None else float(self.added.resistance(direction, 0.0))
+
+        def excess(time: float) -> float:
+            return abs(push) - max(resting(time) + added, 0.0)
+
         if excess(time_s) > 0:
             return time_s
         if excess(end_s) <= 0:
@@ -652,7 +780,7 @@ class Walker:
             stops = before.end_speed_mm_s <= 2 * self._tolerance_mm_s
             return before.acceleration_mm_s2, before.width_s if stops else np.inf
         goes_on = self.velocity_mm_s != 0
-        resistance = float(self.slips[-1].resistance_mN[-1]) if goes_on else self.resistance.at_rest(time_s)
+        resistance = float(self.slips[-1].resistance_mN[-1]) if goes_on else self.resistance.at_rest()(time_s)
         acceleration = (push - resistance) / self._total
         stop_s = abs(self.velocity_mm_s) / -acceleration if acceleration < 0 and goes_on else np.inf
         return np.full(NODES, acceleration), stop_s
@@ -757,10 +885,10 @@ def gut(robot: RobotSettings, model: FrictionModelSettings, wall_thickness_mm: f
 
 
 def walk(
-    robot: RobotSettings, drive: RobotDrive, surface: Resistance, periods: int, added: AddedForce | None = None
+    robot: RobotSettings, drive: RobotDrive, surface: Resistance, periods: int, *, may_copy: bool = True
 ) -> Walker:
-    """Return a robot that has walked from rest for some periods."""
-    walker = Walker(robot, drive, surface, added)
+    """Return a robot that has walked from rest for some periods; none is copied without `may_copy`."""
+    walker = Walker(robot, drive, surface, may_copy=may_copy)
     for _ in range(periods):
         walker.period()
     return walker

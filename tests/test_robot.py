@@ -1,6 +1,8 @@
 """The capsule robot: its motion against an independent integration, its energy, and its wall against the model's."""
 
 import json
+from copy import deepcopy
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
@@ -132,8 +134,30 @@ def test_a_slip_begins_where_another_ends_and_goes_one_way(drive: RobotDrive) ->
     assert all(slip.speed_mm_s.min() > -1e-6 for slip in made.slips)
 
 
+@pytest.mark.parametrize(
+    ("slow", "fast"), [pytest.param(6000, 16000, id="forwards alone"), pytest.param(16000, 15000, id="to and fro")]
+)
+def test_a_walk_copies_its_periods_once_they_are_the_same(slow: float, fast: float) -> None:
+    drive = RobotDrive(slow_mm_s2=slow, fast_mm_s2=fast, stroke_mm=10)
+    copied = walk(ROBOT, drive, gut(ROBOT, MODEL, 2.5), 30)
+    assert not copied.settled_periods  # not before the wall under it is its own
+    while not copied.settled_periods and len(copied.periods) < 150:
+        copied.period()
+    assert copied.settled_periods
+    simulated = replace(deepcopy(copied), may_copy=False, settled_periods=0)
+    for _ in range(20):
+        assert copied.period().travel_mm == pytest.approx(simulated.period().travel_mm, rel=1e-8)
+    assert copied.periods[-1].loss_uJ == pytest.approx(simulated.periods[-1].loss_uJ, rel=1e-8)
+    assert copied.slips[-1].since_s == pytest.approx(simulated.slips[-1].since_s, rel=1e-9)
+    time = simulated.time_s - drive.period_s * np.linspace(1.0, 0.0, 50)
+    for drawn, made in zip(copied.sample(time), simulated.sample(time), strict=True):
+        assert drawn == pytest.approx(made, rel=1e-6, abs=1e-6)
+    after, expected = (walker.resistance.at_rest()(walker.time_s) for walker in (copied, simulated))
+    assert after == pytest.approx(expected, rel=1e-8)
+
+
 def test_a_weak_drive_does_not_move_it() -> None:
-    static_mN = gut(ROBOT, MODEL, 2.5).at_rest(0.0)
+    static_mN = gut(ROBOT, MODEL, 2.5).at_rest()(0.0)
     weak, strong = (
         RobotDrive(slow_mm_s2=500, fast_mm_s2=share * 1e3 * static_mN / ROBOT.inner_mass_g, stroke_mm=3)
         for share in (0.99, 1.05)
