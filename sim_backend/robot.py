@@ -17,9 +17,10 @@ What the friction model does not say of a motion that the dynamics decide is dec
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum, auto
 from functools import cache
 from itertools import groupby
-from typing import Protocol, Self
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.optimize import brentq
@@ -57,7 +58,8 @@ STIFFNESS, MAX_STIFFNESS = 10.0, 1000.0
 """Growth of the resistance with the travel in a slip [mN/mm]: a first guess for Newton's method, and a limit."""
 MAX_ITERATIONS = 40
 MAX_HALVINGS = 12
-TRAVEL_TOLERANCE_MM = 1e-9
+TRAVEL_TOLERANCE_MM, EVENT_TOLERANCE_MM = 1e-9, 3e-9
+"""How far beyond the place of an event a panel may end, and how near to it a place is there."""
 SPEED_TOLERANCE = 1e-9
 """Change of speed at which the iteration of a panel ends, relative to the drive's."""
 REPEAT_TOLERANCE, REPEAT_SPEED = 1e-9, 1e-12
@@ -143,6 +145,9 @@ def _coefficients(integrals: int) -> FloatArray:
     if not integrals:
         return np.asarray(of_values)
     return np.asarray(np.polynomial.legendre.legint(of_values, integrals, lbnd=-1, scl=0.5, axis=0), dtype=np.float64)
+
+
+Millimetres = TypeVar("Millimetres", float, FloatArray)
 
 
 class Resistance(Protocol):
@@ -283,7 +288,8 @@ class _GutWall:
     """Friction in the gut: f_e and f_v, and Coulomb friction under weight and wall.
 
     The wall in contact is known at points: `z_mm`, when each was touched, and the length of wall that it stands for.
-    `lead_mm` is where the front contact is; `leading` the direction whose hemisphere presses against the wall.
+    `lead_mm` is where the front contact is; `leading` the direction whose hemisphere presses against the wall. The age
+    of the wall jumps where the robot rested: at `jumps_mm`, rising, where two points of no length hold both ages.
     """
 
     contact: HemisphereContact
@@ -294,6 +300,9 @@ class _GutWall:
     z_mm: FloatArray
     touched_s: FloatArray
     length_mm: FloatArray
+    jumps_mm: FloatArray
+    led_s: float
+    """When wall was last brought into contact."""
     lead_mm: float = 0.0
     leading: int = 1
     constant: bool = False
@@ -317,6 +326,8 @@ class _GutWall:
             z_mm=z,
             touched_s=np.full_like(z, -dwell_s),
             length_mm=(widths[:, None] * weights).ravel(),
+            jumps_mm=np.empty(0),
+            led_s=-dwell_s,
         )
 
     def at_rest(self) -> Callable[[float], float]:
@@ -333,7 +344,8 @@ class _GutWall:
 
     def damping(self, speed_mm_s: FloatArray) -> FloatArray:
         faster = np.maximum(speed_mm_s, 0.0) + SPEED_STEP_MM_S
-        return np.asarray((self._viscous(faster) - self._viscous(speed_mm_s)) / (faster - speed_mm_s))
+        more, less = self._viscous(np.stack((faster, speed_mm_s)))
+        return np.asarray((more - less) / (faster - speed_mm_s))
 
     def _viscous(self, speed_mm_s: FloatArray) -> FloatArray:
         """Return f_v, in proportion to the speed where it would otherwise grow infinitely steeply."""
@@ -354,16 +366,17 @@ class _GutWall:
 
     def _near(self) -> slice:
         """Return which points are at the leading hemisphere."""
-        length = self.table.length_mm
         if self.leading > 0:
-            return slice(int(np.searchsorted(self.z_mm, self.lead_mm - length)), None)
-        return slice(0, int(np.searchsorted(self.z_mm, self.lead_mm - self.reach_mm + length, side="right")))
+            return slice(int(np.searchsorted(self.z_mm, self._equator(self.lead_mm))), None)
+        return slice(0, int(np.searchsorted(self.z_mm, self._equator(self.lead_mm), side="right")))
 
     def _side_touched(self, lead_mm: FloatArray) -> FloatArray:
         """Return when the wall at the equator of the leading hemisphere was touched."""
+        return np.interp(self._equator(lead_mm), self.z_mm, self.touched_s)
+
+    def _equator(self, lead_mm: Millimetres) -> Millimetres:
         length = self.table.length_mm
-        z = lead_mm - length if self.leading > 0 else lead_mm - self.reach_mm + length
-        return np.interp(z, self.z_mm, self.touched_s)
+        return lead_mm - length if self.leading > 0 else lead_mm - (self.reach_mm - length)
 
     def _coulomb(self, age_s: FloatArray) -> FloatArray:
         """Return Coulomb friction by the age of the wall at the equator."""
@@ -377,7 +390,7 @@ class _GutWall:
         lead = self._lead(direction, position_mm)
         environment = self._inherited(time, lead)
         if direction == self.leading and lead[-1] != self.lead_mm:
-            environment = environment + self._fresh(width_s, lead, speed_mm_s)
+            environment = environment + self._fresh(width_s, speed_mm_s)
         friction = self._coulomb(np.maximum(time - self._side_touched(lead), 0.0))
         return np.asarray(environment + friction + self._viscous(speed_mm_s))
 
@@ -388,25 +401,26 @@ class _GutWall:
             return np.maximum(position_mm, self.lead_mm)
         return np.minimum(position_mm + REVERSAL_SLACK_MM, self.lead_mm)
 
-    def _fresh(self, width_s: float, lead_mm: FloatArray, speed_mm_s: FloatArray) -> FloatArray:
+    def _fresh(self, width_s: float, speed_mm_s: FloatArray) -> FloatArray:
         """Return f_e of the wall that this panel brings into contact, integrated over the time of passing."""
         rule = _rule()
         speed = np.maximum(speed_mm_s, 0.0)
         passing_speed = np.maximum(rule.within @ speed, 0.0).reshape(NODES, FRESH_NODES)
         travelled = width_s * (rule.within_integral @ speed).reshape(NODES, FRESH_NODES)
         total = width_s * (rule.integral @ speed)
-        moved = np.abs(lead_mm - self.lead_mm)
-        shift = np.maximum(total - moved, 0.0)[:, None]
-        x = total[:, None] - np.maximum(travelled, shift)
+        x = total[:, None] - travelled
         age = width_s * rule.nodes[:, None] * (1 - rule.fresh_nodes)
-        load = relaxed(self.table.branches(x), age) * np.where(travelled >= shift, passing_speed, 0.0)
+        load = relaxed(self.table.branches(x), age) * passing_speed
         return np.asarray((load @ rule.fresh_weights) * (width_s * rule.nodes))
 
     def way_left(self, direction: int, position_mm: float) -> float:
-        if direction == self.leading:
-            return np.inf
         behind = self.lead_mm - position_mm  # between 0 and the play
-        return REVERSAL_SLACK_MM - behind if direction < 0 else behind
+        to_lead = behind if direction > 0 else REVERSAL_SLACK_MM - behind
+        if direction != self.leading or to_lead > EVENT_TOLERANCE_MM:
+            return to_lead
+        equator, nearest = self._equator(self.lead_mm), direction * EVENT_TOLERANCE_MM
+        number = int(np.searchsorted(self.jumps_mm, equator + nearest)) - (direction < 0)
+        return abs(float(self.jumps_mm[number]) - equator) if 0 <= number < self.jumps_mm.size else np.inf
 
     def advance(
         self,
@@ -418,31 +432,38 @@ class _GutWall:
         end_mm: float,
     ) -> None:
         if direction != self.leading:
-            if self.way_left(direction, end_mm) <= 1e-9:
+            if self.way_left(direction, end_mm) <= EVENT_TOLERANCE_MM:
                 self.leading = direction
+                self.led_s = float(self.touched_s[-1 if direction > 0 else 0])
             return
         end = float(self._lead(direction, np.array([end_mm]))[0])
-        if end == self.lead_mm:
-            return
         travel = abs(end - self.lead_mm)
+        if travel <= EVENT_TOLERANCE_MM:
+            return
         points = next((count for count, reach in WALL_POINTS if travel < reach), NODES)
         times, weights, values = _wall_points(points)
-        position, speed = values @ position_mm, values @ speed_mm_s
-        fresh = self._lead(direction, position)
-        passed = fresh != self.lead_mm
-        z, touched = fresh[passed], start_s + width_s * times[passed]
-        length = (width_s * weights * np.maximum(speed, 0.0))[passed]
-        self.lead_mm = end
+        z, touched = self._lead(direction, values @ position_mm), start_s + width_s * times
+        length = width_s * weights * np.maximum(values @ speed_mm_s, 0.0)
+        jumps = self.jumps_mm
+        if start_s - self.led_s > MIN_PANEL_S:
+            z = np.concatenate(([self.lead_mm, self.lead_mm], z))
+            touched = np.concatenate(([self.led_s, start_s], touched))
+            length = np.concatenate(([0.0, 0.0], length))
+            jump = self.lead_mm if direction > 0 else self.lead_mm - self.reach_mm
+            jumps = np.append(jumps, jump) if direction > 0 else np.insert(jumps, 0, jump)
+        self.lead_mm, self.led_s = end, start_s + width_s
         if direction > 0:
             kept = self.z_mm >= end - self.reach_mm
             self.z_mm = np.concatenate((self.z_mm[kept], z))
             self.touched_s = np.concatenate((self.touched_s[kept], touched))
             self.length_mm = np.concatenate((self.length_mm[kept], length))
+            self.jumps_mm = jumps[jumps >= end - self.reach_mm]
         else:
             kept = self.z_mm <= end
             self.z_mm = np.concatenate((z[::-1] - self.reach_mm, self.z_mm[kept]))
             self.touched_s = np.concatenate((touched[::-1], self.touched_s[kept]))
             self.length_mm = np.concatenate((length[::-1], self.length_mm[kept]))
+            self.jumps_mm = jumps[jumps <= end]
 
     def moved(self, time_s: float, way_mm: float) -> Self:
         return replace(
@@ -450,11 +471,14 @@ class _GutWall:
             z_mm=self.z_mm + way_mm,
             touched_s=self.touched_s + time_s,
             length_mm=self.length_mm.copy(),
+            jumps_mm=self.jumps_mm + way_mm,
+            led_s=self.led_s + time_s,
             lead_mm=self.lead_mm + way_mm,
         )
 
     def difference(self, before: Self) -> float:
-        if self.z_mm.size != before.z_mm.size or self.leading != before.leading:
+        sizes = [(wall.z_mm.size, wall.jumps_mm.size, wall.leading) for wall in (self, before)]
+        if sizes[0] != sizes[1]:
             return np.inf
         pairs = (
             (self.z_mm, before.z_mm),
@@ -504,6 +528,14 @@ class Slip:
         speed = self.direction * self.at(self.start_s + self.width_s * places)[1]
         after = int(np.argmax(speed[1:] <= 0)) + 1 if bool((speed[1:] <= 0).any()) else 64
         share = speed[after - 1] / max(speed[after - 1] - speed[after], 1e-300)
+        return float(self.width_s * (places[after - 1] + share * places[1]))
+
+    def time_of(self, travel_mm: float) -> float:
+        """Return the time from its begin to where it has travelled so far, within its own travel."""
+        places = np.linspace(0.0, 1.0, 65)
+        travel = self.direction * (self.at(self.start_s + self.width_s * places)[0] - self.start_mm)
+        after = min(max(int(np.argmax(travel >= travel_mm)), 1), 64)
+        share = (travel_mm - travel[after - 1]) / max(travel[after] - travel[after - 1], 1e-300)
         return float(self.width_s * (places[after - 1] + share * places[1]))
 
     @property
@@ -592,6 +624,14 @@ class _State:
             return False
         slips_as_long = self.velocity_mm_s == 0 or abs(self.since_s - before.since_s) <= REPEAT_TOLERANCE
         return slips_as_long and self.resistance.difference(before.resistance) <= REPEAT_TOLERANCE
+
+
+class _Ending(Enum):
+    """Why a panel ends: the phase does or the panel is long enough, the robot stops, or the resistance jumps."""
+
+    PHASE = auto()
+    STOP = auto()
+    JUMP = auto()
 
 
 @dataclass(slots=True)
@@ -750,40 +790,48 @@ class Walker:
         """Slip for a panel, up to an event; return when it ends."""
         whole = (end_s - time_s) / max(np.ceil((end_s - time_s) / self.resistance.max_panel_s - 1e-9), 1.0)
         ahead = min(self.resistance.way_left(direction, self.position_mm), self.resistance.max_travel_mm)
-        acceleration, stop_s = self._expected(direction, push, time_s)
-        stopping, width = stop_s < whole, min(stop_s, whole)
+        acceleration, width, ending = self._expected(direction, push, time_s, whole)
         for _ in range(MAX_ITERATIONS):
             panel = self._solve(direction, push, time_s, width, acceleration)
-            acceleration = panel.acceleration_mm_s2
+            halved = panel.width_s < width
             if panel.end_travel_mm > ahead + TRAVEL_TOLERANCE_MM:
-                mean_speed = panel.end_travel_mm / panel.width_s
-                width -= (panel.end_travel_mm - ahead) / max(panel.end_speed_mm_s, mean_speed)
-                whole, stopping = width, False
-            elif stopping:
+                width, ending = panel.time_of(ahead), _Ending.JUMP
+            elif ending is _Ending.STOP:
                 if abs(panel.end_speed_mm_s) <= self._tolerance_mm_s:
                     break
                 width = panel.width_s - panel.end_speed_mm_s / min(panel.end_acceleration_mm_s2, -1e-6)
-                if width > whole:
-                    width, stopping = whole, False
             elif panel.end_speed_mm_s < 0 or float(panel.speed_mm_s.min()) < 0:
-                width, stopping = panel.first_stop_s, True
+                width, ending = panel.first_stop_s, _Ending.STOP
+            elif ending is _Ending.JUMP and panel.end_travel_mm < ahead - TRAVEL_TOLERANCE_MM and not halved:
+                width = panel.width_s + (ahead - panel.end_travel_mm) / max(panel.end_speed_mm_s, 1e-6)
             else:
                 break
+            if width > whole:
+                width, ending = whole, _Ending.PHASE
             width = max(width, MIN_PANEL_S)
+            # Extrapolated far, the polynomial is worse than its last value.
+            places = np.minimum(_rule().nodes * (width / panel.width_s), 1.2)
+            acceleration = interpolation(places, 0) @ panel.acceleration_mm_s2
         self._take(panel)
         return panel.end_s
 
-    def _expected(self, direction: int, push: float, time_s: float) -> tuple[FloatArray, float]:
-        """Return accelerations to begin with, and when they would stop the capsule [s from now]."""
+    def _expected(
+        self, direction: int, push: float, time_s: float, whole_s: float
+    ) -> tuple[FloatArray, float, _Ending]:
+        """Return accelerations to begin with, and how wide the next panel will be and why."""
         before = None if self.resistance.constant else self._same_slip_before(direction, time_s)
         if before is not None:
-            stops = before.end_speed_mm_s <= 2 * self._tolerance_mm_s
-            return before.acceleration_mm_s2, before.width_s if stops else np.inf
+            if before.end_speed_mm_s <= 2 * self._tolerance_mm_s:
+                return before.acceleration_mm_s2, before.width_s, _Ending.STOP
+            if before.width_s < 0.999 * whole_s:
+                return before.acceleration_mm_s2, before.width_s, _Ending.JUMP
+            return before.acceleration_mm_s2, whole_s, _Ending.PHASE
         goes_on = self.velocity_mm_s != 0
         resistance = float(self.slips[-1].resistance_mN[-1]) if goes_on else self.resistance.at_rest()(time_s)
         acceleration = (push - resistance) / self._total
         stop_s = abs(self.velocity_mm_s) / -acceleration if acceleration < 0 and goes_on else np.inf
-        return np.full(NODES, acceleration), stop_s
+        ending = _Ending.STOP if stop_s < whole_s else _Ending.PHASE
+        return np.full(NODES, acceleration), min(stop_s, whole_s), ending
 
     def _same_slip_before(self, direction: int, time_s: float) -> Slip | None:
         """Return the panel of the period before at the same place in its period."""
@@ -817,7 +865,7 @@ class Walker:
         self, direction: int, push: float, time_s: float, width_s: float, acceleration_mm_s2: FloatArray
     ) -> Slip | None:
         rule = _rule()
-        start_speed, acceleration, step = abs(self.velocity_mm_s), acceleration_mm_s2, np.inf
+        start_speed, acceleration = abs(self.velocity_mm_s), acceleration_mm_s2
         travel_before = speed_before = resistance_before = np.zeros(NODES)
         stiffness = STIFFNESS
         for count in range(MAX_ITERATIONS):
@@ -829,7 +877,8 @@ class Walker:
                 since = time_s + width_s * rule.nodes - self.since_s
                 resistance = np.maximum(resistance + self.added.resistance(direction, since), 0.0)
             wanted = (push - resistance) / self._total
-            if (count and step <= self._tolerance_mm_s) or (self.resistance.constant and self.added is None):
+            residual = float(np.abs(width_s * (rule.integral @ (wanted - acceleration))).max())
+            if residual <= self._tolerance_mm_s or (self.resistance.constant and self.added is None):
                 return Slip(
                     start_s=time_s,
                     width_s=width_s,
@@ -857,9 +906,7 @@ class Walker:
                 + (width_s / self._total) * damping[:, None] * rule.integral
                 + (width_s**2 * stiffness / self._total) * rule.double_integral
             )
-            change = np.linalg.solve(jacobian, wanted - acceleration)
-            acceleration = acceleration + change
-            step = float(np.abs(width_s * (rule.integral @ change)).max())
+            acceleration = acceleration + np.linalg.solve(jacobian, wanted - acceleration)
         return None
 
     def _take(self, panel: Slip) -> None:
