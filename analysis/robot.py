@@ -47,7 +47,9 @@ UNSTEADY_WORTH = 0.5
 """Worth of a speed whose periods are not alike: it hangs on the rule for reversals, which no measurement supports."""
 SOBOL_POINTS, STRONGEST_POINTS, BEST_PLACES = 16, 10, 1
 """Drives that a search begins with: of all kinds, the strongest, and how many of the best it goes on from."""
-EVALUATIONS, LOCAL_EVALUATIONS = 60, 25
+EVALUATIONS, LOCAL_EVALUATIONS = 60, 12
+AT_LIMIT = 1e-3
+"""Distance in the unit cube at which a drive is at a limit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +144,7 @@ def fastest_drive(
     robot: RobotSettings,
     surface: Callable[[], Resistance],
     seed: int,
-    start: RobotDrive | None = None,
+    start: FloatArray | None = None,
     added: AddedForce | None = None,
 ) -> RobotDrive:
     """Return the drive within the limits that is fastest on a surface.
@@ -152,34 +154,44 @@ def fastest_drive(
     seed
         Of the Sobol points from whose best the search goes on, by Nelder and Mead's method.
     start
-        A drive near the best, from which the search is local.
+        Where in the unit cube the search begins that is local: what is at a limit of the actuator there stays at it.
     added
         Force of effects.
     """
     from scipy.optimize import minimize
-    from scipy.stats import qmc
 
     def slowness(place: FloatArray) -> float:
         drive = drive_within(robot, place)
         walk = steady_walk(robot, drive, surface, added, SEARCH_CHANGE, MAX_SEARCH_PERIODS)
         return -walk.speed_mm_s * (1.0 if walk.converged else UNSTEADY_WORTH)
 
-    def search(place: FloatArray, evaluations: int) -> tuple[float, FloatArray]:
+    def search(place: FloatArray, free: Sequence[bool], evaluations: int) -> tuple[float, FloatArray]:
+        def whole(values: FloatArray) -> FloatArray:
+            found = place.copy()
+            found[list(free)] = values
+            return found
+
+        def objective(values: FloatArray) -> float:
+            return slowness(whole(values))
+
         found = minimize(
-            slowness,
-            place,
+            objective,
+            place[list(free)],
             method="Nelder-Mead",
-            bounds=[(0.0, 1.0)] * 4,
+            bounds=[(0.0, 1.0)] * sum(free),
             options={"xatol": 1e-3, "fatol": 1e-4, "maxfev": evaluations},
         )
-        return float(found.fun), np.asarray(found.x, dtype=np.float64)
+        return float(found.fun), whole(np.asarray(found.x, dtype=np.float64))
 
     if start is not None:
-        return drive_within(robot, search(place_of(robot, start), LOCAL_EVALUATIONS)[1])
+        inside = [AT_LIMIT < value < 1 - AT_LIMIT for value in start]
+        return drive_within(robot, search(start, inside if any(inside) else [True] * 4, LOCAL_EVALUATIONS)[1])
+    from scipy.stats import qmc
+
     everywhere = qmc.Sobol(4, rng=seed).random(SOBOL_POINTS)
     strongest = [np.array([slow, 1.0, 1.0, 0.0]) for slow in np.linspace(0.05, 1.0, STRONGEST_POINTS)]
     places = sorted((*everywhere, *strongest), key=slowness)[:BEST_PLACES]
-    _, best = min((search(place, EVALUATIONS) for place in places), key=lambda found: found[0])
+    _, best = min((search(place, [True] * 4, EVALUATIONS) for place in places), key=lambda found: found[0])
     return drive_within(robot, best)
 
 
@@ -381,7 +393,7 @@ def study_robot(
         gut_drive = fastest_drive(robot, inside, seed)
         if acting:
             relaxed = walk_with_effects(robot, gut_drive, inside, acting, base, specimen)
-            gut_drive = fastest_drive(robot, inside, seed, gut_drive, relaxed.added)
+            gut_drive = fastest_drive(robot, inside, seed, place_of(robot, gut_drive), relaxed.added)
         chosen = {HARD_DRIVE: hard_drive, GUT_DRIVE: gut_drive}
     else:
         chosen = {OWN_DRIVE: drive}
@@ -393,20 +405,18 @@ def study_robot(
             DrivenRobot(name, steady_walk(robot, of, hard), relaxed.walk, relaxed.iterations, relaxed.converged)
         )
     sensitivities = []
+    places = [place_of(robot, driven.gut.drive) for driven in drives]
     for number, (key, (low, high)) in enumerate(varied.items()):
-        ends = [
-            _speeds(robot.model_copy(update={key: value}), base, specimen, drives[0].hard.drive, drives[1].gut.drive)
-            for value in (low, high)
-        ]
+        ends = [_speeds(robot.model_copy(update={key: value}), base, specimen, places) for value in (low, high)]
         sensitivities.append(Sensitivity(key, float(getattr(robot, key)), low, high, ends[0], ends[1]))
         progress(3 + number, steps)
     prices = []
+    without = steady_walk(robot, drives[-1].gut.drive, inside) if acting else drives[-1].gut
     for number, active in enumerate(priced):
-        prices.append(_price(robot, drives[-1].gut.drive, inside, active, errors, base, specimen))
+        prices.append(_price(without, inside, active, errors, base, specimen))
         progress(3 + len(varied) + number, steps)
     slips = [active for active in priced if isinstance(active.effect, ForceEffect)]
     if len(slips) > 1:
-        without = steady_walk(robot, drives[-1].gut.drive, inside)
         together = walk_with_effects(robot, drives[-1].gut.drive, inside, slips, base, specimen)
         prices.append(_difference("all of them together", without, together, None))
     return RobotStudy(
@@ -425,13 +435,13 @@ def _speeds(
     robot: RobotSettings,
     model: FrictionModelSettings,
     specimen: Specimen,
-    hard_drive: RobotDrive,
-    gut_drive: RobotDrive,
+    places: Sequence[FloatArray],
 ) -> tuple[float, float, float]:
-    """Return the three speeds of another robot, whose drives are sought near those given."""
+    """Return the three speeds of another robot, whose drives are sought near the same share of its limits."""
     hard, inside = partial(hard_ground, robot), partial(gut, robot, model, specimen.wall_thickness_mm)
-    best_hard = fastest_drive(robot, hard, 1, hard_drive)
-    best_gut = fastest_drive(robot, inside, 1, gut_drive)
+    best_hard, best_gut = (
+        fastest_drive(robot, surface, 1, place) for surface, place in zip((hard, inside), places, strict=True)
+    )
     return (
         steady_walk(robot, best_hard, hard).speed_mm_s,
         steady_walk(robot, best_hard, inside).speed_mm_s,
@@ -440,8 +450,7 @@ def _speeds(
 
 
 def _price(
-    robot: RobotSettings,
-    drive: RobotDrive,
+    without: SteadyWalk,
     surface: Callable[[], Resistance],
     active: ActiveEffect,
     errors: Mapping[str, float],
@@ -451,7 +460,7 @@ def _price(
     effect = active.effect
     if not isinstance(effect, ForceEffect):
         return Price(effect.id, None, None, None, None, "belongs to the rig, not to the robot: no price")
-    without = steady_walk(robot, drive, surface)
+    robot, drive = without.walker.robot, without.drive
     relaxed = walk_with_effects(robot, drive, surface, [active], model, specimen)
     error = errors.get(effect.id)
     spread = None

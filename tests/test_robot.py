@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from dragrig.analysis.robot import fastest_drive, steady_walk, study_robot
+from dragrig.analysis.robot import fastest_drive, place_of, steady_walk, study_robot
 from dragrig.cli.model_commands import robot_command
 from dragrig.config import (
     DragrigError,
@@ -219,7 +219,7 @@ def test_the_gut_needs_a_drive_of_its_own() -> None:
     inside = partial(gut, ROBOT, MODEL, 2.5)
     hard_drive = fastest_drive(ROBOT, hard, 1)
     start = hard_drive.model_copy(update={"slow_mm_s2": 0.8 * ROBOT.max_acceleration_mm_s2})
-    found = fastest_drive(ROBOT, inside, 1, start)
+    found = fastest_drive(ROBOT, inside, 1, place_of(ROBOT, start))
     assert ROBOT.why_not(found) == ""
     slow, fast = (steady_walk(ROBOT, drive, inside).speed_mm_s for drive in (hard_drive, found))
     assert steady_walk(ROBOT, hard_drive, hard).speed_mm_s == pytest.approx(32, rel=0.02)

@@ -126,7 +126,7 @@ def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple
 @click.option("--stroke", metavar="MM", type=float, help="Stroke of the inner mass.")
 @click.option("--pause", metavar="S", type=float, default=0.0, help="Rest at the end of a period (default: 0).")
 @click.option(
-    "--assumptions", is_flag=True, help="Vary what is assumed of the robot over its ranges too; takes many minutes."
+    "--assumptions", is_flag=True, help="Vary what is assumed of the robot over its ranges too; takes a minute more."
 )
 @click.option("--seed", metavar="N", type=click.IntRange(min=0), default=1, show_default=True, help="Of the search.")
 @options.report
@@ -161,6 +161,8 @@ def robot_command(
     from dragrig.present import require_writable, robot_document, save_figures
 
     drive = _robot_drive(slow, fast, stroke, pause)
+    if drive is not None and assumptions:
+        raise SettingsError("--assumptions seeks the drives anew; leave out --slow, --fast, --stroke and --pause.")
     if report is not None:
         require_writable(report, overwrite=overwrite)
     with ProgressMeter("walking") as meter:
