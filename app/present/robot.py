@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from dragrig.analysis import capitalise
 from dragrig.analysis.gap import display_name
-from dragrig.analysis.robot import GUT_DRIVE, HARD_DRIVE, DrivenRobot, Price, RobotStudy, Sensitivity, SteadyWalk
+from dragrig.analysis.robot import GUT_DRIVE, HARD_DRIVE, DrivenRobot, Price, RobotStudy, SteadyWalk
 from dragrig.config import RobotDrive
 from dragrig.present import (
     BLACK,
@@ -59,7 +59,7 @@ def robot_document(study: RobotStudy) -> Document:
         title=f"Robot {study.robot.name}",
         answer=" ".join(robot_sentences(study)),
         sections=(
-            Section("speeds", "Speed and work", (_drive_table(study), *_settling(study.drives))),
+            Section("speeds", "Speed and work", (*_drive_tables(study), *_settling(study.drives))),
             Section("period", "One period", tuple(_period_figure(study, driven) for driven in study.drives)),
             Section("price", "The price of the gap", _price_blocks(study)),
             Section("assumptions", "What is assumed", _assumption_blocks(study)),
@@ -69,7 +69,18 @@ def robot_document(study: RobotStudy) -> Document:
 
 
 def robot_sentences(study: RobotStudy) -> tuple[str, ...]:
-    """Say what a robot reaches."""
+    """Say what a robot reaches, and what the dearest effect costs."""
+    costs = [(-price.speed_change_mm_s, price) for price in study.prices if price.speed_change_mm_s is not None]
+    alone = [(cost, price) for cost, price in costs if " " not in price.effect]
+    if not alone:
+        return _reached(study)
+    cost, dearest = max(alone, key=lambda entry: entry[0])
+    if cost <= 0:
+        return (*_reached(study), "No effect takes speed.")
+    return (*_reached(study), f"{_effect_name(dearest)} takes {cost:.2f} mm/s in the gut.")
+
+
+def _reached(study: RobotStudy) -> tuple[str, ...]:
     named = {driven.name: driven for driven in study.drives}
     if HARD_DRIVE not in named or GUT_DRIVE not in named:
         (driven,) = study.drives
@@ -109,24 +120,35 @@ def _speed_sentence(study: RobotStudy, driven: DrivenRobot, on: str) -> str:
     )
 
 
-def _drive_table(study: RobotStudy) -> Table:
+def _drive_tables(study: RobotStudy) -> tuple[Table, Table]:
     def work(walk: SteadyWalk) -> float | None:
         return None if walk.loss_uJ_mm == inf else walk.loss_uJ_mm
 
-    return Table.of(
-        "drives",
-        "Work is mechanical; what the actuator takes back while braking is subtracted",
-        study.drives,
-        Field("drive", "drive", lambda driven: driven.name),
-        Field("slow_mm_s2", "slow, mm/s²", lambda driven: driven.gut.drive.slow_mm_s2, decimals(0)),
-        Field("fast_mm_s2", "fast, mm/s²", lambda driven: driven.gut.drive.fast_mm_s2, decimals(0)),
-        Field("stroke_mm", "stroke, mm", lambda driven: driven.gut.drive.stroke_mm, decimals(1)),
-        Field("pause_ms", "pause, ms", lambda driven: 1e3 * driven.gut.drive.pause_s, decimals(0)),
-        Field("period_ms", "period, ms", lambda driven: 1e3 * driven.gut.drive.period_s, decimals(0)),
-        Field("hard_mm_s", "hard surface, mm/s", lambda driven: driven.hard.speed_mm_s, decimals(1)),
-        Field("gut_mm_s", "gut, mm/s", lambda driven: driven.gut.speed_mm_s, decimals(2)),
-        Field("hard_uJ_mm", "hard surface, µJ/mm", lambda driven: work(driven.hard), significant(3)),
-        Field("gut_uJ_mm", "gut, µJ/mm", lambda driven: work(driven.gut), significant(3)),
+    return (
+        Table.of(
+            "drives",
+            "The drives",
+            study.drives,
+            Field("drive", "drive", lambda driven: driven.name),
+            Field("slow_mm_s2", "slow, mm/s²", lambda driven: driven.gut.drive.slow_mm_s2, decimals(0)),
+            Field("fast_mm_s2", "fast, mm/s²", lambda driven: driven.gut.drive.fast_mm_s2, decimals(0)),
+            Field("stroke_mm", "stroke, mm", lambda driven: driven.gut.drive.stroke_mm, decimals(1)),
+            Field("pause_ms", "pause, ms", lambda driven: 1e3 * driven.gut.drive.pause_s, decimals(0)),
+            Field("period_ms", "period, ms", lambda driven: 1e3 * driven.gut.drive.period_s, decimals(0)),
+        ),
+        Table.of(
+            "walks",
+            "Work is mechanical; what the actuator takes back while braking is subtracted",
+            [
+                (driven.name, surface, walk)
+                for driven in study.drives
+                for surface, walk in (("hard surface", driven.hard), ("gut", driven.gut))
+            ],
+            Field("drive", "drive", lambda row: row[0]),
+            Field("surface", "on", lambda row: row[1]),
+            Field("speed_mm_s", "speed, mm/s", lambda row: row[2].speed_mm_s, decimals(2)),
+            Field("work_uJ_mm", "work, µJ/mm", lambda row: work(row[2]), significant(3)),
+        ),
     )
 
 
@@ -267,33 +289,33 @@ def _assumption_blocks(study: RobotStudy) -> tuple[Text | Table, ...]:
         return (
             Text(
                 "What the robot is and what its actuator can do is assumed: "
-                + ", ".join(f"{LABELS[key]} {getattr(robot, key):g}" for key in robot.ranges)
+                + ", ".join(_assumed(key, getattr(robot, key)) for key in robot.ranges)
                 + "."
             ),
         )
-
-    def ends(number: int, place: int) -> Field[Sensitivity]:
-        names = ("hard", "hard_in_gut", "gut")
-        words = ("hard surface", "its drive in the gut", "chosen for the gut")
-        end = ("low", "high")[number]
-        return Field(
-            f"{names[place]}_at_{end}_mm_s",
-            f"{words[place]}, {'least' if number == 0 else 'greatest'}",
-            lambda entry: (entry.at_low, entry.at_high)[number][place],
-            decimals(1),
-        )
-
+    rows = [
+        (entry.key, value, speeds)
+        for entry in study.sensitivities
+        for value, speeds in ((entry.low, entry.at_low), (entry.high, entry.at_high))
+    ]
     table = Table.of(
         "assumptions",
         "Speeds in mm/s at both ends of each assumption's range, the others unchanged and the drives chosen anew",
-        study.sensitivities,
-        Field("assumption", "assumption", lambda entry: LABELS[entry.key]),
-        Field("value", "value", lambda entry: entry.value, significant(3)),
-        Field("low", "least", lambda entry: entry.low, significant(3)),
-        Field("high", "greatest", lambda entry: entry.high, significant(3)),
-        *(ends(number, place) for place in range(3) for number in range(2)),
+        rows,
+        Field("assumption", "assumption", lambda row: LABELS[row[0]]),
+        Field("value", "changed to", lambda row: row[1], significant(3)),
+        Field("hard_mm_s", "hard surface", lambda row: row[2][0], decimals(1)),
+        Field("hard_in_gut_mm_s", "its drive in the gut", lambda row: row[2][1], decimals(1)),
+        Field("gut_mm_s", "chosen for the gut", lambda row: row[2][2], decimals(1)),
     )
-    return (Text(f"The paper states speeds alone: {PAPER_SPEEDS}. All of this is assumed."), table)
+    assumed = ", ".join(_assumed(entry.key, entry.value) for entry in study.sensitivities)
+    return (Text(f"The paper states speeds alone: {PAPER_SPEEDS}. All of this is assumed: {assumed}."), table)
+
+
+def _assumed(key: str, value: float) -> str:
+    """Return an assumption as it stands in a sentence: what it is, value, unit."""
+    name, _, unit = LABELS[key].partition(", ")
+    return f"{name} {value:g} {unit}".rstrip()
 
 
 def _json(study: RobotStudy) -> dict[str, object]:
