@@ -22,9 +22,9 @@ from .api.model_fit import identify_many as identify_many
 from .api.model_fit import identify_together as identify_together
 from .api.reports import paper as paper
 from .api.reports import report as report
+from .api.robot import robot as robot
 from .api.settle import resume_settling as resume_settling
 from .api.settle import settle as settle
-from .api.robot import robot as robot
 from .api.stage import calibrate_encoder as calibrate_encoder
 from .api.stage import calibrate_force as calibrate_force
 from .api.stage import home as home

@@ -37,13 +37,13 @@ from .reports import evaluate_demo as evaluate_demo
 from .reports import paper as paper
 from .reports import report as report
 from .reports import run_demo as run_demo
+from .robot import robot as robot
 from .settle import DEFAULT_SETTLE_MIN as DEFAULT_SETTLE_MIN
 from .settle import SettleHands as SettleHands
 from .settle import Settlement as Settlement
 from .settle import read_settle_record as read_settle_record
 from .settle import resume_settling as resume_settling
 from .settle import settle as settle
-from .robot import robot as robot
 from .stage import MoveResult as MoveResult
 from .stage import calibrate_encoder as calibrate_encoder
 from .stage import calibrate_force as calibrate_force
