@@ -1,28 +1,37 @@
-"""The runs of all campaigns below a folder: what they are, which are wanted, and the catalogue that knows them.
+"""The catalogue of a lab's runs, which answers what is asked of them.
 
 A catalogue is an SQLite file beside a lab's data root, made from the run files and never the only place of anything.
 Before each answer it is compared with the folders, and what has changed is read again, so that an answer is the same
 with and without it. Where it cannot be used, the run files answer.
 """
 
-import hashlib
 import json
 import os
 import sqlite3
 import time
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from fnmatch import fnmatch
-from functools import cached_property
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dragrig.config import RunFileError, data_root_of
-from dragrig.rig import FINISHED_SUFFIX, MARK_SUFFIX, RECORDING_SUFFIX, mark_path
+from dragrig.rig import RECORDING_SUFFIX
+from dragrig.run_listing import (
+    CampaignSummary,
+    FileListing,
+    RunListing,
+    RunQuery,
+    ScannedFolder,
+    below,
+    operator_of,
+    scan_folder,
+    walk,
+)
 
 if TYPE_CHECKING:
     from dragrig.rig import Campaign, RunInfo, RunMark
@@ -30,19 +39,13 @@ if TYPE_CHECKING:
 SUFFIX = ".catalogue.sqlite"
 """Of a catalogue's name, after that of the data root."""
 FORMAT_VERSION = 1
-CHECKED_FILES = 10_000
-"""So many run files of the latest campaigns are compared whenever an answer is asked for, which takes 0.1 s; a folder
+CHECKED_FILES = 5_000
+"""So many run files of the latest campaigns are compared whenever an answer is asked for, which takes 0.05 s; a folder
 of older ones only once a name in it has changed."""
-SETTLING_S = 3.0
-"""What has been written since may be written once more without a change of its time, which file systems count in steps
-of up to 2 s."""
-CLOCK_SKEW_S = 60.0
-"""So far may the clock of a file server be ahead."""
 BUSY_S = 5.0
 """How long a catalogue that another process writes is waited for."""
 _APPLICATION_ID = 0x64726167
 _BATCH_S = 1.0
-_RECORD_PATTERN = "session-*.toml"
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SCHEMA = {
     "folder": "CREATE TABLE folder (id INTEGER PRIMARY KEY, path BLOB NOT NULL UNIQUE, state TEXT NOT NULL, "
@@ -57,88 +60,6 @@ _INSERT_FOLDER = "INSERT INTO folder (path, state, signature, files, summary, co
 Remark = Callable[[str], None]
 ReadingProgress = Callable[[int, int], None]
 AnswerT = TypeVar("AnswerT")
-
-
-@dataclass(frozen=True, slots=True)
-class CampaignSummary:
-    """What a list of campaigns says of one."""
-
-    folder: Path
-    began: datetime | None
-    """Start of the earliest run."""
-    specimens: tuple[str, ...]
-    kinds: Mapping[str, int]
-    """Runs by kind."""
-    operators: tuple[str, ...]
-    bad: int
-    unreadable: int
-
-    @classmethod
-    def of(cls, campaign: "Campaign") -> Self:
-        """Summarise a campaign."""
-        from dragrig.rig import specimen_key
-
-        runs = campaign.runs
-        return cls(
-            folder=campaign.folder,
-            began=min((run.header.start_time for run in runs), default=None),
-            specimens=tuple(sorted({*map(specimen_key, runs)})),
-            kinds=dict(Counter(run.kind for run in runs)),
-            operators=tuple(sorted({*map(_operator_of, runs)} - {""})),
-            bad=len(campaign.marks),
-            unreadable=len(campaign.unreadable),
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class RunQuery:
-    """Which runs are wanted; None and empty for any."""
-
-    specimen: str = ""
-    """Name or id."""
-    kind: str = ""
-    operator: str = ""
-    since: datetime | None = None
-    until: datetime | None = None
-    marked: bool | None = None
-    """Whether the run is marked bad."""
-
-    def matches(self, run: "RunInfo", *, marked: bool) -> bool:
-        """Whether a run is among them."""
-        from dragrig.rig import specimen_key
-
-        header = run.header
-        return (
-            (not self.specimen or self.specimen in {specimen_key(run), str(header.specimen["name"])})
-            and self.kind in {"", *_kinds_of(run)}
-            and self.operator.casefold() in _operator_of(run).casefold()
-            and (self.since is None or header.start_time >= self.since)
-            and (self.until is None or header.start_time <= self.until)
-            and self.marked in {None, marked}
-        )
-
-    def of(self, campaign: "Campaign") -> "tuple[RunInfo, ...]":
-        """Return the runs of a campaign that are wanted."""
-        return tuple(run for run in campaign.runs if self.matches(run, marked=run.path in campaign.marks))
-
-
-class RunListing(Protocol):
-    """What can be asked of the runs in a folder and below it; folders in order of name."""
-
-    def folders(self, *, with_files: bool = False) -> tuple[Path, ...]:
-        """Return the folders that hold run files or records of sessions, or only those with files of runs."""
-
-    def summaries(self) -> tuple[CampaignSummary, ...]:
-        """Summarise the campaigns."""
-
-    def found(self, query: RunQuery) -> Mapping[Path, tuple[str, ...]]:
-        """Return the names of the wanted run files by folder, in the order of `Campaign.runs`."""
-
-    def kinds(self) -> tuple[str, ...]:
-        """Return the kinds of the runs, and `sentinel` where there are any."""
-
-    def campaign(self) -> "Campaign":
-        """Return the campaign in the folder itself."""
 
 
 def ask_runs(
@@ -175,56 +96,6 @@ def ask_runs(
     elif rebuild:
         remark(f"{folder}: is not in the data root of a lab, so there is no catalogue of it.")
     return question(FileListing(folder))
-
-
-class FileListing:
-    """The runs as their files tell, each read."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def folders(self, *, with_files: bool = False) -> tuple[Path, ...]:
-        """Return the folders that hold run files or records of sessions, or only those with files of runs."""
-        scanned = _walk(self._folder, lambda _path, _state: None)
-        return tuple(
-            sorted(
-                self._folder / found.path for found in scanned if found.files or (found.is_campaign and not with_files)
-            )
-        )
-
-    def summaries(self) -> tuple[CampaignSummary, ...]:
-        """Summarise the campaigns."""
-        return tuple(map(CampaignSummary.of, self._campaigns))
-
-    def found(self, query: RunQuery) -> Mapping[Path, tuple[str, ...]]:
-        """Return the names of the wanted run files by folder."""
-        wanted = ((campaign, query.of(campaign)) for campaign in self._campaigns)
-        return {campaign.folder: tuple(run.path.name for run in runs) for campaign, runs in wanted if runs}
-
-    def kinds(self) -> tuple[str, ...]:
-        """Return the kinds of the runs."""
-        runs = (run for campaign in self._campaigns for run in campaign.runs)
-        return tuple(sorted({kind for run in runs for kind in _kinds_of(run)}))
-
-    def campaign(self) -> "Campaign":
-        """Return the campaign in the folder itself."""
-        from dragrig.rig import read_campaign
-
-        return read_campaign(self._folder)
-
-    @cached_property
-    def _campaigns(self) -> "tuple[Campaign, ...]":
-        from dragrig.rig import read_campaign
-
-        return tuple(map(read_campaign, self.folders()))
-
-
-def _operator_of(run: "RunInfo") -> str:
-    return str(run.header.entry.get("operator", ""))
-
-
-def _kinds_of(run: "RunInfo") -> tuple[str, ...]:
-    return (run.kind, "sentinel") if run.is_sentinel else (run.kind,)
 
 
 class _UnusableError(Exception):
@@ -286,95 +157,6 @@ def _explained() -> Iterator[None]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Scanned:
-    """A folder as the file system shows it; `path` is relative to the folder that is asked about, "" for itself."""
-
-    path: str
-    state: str
-    """Key of its state; empty while that is not settled."""
-    files: Mapping[str, str]
-    """Keys of the states of its run files with their marks, by name; empty while a state is not settled."""
-    is_campaign: bool
-
-    @property
-    def signature(self) -> str:
-        """Key of everything in it that a catalogue knows of."""
-        text = repr((sorted(self.files.items()), self.is_campaign))
-        return hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=16).hexdigest()
-
-
-def _below(path: str, name: str) -> str:
-    return f"{path}/{name}" if path else name
-
-
-def _state(stat: os.stat_result, now_s: float) -> str:
-    """Return the key of a file's or folder's state, empty where it may still change without a trace."""
-    for changed_s in (stat.st_mtime, stat.st_ctime):
-        # What lies further ahead was dated so, and not just written.
-        if -CLOCK_SKEW_S < now_s - changed_s < SETTLING_S:
-            return ""
-    return f"{stat.st_size}:{stat.st_mtime_ns}:{stat.st_ctime_ns}:{stat.st_ino}"
-
-
-def _walk(top: Path, known_subfolders: Callable[[str, str], Iterable[str] | None]) -> list[_Scanned]:
-    """Look at a folder and all below it, without the insides of links.
-
-    Parameters
-    ----------
-    known_subfolders
-        Returns the names of the subfolders of a folder that is known in this state, which is then not looked into.
-    """
-    scanned: list[_Scanned] = []
-    left, base = [""], str(top)
-    while left:
-        path = left.pop()
-        # A folder that is gone meanwhile, or may not be read, holds nothing; the latter may be allowed later.
-        try:
-            state = _state(os.stat(f"{base}/{path}"), time.time())  # noqa: PTH116  # thousands of them
-            subfolders = known_subfolders(path, state)
-            if subfolders is None:
-                found, subfolders = _scan(top, path, state)
-                scanned.append(found)
-            left.extend(_below(path, name) for name in subfolders)
-        except PermissionError:
-            scanned.append(_Scanned(path, "", {}, is_campaign=False))
-        except (FileNotFoundError, NotADirectoryError):
-            continue
-    return scanned
-
-
-def _scan(top: Path, path: str, state: str) -> tuple[_Scanned, list[str]]:
-    now_s = time.time()
-    files: dict[str, str] = {}
-    marks: dict[str, str] = {}
-    subfolders: list[str] = []
-    is_campaign = False
-    with os.scandir(top / path) as entries:
-        for entry in entries:
-            name = os.path.normcase(entry.name)
-            if name.endswith(FINISHED_SUFFIX):
-                is_campaign = True
-                files[entry.name] = "" if name.endswith(RECORDING_SUFFIX) else _entry_state(entry, now_s)
-            elif name.endswith(MARK_SUFFIX):
-                marks[entry.name] = _entry_state(entry, now_s)
-            elif fnmatch(name, _RECORD_PATTERN):
-                is_campaign = True
-            if entry.is_dir(follow_symlinks=False):
-                subfolders.append(entry.name)
-    for name, own in files.items():
-        mark = marks.get(mark_path(Path(name)).name, "unmarked") if marks else "unmarked"
-        files[name] = f"{own} {mark}" if own and mark else ""
-    return _Scanned(path, state, files, is_campaign), subfolders
-
-
-def _entry_state(entry: "os.DirEntry[str]", now_s: float) -> str:
-    try:
-        return _state(entry.stat(), now_s)
-    except OSError:
-        return ""  # a link to nothing, or gone
-
-
-@dataclass(frozen=True, slots=True)
 class _KnownFolder:
     """What the catalogue compares of a folder."""
 
@@ -417,23 +199,24 @@ class _Catalogue:
 
     def folders(self, *, with_files: bool = False) -> tuple[Path, ...]:
         """Return the folders that hold run files or records of sessions, or only those with files of runs."""
-        return tuple(sorted(folder for folder, files in self._campaign_rows("files") if files or not with_files))
+        return tuple(folder for folder, files in self._campaign_rows("files") if files or not with_files)
 
     def summaries(self) -> tuple[CampaignSummary, ...]:
         """Summarise the campaigns."""
-        rows = sorted(self._campaign_rows("summary"))
-        return tuple(_decoded_summary(folder, str(text)) for folder, text in rows)
+        return tuple(_decoded_summary(folder, str(text)) for folder, text in self._campaign_rows("summary"))
 
     def found(self, query: RunQuery) -> Mapping[Path, tuple[str, ...]]:
         """Return the names of the wanted run files by folder."""
         conditions, values = _conditions(query)
-        folders = {id_: folder for folder, id_ in self._campaign_rows("id")}
-        names: dict[object, list[str]] = {id_: [] for id_ in folders}
+        folders = tuple(self._campaign_rows("id"))
         asked = f"SELECT folder, name FROM run WHERE {conditions} ORDER BY folder, place"  # noqa: S608  # no value in it
-        for id_, name in self._connection.execute(asked, values):
-            if id_ in names:
-                names[id_].append(os.fsdecode(name))
-        return {folder: tuple(names[id_]) for id_, folder in _by_folder(folders) if names[id_]}
+        rows = self._connection.execute(asked, values).fetchall()
+        # Names are decoded a folder at a time, joined by what no name has: one by one takes longer than finding them.
+        names = {
+            id_: os.fsdecode(b"\0".join([name for _, name in group])).split("\0")
+            for id_, group in groupby(rows, itemgetter(0))
+        }
+        return {folder: tuple(names[id_]) for folder, id_ in folders if id_ in names}
 
     def kinds(self) -> tuple[str, ...]:
         """Return the kinds of the runs."""
@@ -484,28 +267,28 @@ class _Catalogue:
             unchanged.add(path)
             return children.get(path, ())
 
-        changed = _walk(self._folder, known_subfolders)
+        changed = walk(self._folder, known_subfolders)
         seen = unchanged.union(found.path for found in changed)
         changed += self._overwritten({path: known[path] for path in unchanged if known[path].is_campaign})
         gone = {path: folder.signature for path, folder in known.items() if path not in seen}
         if changed or gone:
             self._store(changed, gone, progress)
 
-    def _overwritten(self, campaigns: Mapping[str, _KnownFolder]) -> list[_Scanned]:
+    def _overwritten(self, campaigns: Mapping[str, _KnownFolder]) -> list[ScannedFolder]:
         """Find the campaigns, of those whose folders changed last, in whose files another program wrote."""
-        changed: list[_Scanned] = []
+        changed: list[ScannedFolder] = []
         files_left = CHECKED_FILES
         for path, folder in sorted(campaigns.items(), key=lambda item: -int(item[1].state.split(":")[1])):
             files_left -= folder.files
             if files_left < 0:
                 break
             with suppress(OSError):
-                found, _ = _scan(self._folder, path, folder.state)
+                found, _ = scan_folder(self._folder, path, folder.state)
                 if found.signature != folder.signature:
                     changed.append(found)
         return changed
 
-    def _store(self, changed: Iterable[_Scanned], gone: Mapping[str, str], progress: ReadingProgress) -> None:
+    def _store(self, changed: Iterable[ScannedFolder], gone: Mapping[str, str], progress: ReadingProgress) -> None:
         """Read what has changed and write it, a transaction for each second of reading: a killed process loses no more.
 
         Parameters
@@ -517,7 +300,7 @@ class _Catalogue:
         work = sorted(changed, key=lambda found: found.path, reverse=True)
         total, done = sum(len(found.files) for found in work), 0
         renamed = {signature: path for path, signature in gone.items() if signature}
-        ready: list[tuple[_Scanned, Campaign]] = []
+        ready: list[tuple[ScannedFolder, Campaign]] = []
         began_s = time.monotonic()
         for found in work:
             progress(done, total)
@@ -529,7 +312,7 @@ class _Catalogue:
         self._write(ready, gone)
         progress(total, total)
 
-    def _read(self, found: _Scanned, path_before: str | None) -> "Campaign":
+    def _read(self, found: ScannedFolder, path_before: str | None) -> "Campaign":
         """Read the files of a folder that are not known in their present states, by now or by another process."""
         from dragrig.rig import campaign_of, read_marked
 
@@ -544,7 +327,7 @@ class _Catalogue:
         folder = self._folder / found.path
         return campaign_of(folder, (folder / name for name in found.files), read)
 
-    def _write(self, ready: "Iterable[tuple[_Scanned, Campaign]]", gone: Iterable[str] = ()) -> None:
+    def _write(self, ready: "Iterable[tuple[ScannedFolder, Campaign]]", gone: Iterable[str] = ()) -> None:
         with self._transaction():
             ask, ask_many = self._connection.execute, self._connection.executemany
             for path in (*(found.path for found, _ in ready), *gone):
@@ -613,7 +396,7 @@ class _Catalogue:
         self._remark(f"{self._file}: the catalogue cannot be written ({why}); what is new in it is not kept.")
 
     def _key(self, path: str) -> bytes:
-        return os.fsencode(_below(self._top, path) if path else self._top)
+        return os.fsencode(below(self._top, path) if path else self._top)
 
     def _rows(self, columns: str) -> Iterator[tuple[str, tuple[Any, ...]]]:
         """Yield these columns of the folders, after their paths relative to the folder that is asked about."""
@@ -624,7 +407,9 @@ class _Catalogue:
             yield "" if key == top else os.fsdecode(key[len(above) :]), tuple(row)
 
     def _campaign_rows(self, column: str) -> Iterator[tuple[Path, object]]:
-        for path, (value, is_campaign) in self._rows(f"{column}, content IS NOT NULL"):
+        """Yield this column of the campaigns, after their folders, in the order of `Path`."""
+        rows = sorted(self._rows(f"{column}, content IS NOT NULL"), key=lambda row: _parts(row[0]))
+        for path, (value, is_campaign) in rows:
             if is_campaign:
                 yield self._folder / path, value
 
@@ -637,8 +422,9 @@ class _Catalogue:
         return ({}, {}, ()) if row is None else _decoded_content(row[0], folder or self._folder / path)
 
 
-def _by_folder(folders: Mapping[object, Path]) -> list[tuple[object, Path]]:
-    return sorted(folders.items(), key=lambda item: item[1])
+def _parts(path: str) -> list[str]:
+    """Return what a path is sorted by: comparing its parts takes a tenth of what `Path` takes."""
+    return os.path.normcase(path).split(os.sep)  # noqa: PTH206  # thousands of them
 
 
 def _bytes(text: str) -> bytes:
@@ -656,7 +442,7 @@ def _microseconds(moment: datetime) -> int:
 def _run_columns(run: "RunInfo", campaign: "Campaign") -> tuple[bytes | int, ...]:
     from dragrig.rig import specimen_key
 
-    texts = (run.kind, specimen_key(run), str(run.header.specimen["name"]), _operator_of(run).casefold())
+    texts = (run.kind, specimen_key(run), str(run.header.specimen["name"]), operator_of(run).casefold())
     kind, specimen, specimen_name, operator = map(_bytes, texts)
     start_us, bad = _microseconds(run.header.start_time), run.path in campaign.marks
     return os.fsencode(run.path.name), kind, run.is_sentinel, specimen, specimen_name, operator, start_us, bad

@@ -18,7 +18,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import dragrig.rig
-from dragrig import catalogue
+from dragrig import catalogue, run_listing
 from dragrig.rig import RunInfo, RunMark, read_info
 
 TEMPLATE = Path(__file__).parents[1] / "tests" / "data" / "campaign" / "010-drag.h5"
@@ -35,7 +35,7 @@ def make_files(lab: Path) -> Path:
         for run in range(RUNS):
             (folder / f"20260504-{run:06d}-{KINDS[run % len(KINDS)]}-{run:03d}.h5").touch()
     (lab / "rig.toml").write_text("", "utf-8")
-    time.sleep(catalogue.SETTLING_S)
+    time.sleep(run_listing.SETTLING_S)
     return root
 
 
@@ -83,11 +83,11 @@ def main() -> None:
         file = root.with_name(root.name + catalogue.SUFFIX)
         print(f"{CAMPAIGNS * RUNS} runs in {CAMPAIGNS} campaigns, catalogue {file.stat().st_size / 1e6:.0f} MB")
         print(f"read one run file {reading_s:.4f} s; enter all, without reading {time.process_time() - began_s:.1f} s")
-        questions: dict[str, Callable[[catalogue.RunListing], object]] = {
+        questions: dict[str, Callable[[run_listing.RunListing], object]] = {
             "no question, only what is new": lambda _: None,
-            "find --specimen P7": lambda listing: listing.found(catalogue.RunQuery(specimen="P7")),
-            "find --kind relaxation": lambda listing: listing.found(catalogue.RunQuery(kind="relaxation")),
-            "find (all)": lambda listing: listing.found(catalogue.RunQuery()),
+            "find --specimen P7": lambda listing: listing.found(run_listing.RunQuery(specimen="P7")),
+            "find --kind relaxation": lambda listing: listing.found(run_listing.RunQuery(kind="relaxation")),
+            "find (all)": lambda listing: listing.found(run_listing.RunQuery()),
             "list": lambda listing: listing.summaries(),
         }
         for question, ask in questions.items():

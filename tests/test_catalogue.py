@@ -14,12 +14,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dragrig import catalogue
+from dragrig import catalogue, run_listing
 from dragrig.analysis.savgol import filter_file
-from dragrig.catalogue import FileListing, RunListing, RunQuery, ask_runs
+from dragrig.catalogue import ask_runs
 from dragrig.cli import main
 from dragrig.config import RunFileError
 from dragrig.rig.runfile import mark_bad, unmark
+from dragrig.run_listing import FileListing, RunListing, RunQuery
 
 PRACTICE = sorted((Path(__file__).parent / "data" / "campaign").glob("*.h5"))
 KEPT = {
@@ -42,7 +43,7 @@ QUERIES = (
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let files count as settled at once, as they do seconds later; tests write none twice in a tick of the clock."""
-    monkeypatch.setattr(catalogue, "SETTLING_S", 0.0)
+    monkeypatch.setattr(run_listing, "SETTLING_S", 0.0)
 
 
 def make_lab(folder: Path, *campaigns: str) -> Path:

@@ -8,7 +8,6 @@ from click.testing import CliRunner
 
 import dragrig
 from dragrig.analysis.measures import table_rows
-from dragrig.catalogue import RunQuery
 from dragrig.cli.commands import dragrig_group
 from dragrig.config.errors import DragrigError, PlanError
 from dragrig.config.plan import Plan, SentinelSettings
@@ -19,6 +18,7 @@ from dragrig.rig.programme import Programme, build_programme
 from dragrig.rig.runfile import read_campaign, read_note
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.sentinel import Drift, SteadyForce
+from dragrig.run_listing import RunQuery
 
 DRAG: dict[str, object] = {"kind": "drag", "speed_mm_s": 20.0, "travel_mm": 20.0, "hold_s": 0.5, "wait_s": 1}
 WATCH: dict[str, object] = {**DRAG, "speed_mm_s": 10.0}

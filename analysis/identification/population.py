@@ -1,7 +1,8 @@
 """What specimens of one rig have in common: means and spreads of their parameters, from the fits of their campaigns.
 
 A parameter of a specimen is the population's mean plus a deviation of its own, normally distributed where each
-parameter is standard normal a priori; a parameter of the rig is the same in all campaigns. From each campaign's fit
+parameter is standard normal a priori; a parameter of the rig is the same in all campaigns. Means and the rig's
+parameters have the prior that a single specimen has, once. From each campaign's fit
 its prior is taken out again, so that it counts once, and what the fit says of all parameters and their correlations
 enters as a Gaussian likelihood. The deviations are integrated out; spreads maximise the restricted likelihood (REML),
 the means being integrated out as well. The model is that of Laird and Ware, Biometrics 38 (1982) 963. The uncertainty
@@ -33,8 +34,6 @@ MIN_SPECIMENS = 3
 """Fewer do not bound a spread from above."""
 MAX_SPREAD = 6.0
 """Largest spread that is considered, in prior standard deviations."""
-MEAN_PRIOR_SD = 3.0
-"""Standard deviation of a population's mean, in those of the prior of a specimen: it is to be seen, not assumed."""
 MAX_NO_SPREAD_P = 0.05
 """Significance level of a spread."""
 MAX_SAME_RIG_P = 0.01
@@ -337,8 +336,7 @@ def _pool_joint_fits(
             for name, estimate in known.items()
             if name not in own[place] or estimate.standard_error < own[place][name].standard_error
         }
-    of_rig = np.array([parameter.of_rig for parameter in parameters])
-    information = _Information(matrices, vectors, np.where(of_rig, 1.0, MEAN_PRIOR_SD))
+    information = _Information(matrices, vectors, np.ones(len(parameters)))
     best = _restricted_maximum(information, _free_spreads(information, parameters, specimens))
     return (
         _pooled_parameters(information, best, parameters, scales, specimens, own),

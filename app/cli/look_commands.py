@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-    from dragrig.catalogue import RunListing, RunQuery
+    from dragrig.run_listing import RunListing, RunQuery
     from dragrig.watch import CampaignState, CampaignWatch
 
 AnswerT = TypeVar("AnswerT")
@@ -142,7 +142,7 @@ def find_command(
 
     Prints the path of each run file: dragrig show $(dragrig find --specimen P7 --kind drag).
     """
-    from dragrig.catalogue import RunQuery
+    from dragrig.run_listing import RunQuery
 
     query = RunQuery(since=since, until=until, marked=marked, **wanted)
     found, kinds = _ask_runs(folder, lambda listing: _found_and_kinds(listing, query))

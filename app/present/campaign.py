@@ -67,8 +67,8 @@ from dragrig.rig import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from dragrig.catalogue import CampaignSummary
     from dragrig.present.campaign_figures import RunSummary
+    from dragrig.run_listing import CampaignSummary
 
 STEADY_FORCE = (
     "Steady force: mean over the constant speed, of a drag after the first contact length, as recorded. Steady − rest: "
