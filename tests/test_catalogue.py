@@ -330,3 +330,13 @@ def test_list_rebuilds_the_catalogue(root: Path) -> None:
     alter("UPDATE run SET name = x'41'")(catalogue_of(root))
     assert main(["list", "--rebuild"]) == 0
     assert ask_runs(root, answers) == answers(FileListing(root))
+
+
+def test_find_prints_the_folders_of_the_campaigns_with_such_runs(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["find", str(root), "--kind", "relaxation", "--campaigns", "--quiet"]) == 0
+    folders = capsys.readouterr().out.splitlines()
+    assert main(["find", str(root), "--kind", "relaxation", "--quiet"]) == 0
+    assert folders == list(dict.fromkeys(str(Path(run).parent) for run in capsys.readouterr().out.splitlines()))
+    assert folders

@@ -1,8 +1,13 @@
 """Specimens of one rig together: the spread that they were drawn with is found, and none is where there is none."""
 
 import dataclasses
+import json
+import shutil
 from collections.abc import Sequence
+from pathlib import Path
+from uuid import uuid4
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -11,6 +16,7 @@ from dragrig.analysis import Identification, JointFit, ParameterEstimate, Specim
 from dragrig.analysis.identification.population import Population, PopulationParameter
 from dragrig.analysis.linear_gaussian import PriorScales
 from dragrig.analysis.models.nominal_model import Parameter
+from dragrig.cli import main
 from dragrig.config import AnalysisError
 
 FloatArray = npt.NDArray[np.float64]
@@ -58,6 +64,52 @@ def drawn(
     specimens = means + spread * random.standard_normal((count + 1, means.size))
     fits = [fit_of(f"s{place}", z, information(random), random) for place, z in enumerate(specimens[:-1])]
     return pool_specimens(fits, PARAMETERS), SCALES.values(means), SCALES.values(specimens[-1])
+
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+FEW_RUNS = ("001-relaxation.h5", "008-coulomb.h5", "010-drag.h5", "018-drag.h5")
+
+
+def specimen_like(folder: Path, name: str) -> Path:
+    """Return a campaign with the runs of the one for tests, of a specimen with this id."""
+    campaign = folder / name
+    campaign.mkdir()
+    for run in FEW_RUNS:
+        path = Path(shutil.copy(CAMPAIGN / run, campaign))
+        with h5py.File(path, "r+") as file:
+            file["entry/specimen"].attrs["id"] = name
+            attributes = file["entry/run"] if "entry/run" in file else file["entry"]
+            attributes.attrs["run_id"] = str(uuid4())
+    return campaign
+
+
+def test_the_command_tells_a_population_and_counts_a_copied_campaign_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("p1", "p2", "p3"):
+        specimen_like(tmp_path, name)
+    shutil.copytree("p1", "copied")
+    words = ["identify", "p1", "p2", "p3", "copied", "--together", "--workers", "1"]
+    assert main([*words, "--json", "--quiet", "--report", "r.html"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["specimens"] == ["p1", "p2", "p3"]
+    assert "counts once" in json.dumps(told["left_out"])
+    friction = told["parameters"]["friction_coefficient"]
+    assert not friction["spreads"]
+    assert friction["spread"]["interval_95"][0] == 0
+    low, high = friction["next_specimen_95"]
+    own = friction["specimens"][0]["own"]
+    assert low < own["value"] < high
+    gain = told["parameters"]["force_gain"]
+    assert (gain["of_rig"], gain["spread"]) == (True, None)
+    page = Path("r.html").read_text("utf-8")
+    assert "no spread beyond error" in page
+    assert "next specimen" in page
+    assert main([*words, "--save-model", "m.toml"]) == 2
+    assert "has no model of its own" in capsys.readouterr().err
+    assert main(["identify", "p1", "copied", "--together", "--workers", "1", "--quiet"]) == 2
+    assert "1 specimen of 1 campaign can be used" in capsys.readouterr().err
 
 
 def named(population: Population, name: str) -> PopulationParameter:

@@ -128,6 +128,7 @@ def _parse_moment(context: click.Context, parameter: click.Parameter, text: str 
 @click.option("--since", metavar="DATE", callback=_parse_moment, help="Begun at this time or later.")
 @click.option("--until", metavar="DATE", callback=_parse_moment, help="Begun at this time or earlier, or on this day.")
 @click.option("--bad/--good", "marked", default=None, help="Marked bad, or not (default: either).")
+@click.option("--campaigns", is_flag=True, help="Print the folders of the campaigns that hold such runs instead.")
 @options.as_json
 @options.quiet
 def find_command(
@@ -135,22 +136,27 @@ def find_command(
     since: "datetime | None",
     until: "datetime | None",
     marked: bool | None,
+    campaigns: bool,
     as_json: bool,
     **wanted: Unpack[_FindOptions],
 ) -> None:
     """Find runs in all campaigns in FOLDER and below it (default: the lab's data root).
 
-    Prints the path of each run file: dragrig show $(dragrig find --specimen P7 --kind drag).
+    Prints the path of each run file: dragrig show $(dragrig find --specimen P7 --kind drag); or of each campaign:
+    dragrig identify --together $(dragrig find --kind relaxation --campaigns).
     """
     from dragrig.run_listing import RunQuery
 
     query = RunQuery(since=since, until=until, marked=marked, **wanted)
     found, kinds = _ask_runs(folder, lambda listing: _found_and_kinds(listing, query))
     if as_json:
-        print_json([join_path(str(parent), name) for parent, names in found.items() for name in names])
+        paths = [join_path(str(parent), name) for parent, names in found.items() for name in names]
+        print_json(list(map(str, found)) if campaigns else paths)
         return
     count = sum(map(len, found.values()))
-    if count:
+    if campaigns and found:
+        print_result("\n".join(map(display_path, found)))
+    elif count:
         shown = ((display_path(parent), names) for parent, names in found.items())
         print_result("\n".join(join_path(parent, name) for parent, names in shown for name in names))
     print_remark(f"{count} run{'' if count == 1 else 's'}{_unknown_kind_text(query.kind, kinds)}")

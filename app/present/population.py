@@ -22,7 +22,6 @@ from dragrig.present import (
     BLACK,
     BLUE,
     GREY,
-    PALE,
     SMALL_PT,
     Cell,
     Column,
@@ -42,6 +41,7 @@ from dragrig.present import (
     to_json_object,
     unit_text,
 )
+from dragrig.present.identification_figures import PRIOR_COLOUR
 
 MAX_IN_ANSWER = 3
 """Parameters that the first sentences name."""
@@ -246,7 +246,7 @@ def population_figure(population: Population) -> Picture:
                 axes.set_axis_off()
         handles, words = panels[0, 0].get_legend_handles_labels()
         if words:
-            figure.legend(handles, words, loc="outside upper left", ncols=len(words))
+            figure.legend(handles, words, loc="outside lower left", ncols=len(words))
     return figure
 
 
@@ -255,7 +255,7 @@ def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Seque
     mean_row = len(specimens) + 0.5
     if parameter.next_specimen is not None:
         low, high = parameter.next_specimen
-        axes.axvspan(low, high, color=PALE, linewidth=0, label="next specimen", zorder=0)
+        axes.axvspan(low, high, color=PRIOR_COLOUR, linewidth=0, label="next specimen", zorder=0)
     drawn = (
         ("own runs", GREY, -0.15, [(row, values[name].own) for row, name in enumerate(specimens) if name in values]),
         (
