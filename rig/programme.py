@@ -8,6 +8,7 @@ import random
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,8 @@ from dragrig.rig.runfile import free_bytes
 
 _MAX_RETURN_ACCEL_MM_S2 = 400.0
 _SENTINEL_RETURN_MM_S = 20.0
+CapsuleFinder = Callable[[str], Capsule]
+
 _BY_HAND_PROMPT = "Return the capsule to its start by hand, outside the gut"
 
 
@@ -145,16 +148,21 @@ def build_programme(
     PlanError, SettingsError
         For a kind, key, value or capsule that is not allowed.
     """
+
+    @cache
+    def find_capsule(name: str) -> Capsule:
+        return find_settings(Capsule, "capsule", name, beside)
+
     rng = random.Random(plan.seed)  # noqa: S311  # an order of runs is no secret
     templates = [
         template
         for number, step in enumerate(plan.steps)
-        for template in _step_runs(step, number, specimen, f"{source}: steps[{number}]", beside, rng.random)
+        for template in _step_runs(step, number, specimen, f"{source}: steps[{number}]", find_capsule, rng.random)
     ]
     sentinel = None
     if plan.sentinel is not None:
         own_start_mm = plan.sentinel.start_mm if plan.sentinel.start_mm is not None else start_mm
-        sentinel = _sentinel_run(plan.sentinel, specimen, f"{source}: sentinel", beside)
+        sentinel = _sentinel_run(plan.sentinel, specimen, f"{source}: sentinel", find_capsule)
         sentinel = replace(sentinel, start_mm=zero_mm + own_start_mm)
     places = _sentinel_places(plan, sentinel, templates, source)
     runs: list[PlannedRun] = []
@@ -179,14 +187,14 @@ def build_programme(
 
 
 def _step_runs(
-    step: PlanStep, number: int, specimen: Specimen, place: str, beside: Path | None, draw: Callable[[], float]
+    step: PlanStep, number: int, specimen: Specimen, place: str, find_capsule: CapsuleFinder, draw: Callable[[], float]
 ) -> Iterator[PlannedRun]:
     protocols = _protocols(step, place)
     if len(protocols) * step.repeats > MAX_RUNS:
         raise PlanError(f"{place}: makes more than {MAX_RUNS} runs; lower repeats or shorten the lists.")
     for count, protocol in enumerate(_in_order(protocols, step, draw)):
         yield replace(
-            _planned_run(step, protocol, specimen, place, beside),
+            _planned_run(step, protocol, specimen, place, find_capsule),
             step=number,
             wait_s=step.wait_s,
             tare_s=step.tare_s,
@@ -196,11 +204,13 @@ def _step_runs(
         )
 
 
-def _sentinel_run(settings: SentinelSettings, specimen: Specimen, place: str, beside: Path | None) -> PlannedRun:
+def _sentinel_run(
+    settings: SentinelSettings, specimen: Specimen, place: str, find_capsule: CapsuleFinder
+) -> PlannedRun:
     protocols = _protocols(settings, place)
     if len(protocols) > 1:
         raise PlanError(f"{place}: is {len(protocols)} runs; give each of its keys a single value.")
-    run = _planned_run(settings, protocols[0], specimen, place, beside)
+    run = _planned_run(settings, protocols[0], specimen, place, find_capsule)
     if run.contact is not Contact.SLIDING:
         raise PlanError(
             f"{place}: a {settings.kind} run without sliding has no steady force; use a drag or a coulomb run."
@@ -215,10 +225,10 @@ def _protocols(planned: PlannedKind, place: str) -> tuple[RunProtocol, ...]:
 
 
 def _planned_run(
-    planned: PlannedKind, protocol: RunProtocol, specimen: Specimen, place: str, beside: Path | None
+    planned: PlannedKind, protocol: RunProtocol, specimen: Specimen, place: str, find_capsule: CapsuleFinder
 ) -> PlannedRun:
     try:
-        capsule = find_settings(Capsule, "capsule", planned.capsule or protocol.capsule, beside)
+        capsule = find_capsule(planned.capsule or protocol.capsule)
     except SettingsError as error:
         raise SettingsError(f"{place}.capsule: {error}") from error
     return PlannedRun(
