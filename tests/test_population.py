@@ -210,3 +210,10 @@ def test_what_cannot_be_pooled_is_refused_or_left_out() -> None:
     assert [(exclusion.item, exclusion.reason) for exclusion in population.left_out] == [("c", "there is no joint fit")]
     assert named(population, "friction").spread is None
     assert "2 specimens do not bound" in population.remarks[0]
+
+
+def test_the_prior_counts_once_however_many_campaigns_say_little() -> None:
+    random = np.random.default_rng(7)
+    fits = [fit_of(f"s{place}", np.full(4, 2.0), information(random, 1.0), random) for place in range(40)]
+    friction = named(pool_specimens(fits, PARAMETERS), "friction")
+    assert friction.mean.value == pytest.approx(SCALES.values(np.full(4, 2.0))[1], rel=0.05)
