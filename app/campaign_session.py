@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from itertools import count
+from math import inf
 from pathlib import Path
 from threading import Event as Signal
 from typing import Protocol, TypeVar, Unpack
@@ -604,13 +605,41 @@ def _append_remarks(
                 f"The last run in {folder} ended {hours:.1f} h ago; the runs count as of the same specimen {ours}, "
                 "which is so much older now: a fresh piece needs --set specimen.id=…"
             )
-    missing = _setup_from_record(latest, folder).programme()
-    if left := len(missing.pending(_progress_done(before, latest.first_order))):
+    if left := _missing_runs(latest, before):
         yield (
             f"{count_text(left, 'run')} of the plan {latest.plan.name} before it "
             f"{'is' if left == 1 else 'are'} missing and will not be made: --resume makes them, as long as nothing is "
             "appended"
         )
+
+
+def _missing_runs(latest: SessionRecord, before: Campaign) -> int:
+    programme = _setup_from_record(latest, before.folder).programme()
+    return len(programme.pending(_progress_done(before, latest.first_order)))
+
+
+def missing_runs(folder: Path) -> int:
+    """Return how many runs of a campaign's latest plan are missing, which a resumed session makes.
+
+    Raises `RunFileError` where there is no campaign.
+    """
+    return _missing_runs(latest_session_record(folder)[0], read_campaign(folder))
+
+
+def rig_time_s(folder: Path) -> float:
+    """Return the rig time of a campaign's runs by their plans: rests, tares and returns included, without hands.
+
+    Raises `RunFileError` where there is no campaign.
+    """
+    latest_session_record(folder)
+    # A resumed session goes on with the orders of the one before.
+    records = {record.first_order: record for record in read_session_records(folder)[0]}
+    runs, firsts, total_s = read_campaign(folder).runs, sorted(records), 0.0
+    for first, end in zip(firsts, (*firsts[1:], inf), strict=True):
+        made = {run.header.entry.get("plan_run") for run in runs if first <= run.header.order < end}
+        programme = _setup_from_record(records[first], folder).programme()
+        total_s += replace(programme, runs=tuple(run for run in programme.runs if run.index in made)).duration_s
+    return total_s
 
 
 def _folder_maker(folder: Path, lock: ExitStack, *, new: bool) -> Callable[[], None]:

@@ -24,7 +24,7 @@ from dragrig.analysis import (
     gap_starts,
     table_row,
 )
-from dragrig.analysis.gap import Diagnosis
+from dragrig.analysis.gap import Diagnosis, SettleRecord
 from dragrig.api import ExportFormatName, check
 from dragrig.api import export as export_runs
 from dragrig.catalogue import ask_runs
@@ -695,6 +695,7 @@ class CampaignWork(StrEnum):
     DIAGNOSE = "diagnose"
     IDENTIFY = "identify"
     REPORT = "report"
+    SETTLE = "settle"
 
 
 @dataclass(frozen=True, slots=True)
@@ -704,6 +705,8 @@ class DiagnosisTask:
     campaign: str
     nominal: str = "capsule"
     work: CampaignWork = CampaignWork.DIAGNOSE
+    minutes: float | None = None
+    """To settle: rig time of further runs; None goes on after a batch, with the time that is left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -731,6 +734,33 @@ class CompletedIdentification:
 
 
 @dataclass(frozen=True, slots=True)
+class FurtherRuns:
+    """Runs that settle a campaign's gap, and why."""
+
+    folder: Path
+    plan: Plan
+    minutes: float
+    """Rig time."""
+    count: int
+    reason: str
+    resumes: bool
+    """Whether they have begun, and the missing ones are to be made."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompletedSettleStep:
+    """What was decided about a campaign: the runs to make next, or why there are none.
+
+    The diagnosis is None where runs that were decided on before are missing.
+    """
+
+    completed: CompletedDiagnosis | None
+    record: SettleRecord
+    sentence: str
+    runs: FurtherRuns | None
+
+
+@dataclass(frozen=True, slots=True)
 class CompletedReport:
     """A report that was written."""
 
@@ -745,7 +775,12 @@ class DiagnosisFailed:
 
 
 DiagnosisEvent: TypeAlias = (
-    DiagnosisProgress | CompletedDiagnosis | CompletedIdentification | CompletedReport | DiagnosisFailed
+    DiagnosisProgress
+    | CompletedDiagnosis
+    | CompletedIdentification
+    | CompletedReport
+    | CompletedSettleStep
+    | DiagnosisFailed
 )
 
 
@@ -817,13 +852,43 @@ def _diagnosed(task: DiagnosisTask, progress: Progress) -> CompletedDiagnosis:
     return completed(diagnose(task.campaign, nominal=task.nominal, progress=progress), task.campaign)
 
 
+def _settled_step(task: DiagnosisTask, progress: Progress) -> CompletedSettleStep:
+    """Decide what comes next as `dragrig gap settle` does, and write it into the campaign."""
+    from dragrig.api import (
+        after_diagnosis,
+        has_begun,
+        lacks_runs,
+        read_settle_record,
+        settle_request,
+        take_up_settling,
+        write_settle_record,
+    )
+    from dragrig.present import settlement_document, step_sentence
+
+    folder, shown = Path(task.campaign).absolute(), None
+    record = read_settle_record(folder) if task.minutes is None else take_up_settling(folder, task.minutes)
+    if not lacks_runs(folder, record):
+        result = settle_request(folder, record, task.nominal).diagnose(folder, progress).result
+        record = after_diagnosis(folder, record, result)
+        document = settlement_document(record, result, source=task.campaign).without("before-after")
+        shown = CompletedDiagnosis(result, drawn(document))
+    write_settle_record(folder, record)
+    batch, over = record.batches[-1], len(record.steps) == len(record.batches)
+    begun = not over and has_begun(folder, record)
+    runs = FurtherRuns(folder, batch.plan, batch.minutes, len(batch.runs), batch.reason, begun)
+    return CompletedSettleStep(shown, record, step_sentence(record), None if over else runs)
+
+
 _WORK: Mapping[
     CampaignWork,
-    Callable[[DiagnosisTask, Progress], CompletedDiagnosis | CompletedIdentification | CompletedReport],
+    Callable[
+        [DiagnosisTask, Progress], CompletedDiagnosis | CompletedIdentification | CompletedReport | CompletedSettleStep
+    ],
 ] = {
     CampaignWork.DIAGNOSE: _diagnosed,
     CampaignWork.IDENTIFY: _identified,
     CampaignWork.REPORT: _reported,
+    CampaignWork.SETTLE: _settled_step,
 }
 
 

@@ -17,8 +17,8 @@ from dragrig.analysis.gap import (
     DEFAULT_UNTIL,
     SETTLE_FILE,
     Batch,
+    Diagnosis,
     NextExperiment,
-    RigLimits,
     SettleRecord,
     batch_budget,
     ending_of,
@@ -213,6 +213,84 @@ def read_settle_record(folder: Path) -> SettleRecord:
         ) from error
 
 
+def write_settle_record(folder: Path, record: SettleRecord) -> None:
+    """Write what was decided into a campaign."""
+    replace_text(folder / SETTLE_FILE, record.model_dump_json(indent=1))
+
+
+def take_up_settling(folder: Path, minutes: float, until: float = DEFAULT_UNTIL) -> SettleRecord:
+    """Return the decisions in a campaign with so much rig time for further runs; its runs so far count as the first.
+
+    Nothing is written.
+
+    Parameters
+    ----------
+    minutes
+        Rig time of the further runs.
+    until
+        As of `settle`, where nothing was being settled in this campaign.
+
+    Raises
+    ------
+    RunFileError
+        Where there is no campaign, or its decisions cannot be read.
+    """
+    from dragrig.campaign_session import rig_time_s
+
+    if (folder / SETTLE_FILE).exists():
+        record = read_settle_record(folder)
+        spent_min = sum(batch.minutes for batch in record.batches[: len(record.steps)])
+        return record.model_copy(update={"minutes": spent_min + minutes, "ending": None})
+    plan, spent_min = latest_session_record(folder)[0].plan, rig_time_s(folder) / 60
+    so_far = Batch(plan=plan, minutes=spent_min, reason="the runs so far")
+    now = datetime.now().astimezone()
+    return SettleRecord(plan=plan.name, begun_at=now, minutes=spent_min + minutes, until=until, batches=(so_far,))
+
+
+def lacks_runs(folder: Path, record: SettleRecord) -> bool:
+    """Whether runs of the last batch are missing; those that a settling began with may be incomplete."""
+    from dragrig.campaign_session import missing_runs
+
+    if len(record.steps) == len(record.batches) or not (folder / SETTLE_FILE).exists():
+        return False
+    return not has_begun(folder, record) or missing_runs(folder) > 0
+
+
+def has_begun(folder: Path, record: SettleRecord) -> bool:
+    """Whether the last batch has a session, which can be resumed."""
+    return latest_session_record(folder)[0].plan.name == record.batches[-1].plan.name
+
+
+def settle_request(folder: Path, record: SettleRecord, nominal: str | Path = "capsule") -> DiagnosisRequest:
+    """Return how the campaign is diagnosed: with the rig time that is left for its next runs."""
+    limits = stage_range(resolve("drag", folder=folder, campaign=latest_session_record(folder)[0]))
+    return DiagnosisRequest(nominal=nominal, next_runs=batch_budget(record.left_min, limits))
+
+
+def after_diagnosis(folder: Path, record: SettleRecord, diagnosis: Diagnosis) -> SettleRecord:
+    """Return the decisions with what follows from a diagnosis by `settle_request`: the next batch, or why to end."""
+    left_min = record.left_min
+    if len(record.steps) < len(record.batches):
+        record = record.model_copy(update={"steps": (*record.steps, settle_step(diagnosis, record))})
+    ending = ending_of(diagnosis, record.until, left_min)
+    if ending is not None or diagnosis.next_experiment is None:
+        return record.model_copy(update={"ending": ending})
+    return record.model_copy(update={"batches": (*record.batches, _batch(folder, diagnosis.next_experiment, record))})
+
+
+def _batch(folder: Path, experiment: NextExperiment, record: SettleRecord) -> Batch:
+    runs = [info for info in read_campaign(folder).runs if info.kind != "return"]
+    name = f"{record.plan}-then-{len(record.batches)}"
+    gains = [run.gain_bits for run in experiment.runs if run.gain_bits is not None]
+    return Batch(
+        plan=plan_of_next_runs(experiment, name, mounting(runs[-1].kind)),
+        minutes=experiment.minutes,
+        runs=tuple(run_text(run.step) for run in experiment.runs),
+        reason=experiment.reason,
+        gain_bits=sum(gains) if gains else None,
+    )
+
+
 @contextmanager
 def _no_trace_if_nothing_began(folder: Path) -> Iterator[None]:
     """Leave no folder behind where a session did not even begin."""
@@ -250,51 +328,24 @@ class _Settling:
     def keep(self, record: SettleRecord) -> None:
         """Write what was decided, and tell of it."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        replace_text(self.folder / SETTLE_FILE, record.model_dump_json(indent=1))
+        write_settle_record(self.folder, record)
         self.step(record)
 
     def made_last_batch(self, record: SettleRecord) -> "Made":
         """Make the runs of the last batch that are missing."""
-        batch = record.batches[-1]
-        if latest_session_record(self.folder)[0].plan.name == batch.plan.name:
+        if has_begun(self.folder, record):
             made = resume(self.folder, **self.how)
         else:
-            made = run(batch.plan, append=self.folder, **self.how)
+            made = run(record.batches[-1].plan, append=self.folder, **self.how)
         made.session.require()
         return made
 
     def go_on(self, record: SettleRecord, made: "Made | None") -> Settlement:
         """Diagnose, and make further runs, until there is a reason to end."""
         while True:
-            left_min = record.left_min
-            request = DiagnosisRequest(next_runs=batch_budget(left_min, self._limits()))
-            diagnosed = request.diagnose(self.folder)
-            result = diagnosed.result
-            if len(record.steps) < len(record.batches):
-                record = record.model_copy(update={"steps": (*record.steps, settle_step(result, record))})
-            ending = ending_of(result, record.until, left_min)
-            if ending is not None or result.next_experiment is None:
-                record = record.model_copy(update={"ending": ending})
-                self.keep(record)
-                return Settlement(self.folder, record, diagnosed, made)
-            batch = self._batch(result.next_experiment, record)
-            record = record.model_copy(update={"batches": (*record.batches, batch)})
+            diagnosed = settle_request(self.folder, record).diagnose(self.folder)
+            record = after_diagnosis(self.folder, record, diagnosed.result)
             self.keep(record)
+            if len(record.steps) == len(record.batches):
+                return Settlement(self.folder, record, diagnosed, made)
             made = self.made_last_batch(record)
-
-    def _limits(self) -> RigLimits:
-        stored = latest_session_record(self.folder)[0]
-        return stage_range(resolve("drag", folder=self.folder, campaign=stored))
-
-    def _batch(self, experiment: NextExperiment, record: SettleRecord) -> Batch:
-        runs = [info for info in read_campaign(self.folder).runs if info.kind != "return"]
-        name = f"{record.plan}-then-{len(record.batches)}"
-        plan = plan_of_next_runs(experiment, name, mounting(runs[-1].kind))
-        gains = [run.gain_bits for run in experiment.runs if run.gain_bits is not None]
-        return Batch(
-            plan=plan,
-            minutes=experiment.minutes,
-            runs=tuple(run_text(run.step) for run in experiment.runs),
-            reason=experiment.reason,
-            gain_bits=sum(gains) if gains else None,
-        )

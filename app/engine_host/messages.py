@@ -74,10 +74,17 @@ class SessionJob:
     out: Path | None = None
     resume: Path | None = None
     """Folder of a campaign to resume, in place of the plan."""
+    append: Path | None = None
+    """Folder of a campaign that the runs of the plan are added to."""
     mirror: Path | None = None
     """Folder for a second copy of each finished file."""
     specimen: tuple[str, ...] = ()
     """What is stated of the specimen, as assignments: `specimen.id=P7`."""
+
+    @property
+    def campaign(self) -> Path | None:
+        """The campaign that the session goes on with; None for one of its own."""
+        return self.append or self.resume
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,15 @@ from dragrig.api import (
     store_calibration,
     touch_off,
 )
-from dragrig.campaign_session import Made, SessionOptions, idle_reader, resume_campaign, start_campaign
-from dragrig.config import Calibration, DragrigError, TrippedError, reason_of
+from dragrig.campaign_session import (
+    Made,
+    SessionOptions,
+    append_to_campaign,
+    idle_reader,
+    resume_campaign,
+    start_campaign,
+)
+from dragrig.config import Calibration, DragrigError, SettingsError, TrippedError, reason_of
 from dragrig.engine_host.messages import (
     SILENCE_TIMEOUT_S,
     AbortSession,
@@ -84,6 +91,7 @@ from dragrig.rig import (
     Reading,
     RigCheck,
     RunStatus,
+    latest_session_record,
 )
 from dragrig.setup import open_backend, resolve, resolve_pace, resolve_rig
 
@@ -455,9 +463,22 @@ class EngineHost:
             tell=lambda sentence: self._sender.say(OperatorWarning(sentence)),
         )
         if job.resume is not None:
+            self._require_this_rig(job.resume)
             return resume_campaign(job.resume, options, self._operator)
         rig = replace(self._rig, assignments=(*self._rig.assignments, *job.specimen))
+        if job.append is not None:
+            return append_to_campaign(job.plan, job.append, options, self._operator, **rig.choices())
         return start_campaign(resolve(job.plan, **rig.choices()), job.out, options, self._operator)
+
+    def _require_this_rig(self, campaign: Path) -> None:
+        """Refuse a campaign whose own settings would move another rig than this host's; raises `SettingsError`."""
+        record, _ = latest_session_record(campaign)
+        setup = resolve_rig(**self._rig.choices())
+        if (record.backend, record.double) != (setup.backend, setup.double):
+            raise SettingsError(
+                f"{campaign}: its runs were made on {'the double of ' if record.double else ''}{record.backend}; open "
+                "the window for that."
+            )
 
     def _reset(self) -> None:
         try:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from PySide6.QtCore import QTimer, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
-from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QSizePolicy, QWidget
+from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QLineEdit, QProgressBar, QSizePolicy, QWidget
 
 from dragrig.analysis.gap import Diagnosis, RunTraces, plan_of_next_runs
 from dragrig.config import DragrigError
@@ -14,14 +14,17 @@ from dragrig.views import (
     CompletedDiagnosis,
     CompletedIdentification,
     CompletedReport,
+    CompletedSettleStep,
     DiagnosisFailed,
     DiagnosisProcess,
     DiagnosisProgress,
     DiagnosisTask,
+    FurtherRuns,
     PlanForm,
     form_from_plan,
 )
 from dragrig.window.plots import TimePlot
+from dragrig.window.session_queue import QueuedSession, QueueState
 from dragrig.window.widgets import (
     DocumentView,
     ElidedLabel,
@@ -105,7 +108,9 @@ _DOING = {
     CampaignWork.DIAGNOSE: "Diagnosing",
     CampaignWork.IDENTIFY: "Identifying",
     CampaignWork.REPORT: "Reporting on",
+    CampaignWork.SETTLE: "Settling",
 }
+_USUAL_MIN, _MOST_MIN = 20.0, 999.0
 
 
 class DiagnosePage(QWidget):
@@ -115,6 +120,8 @@ class DiagnosePage(QWidget):
     begun = Signal()
     """A diagnosis has begun: errors of the one before are no longer true."""
     next_experiment = Signal(str, PlanForm)
+    further_runs = Signal(FurtherRuns)
+    """Runs that settle the gap, to be made now."""
 
     def __init__(self, stored: StoredSettings) -> None:
         super().__init__()
@@ -144,6 +151,22 @@ class DiagnosePage(QWidget):
             help_="Write a report on the campaign into it, one HTML file",
         )
         self.open_report = button("&View the report", self._open_report, help_="Open it in the browser")
+        self.settle = button(
+            "Sett&le",
+            self._settle,
+            help_="Make the runs that tell most, diagnose again, and so on until causes and verdict are sure; "
+            "goes on where it was paused",
+        )
+        self.minutes = named(QDoubleSpinBox(), "Rig time of the further runs")
+        self.minutes.setRange(1.0, _MOST_MIN)
+        self.minutes.setDecimals(0)
+        self.minutes.setValue(stored.number("settle minutes", _USUAL_MIN))
+        self.minutes.setSuffix(" min")
+        self.minutes.setToolTip("Rig time of the further runs, without hands")
+        self._awaited: Path | None = None
+        """Campaign whose further runs are being made."""
+        self._due: Path | None = None
+        """Campaign whose further runs are made, to be diagnosed as soon as nothing else is done."""
         self.report_path: Path | None = None
         self.cancel = button("C&ancel", self.stop, help_="End the work; the runs are not changed")
         self.progress = named(QProgressBar(), "Progress of the diagnosis")
@@ -156,6 +179,8 @@ class DiagnosePage(QWidget):
             self.choose,
             label("Nominal model"),
             self.nominal,
+            self.settle,
+            self.minutes,
             stretch={1: 1},
         )
         self.identification = DocumentView()
@@ -187,24 +212,49 @@ class DiagnosePage(QWidget):
         """Start the diagnosis."""
         self._begin(CampaignWork.DIAGNOSE)
 
-    def _begin(self, work: CampaignWork) -> None:
+    def _settle(self) -> None:
+        self._awaited = None
+        self._begin(CampaignWork.SETTLE, minutes=self.minutes.value())
+
+    def session_over(self, session: QueuedSession) -> None:
+        """Go on with settling once the runs that it waits for are made, or say that it is paused."""
+        if self._awaited is None or session.job.campaign != self._awaited:
+            return
+        folder, self._awaited = self._awaited, None
+        if session.stage is QueueState.COMPLETE:
+            self._due = folder
+            self._go_on()
+        else:
+            self.state.setText(f"Settling paused: {session.reason.rstrip('.')}; press Settle to go on.")
+        self._show_state()
+
+    def _go_on(self) -> None:
+        if self._due is not None and not self.busy:
+            folder, self._due = self._due, None
+            self._begin(CampaignWork.SETTLE, str(folder))
+
+    def _begin(self, work: CampaignWork, campaign: str = "", minutes: float | None = None) -> None:
         self.begun.emit()
-        campaign = self.campaign.text().strip()
-        self._process = DiagnosisProcess(DiagnosisTask(campaign, self.nominal.currentText().strip(), work))
+        campaign = campaign or self.campaign.text().strip()
+        self._process = DiagnosisProcess(DiagnosisTask(campaign, self.nominal.currentText().strip(), work, minutes))
         self.progress.setRange(0, 0)
         self.state.setText(f"{_DOING[work]} {campaign} …")
         self._timer.start(_POLL_MS)
         self._show_state()
 
     def stop(self) -> None:
-        """End the running diagnosis."""
+        """End the running diagnosis, and settling after the runs that are queued."""
+        settling, self._awaited, self._due = self._awaited is not None, None, None
         if self._process is not None:
             self._process.cancel()
             self._finish("Cancelled.")
+        elif settling:
+            self._finish("Settling ends here; what is queued stays. Press Settle to go on.")
 
     def keep(self) -> None:
         """Store the choice, and end a running diagnosis."""
         self._stored.keep("campaign", self.campaign.text())
+        self._stored.keep("settle minutes", self.minutes.value())
         self.stop()
 
     def _poll(self) -> None:
@@ -228,21 +278,36 @@ class DiagnosePage(QWidget):
                 case CompletedReport(path):
                     self.report_path = path
                     self._finish(f"Report: {path}")
+                case CompletedSettleStep():
+                    self._take_step(event)
                 case DiagnosisFailed(sentence):
                     self.complained.emit(sentence)
                     self._finish(sentence)
+
+    def _take_step(self, step: CompletedSettleStep) -> None:
+        """Show what was decided, and have the next runs made."""
+        if step.completed is not None:
+            self.results.show_diagnosis(step.completed)
+            self.results.show()
+            self.identification.hide()
+        if step.runs is not None:
+            self._awaited = step.runs.folder
+        self._finish(step.sentence)
+        if step.runs is not None:
+            self.further_runs.emit(step.runs)
 
     def _finish(self, text: str) -> None:
         self._timer.stop()
         self._process = None
         self.state.setText(text)
         self._show_state()
+        self._go_on()
 
     def _show_state(self) -> None:
-        for work in (self.start, self.identify, self.report):
+        for work in (self.start, self.identify, self.report, self.settle):
             work.setEnabled(not self.busy and bool(self.campaign.text().strip()))
         self.open_report.setVisible(self.report_path is not None and not self.busy)
-        self.cancel.setEnabled(self.busy)
+        self.cancel.setEnabled(self.busy or self._awaited is not None)
         self.progress.setVisible(self.busy)
         self.campaign.setEnabled(not self.busy)
 

@@ -42,7 +42,7 @@ from dragrig.engine_host import (
     SessionFinished,
     StageMoved,
 )
-from dragrig.views import PlanForm, describe_rig
+from dragrig.views import FurtherRuns, PlanForm, describe_rig
 from dragrig.window.background import EngineLink
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage
@@ -293,6 +293,8 @@ class MainWindow(QMainWindow):
         self.rig.calibrate.finished.connect(self.run.write_log)
         self.look.browser.campaign_chosen.connect(self.diagnose.offer)
         self.diagnose.next_experiment.connect(self._offer_next)
+        self.diagnose.further_runs.connect(self._add_to_campaign)
+        self.run.session_over.connect(self.diagnose.session_over)
         application = QApplication.instance()
         if application is not None:
             application.installEventFilter(self)
@@ -412,6 +414,10 @@ class MainWindow(QMainWindow):
     def _offer_next(self, name: str, plan: PlanForm) -> None:
         self.run.offer_and_queue(name, plan)
         self.go_to(self.run)
+
+    def _add_to_campaign(self, runs: FurtherRuns) -> None:
+        self.go_to(self.run)
+        self.run.add_to_campaign(runs)
 
     def _stop_pressed(self) -> None:
         self.run.stop("stopped by operator (stop button)")

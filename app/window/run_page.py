@@ -55,12 +55,13 @@ from dragrig.engine_host import (
     WatchRig,
 )
 from dragrig.present import duration_text
-from dragrig.views import PlanForm, RigDescription, SessionPreview
+from dragrig.views import FurtherRuns, PlanForm, RigDescription, SessionPreview
 from dragrig.window.background import EngineLink
 from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import (
+    ElidedLabel,
     MessageText,
     StoredSettings,
     Topic,
@@ -334,6 +335,7 @@ class QueueView(QWidget):
             item = QTreeWidgetItem([entry.title, str(entry.run_count), duration_text(entry.planned_s), state])
             item.setData(0, _JOB_ROLE, entry.job.number)
             item.setToolTip(3, state)
+            item.setToolTip(0, entry.why)
             self.tree.addTopLevelItem(item)
             for run in entry.runs:
                 number = entry.number_of(run)
@@ -424,6 +426,7 @@ class RunPage(QWidget):
     """A sentence, and the topic that settles it."""
     settled = Signal(str)
     """A topic whose complaints are no longer true."""
+    session_over = Signal(QueuedSession)
     look_at = Signal(str)
     """Folder of a campaign whose runs are to be shown."""
 
@@ -453,6 +456,8 @@ class RunPage(QWidget):
         self.preview, self.live = PlanPreview(), LiveView()
         self.live.set_limits(description.lowest_mm, description.highest_mm)
         self.queue_view = QueueView(self.queue)
+        self.why = ElidedLabel("", "prompt")
+        self.why.setAccessibleName("Why these runs are made")
         self.hand = HandView(self._move_by_hand, self.new.operator.text)
         self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
         self.devices.watch.setChecked(stored.text("watch", "yes") == "yes")
@@ -547,6 +552,28 @@ class RunPage(QWidget):
         self.new.note_session()
         self._show_state()
         return entry
+
+    def add_to_campaign(self, runs: FurtherRuns) -> None:
+        """Queue runs that go on with a campaign, unless they wait or run already, and start them if they are next."""
+        entry = self.queue.of_campaign(runs.folder)
+        if entry is None:
+            job = SessionJob(
+                self.queue.next_number(),
+                runs.plan,
+                self.new.operator.text(),
+                runs.reason,
+                self.new.chosen_pace,
+                resume=runs.folder if runs.resumes else None,
+                append=None if runs.resumes else runs.folder,
+                mirror=self.new.chosen_mirror,
+            )
+            entry = QueuedSession(job, f"Settle {runs.folder.name}", 60 * runs.minutes, runs.count)
+            self.queue.add(entry)
+        self._show_state()
+        if self.queue.next is entry:
+            self.run_queue()
+        elif entry.stage is QueueState.WAITING and not self.session_running:
+            self.complained.emit(f"{entry.title} is waiting behind other sessions: start the queue.", Topic.SESSION)
 
     def run_queue(self) -> None:
         """Run the waiting sessions."""
@@ -656,7 +683,10 @@ class RunPage(QWidget):
 
     def _engine_lost(self) -> None:
         self._queue_started, self._trip_reason = False, "the engine ended unexpectedly"
+        running = self.queue.current
         self.queue.engine_lost(self._trip_reason)
+        if running is not None:
+            self.session_over.emit(running)
         self.devices.engine_lost()
         self.hand.end("The engine has ended.")
         self.tabs.setTabText(self.tabs.indexOf(self.devices), "Devi&ces")
@@ -695,6 +725,9 @@ class RunPage(QWidget):
                 self._trip_reason = event.reason
             else:
                 self.complained.emit(f"Session ended: {event.reason}", Topic.SESSION)
+        for entry in self.queue.entries:
+            if entry.job.number == event.job:
+                self.session_over.emit(entry)
         if self._queue_started:
             self.run_queue()
 
@@ -753,6 +786,7 @@ class RunPage(QWidget):
         running = self.session_running
         self.queue_view.show_queue()
         self._show_buttons()
+        self._show_why()
         self.abort.setEnabled(running)
         self.pause.setEnabled(running)
         if not running:
@@ -760,6 +794,12 @@ class RunPage(QWidget):
         self.devices.set_session_running(running=running)
         self.hand.allow(idle=not (running or self.calibrating), armed=self.armed)
         self.running_changed.emit(running)
+
+    def _show_why(self) -> None:
+        """Show why the runs of the running session, or of the next one, are made."""
+        entry = self.queue.current or self.queue.next
+        self.why.setText("" if entry is None or not entry.why else f"{entry.title}: {entry.why}")
+        self.why.setVisible(bool(self.why.text()))
 
     def _show_buttons(self) -> None:
         waiting = sum(entry.stage is QueueState.WAITING for entry in self.queue.entries)
@@ -775,11 +815,12 @@ class RunPage(QWidget):
         self.new.refused.connect(self.preview.refuse)
         self.new.submitted.connect(lambda start: self._add_to_queue(start=start))
         self.queue_view.changed.connect(self._show_buttons)
+        self.queue_view.changed.connect(self._show_why)
         self.queue_view.chosen_folder.connect(self.look_at.emit)
 
     def _lay_out(self) -> None:
         bar = column(self.queue_view.progress, row(1, self.pause, self.abort, self.start_queue))
-        right = bare_widget(column(self.tabs, bar, stretch={0: 1}))
+        right = bare_widget(column(self.why, self.tabs, bar, stretch={1: 1}))
         splitter = QSplitter(Qt.Orientation.Horizontal)
         splitter.addWidget(self.new)
         splitter.addWidget(right)

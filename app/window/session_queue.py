@@ -69,6 +69,11 @@ class QueuedSession:
         return run.duration_s + (run.wait_s if self.real_time else 0.0)
 
     @property
+    def why(self) -> str:
+        """Why a session that goes on with a campaign is made; empty for one of its own."""
+        return "" if self.job.campaign is None else self.job.note
+
+    @property
     def total_s(self) -> float:
         """Duration of all runs."""
         return sum(map(self.time_of, self.runs)) if self.runs else self.planned_s
@@ -117,6 +122,9 @@ def _entry_as_json(entry: QueuedSession) -> dict[str, object]:
         "pace": job.pace,
         "mirror": mirror,
         "specimen": job.specimen,
+        "append": None if job.append is None else str(job.append),
+        "resume": None if job.resume is None else str(job.resume),
+        "title": entry.title,
         "planned_s": entry.planned_s,
         "run_count": entry.run_count,
     }
@@ -150,6 +158,13 @@ class SessionQueue:
         """Time left for all sessions."""
         return sum(entry.left_s for entry in self.entries)
 
+    def of_campaign(self, folder: Path) -> QueuedSession | None:
+        """Return the session that waits or runs and goes on with a campaign."""
+        lasting = {QueueState.WAITING, QueueState.RUNNING}
+        return next(
+            (queued for queued in self.entries if queued.stage in lasting and queued.job.campaign == folder), None
+        )
+
     def add(self, entry: QueuedSession) -> None:
         """Append a session."""
         self.entries.append(entry)
@@ -180,10 +195,13 @@ class SessionQueue:
                     str(kept["operator"]),
                     str(kept["note"]),
                     kept["pace"],
+                    resume=Path(kept["resume"]) if kept.get("resume") else None,
+                    append=Path(kept["append"]) if kept.get("append") else None,
                     mirror=Path(kept["mirror"]) if kept["mirror"] else None,
                     specimen=tuple(map(str, kept.get("specimen", ()))),
                 )
-                self.add(QueuedSession(job, plan.name, float(kept["planned_s"]), int(kept["run_count"])))
+                title = str(kept.get("title", plan.name))
+                self.add(QueuedSession(job, title, float(kept["planned_s"]), int(kept["run_count"])))
 
     def put_back(self) -> None:
         """Put back what was removed last, where it was."""
