@@ -8,6 +8,7 @@ from .api.evaluate import model as model
 from .api.evaluate import table as table
 from .api.gap import diagnose as diagnose
 from .api.gap import diagnose_many as diagnose_many
+from .api.gap import diagnose_together as diagnose_together
 from .api.gap import gap_evaluate as gap_evaluate
 from .api.gap import isolability as isolability
 from .api.gap import next_experiment as next_experiment

@@ -4,6 +4,8 @@ from .candidate_runs import mounting as mounting
 from .candidate_runs import plan_of_next_runs as plan_of_next_runs
 from .candidate_runs import run_text as run_text
 from .diagnose import DiagnosisOptions as DiagnosisOptions
+from .diagnose import DiagnosisWithCauses as DiagnosisWithCauses
+from .diagnose import diagnose_with_causes as diagnose_with_causes
 from .diagnosis import MODEL as MODEL
 from .diagnosis import SPECIMEN as SPECIMEN
 from .diagnosis import UNEXPLAINED as UNEXPLAINED
@@ -53,6 +55,15 @@ from .settling import ending_of as ending_of
 from .settling import settle_step as settle_step
 from .settling import surest_causes as surest_causes
 from .settling import verdict_probability as verdict_probability
+from .run_data import without_runs as without_runs
+from .together import MIN_CAMPAIGNS as MIN_CAMPAIGNS
+from .together import CampaignEvidence as CampaignEvidence
+from .together import PooledDiagnosis as PooledDiagnosis
+from .together import PooledEffect as PooledEffect
+from .together import PopulationSize as PopulationSize
+from .together import Where as Where
+from .together import campaign_evidence as campaign_evidence
+from .together import diagnose_together as diagnose_together
 from .training import TrainingCase as TrainingCase
 from .training import calibrate as calibrate
 from .training import cross_validate as cross_validate

@@ -319,7 +319,19 @@ class DiagnosisOptions:
     """Gate and weights of the verdict; default: the shipped ones."""
 
 
-@single_blas_thread()
+@dataclass(frozen=True, slots=True, eq=False)
+class DiagnosisWithCauses:
+    """A diagnosis, and the evidence behind it that several campaigns are pooled by."""
+
+    diagnosis: Diagnosis
+    causes: CausesOfGap
+    """What competes for the gap in the force."""
+    position: PositionAnalysis
+    """What competes for the errors of the position."""
+    lines: SpectralLines
+    """Strongest spectral lines of the rests."""
+
+
 def diagnose(
     selection: RunSelection,
     nominal: NominalModel,
@@ -333,6 +345,17 @@ def diagnose(
     AnalysisError
         Where the model predicts none of these runs, or a run lacks data that it needs.
     """
+    return diagnose_with_causes(selection, nominal, options, progress).diagnosis
+
+
+@single_blas_thread()
+def diagnose_with_causes(
+    selection: RunSelection,
+    nominal: NominalModel,
+    options: DiagnosisOptions | None = None,
+    progress: Progress = no_progress,
+) -> DiagnosisWithCauses:
+    """Do the same as `diagnose`; return what the diagnosis weighed, too."""
     settings = options or DiagnosisOptions()
     start = perf_counter()
     advance = counted(progress, PREPARING_COST + SEARCH_COST + COMPETITION_COST + ASSEMBLY_COST)
@@ -376,7 +399,7 @@ def diagnose(
         "explaining": classified - studied,
         "telling": perf_counter() - classified,
     }
-    return replace(diagnosis, timings_s=timings)
+    return DiagnosisWithCauses(replace(diagnosis, timings_s=timings), causes, position, lines)
 
 
 def _without_slow_lines(lines: SpectralLines) -> SpectralLines:

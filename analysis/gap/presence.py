@@ -124,6 +124,10 @@ class Cause:
     """Where or when it acts, to be said after its name."""
     group: str = ""
     """Causes of a group exclude each other; default: those of its name."""
+    span: "VariantSpan | None" = None
+    """What its first columns are in all campaigns alike: variants of an effect, or functions of a free law, by their
+    numbers; None of an effect that was fitted, and of an exchange.
+    """
 
     @property
     def exclusive(self) -> str:
@@ -140,6 +144,25 @@ class Cause:
         """Prior log odds of one scale of this cause."""
         prior = PRIOR_PROBABILITIES[self.kind]
         return log(prior / (1 - prior)) - log(len(self.scales) * self.alternatives)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VariantSpan:
+    """Variants of an effect, or functions of a law, in terms of the first `k` columns of a cause.
+
+    Attributes
+    ----------
+    variants
+        Their numbers among the variants of the effect, shape `(n,)`.
+    mixing
+        Coefficients of the columns that make up each variant at its default size, shape `(n, k)`.
+    sizes_mN
+        Root mean square of each variant at its default size where it acts, shape `(n,)`.
+    """
+
+    variants: IndexArray
+    mixing: FloatArray
+    sizes_mN: FloatArray
 
 
 CauseSet = tuple[tuple[int, int], ...]
@@ -171,6 +194,24 @@ class ForceCompetition(Competition):
     """Whitening of each run, the form error included."""
     design: Design
     """Campaign around the parameters of the best hypothesis, with its nuisances."""
+    periodic: Mapping[str, "PeriodicColumns"]
+    """Of each periodic effect, its variants at all periods."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeriodicColumns:
+    """All variants of a periodic effect, two of each period, at their default sizes.
+
+    Attributes
+    ----------
+    columns
+        Their columns, shape `(n,)`, those of a period one after the other.
+    sizes_mN
+        Root mean square of each where it acts, shape `(n,)`.
+    """
+
+    columns: IndexArray
+    sizes_mN: FloatArray
 
 
 class ColumnStore:
@@ -179,6 +220,7 @@ class ColumnStore:
     def __init__(self) -> None:
         self.columns: list[FloatArray] = []
         self.causes: list[Cause] = []
+        self.periodic: Mapping[str, PeriodicColumns] = {}
         self._count = 0
 
     def add(self, columns: FloatArray) -> IndexArray:
@@ -189,9 +231,11 @@ class ColumnStore:
 
     def add_free(self, name: str, kind: CauseKind, columns: FloatArray, scales: tuple[float, ...]) -> IndexArray:
         """Add a cause whose columns all have prior sd 1 at scale 1, without those of zeros; return its columns."""
-        added = self.add(columns[:, np.abs(columns).sum(axis=0) > 0])
+        kept = np.flatnonzero(np.abs(columns).sum(axis=0) > 0)
+        added = self.add(columns[:, kept])
         if added.size:
-            self.causes.append(Cause(name, kind, added, np.ones(added.size), scales))
+            span = VariantSpan(kept, np.eye(added.size), np.ones(added.size))
+            self.causes.append(Cause(name, kind, added, np.ones(added.size), scales, span=span))
         return added
 
     def columns_at(self, indices: IndexArray) -> FloatArray:
@@ -270,6 +314,7 @@ def collect_causes(
     best = store.causes[first_fitted : first_fitted + (len(fits[0].parameters.candidates) if fits else 0)]
     of_best = np.concatenate((np.zeros(0, dtype=np.intp), *(cause.columns for cause in best)))
     _add_exchanges(store, study, design, whitenings, np.unique(of_best), len(search.study.runs))
+    store.periodic = effects.periodic_columns()
     return store
 
 
@@ -280,7 +325,11 @@ def _smoothed_size(residual: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(mean_square, 0.0)))
 
 
-def _compete(design: Design, whitenings: tuple[Whitening, ...], store: ColumnStore) -> ForceCompetition:
+def _compete(
+    design: Design,
+    whitenings: tuple[Whitening, ...],
+    store: ColumnStore,
+) -> ForceCompetition:
     columns = store.release()
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
     total, first = np.zeros((1 + nuisances.size + columns.shape[1],) * 2), 0
@@ -292,7 +341,7 @@ def _compete(design: Design, whitenings: tuple[Whitening, ...], store: ColumnSto
     products = schur_complement(
         design, total, nuisances, np.arange(1 + nuisances.size, len(total)), 1 + np.arange(nuisances.size)
     )
-    return ForceCompetition(store.shared_priors(), products, columns, whitenings, design)
+    return ForceCompetition(store.shared_priors(), products, columns, whitenings, design, store.periodic)
 
 
 def _add_unnamed_causes(store: ColumnStore, study: Study, design: Design) -> Iterator[tuple[str, IndexArray]]:
@@ -461,15 +510,31 @@ class _EffectCauses:
         )
         self._modulations = np.concatenate([values.T for values in study.modulations])
         self._signatures = np.concatenate(design.run_columns(ColumnKind.VARIANT))
+        names = [variant.effect.id for variant in design.variants]
+        self._first = {name: names.index(name) for name in names}
+
+    def periodic_columns(self) -> Mapping[str, PeriodicColumns]:
+        """Add the variants of periodic effects at all periods; return which columns they are."""
+        found = {}
+        for name, first in self._first.items():
+            variants = [at for at, variant in enumerate(self._design.variants) if variant.effect.id == name]
+            if self._design.variants[first].effect.phase is not None:
+                values = self._signatures[:, variants]
+                found[name] = PeriodicColumns(self._store.add(values), self._sizes(values))
+        return found
+
+    def _sizes(self, values: FloatArray) -> FloatArray:
+        return np.array([rms_where_active(column, self._widths_s) for column in values.T])
 
     def add_variants(self, variants: Sequence[int], alternatives: int) -> None:
         """Add the space that variants span; each has rms 1 mN where it acts."""
         values = self._signatures[:, list(variants)]
-        sizes = np.array([rms_where_active(column, self._widths_s) for column in values.T])
+        sizes = self._sizes(values)
         acting = sizes > 0
         if not acting.any():
             return
-        values = values[:, acting] / (sizes[acting] * np.sqrt(acting.sum()))
+        scales = sizes[acting] * np.sqrt(acting.sum())
+        values = values[:, acting] / scales
         white = self._whitened(values)
         variances, vectors = np.linalg.eigh(white.T @ white)
         variances, vectors = variances[::-1], vectors[:, ::-1]
@@ -478,7 +543,9 @@ class _EffectCauses:
         variant: EffectVariant = self._design.variants[variants[0]]
         direction = vectors.sum(axis=0) if variant.one_signed else None
         modulated = 1 if variant.effect.phase is None else 2
-        self._add(variant.effect, values @ vectors, direction, modulated, alternatives)
+        numbers = np.array(variants, dtype=np.intp)[acting] - self._first[variant.effect.id]
+        span = VariantSpan(numbers, scales[:, None] * vectors, sizes[acting])
+        self._add(variant.effect, values @ vectors, direction, modulated, alternatives, span)
 
     def add_fitted(self, candidate: Candidate, z: FloatArray) -> None:
         """Add an effect with fitted parameters, and its derivatives by the uncertain ones."""
@@ -514,7 +581,13 @@ class _EffectCauses:
         return np.concatenate([whitening.whiten(values[low:high]) for whitening, (low, high) in pairs])
 
     def _add(
-        self, effect: Effect, core: FloatArray, direction: FloatArray | None, modulated: int, alternatives: int
+        self,
+        effect: Effect,
+        core: FloatArray,
+        direction: FloatArray | None,
+        modulated: int,
+        alternatives: int,
+        span: VariantSpan | None = None,
     ) -> None:
         forms = [MODULATION_SD * column[:, None] * self._modulations for column in core.T[:modulated]]
         own = self._store.add(np.concatenate((core, *forms), axis=1))
@@ -522,7 +595,9 @@ class _EffectCauses:
         columns = np.concatenate((own, free))
         sds = np.concatenate((np.ones(own.size), np.full(free.size, FREE_LAW_SD)))
         signed = None if direction is None else np.append(direction, np.zeros(columns.size - direction.size))
-        self._store.causes.append(Cause(effect.id, CauseKind.EFFECT, columns, sds, SCALES_MN, signed, alternatives))
+        self._store.causes.append(
+            Cause(effect.id, CauseKind.EFFECT, columns, sds, SCALES_MN, signed, alternatives, span=span)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -116,6 +116,18 @@ def choose_runs(
     )
 
 
+def without_runs(selection: RunSelection, counted_elsewhere: Mapping[str, str]) -> RunSelection:
+    """Return a selection without runs that count in another campaign, whose name is given by their ids."""
+    kept, left_out = list[Experiment](), list[Exclusion]()
+    for experiment in selection.experiments:
+        elsewhere = counted_elsewhere.get(experiment.run.info.header.run_id)
+        if elsewhere is None:
+            kept.append(experiment)
+        else:
+            left_out.append(Exclusion(experiment.file, f"it is in {elsewhere} too, and counts there"))
+    return replace(selection, experiments=tuple(kept), left_out=(*selection.left_out, *left_out))
+
+
 def _with_count_remark(selection: RunSelection, usable: int) -> RunSelection:
     if usable <= MAX_RUNS:
         return selection

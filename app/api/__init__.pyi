@@ -11,6 +11,7 @@ from .gap import DiagnosedFolder as DiagnosedFolder
 from .gap import DiagnosisRequest as DiagnosisRequest
 from .gap import diagnose as diagnose
 from .gap import diagnose_many as diagnose_many
+from .gap import diagnose_together as diagnose_together
 from .gap import gap_evaluate as gap_evaluate
 from .gap import isolability as isolability
 from .gap import next_experiment as next_experiment

@@ -14,6 +14,7 @@ from dragrig.analysis import (
     NominalModel,
     Progress,
     RunSelection,
+    count_text,
     find_model,
     no_progress,
     parse_model_settings,
@@ -27,21 +28,33 @@ from dragrig.analysis.gap import (
     NextExperiment,
     RigLimits,
     choose_runs,
+    without_runs,
 )
 from dragrig.api.measure import simulate
-from dragrig.config import DragrigError, ModelSettings, SettingsError, absolute_if_file, find_table, suggestion, to_toml
-from dragrig.parallel import map_tasks, open_executor, parallel_map
+from dragrig.config import (
+    AnalysisError,
+    DragrigError,
+    ModelSettings,
+    SettingsError,
+    absolute_if_file,
+    find_table,
+    suggestion,
+    to_toml,
+)
+from dragrig.parallel import map_tasks, open_executor, parallel_map, parallel_map_with_progress
 from dragrig.present import write_text
-from dragrig.rig import Run
+from dragrig.rig import Run, read_campaign
 from dragrig.setup import PlanLike, Setup, SetupChoices, resolve
 
 if TYPE_CHECKING:
-    from dragrig.analysis.gap import DiagnosisOptions, VerdictCalibration
+    from dragrig.analysis.gap import CampaignEvidence, DiagnosisOptions, PooledDiagnosis, VerdictCalibration
 
 
 READING_COST, DIAGNOSIS_COST = 1, 19
+LOOKING_COST, DIAGNOSING_COST, POOLING_COST = 1, 97, 2
 COLLECTING_COST, ISOLATION_COST = 1, 30
-"""Relative times of reading, or simulating, a campaign's runs and of what is made of them."""
+"""Relative times of reading, or simulating, a campaign's runs and of what is made of them; of campaigns together, of
+reading what their runs are, diagnosing each, and pooling."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +133,46 @@ class DiagnosisRequest:
         except DragrigError as error:
             return DiagnosedFolder(name, None, {}, str(error).replace(str(folder), name))
         return DiagnosedFolder(name, diagnosed.result, dict(diagnosed.run_ids))
+
+    def evidence(self, campaign: "FolderToPool") -> "CampaignEvidence | str":
+        """Return what one campaign says, to be pooled; or why it cannot be diagnosed, a sentence."""
+        from dragrig.analysis.gap import campaign_evidence, diagnose_with_causes
+
+        options = diagnosis_options(self.without, self.tolerance_mN, self.calibration)
+        model = find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
+        try:
+            selection = without_runs(choose_runs(campaign.folder, self.specimen), campaign.counted_elsewhere)
+            return campaign_evidence(campaign.name, diagnose_with_causes(selection, model, options))
+        except DragrigError as error:
+            return str(error).replace(str(campaign.folder), campaign.name)
+
+    def diagnose_together(
+        self,
+        campaigns: Sequence[str | Path],
+        workers: int | None = None,
+        scheduler: str | None = None,
+        progress: Progress = no_progress,
+    ) -> "PooledDiagnosis":
+        """Diagnose campaigns of one rig together; raises as `dragrig.diagnose_together`."""
+        from dragrig.analysis.gap import MIN_CAMPAIGNS, CampaignEvidence, diagnose_together
+
+        if len(campaigns) < MIN_CAMPAIGNS:
+            raise AnalysisError("--together: takes two campaigns or more; name another, or leave --together out.")
+        diagnosis_options(self.without, self.tolerance_mN, self.calibration)
+        tasks = [(str(campaign), Path(campaign).absolute()) for campaign in campaigns]
+        looking, diagnosing, pooling = parts_of(progress, LOOKING_COST, DIAGNOSING_COST, POOLING_COST)
+        with open_executor(workers, scheduler, tasks=len(tasks)) as executor:
+            found = parallel_map_with_progress(executor, look_into, tasks, looking)
+            _require_one_rig(found)
+            counted, remarks = _counted_once(found)
+            answers = parallel_map_with_progress(executor, self.with_absolute_paths().evidence, counted, diagnosing)
+        evidence = [answer for answer in answers if isinstance(answer, CampaignEvidence)]
+        remarks += [f"not diagnosed: {answer.rstrip('.')}" for answer in answers if isinstance(answer, str)]
+        if len(evidence) < MIN_CAMPAIGNS:
+            raise AnalysisError(f"fewer than two campaigns are left to pool: {'; '.join(remarks)}.")
+        pooled = diagnose_together(evidence, remarks)
+        pooling(1, 1)
+        return pooled
 
     def with_absolute_paths(self) -> Self:
         """Return the same for processes with other working folders."""
@@ -223,6 +276,125 @@ def diagnose_many(
     request = DiagnosisRequest(nominal, tuple(without), tolerance_mN, specimen, calibration).with_absolute_paths()
     tasks = [(str(campaign), Path(campaign).absolute()) for campaign in campaigns]
     return map_tasks(request.diagnose_folder, tasks, workers, scheduler, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class FolderToPool:
+    """A campaign to be pooled with others.
+
+    Attributes
+    ----------
+    name, folder
+        As it was named, and where it is.
+    runs
+        Ids of its runs.
+    sensors, backends
+        Serial numbers of their force sensors, and where they come from.
+    counted_elsewhere
+        Of runs that an earlier campaign has too: that campaign's name by their ids.
+    """
+
+    name: str
+    folder: Path
+    runs: frozenset[str]
+    sensors: frozenset[str]
+    backends: frozenset[str]
+    counted_elsewhere: Mapping[str, str] = field(default_factory=dict)
+
+
+def look_into(campaign: tuple[str, Path]) -> FolderToPool:
+    """Read what the runs of a campaign, its name and its folder, state of themselves."""
+    name, folder = campaign
+    headers = [run.header for run in read_campaign(folder).good]
+    serials = {str(header.entry.get("sensor_serial", "")) for header in headers}
+    return FolderToPool(
+        name,
+        folder,
+        frozenset(header.run_id for header in headers),
+        frozenset(serials - {""}),
+        frozenset(header.backend for header in headers),
+    )
+
+
+def diagnose_together(
+    campaigns: Sequence[str | Path],
+    *,
+    nominal: str | Path = "capsule",
+    without: Sequence[str] = (),
+    tolerance_mN: float | None = None,
+    specimen: str | None = None,
+    calibration: str | Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Progress = no_progress,
+) -> "PooledDiagnosis":
+    """Diagnose campaigns of one rig together: which effects are in all of them, in some, or in one.
+
+    What belongs to the rig has one set of parameters, what belongs to specimens a population with a spread. A run that
+    several folders hold counts once. A campaign that cannot be diagnosed is told among the remarks.
+
+    Parameters
+    ----------
+    campaigns
+        Their folders, each with specimens of its own. The workers of a cluster must see the same folders.
+    nominal, without, tolerance_mN, specimen, calibration
+        As in `dragrig.diagnose`, for all.
+    workers
+        Number of processes (default: as many as there are cores).
+    scheduler
+        Address of a Dask cluster to use in their place.
+
+    Raises
+    ------
+    AnalysisError
+        When there are no two campaigns to pool, or they are not of one rig: of other force sensors or backends.
+    RunFileError, SettingsError
+        When a folder cannot be read, an option is not valid, or the cluster cannot be used.
+    WorkerError
+        When processes end before the work is done.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> pooled = dragrig.diagnose_together(["runs/monday", "runs/tuesday"])  # doctest: +SKIP
+    >>> [(effect.effect, effect.where, effect.probability) for effect in pooled.established]  # doctest: +SKIP
+    """
+    request = DiagnosisRequest(nominal, tuple(without), tolerance_mN, specimen, calibration)
+    return request.diagnose_together(campaigns, workers, scheduler, progress)
+
+
+def _require_one_rig(campaigns: Sequence[FolderToPool]) -> None:
+    """Raise `AnalysisError` where campaigns are of different force sensors or backends."""
+    for what, values in (
+        ("force sensors", [campaign.sensors for campaign in campaigns]),
+        ("backends", [campaign.backends for campaign in campaigns]),
+    ):
+        several = sorted(frozenset().union(*values))
+        if len(several) > 1:
+            names = ", ".join(
+                f"{campaign.name} ({' and '.join(sorted(value))})"
+                for campaign, value in zip(campaigns, values, strict=True)
+            )
+            raise AnalysisError(
+                f"these campaigns are not of one rig: they name different {what}: {names}; pool those of one."
+            )
+
+
+def _counted_once(campaigns: Sequence[FolderToPool]) -> tuple[list[FolderToPool], list[str]]:
+    """Return the campaigns with what earlier ones have of their runs, without those that have nothing else."""
+    seen: dict[str, str] = {}
+    counted, remarks = list[FolderToPool](), list[str]()
+    for campaign in campaigns:
+        again = {run: seen[run] for run in campaign.runs if run in seen}
+        seen |= dict.fromkeys(campaign.runs - again.keys(), campaign.name)
+        where = ", ".join(dict.fromkeys(again.values()))
+        if again and len(again) == len(campaign.runs):
+            remarks.append(f"{campaign.name} is left out: all of its runs are in {where} too, and a run counts once")
+            continue
+        if again:
+            remarks.append(f"{count_text(len(again), 'run')} of {campaign.name} also in {where} counted there alone")
+        counted.append(replace(campaign, counted_elsewhere=again))
+    return counted, remarks
 
 
 def gap_evaluate(

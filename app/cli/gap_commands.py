@@ -20,7 +20,7 @@ from dragrig.cli.console import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.api import DiagnosedFolder
+    from dragrig.api import DiagnosedFolder, DiagnosisRequest
 
 
 FILE = click.Path(path_type=Path)
@@ -44,6 +44,9 @@ figures beside it."""
 @click.option("--save-model", metavar="FILE", type=FILE, help="Write the model with the effect added to this file.")
 @options.report
 @options.figures
+@click.option(
+    "--together", is_flag=True, help="Diagnose campaigns of one rig together: which effects are in all, some, or one."
+)
 @options.workers("campaigns")
 @options.overwrite
 @options.as_json
@@ -58,6 +61,7 @@ def diagnose_command(
     save_model: Path | None,
     report: Path | None,
     figures: Path | None,
+    together: bool,
     workers: int | None,
     scheduler: str | None,
     overwrite: bool,
@@ -68,7 +72,8 @@ def diagnose_command(
     CAMPAIGN is a folder of run files; it need not be complete. For one campaign this prints the verdict (one effect,
     several, no gap, or a gap that no effect of the catalogue explains), where the gap is, the ranking with
     probabilities, how far the gap closes on held-out runs, and which questions these runs leave open. Several campaigns
-    are diagnosed in parallel and printed as a table, or with --json as one line each. Runs marked bad, return strokes
+    are diagnosed in parallel and printed as a table, or with --json as one line each; with --together campaigns of one
+    rig are one question: which effects are in all of them, in some, or in one. Runs marked bad, return strokes
     and runs that did not end as planned are left out. The exit code is 0 whatever the verdict; no model is written
     where no effect is named.
     """
@@ -82,6 +87,13 @@ def diagnose_command(
     )
 
     worker_count(workers, scheduler)
+    request = DiagnosisRequest(nominal, without, tolerance_mN, specimen, calibration)
+    if together:
+        options.require_single_campaign(len(campaigns), save_model=save_model)
+        _diagnose_together(
+            campaigns, request, report, figures, workers, scheduler, overwrite=overwrite, as_json=as_json
+        )
+        return
     if len(campaigns) > 1:
         options.require_single_campaign(len(campaigns), save_model=save_model, report=report, figures=figures)
         from dragrig.api import diagnose_many
@@ -101,7 +113,6 @@ def diagnose_command(
         _print_diagnoses(folders, as_json=as_json)
         return
     [campaign] = campaigns
-    request = DiagnosisRequest(nominal, without, tolerance_mN, specimen, calibration)
     for path in filter(None, (save_model, report)):
         require_writable(path, overwrite=overwrite)
     with ProgressMeter("diagnosing") as meter:
@@ -128,6 +139,35 @@ def diagnose_command(
     for name, file in (("model", model), ("report", report)):
         if file is not None and not as_json:
             print_result(f"{name:8}{display_path(file)}")
+    for path in drawn if not as_json else ():
+        print_result(f"figure  {display_path(path)}")
+
+
+def _diagnose_together(
+    campaigns: tuple[Path, ...],
+    request: "DiagnosisRequest",
+    report: Path | None,
+    figures: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    *,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Diagnose campaigns of one rig together and print what they share."""
+    from dragrig.analysis import parts_of
+    from dragrig.present import pooled_document, require_writable, save_figures
+
+    if report is not None:
+        require_writable(report, overwrite=overwrite)
+    with ProgressMeter(f"diagnosing {len(campaigns)} campaigns together") as meter:
+        finding, reporting = parts_of(meter.at, DIAGNOSE_COST * len(campaigns), PAGE_COST * (report is not None))
+        document = pooled_document(request.diagnose_together(campaigns, workers, scheduler, finding))
+        write_report(document, report, overwrite=overwrite, progress=reporting)
+        drawn = () if figures is None else save_figures(document, figures, overwrite=overwrite)
+    print_document(document, as_json=as_json)
+    if report is not None and not as_json:
+        print_result(f"report  {display_path(report)}")
     for path in drawn if not as_json else ():
         print_result(f"figure  {display_path(path)}")
 

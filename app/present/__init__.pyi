@@ -17,6 +17,7 @@ from .diagnosis import next_experiment_document as next_experiment_document
 from .diagnosis_figures import before_after_figure as before_after_figure
 from .diagnosis_figures import budget_figure as budget_figure
 from .diagnosis_figures import location_figure as location_figure
+from .diagnosis_figures import pooled_sizes_figure as pooled_sizes_figure
 from .diagnosis_figures import ranking_figure as ranking_figure
 from .diagnosis_figures import representative_runs as representative_runs
 from .document import BLACK as BLACK
@@ -160,3 +161,4 @@ from .run_figures import run_figure as run_figure
 from .settle import probabilities_figure as probabilities_figure
 from .settle import settlement_document as settlement_document
 from .settle import step_sentence as step_sentence
+from .together import pooled_document as pooled_document

@@ -14,7 +14,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import offset_copy
 
-from dragrig.analysis import capitalise
+from dragrig.analysis import NORMAL_95, capitalise
 from dragrig.analysis.gap import (
     CHANNELS,
     PROTOCOLS,
@@ -24,6 +24,9 @@ from dragrig.analysis.gap import (
     GapBudget,
     GapLocation,
     PhaseCell,
+    PooledDiagnosis,
+    PooledEffect,
+    PopulationSize,
     RankedHypothesis,
     RunContributions,
     RunTraces,
@@ -32,6 +35,7 @@ from dragrig.analysis.gap import (
 from dragrig.present import (
     BLACK,
     BLUE,
+    CYCLE,
     GREY,
     ORANGE,
     PALE,
@@ -615,3 +619,39 @@ MIN_SPAN = {"mN": 4.0, "mm": 0.004, "µm": 4.0}
 
 def _min_span(view: RunTraces) -> float:
     return MIN_SPAN.get(view.unit, 0.0)
+
+
+MAX_POOLED_PANELS, MAX_LABELLED_CAMPAIGNS = 6, 12
+
+
+def pooled_sizes_figure(pooled: PooledDiagnosis) -> Figure:
+    """Draw the size of each established effect by campaign, with the population's mean and band."""
+    shown = [(effect, effect.size) for effect in pooled.established if effect.size is not None][:MAX_POOLED_PANELS]
+    names = [campaign.source for campaign in pooled.campaigns]
+    with figure_style():
+        figure = new_figure(8.0, 0.6 + 2.0 * len(shown), "Sizes by campaign", narrow=True)
+        for row, (effect, size) in enumerate(shown):
+            axes = figure.add_subplot(len(shown), 1, row + 1)
+            _draw_sizes(axes, effect, size, CYCLE[row % len(CYCLE)])
+            if len(names) <= MAX_LABELLED_CAMPAIGNS:
+                axes.set_xticks(range(len(names)), names if row + 1 == len(shown) else [""] * len(names))
+            elif row + 1 == len(shown):
+                axes.set_xlabel("campaign")
+        return figure
+
+
+def _draw_sizes(axes: Axes, effect: PooledEffect, size: PopulationSize, colour: str) -> None:
+    half = NORMAL_95 * size.spread
+    if len(effect.members) > 1:
+        axes.axhspan(size.mean - half, size.mean + half, color=tint(colour, 0.25), linewidth=0)
+        axes.axhline(size.mean, color=colour, linewidth=1.0)
+    axes.axhline(0.0, color=GREY, linewidth=0.6)
+    for at, own in enumerate(size.campaigns):
+        if own is not None:
+            fill = colour if at in effect.members else PAPER
+            axes.errorbar(
+                [at], [own[0]], yerr=NORMAL_95 * own[1], fmt="o", color=colour, markerfacecolor=fill, capsize=2.0
+            )
+    axes.set_xlim(-0.5, len(size.campaigns) - 0.5)
+    unit = "" if size.unit == "1" else f", {size.unit}"
+    axes.set_title(f"{capitalise(display_name(effect.effect))}: {size.parameter}{unit}", fontsize=TEXT_PT, loc="left")

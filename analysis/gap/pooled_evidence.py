@@ -1,0 +1,345 @@
+"""What one campaign says of every cause that several campaigns may share: compact evidence, to be pooled.
+
+Coefficients that campaigns can have in common belong to columns that mean the same in all of them: the variants of an
+effect at their default sizes, the functions of a free law, the directions of the nominal model. Of each campaign the
+information on these is kept, after its specimen, its runs and its own likely causes were projected out; and by how much
+its own competition of causes, which knows free laws and other forms, finds an effect likelier or less likely than these
+columns alone.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+
+from dragrig.analysis.gap.presence import (
+    Cause,
+    CauseKind,
+    CauseSet,
+    Competition,
+    PeriodicColumns,
+    Presence,
+)
+from dragrig.rig import FloatArray, IndexArray
+
+POOLED_SCALES_MN = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+"""Scales of what campaigns share: many of them show less than the sensor's noise."""
+POOLED_MODEL_SCALES = (1.0, 3.0, 10.0)
+"""Factors on the priors of the nominal model, by which all specimens may differ from it alike."""
+FORM_COLUMNS = 4
+"""Directions kept in which the form of an effect may differ from the catalogue's."""
+STRONG = 0.9
+"""Probability from which on an effect is counted among a campaign's own causes while others are looked at."""
+POOLED_KINDS = (CauseKind.EFFECT, CauseKind.LAW, CauseKind.MODEL)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedColumns:
+    """Columns of a cause that mean the same in every campaign.
+
+    Attributes
+    ----------
+    name
+        Id of an effect, or what a free law is a function of.
+    kind
+        Kind of the cause.
+    numbers
+        Numbers of the `n` variants or functions that act in this campaign, shape `(n,)`.
+    rows
+        Their rows in the information, shape `(n,)`.
+    form_rows
+        Rows of the directions in which the form may differ, at scale 1, shape `(r,)`.
+    sizes_mN
+        Root mean square of each at its default size where it acts, shape `(n,)`.
+    one_signed
+        Whether its size is known to be positive.
+    scales
+        Possible scales.
+    forms
+        At each scale, log Bayes factor of all forms of an effect beyond that of these columns; the same length.
+    elsewhere
+        How much likelier the cause becomes by the campaign's other sets of causes; negative where these explain what it
+        explains.
+    chi2
+        Sum of squares of the residual beside which `elsewhere` holds.
+    """
+
+    name: str
+    kind: CauseKind
+    numbers: IndexArray
+    rows: IndexArray
+    form_rows: IndexArray
+    sizes_mN: FloatArray
+    one_signed: bool
+    scales: tuple[float, ...]
+    forms: tuple[float, ...] = ()
+    elsewhere: float = 0.0
+    chi2: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceEvidence:
+    """Information of one campaign on all shared columns.
+
+    Attributes
+    ----------
+    information
+        Products of residual (first) and columns, whitened, all else projected out, shape `(1 + C, 1 + C)`.
+    columns
+        The columns of each cause.
+    own
+        For an effect among the campaign's own causes: the same information where it is none of them.
+    """
+
+    information: FloatArray
+    columns: Mapping[str, SharedColumns]
+    own: Mapping[str, FloatArray]
+
+    def information_for(self, name: str) -> FloatArray:
+        """Return the information in which a cause is not projected out."""
+        return self.own.get(name, self.information)
+
+
+def force_evidence(
+    competition: Competition, presence: Presence, periodic: Mapping[str, PeriodicColumns]
+) -> ForceEvidence:
+    """Return what a campaign says of the causes that it may share with others."""
+    strong = {
+        name
+        for name, value in presence.probabilities.items()
+        if presence.kinds[name] is CauseKind.EFFECT and value > STRONG
+    }
+    best = max(presence.log_odds, key=lambda key: presence.log_odds[key])
+    own_causes = tuple(
+        entry
+        for entry in best
+        if competition.causes[entry[0]].kind is not CauseKind.EFFECT or competition.causes[entry[0]].name in strong
+    )
+    pooled = _pooled_causes(competition, periodic)
+    layout = _Layout.of(competition, pooled, periodic)
+    contexts = {
+        name: _context(competition, presence, strong, own_causes, shared) for name, shared in layout.columns.items()
+    }
+    own = {name: layout.information(causes) for name, causes in contexts.items() if causes != own_causes}
+    evidence = ForceEvidence(layout.information(own_causes), layout.columns, own)
+    columns = {
+        name: replace(
+            shared,
+            forms=_form_evidence(competition, contexts[name], evidence, shared),
+            elsewhere=_log_odds_elsewhere(competition, presence, strong, contexts[name], name),
+            chi2=float(evidence.information_for(name)[0, 0]),
+        )
+        for name, shared in layout.columns.items()
+    }
+    return replace(evidence, columns=columns)
+
+
+def _context(
+    competition: Competition, presence: Presence, strong: set[str], own_causes: CauseSet, shared: SharedColumns
+) -> CauseSet:
+    """Return the campaign's own causes beside which a cause is looked at: those of the best set that contains it."""
+    causes = competition.causes
+    best, best_value = _without(competition, own_causes, shared.name), -np.inf
+    for key, value in presence.log_odds.items():
+        others = tuple(entry for entry in key if causes[entry[0]].name != shared.name)
+        effects = {causes[index].name for index, _ in others if causes[index].kind is CauseKind.EFFECT}
+        if len(others) < len(key) and effects <= strong and value > best_value:
+            best, best_value = others, value
+    return best
+
+
+def _form_evidence(
+    competition: Competition, beside: CauseSet, evidence: ForceEvidence, shared: SharedColumns
+) -> tuple[float, ...]:
+    """Return what other forms than the shared columns add to the log Bayes factor of an effect, at each scale."""
+    if shared.kind is not CauseKind.EFFECT or not shared.form_rows.size:
+        return (0.0,) * len(shared.scales)
+    cause = next(cause for cause in competition.causes if cause.name == shared.name and cause.span is not None)
+    products = _projected(competition, beside)
+    rows = 1 + cause.columns
+    gram, moment = products[np.ix_(rows, rows)] * np.outer(cause.sds, cause.sds), products[rows, 0] * cause.sds
+    information = evidence.information_for(shared.name)
+    direction = np.ones(len(shared.rows)) if shared.one_signed else None
+    return tuple(
+        log_evidence(gram, moment, scale, cause.direction)
+        - log_evidence(*normalised(information, shared, shared.sizes_mN, scale), scale, direction)
+        for scale in shared.scales
+    )
+
+
+def _log_odds_elsewhere(
+    competition: Competition, presence: Presence, strong: set[str], beside: CauseSet, effect: str
+) -> float:
+    """Return how much likelier an effect becomes by sets of causes other than those that it is looked at beside."""
+    if effect not in presence.kinds or presence.kinds[effect] is not CauseKind.EFFECT:
+        return 0.0
+    causes = competition.causes
+    present, absent, here_present, here_absent = [-np.inf], [-np.inf], [-np.inf], [-np.inf]
+    for key, value in presence.log_odds.items():
+        others = tuple(entry for entry in key if causes[entry[0]].name != effect)
+        if {causes[index].name for index, _ in others if causes[index].kind is CauseKind.EFFECT} <= strong:
+            with_effect = len(others) < len(key)
+            (present if with_effect else absent).append(value)
+            if others == beside:
+                (here_present if with_effect else here_absent).append(value)
+    gained, lost = (
+        float(np.logaddexp.reduce(everywhere) - np.logaddexp.reduce(here)) if len(here) > 1 else 0.0
+        for everywhere, here in ((present, here_present), (absent, here_absent))
+    )
+    return gained - lost
+
+
+def _without(competition: Competition, causes: CauseSet, name: str) -> CauseSet:
+    return tuple(entry for entry in causes if competition.causes[entry[0]].name != name)
+
+
+def _pooled_causes(competition: Competition, periodic: Mapping[str, PeriodicColumns]) -> Mapping[str, Cause]:
+    """Return the causes whose columns are shared, by name; periodic ones are taken at all their periods instead."""
+    return {
+        cause.name: cause
+        for cause in competition.causes
+        if cause.span is not None and cause.kind in POOLED_KINDS and cause.name not in periodic
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Layout:
+    """Linear combinations of the competition's columns that are shared."""
+
+    competition: Competition
+    mixing: FloatArray
+    """Coefficients of the competition's columns, residual first, of each shared one, shape `(1 + C, 1 + S)`."""
+    columns: Mapping[str, SharedColumns]
+
+    @classmethod
+    def of(
+        cls,
+        competition: Competition,
+        pooled: Mapping[str, Cause],
+        periodic: Mapping[str, PeriodicColumns],
+    ) -> "_Layout":
+        blocks, first = [], 1
+        size = len(competition.products)
+        columns = {}
+        for name, cause in pooled.items():
+            span = cause.span
+            if span is None:
+                continue
+            width = span.mixing.shape[1]
+            block = np.zeros((size, len(span.mixing)))
+            block[1 + cause.columns[:width]] = span.mixing.T
+            forms = np.zeros((size, 0))
+            if cause.kind is CauseKind.EFFECT:
+                forms = _form_directions(competition, cause, width)
+            rows = np.arange(first, first + block.shape[1])
+            form_rows = np.arange(rows[-1] + 1, rows[-1] + 1 + forms.shape[1])
+            columns[name] = SharedColumns(
+                name,
+                cause.kind,
+                span.variants,
+                rows,
+                form_rows,
+                span.sizes_mN,
+                cause.direction is not None,
+                POOLED_MODEL_SCALES if cause.kind is CauseKind.MODEL else POOLED_SCALES_MN,
+            )
+            blocks += [block, forms]
+            first += block.shape[1] + forms.shape[1]
+        for name, found in periodic.items():
+            acting = np.flatnonzero(found.sizes_mN > 0)
+            if not acting.size:
+                continue
+            block = np.zeros((size, acting.size))
+            block[1 + found.columns[acting], np.arange(acting.size)] = 1.0
+            rows = np.arange(first, first + acting.size)
+            columns[name] = SharedColumns(
+                name,
+                CauseKind.EFFECT,
+                acting,
+                rows,
+                np.zeros(0, dtype=np.intp),
+                found.sizes_mN[acting],
+                False,
+                POOLED_SCALES_MN,
+            )
+            blocks.append(block)
+            first += acting.size
+        residual = np.zeros((size, 1))
+        residual[0] = 1.0
+        return cls(competition, np.concatenate((residual, *blocks), axis=1), columns)
+
+    def information(self, own_causes: CauseSet) -> FloatArray:
+        """Return the products of residual and shared columns, own causes projected out within their priors."""
+        products = _projected(self.competition, own_causes)
+        return np.asarray(self.mixing.T @ (products @ self.mixing), dtype=np.float32)
+
+
+def _projected(competition: Competition, causes: CauseSet) -> FloatArray:
+    products = competition.products
+    rows, sds = competition.scaled_columns(causes)
+    if not rows.size:
+        return products
+    precision = products[np.ix_(rows, rows)] * np.outer(sds, sds) + np.eye(rows.size)
+    explained = np.linalg.solve(np.linalg.cholesky(precision), products[rows] * sds[:, None])
+    return np.asarray(products - explained.T @ explained)
+
+
+def _form_directions(competition: Competition, cause: Cause, core: int) -> FloatArray:
+    """Return the combinations of columns in which the form may differ most beside the core, shape `(1 + C, r)`."""
+    rows, sds = 1 + cause.columns[core:], cause.sds[core:]
+    products = competition.products
+    core_rows = 1 + cause.columns[:core]
+    gram = products[np.ix_(core_rows, core_rows)]
+    cross = products[np.ix_(core_rows, rows)] * sds
+    left = products[np.ix_(rows, rows)] * np.outer(sds, sds)
+    ridge = 1e-6 * np.trace(gram) / core * np.eye(core)
+    vectors = np.linalg.eigh(left - cross.T @ np.linalg.solve(gram + ridge, cross))[1]
+    chosen = vectors[:, ::-1][:, :FORM_COLUMNS]
+    directions = np.zeros((len(products), chosen.shape[1]))
+    directions[rows] = sds[:, None] * chosen
+    return directions
+
+
+def log_evidence(gram: FloatArray, moment: FloatArray, scale: float, direction: FloatArray | None = None) -> float:
+    """Return the log Bayes factor of coefficients with standard deviation `scale` against none.
+
+    Parameters
+    ----------
+    direction
+        Direction in which they must be positive; None for either sign.
+    """
+    root = np.asarray(np.linalg.cholesky(np.eye(len(gram)) + scale**2 * gram), dtype=np.float64)
+    fitted = np.asarray(np.linalg.solve(root, scale * moment), dtype=np.float64)
+    value = 0.5 * float(fitted @ fitted) - float(np.log(np.diag(root)).sum())
+    return value if direction is None else value + log_sign_probability(root, fitted, direction)
+
+
+def log_sign_probability(root: FloatArray, fitted: FloatArray, direction: FloatArray) -> float:
+    """Return the log probability that a one-signed cause is positive, against one half a priori."""
+    from scipy.special import log_ndtr
+
+    along = np.linalg.solve(root, direction)
+    return float(log_ndtr(along @ fitted / np.sqrt(along @ along))) + log(2.0)
+
+
+def normalised(
+    information: FloatArray, shared: SharedColumns, sizes_mN: FloatArray, scale: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return information matrix and vector of a cause, its other forms at a scale integrated out.
+
+    Each column has rms 1 mN over the root of their number, so that coefficients with standard deviation `scale` make
+    a force of about that size. Shapes `(n, n)` and `(n,)`.
+    """
+    rows, forms = shared.rows, shared.form_rows
+    unit = 1.0 / (sizes_mN * np.sqrt(len(rows)))
+    gram = information[np.ix_(rows, rows)].astype(np.float64) * np.outer(unit, unit)
+    moment = information[rows, 0].astype(np.float64) * unit
+    if forms.size:
+        own = information[np.ix_(forms, forms)].astype(np.float64) * scale**2 + np.eye(forms.size)
+        cross = information[np.ix_(forms, np.concatenate(([0], rows)))].astype(np.float64) * scale
+        cross[:, 1:] *= unit
+        solved = np.linalg.solve(own, cross)
+        gram = gram - cross[:, 1:].T @ solved[:, 1:]
+        moment = moment - cross[:, 1:].T @ solved[:, 0]
+    return gram, moment

@@ -1,0 +1,260 @@
+"""Campaigns of one rig together, laid out for a reader: which effect is where, how sure, and how large in each."""
+
+from collections.abc import Mapping
+
+from dragrig import present
+from dragrig.analysis import capitalise, join_names, range_text, value_with_error
+from dragrig.analysis.gap import CampaignEvidence, PooledDiagnosis, PooledEffect, PopulationSize, Where, display_name
+from dragrig.present import (
+    Document,
+    Field,
+    Figure,
+    FormattedNumber,
+    Items,
+    Section,
+    Table,
+    Text,
+    TextKind,
+    exclusions_json,
+    probability_text,
+    shortest,
+    to_json_object,
+    unit_text,
+)
+from dragrig.sim_backend.effects import catalogue
+
+FORMAT, VERSION = "dragrig-gap-together", 1
+MAX_LISTED = 10
+"""Effects that a terminal lists; the page has all."""
+MAX_NAMED_CAMPAIGNS = 4
+MIN_LIKELY = 0.1
+"""Where nothing is established, the most probable effect is told from this probability on."""
+
+
+def pooled_document(pooled: PooledDiagnosis) -> Document:
+    """Lay out the diagnosis of several campaigns together."""
+    answer, *lead = (
+        *(_effect_sentence(effect, pooled) for effect in pooled.established),
+        *_nothing_sentences(pooled),
+    )
+    count = len(pooled.campaigns)
+    return Document(
+        title=f"Gap diagnosis of {count} campaigns together",
+        badges=tuple(dict.fromkeys(backend for campaign in pooled.campaigns for backend in campaign.backends)),
+        answer=answer,
+        lead=(*lead, *_unnamed_sentences(pooled)),
+        sections=(
+            Section("effects", "Which effects, and where", (*_effects_section(pooled),)),
+            Section("sizes", "How large in each campaign", (*_sizes_section(pooled),)),
+            Section("campaigns", "Each campaign alone", (_campaign_table(pooled), _alone_text(pooled))),
+            Section("remarks", "Remarks", (Items(tuple(map(capitalise, pooled.remarks)), remarks=True),)),
+        ),
+        data=pooled_json(pooled),
+    )
+
+
+def where_text(effect: PooledEffect, pooled: PooledDiagnosis) -> str:
+    """Say in which campaigns an effect is: `all 5`, `some: A, C`, `one: B`."""
+    if effect.where is Where.ALL:
+        return f"all {len(pooled.campaigns)}"
+    names = [pooled.campaigns[at].source for at in effect.members]
+    return f"{effect.where.value}: {_listed(names)}"
+
+
+def _listed(names: list[str]) -> str:
+    if len(names) <= MAX_NAMED_CAMPAIGNS:
+        return join_names(names) or "not known which"
+    return f"{', '.join(names[: MAX_NAMED_CAMPAIGNS - 1])} and {len(names) - MAX_NAMED_CAMPAIGNS + 1} more"
+
+
+def _effect_sentence(effect: PooledEffect, pooled: PooledDiagnosis) -> str:
+    name, count = capitalise(display_name(effect.effect)), len(pooled.campaigns)
+    names = [pooled.campaigns[at].source for at in effect.members]
+    if effect.where is Where.ALL:
+        place = f"is the rig's: it is in all {count} campaigns" if effect.of_rig else f"is in all {count} specimens"
+    elif effect.where is Where.SOME:
+        place = f"is in {len(names)} of {count} campaigns ({_listed(names)})"
+    else:
+        place = f"is in one campaign alone, {_listed(names)}"
+    likely = effect.where_probabilities[effect.where]
+    sure = f"probability {probability_text(effect.probability)} that it is there"
+    sure += f", {probability_text(likely)} that it is there in {'these' if effect.where is not Where.ALL else 'all'}"
+    alike = (
+        f"; these campaigns do not tell it from {join_names([display_name(rival) for rival in effect.confusable_with])}"
+    )
+    return f"{name} {place} ({sure}){alike if effect.confusable_with else ''}.{_size_sentence(effect)}"
+
+
+def _size_sentence(effect: PooledEffect) -> str:
+    size = effect.size
+    if size is None:
+        return ""
+    unit = f" {unit_text(size.unit)}".rstrip()
+    text = f" Its {size.parameter} is {value_with_error(size.mean, size.standard_error)}{unit}"
+    if len(effect.members) > 1:
+        text += (
+            f" in the mean, with a spread of {size.spread:.2g}{unit} between campaigns"
+            if size.spread > 0
+            else (" in the mean, and no spread between campaigns is seen")
+        )
+    return f"{text}."
+
+
+def _nothing_sentences(pooled: PooledDiagnosis) -> tuple[str, ...]:
+    if pooled.established:
+        return ()
+    best = pooled.effects[0] if pooled.effects else None
+    text = f"No effect of the catalogue is established in these {len(pooled.campaigns)} campaigns together"
+    if best is None or best.probability < MIN_LIKELY:
+        return (f"{text}.",)
+    return (f"{text}; most probable is {display_name(best.effect)} ({probability_text(best.probability)}).",)
+
+
+def _unnamed_sentences(pooled: PooledDiagnosis) -> tuple[str, ...]:
+    if not pooled.unnamed:
+        return ()
+    causes = join_names([f"{name} ({probability_text(value)})" for name, value in pooled.unnamed.items()])
+    return (f"Beside that all campaigns share a deviation without a name, best described by: {causes}.",)
+
+
+def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
+    basis = (
+        "Rig: it has one set of parameters for all campaigns. Gut: a population of specimens with a spread. The "
+        "probability together weighs all campaigns at once, beside every other cause that they may share; the best one "
+        "alone is the highest that any single campaign gives."
+    )
+    table = Table.of(
+        "effects",
+        "",
+        pooled.effects,
+        Field("name", "effect", lambda effect: capitalise(display_name(effect.effect))),
+        Field("belongs_to", "belongs to", lambda effect: "rig" if effect.of_rig else "gut"),
+        Field("where", "where", lambda effect: where_text(effect, pooled) if effect.established else ""),
+        Field("probability", "together", lambda effect: _probability(effect.probability)),
+        Field("alone", "best one alone", lambda effect: _probability(max(effect.alone, default=0.0))),
+        Field("size", "size ± standard error", lambda effect: _size_cell(effect.size if effect.established else None)),
+        Field("size_95ci", "95 % interval", lambda effect: _interval(effect.size if effect.established else None)),
+        Field("spread", "spread between", _spread_cell),
+        Field("confusable", "not told from", lambda effect: ", ".join(map(display_name, effect.confusable_with))),
+        brief_rows=max(MAX_LISTED, len(pooled.established)),
+    )
+    return Text(basis, TextKind.EXPLANATION), table
+
+
+def _probability(value: float) -> FormattedNumber:
+    return FormattedNumber(value, probability_text(value))
+
+
+def _size_cell(size: PopulationSize | None) -> FormattedNumber | str:
+    if size is None:
+        return ""
+    unit = unit_text(size.unit)
+    return FormattedNumber(size.mean, f"{value_with_error(size.mean, size.standard_error)} {unit}".rstrip())
+
+
+def _interval(size: PopulationSize | None) -> str:
+    return "" if size is None else range_text(size.interval_95, size.standard_error)
+
+
+def _spread_cell(effect: PooledEffect) -> FormattedNumber | str:
+    if effect.size is None or not effect.established or len(effect.members) < 2:
+        return ""
+    return FormattedNumber(effect.size.spread, f"{effect.size.spread:.2g}")
+
+
+def _sizes_section(pooled: PooledDiagnosis) -> tuple[Figure, ...]:
+    shown = [effect for effect in pooled.established if effect.size is not None]
+    if not shown:
+        return ()
+    return (
+        Figure(
+            "sizes",
+            "A panel for each effect: its size in each campaign with an error bar, and a band for the population.",
+            "Size of each effect by campaign; bars hold 95 %. Filled points have the effect. The line is the mean of "
+            "these, the band holds 95 % of specimens, as far as they differ beyond their errors.",
+            lambda: present.pooled_sizes_figure(pooled),
+        ),
+    )
+
+
+def _campaign_table(pooled: PooledDiagnosis) -> Table:
+    def together(campaign: CampaignEvidence) -> str:
+        at = pooled.campaigns.index(campaign)
+        return ", ".join(display_name(effect.effect) for effect in pooled.established if at in effect.members)
+
+    return Table.of(
+        "campaigns",
+        "",
+        pooled.campaigns,
+        Field("campaign", "campaign", lambda campaign: campaign.source),
+        Field("specimen", "specimen", lambda campaign: campaign.specimen),
+        Field("runs", "runs", lambda campaign: campaign.runs, shortest()),
+        Field("verdict", "verdict alone", _verdict_alone),
+        Field("probability", "probability", lambda campaign: _probability(campaign.probability)),
+        Field("together", "effects together", together),
+        brief_rows=MAX_LISTED,
+    )
+
+
+def _verdict_alone(campaign: CampaignEvidence) -> str:
+    return " + ".join(map(display_name, campaign.effects)) or campaign.verdict.value.replace("_", " ")
+
+
+def _alone_text(pooled: PooledDiagnosis) -> Text:
+    first = pooled.campaigns[0].source if pooled.campaigns else "CAMPAIGN"
+    return Text(f"`dragrig gap diagnose {first}` shows one of them in full.")
+
+
+def pooled_json(pooled: PooledDiagnosis) -> Mapping[str, object]:
+    """Return the diagnosis of several campaigns together as JSON."""
+    return to_json_object(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "campaigns": [
+                {
+                    "source": campaign.source,
+                    "specimen": campaign.specimen,
+                    "runs": campaign.runs,
+                    "nominal": campaign.nominal,
+                    "verdict": campaign.verdict.value,
+                    "effects": campaign.effects,
+                    "probability": campaign.probability,
+                    "left_out": exclusions_json(campaign.left_out),
+                    "remarks": campaign.remarks,
+                }
+                for campaign in pooled.campaigns
+            ],
+            "effects": [_effect_json(effect, pooled) for effect in pooled.effects],
+            "unnamed": pooled.unnamed,
+            "remarks": pooled.remarks,
+        }
+    )
+
+
+def _effect_json(effect: PooledEffect, pooled: PooledDiagnosis) -> Mapping[str, object]:
+    size = effect.size
+    return {
+        "effect": effect.effect,
+        "belongs_to": "rig" if effect.of_rig else "gut",
+        "established": effect.established,
+        "probability": effect.probability,
+        "where": effect.where.value,
+        "where_probabilities": {where.value: value for where, value in effect.where_probabilities.items()},
+        "campaigns": [pooled.campaigns[at].source for at in effect.members] if effect.established else [],
+        "presence": effect.presence,
+        "presence_alone": effect.alone,
+        "confusable_with": effect.confusable_with,
+        "size": None
+        if size is None
+        else {
+            "parameter": size.parameter,
+            "unit": size.unit,
+            "mean": size.mean,
+            "sd": size.standard_error,
+            "interval_95": size.interval_95,
+            "spread": size.spread,
+            "campaigns": [None if own is None else {"value": own[0], "sd": own[1]} for own in size.campaigns],
+        },
+        "summary": catalogue()[effect.effect].summary if effect.effect in catalogue() else "",
+    }
