@@ -84,21 +84,22 @@ class ForceEvidence:
 
     Attributes
     ----------
-    information
-        Products of residual (first) and columns, whitened, all else projected out, shape `(1 + C, 1 + C)`.
+    contexts
+        Products of residual (first) and columns, whitened, beside nuisances and some set of the campaign's own causes,
+        shape `(1 + C, 1 + C)` each.
     columns
         The columns of each cause.
-    own
-        For an effect among the campaign's own causes: the same information where it is none of them.
+    context_of
+        Number of the context in which each cause is looked at: beside what is likely there together with it.
     """
 
-    information: FloatArray
+    contexts: tuple[FloatArray, ...]
     columns: Mapping[str, SharedColumns]
-    own: Mapping[str, FloatArray]
+    context_of: Mapping[str, int]
 
     def information_for(self, name: str) -> FloatArray:
-        """Return the information in which a cause is not projected out."""
-        return self.own.get(name, self.information)
+        """Return the information beside what is likely there together with a cause."""
+        return self.contexts[self.context_of[name]]
 
 
 def force_evidence(
@@ -121,8 +122,12 @@ def force_evidence(
     contexts = {
         name: _context(competition, presence, strong, own_causes, shared) for name, shared in layout.columns.items()
     }
-    own = {name: layout.information(causes) for name, causes in contexts.items() if causes != own_causes}
-    evidence = ForceEvidence(layout.information(own_causes), layout.columns, own)
+    different = tuple(dict.fromkeys(contexts.values()))
+    evidence = ForceEvidence(
+        tuple(map(layout.information, different)),
+        layout.columns,
+        {name: different.index(causes) for name, causes in contexts.items()},
+    )
     columns = {
         name: replace(
             shared,

@@ -1,10 +1,10 @@
 """Campaigns of one rig together: which effects are in all of them, in some, or in one, and how large in each.
 
-What belongs to the rig is the same in all campaigns; what belongs to the gut is a population with a spread. Of each
-cause, coefficients of campaign `c` are `β_c = μ + δ_c`, where `μ` and `δ_c` are Gaussian with variances `(1 - ρ) s²` and
-`ρ s²` (a random-effects model; Gelman & Hill, Data Analysis Using Regression and Multilevel Models, 2007). The evidence
-that a cause is in some campaigns and in no others follows by linear algebra from the compact evidence of each.
-Causes compete: they are chosen one by one, each beside those chosen before it.
+What belongs to the rig is the same in all campaigns; what belongs to the gut is a population with a spread. The
+coefficients of a cause in campaign `c` are `β_c = μ + δ_c`, where `μ` and `δ_c` are Gaussian with variances
+`(1 - ρ) s²` and `ρ s²` (a random-effects model; Gelman & Hill, Data Analysis Using Regression and Multilevel Models,
+2007). The evidence that a cause is in some campaigns and in no others follows by linear algebra from the compact
+evidence of each. Causes compete: they are chosen one by one, each beside those chosen before it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +18,7 @@ import numpy as np
 from dragrig.analysis import NORMAL_95, Exclusion
 from dragrig.analysis.gap.diagnose import DiagnosisWithCauses
 from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY, Verdict
-from dragrig.analysis.gap.pooled_evidence import ForceEvidence, SharedColumns, force_evidence, normalised
+from dragrig.analysis.gap.pooled_evidence import ForceEvidence, SharedColumns, force_evidence
 from dragrig.analysis.gap.presence import KEPT_VARIANCE, PRIOR_PROBABILITIES, CauseKind
 from dragrig.config import AnalysisError
 from dragrig.rig import BoolArray, FloatArray, IndexArray
@@ -30,7 +30,7 @@ RIG_SPREADS = (0.0, 0.05)
 GUT_SPREADS = (0.03, 0.2, 0.6)
 LAW_SPREADS = (0.03, 0.2)
 PATTERN_PRIORS: Mapping[bool, tuple[float, float, float]] = {True: (0.8, 0.1, 0.1), False: (0.5, 0.25, 0.25)}
-"""Prior probabilities that an effect which is there is in all, some, or one, where it is the rig's and where the gut's."""
+"""Prior probabilities that an effect which is there is in all, some, or one; where it is the rig's, and the gut's."""
 RIG_LOCATIONS = (Location.FORCE_SENSOR, Location.MOTOR, Location.ACQUISITION)
 PREVALENCES = (0.1, 0.3, 0.5, 0.7, 0.9)
 MIN_CAMPAIGNS_FOR_SOME = 3
@@ -39,7 +39,7 @@ ORDERINGS = 2
 """Orders of the campaigns by their evidence, each at the mean of the best set of the order before."""
 SETTINGS_SEARCHED = 5
 """Most promising scales and spreads at which sets of some campaigns are looked for."""
-MAX_POOLED = 6
+MAX_POOLED = 12
 MIN_CAMPAIGNS = 2
 CONFUSABLE_SHARE = 0.2
 """A rival that would be there in a cause's place with more than this share of its probability is not told from it."""
@@ -75,6 +75,11 @@ class PatternOdds:
     def total(self) -> float:
         """Log odds that it is in any campaign."""
         return float(np.logaddexp.reduce([self.everywhere, self.some, *self.single]))
+
+    @property
+    def in_one(self) -> bool:
+        """Whether it is most likely in a single campaign, if in any."""
+        return float(np.logaddexp.reduce(self.single)) > max(self.everywhere, self.some)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,11 +289,17 @@ class PooledForce:
         """Kind of each cause."""
         return {name: shared.kind for campaign in self.campaigns for name, shared in campaign.columns.items()}
 
-    def beside(self, name: str, scale: float) -> "PooledForce":
-        """Return the evidence beside a cause, of which each campaign may have its own size and form."""
-        return PooledForce(
-            tuple(_projected_out(campaign, name, scale) for campaign in self.campaigns), (*self.chosen, name)
-        )
+    def beside(self, name: str, odds: PatternOdds) -> "PooledForce":
+        """Return the evidence beside a cause, of which each campaign that has it has its own size and form.
+
+        Where it is in more than one campaign, it is allowed for in all.
+        """
+        alone = int(np.argmax(odds.single)) if odds.in_one else None
+        campaigns = [
+            _projected_out(campaign, name, odds.scale) if alone is None or at == alone else campaign
+            for at, campaign in enumerate(self.campaigns)
+        ]
+        return PooledForce(tuple(campaigns), (*self.chosen, name))
 
     def odds(self, name: str) -> PatternOdds:
         """Return in which campaigns a cause is, beside those chosen."""
@@ -308,8 +319,9 @@ class PooledForce:
         scales = found[0].scales
         weight = -log(len(scales) * len(spreads))
         basis, direction = None, None
+        products = self._gathered(name, numbers)
         for at, scale in enumerate(scales):
-            grams, moments = self._stacked(name, numbers, sizes, scale)
+            grams, moments = _without_forms(products, sizes, scale)
             offsets = np.array([self._offset(campaign, name, at) for campaign in self.campaigns])
             if basis is None:
                 values, vectors = np.linalg.eigh(grams.sum(axis=0))
@@ -334,26 +346,31 @@ class PooledForce:
         explained = 0.5 * (shared.chi2 - float(campaign.information_for(name)[0, 0]))
         return min(shared.forms[at], 0.0) + min(shared.elsewhere + explained, 0.0)
 
-    def _stacked(
-        self, name: str, numbers: IndexArray, sizes: FloatArray, scale: float
-    ) -> tuple[FloatArray, FloatArray]:
-        grams = np.zeros((len(self.campaigns), numbers.size, numbers.size))
-        moments = np.zeros((len(self.campaigns), numbers.size))
-        for campaign, gram, moment in zip(self.campaigns, grams, moments, strict=True):
-            shared = campaign.columns.get(name)
-            if shared is not None:
-                rows = np.searchsorted(numbers, shared.numbers)
-                unit = np.sqrt(len(rows) / numbers.size)
-                values, vector = normalised(campaign.information_for(name), shared, sizes[rows], scale)
-                gram[np.ix_(rows, rows)], moment[rows] = unit**2 * values, unit * vector
-        return grams, moments
+    def _gathered(self, name: str, numbers: IndexArray) -> FloatArray:
+        """Return the products of residual, shared columns and forms of a cause, shape `(C, 1 + n + r, 1 + n + r)`."""
+        having = [campaign.columns.get(name) for campaign in self.campaigns]
+        forms = max(shared.form_rows.size for shared in having if shared is not None)
+        products = np.zeros((len(having), 1 + numbers.size + forms, 1 + numbers.size + forms))
+        for campaign, shared, into in zip(self.campaigns, having, products, strict=True):
+            if shared is None:
+                continue
+            rows = np.concatenate(([0], shared.rows, shared.form_rows))
+            places = np.concatenate(
+                (
+                    [0],
+                    1 + np.searchsorted(numbers, shared.numbers),
+                    1 + numbers.size + np.arange(shared.form_rows.size),
+                )
+            )
+            into[places[:, None], places] = campaign.information_for(name)[rows[:, None], rows]
+        return products
 
     def _periodic_odds(self, name: str) -> PatternOdds:
         """Return the odds of a periodic effect, whose phase and amplitude are each campaign's own."""
         having = [campaign.columns.get(name) for campaign in self.campaigns]
         found = [shared for shared in having if shared is not None]
         numbers = np.unique(np.concatenate([shared.numbers for shared in found]))
-        grams, moments = self._stacked(name, numbers, _common_sizes(found, numbers), 0.0)
+        grams, moments = _without_forms(self._gathered(name, numbers), _common_sizes(found, numbers), 0.0)
         pairs = np.flatnonzero(np.diff(numbers // 2) == 0)
         # Columns have sd `scale` over the root of their number: at a period there are two.
         ratio = numbers.size / 2
@@ -378,7 +395,7 @@ class PooledForce:
         effect = find_effect(name)
         found = [campaign.columns[name] for campaign in self.campaigns if name in campaign.columns]
         numbers = np.unique(np.concatenate([shared.numbers for shared in found]))
-        grams, moments = self._stacked(name, numbers, np.ones(numbers.size), scale if effect.phase is None else 0.0)
+        grams, moments = _without_forms(self._gathered(name, numbers), np.ones(numbers.size), scale)
         grams, moments = grams * numbers.size, moments * np.sqrt(numbers.size)
         width = 1 if effect.phase is None else 2
         firsts = np.flatnonzero(np.isin(numbers + width - 1, numbers) & (numbers % width == 0))
@@ -396,6 +413,18 @@ class PooledForce:
                 _amplitude(amplitude[:, best, :, 0]).tolist(), strength[:, best, 0, 0].tolist(), strict=True
             )
         )
+
+
+def _without_forms(products: FloatArray, sizes_mN: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
+    """Return information matrices and vectors of a cause in all campaigns, as `normalised` does in one."""
+    count = sizes_mN.size
+    unit = 1.0 / (sizes_mN * np.sqrt(count))
+    kept = products[:, : 1 + count, : 1 + count]
+    if products.shape[1] > 1 + count and scale > 0:
+        own = np.eye(products.shape[1] - 1 - count) + scale**2 * products[:, 1 + count :, 1 + count :]
+        cross = scale * products[:, 1 + count :, : 1 + count]
+        kept = kept - cross.transpose(0, 2, 1) @ np.linalg.solve(own, cross)
+    return kept[:, 1:, 1:] * np.outer(unit, unit), kept[:, 1:, 0] * unit
 
 
 def _amplitude(values: FloatArray) -> FloatArray:
@@ -420,11 +449,7 @@ def _projected_out(campaign: ForceEvidence, name: str, scale: float) -> ForceEvi
     sds = np.concatenate((scale / (shared.sizes_mN * np.sqrt(len(shared.rows))), np.full(shared.form_rows.size, scale)))
     if shared.one_signed is False and not shared.form_rows.size and shared.kind is CauseKind.EFFECT:
         sds = sds * np.sqrt(len(shared.rows) / 2)
-    return replace(
-        campaign,
-        information=_without(campaign.information, rows, sds),
-        own={other: _without(values, rows, sds) for other, values in campaign.own.items() if other != name},
-    )
+    return replace(campaign, contexts=tuple(_without(values, rows, sds) for values in campaign.contexts))
 
 
 def _without(information: FloatArray, rows: IndexArray, sds: FloatArray) -> FloatArray:
@@ -472,9 +497,9 @@ def credible_log_odds(name: str, odds: PatternOdds, evidence: PooledForce, alone
     """
     if name not in alone or not np.isfinite(odds.total):
         return odds.total
-    single = np.exp(odds.single - odds.total)
-    if single.sum() > ESTABLISHED:
-        probability = float(single @ np.clip(alone[name], MIN_PROBABILITY, MAX_PROBABILITY) / single.sum())
+    if odds.in_one:
+        single = np.exp(odds.single - np.logaddexp.reduce(odds.single))
+        probability = float(single @ np.clip(alone[name], MIN_PROBABILITY, MAX_PROBABILITY))
         return min(odds.total, log(probability / (1 - probability)))
     if odds.total > MIN_LOG_ODDS and find_effect(name).size.low >= 0:
         value, weight = 0.0, 0.0
@@ -497,14 +522,15 @@ def pool_force(campaigns: Sequence[ForceEvidence], alone: Alone) -> Mapping[str,
             break
         best = max(likely, key=lambda name: odds[name].total)
         chosen[best] = odds[best]
-        evidence = evidence.beside(best, odds[best].scale)
+        evidence = evidence.beside(best, odds[best])
         odds = {name: evidence.odds(name) for name in odds if name != best}
     found = {name: _further_cause(name, first[name], value, evidence, alone) for name, value in odds.items()}
+    rivals = tuple(name for name, value in odds.items() if first[name].total - value.total > EXPLAINED_LOG_ODDS)
     for name in chosen:
         beside = nothing
         for other in chosen:
-            beside = beside if other == name else beside.beside(other, chosen[other].scale)
-        for cause, value in _chosen_cause(name, tuple(odds), beside, alone):
+            beside = beside if other == name else beside.beside(other, chosen[other])
+        for cause, value in _chosen_cause(name, rivals, beside, alone):
             if cause == name or value.probability > found[cause].probability:
                 found[cause] = value
     return found
@@ -513,7 +539,7 @@ def pool_force(campaigns: Sequence[ForceEvidence], alone: Alone) -> Mapping[str,
 def _further_cause(
     name: str, first: PatternOdds, odds: PatternOdds, evidence: PooledForce, alone: Alone
 ) -> PooledCause:
-    """Return a cause that was not chosen; one that a campaign's own diagnosis names, and no chosen one explains, stays."""
+    """Return a cause that was not chosen; what a campaign's own diagnosis names and no chosen one explains stays."""
     probability = _logistic(credible_log_odds(name, odds, evidence, alone))
     likely = float(alone[name].max()) if name in alone else 0.0
     explained = first.total - odds.total > EXPLAINED_LOG_ODDS

@@ -2,6 +2,7 @@ from .blind_campaign import CONDITIONS as CONDITIONS
 from .blind_campaign import PLANTS as PLANTS
 from .blind_campaign import BlindCampaign as BlindCampaign
 from .blind_campaign import draw_campaign as draw_campaign
+from .blind_campaign import other_specimen as other_specimen
 from .blind_campaign import parallel_session as parallel_session
 from .blind_campaign import true_answer as true_answer
 from .blind_campaign import without_effects as without_effects
@@ -13,6 +14,7 @@ from .effects import CATALOGUE as CATALOGUE
 from .effects import IN_DRAGS as IN_DRAGS
 from .effects import IN_ONE_STROKE as IN_ONE_STROKE
 from .effects import OUTSIDE as OUTSIDE
+from .effects import RIG_GROUPS as RIG_GROUPS
 from .effects import effect_group as effect_group
 from .plant import write_campaign as write_campaign
 from .run_plans import Floats as Floats

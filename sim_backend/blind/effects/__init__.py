@@ -24,6 +24,9 @@ GROUPS = {
 }
 """Effects of the catalogue by what they act on; their order decides what a seed draws."""
 
+RIG_GROUPS = ("sensor", "drive")
+"""Groups of effects that belong to the rig; the others belong to the gut."""
+
 EVERYWHERE = ("payload_inertia", "arm_compliance", "servo_lag", "velocity_ripple", "encoder_scale", "force_hysteresis")
 IN_ONE_STROKE = ("folds", "velocity_ripple")
 """Effects that a single stroke can show; what falls or grows in one could be anything."""
