@@ -94,8 +94,8 @@ def draw_groups(groups: int, seed: int, plant: str) -> list[Group]:
     empty = [Member(seed + number, plant) for number in range(EMPTY_CAMPAIGNS)]
     found = []
     for case, names, size, many, first in (
-        ("a tenth in all", tuple(CATALOGUE), 0.1, groups, 1_000),
         ("the rig's, a third in all", rig, 1 / 3, groups // 2, 20_000),
+        ("a tenth in all", tuple(CATALOGUE), 0.1, groups, 1_000),
     ):
         order = random.permutation(np.array(names)).tolist()
         for number in range(many):

@@ -83,7 +83,7 @@ class PatternOdds:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Setting:
+class SharedInformation:
     """Information of all campaigns on one cause for one scale and spread.
 
     Attributes
@@ -94,6 +94,8 @@ class _Setting:
         Log evidence that does not depend on the mean, shape `(C,)`.
     mean_variance
         Prior variance of the mean.
+    direction
+        Direction in which the mean must be positive, shape `(k,)`; None for either sign.
     """
 
     gram: FloatArray
@@ -111,7 +113,18 @@ class _Setting:
         variance: float,
         spread: float,
         direction: FloatArray | None,
-    ) -> "_Setting":
+    ) -> "SharedInformation":
+        """Return it from the information of each campaign on its own coefficients.
+
+        Parameters
+        ----------
+        gram, moment
+            Information matrices and vectors, shapes `(C, k, k)` and `(C, k)`.
+        offsets
+            Log evidence of each campaign beyond these, shape `(C,)`.
+        variance, spread
+            Prior variance of a coefficient, and the share of it that is each campaign's own.
+        """
         own = spread * variance
         shrunk = np.eye(gram.shape[1]) + own * gram
         solved = np.linalg.solve(shrunk, np.concatenate((gram, moment[:, :, None]), axis=2))
@@ -151,7 +164,7 @@ class _Setting:
         return np.asarray(self.constant + self.moment @ mean - 0.5 * np.einsum("k,ckl,l->c", mean, self.gram, mean))
 
 
-def _prefixes(setting: _Setting, rows: IndexArray) -> FloatArray:
+def _prefixes(setting: SharedInformation, rows: IndexArray) -> FloatArray:
     """Return the log evidence of the first 1, 2, … campaigns in an order, shape `(C,)`."""
     return setting.evidence(
         np.cumsum(setting.gram[rows], axis=0),
@@ -160,7 +173,7 @@ def _prefixes(setting: _Setting, rows: IndexArray) -> FloatArray:
     )
 
 
-def _some_evidence(setting: _Setting, singles: FloatArray) -> tuple[float, FloatArray]:
+def _some_evidence(setting: SharedInformation, singles: FloatArray) -> tuple[float, FloatArray]:
     """Return the log evidence of at least two campaigns but not all, and the probability of each to be among them.
 
     Sets are summed over about the mean of the best one, which is found along orders of the campaigns by their gains.
@@ -191,7 +204,9 @@ def _some_evidence(setting: _Setting, singles: FloatArray) -> tuple[float, Float
     return best_value - of_best + float(np.logaddexp.reduce(sums)) - log(len(sums)), weights @ np.array(likely)
 
 
-def pattern_odds(settings: Sequence[tuple[float, float, _Setting]], kind: CauseKind, *, of_rig: bool) -> PatternOdds:
+def pattern_odds(
+    settings: Sequence[tuple[float, float, SharedInformation]], kind: CauseKind, *, of_rig: bool
+) -> PatternOdds:
     """Return in which campaigns a cause is.
 
     Parameters
@@ -311,7 +326,7 @@ class PooledForce:
         spreads = LAW_SPREADS if effect is None else RIG_SPREADS if of_rig else GUT_SPREADS
         return pattern_odds(list(self._settings(name, spreads)), kind, of_rig=of_rig)
 
-    def _settings(self, name: str, spreads: Sequence[float]) -> Iterator[tuple[float, float, _Setting]]:
+    def _settings(self, name: str, spreads: Sequence[float]) -> Iterator[tuple[float, float, SharedInformation]]:
         having = [campaign.columns.get(name) for campaign in self.campaigns]
         found = [shared for shared in having if shared is not None]
         numbers = np.unique(np.concatenate([shared.numbers for shared in found]))
@@ -331,7 +346,7 @@ class PooledForce:
             gram = np.einsum("nk,cnm,ml->ckl", basis, grams, basis)
             moment = moments @ basis
             for spread in spreads:
-                yield weight, scale, _Setting.of(gram, moment, offsets, scale**2, spread, direction)
+                yield weight, scale, SharedInformation.of(gram, moment, offsets, scale**2, spread, direction)
 
     def _offset(self, campaign: ForceEvidence, name: str, at: int) -> float:
         """Return the log Bayes factor of a campaign beyond that of the shared columns.

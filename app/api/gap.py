@@ -165,6 +165,8 @@ class DiagnosisRequest:
             found = parallel_map_with_progress(executor, look_into, tasks, looking)
             _require_one_rig(found)
             counted, remarks = _counted_once(found)
+            if len(counted) < MIN_CAMPAIGNS:
+                raise AnalysisError(f"fewer than two campaigns are left to pool: {'; '.join(remarks)}.")
             answers = parallel_map_with_progress(executor, self.with_absolute_paths().evidence, counted, diagnosing)
         evidence = [answer for answer in answers if isinstance(answer, CampaignEvidence)]
         remarks += [f"not diagnosed: {answer.rstrip('.')}" for answer in answers if isinstance(answer, str)]

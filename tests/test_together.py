@@ -1,0 +1,214 @@
+"""Campaigns of one rig together: in which an effect is, and that nothing is named where nothing is."""
+
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import dragrig
+from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.pooled_evidence import POOLED_SCALES_MN, ForceEvidence, SharedColumns
+from dragrig.analysis.gap.presence import CauseKind
+from dragrig.analysis.gap.run_data import choose_runs, without_runs
+from dragrig.analysis.gap.together import (
+    CampaignEvidence,
+    PooledDiagnosis,
+    SharedInformation,
+    Where,
+    diagnose_together,
+)
+from dragrig.cli import main
+from dragrig.config import AnalysisError
+from dragrig.present import pooled_document
+
+CAMPAIGN = Path(__file__).parent / "data" / "campaign"
+BLOCKS = 60
+EFFECTS = ("stribeck", "adhesion", "payload_inertia", "mesentery_tether")
+"""The second is nearly the first; the third belongs to the rig."""
+
+
+def signatures(random: np.random.Generator) -> Mapping[str, np.ndarray]:
+    """Return two columns of each effect with an rms of 1 over 60 blocks; a specimen changes them by a tenth."""
+    fixed = np.random.default_rng(5)
+    columns = {name: fixed.standard_normal((BLOCKS, 2)) for name in EFFECTS}
+    columns["adhesion"] = columns["stribeck"] + 0.3 * columns["adhesion"]
+    changed = {name: values + 0.1 * random.standard_normal(values.shape) for name, values in columns.items()}
+    return {name: values / np.sqrt(np.mean(values**2, axis=0)) for name, values in changed.items()}
+
+
+def campaign(seed: int, *, alone: Mapping[str, float] | None = None, **sizes_mN: float) -> CampaignEvidence:
+    """Return the evidence of a campaign with effects of these sizes in noise of 1 mN."""
+    random = np.random.default_rng(seed)
+    columns = signatures(random)
+    residual = random.standard_normal(BLOCKS)
+    for name, size in sizes_mN.items():
+        residual = residual + size * columns[name][:, 0]
+    values = np.column_stack((residual, *columns.values()))
+    shared = {
+        name: SharedColumns(
+            name=name,
+            kind=CauseKind.EFFECT,
+            numbers=np.arange(2),
+            rows=1 + 2 * at + np.arange(2),
+            form_rows=np.zeros(0, dtype=np.intp),
+            sizes_mN=np.ones(2),
+            one_signed=name != "mesentery_tether",
+            scales=POOLED_SCALES_MN,
+            forms=(0.0,) * len(POOLED_SCALES_MN),
+            chi2=float(residual @ residual),
+        )
+        for at, name in enumerate(columns)
+    }
+    presence = {**dict.fromkeys(EFFECTS, 0.01), **(alone or {})}
+    named = tuple(name for name, value in presence.items() if value > 0.5)
+    return CampaignEvidence(
+        source=f"campaign-{seed}",
+        specimen=f"specimen-{seed}",
+        runs=8,
+        verdict=Verdict.EFFECT if named else Verdict.NO_GAP,
+        effects=named,
+        probability=max(presence.values()),
+        presence=presence,
+        force=ForceEvidence((values.T @ values,), shared, dict.fromkeys(shared, 0)),
+        line_sizes={},
+    )
+
+
+def named(pooled: PooledDiagnosis) -> list[str]:
+    return [effect.effect for effect in pooled.established]
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    spread=st.sampled_from([0.0, 0.1, 0.6, 1.0]),
+    members=st.sets(st.integers(0, 3), min_size=1),
+)
+@settings(max_examples=40, deadline=None)
+def test_evidence_of_some_campaigns_is_that_of_their_joint_gaussian(
+    seed: int, spread: float, members: set[int]
+) -> None:
+    random = np.random.default_rng(seed)
+    columns, data = random.standard_normal((4, 7, 2)), random.standard_normal((4, 7))
+    variance = float(random.uniform(0.1, 5.0))
+    pooled = SharedInformation.of(
+        np.einsum("cnk,cnl->ckl", columns, columns),
+        np.einsum("cnk,cn->ck", columns, data),
+        np.zeros(4),
+        variance,
+        spread,
+        None,
+    )
+    chosen = sorted(members)
+    stacked = np.concatenate([columns[at] for at in chosen])
+    covariance = (1 - spread) * variance * stacked @ stacked.T
+    for place, at in enumerate(chosen):
+        rows = slice(7 * place, 7 * place + 7)
+        covariance[rows, rows] += spread * variance * columns[at] @ columns[at].T
+    values = np.concatenate([data[at] for at in chosen])
+    total = covariance + np.eye(values.size)
+    expected = 0.5 * (values @ values - values @ np.linalg.solve(total, values) - np.linalg.slogdet(total)[1])
+    assert pooled.of_members(np.isin(np.arange(4), chosen)) == pytest.approx(expected, abs=1e-8)
+
+
+def test_an_effect_that_no_campaign_shows_alone_is_named_where_all_share_it() -> None:
+    five = [campaign(seed, stribeck=0.45) for seed in range(5)]
+    [effect] = diagnose_together(five).established
+    assert effect.effect == "stribeck"
+    assert effect.where is Where.ALL
+    assert max(effect.alone) < 0.05
+    assert not effect.of_rig
+    weak = diagnose_together([five[0], *(campaign(seed) for seed in range(10, 14))])
+    assert not named(weak)
+
+
+def test_an_effect_of_the_rig_is_told_as_the_rigs() -> None:
+    five = [campaign(seed, payload_inertia=0.8) for seed in range(5)]
+    pooled = diagnose_together(five)
+    [effect] = pooled.established
+    assert (effect.effect, effect.where, effect.of_rig) == ("payload_inertia", Where.ALL, True)
+    assert "is the rig's: it is in all 5 campaigns" in pooled_document(pooled).answer
+    assert effect.size is not None
+    low, high = effect.size.interval_95
+    assert low < 0.8 * 20.0 < high
+
+
+def test_an_effect_in_one_specimen_is_told_as_that_specimens() -> None:
+    five = [campaign(seed) for seed in range(4)]
+    five.insert(2, campaign(9, alone={"stribeck": 0.97}, stribeck=6.0))
+    pooled = diagnose_together(five)
+    [effect] = pooled.established
+    assert (effect.effect, effect.where, effect.members) == ("stribeck", Where.ONE, (2,))
+    assert effect.probability == pytest.approx(0.97)
+    assert np.argmax(effect.presence) == 2
+    assert "in one campaign alone, campaign-9" in pooled_document(pooled).answer
+
+
+def test_an_effect_in_some_specimens_is_told_with_their_names() -> None:
+    have = {0, 3, 4}
+    five = [campaign(seed, **({"stribeck": 3.0} if seed in have else {})) for seed in range(6)]
+    [effect] = diagnose_together(five).established
+    assert effect.where is Where.SOME
+    assert set(effect.members) == have
+
+
+@pytest.mark.parametrize("seed", [100, 200, 300])
+def test_campaigns_without_an_effect_name_nothing(seed: int) -> None:
+    assert not named(diagnose_together([campaign(seed + one) for one in range(8)]))
+
+
+def test_what_only_resembles_a_shared_effect_is_not_named_beside_it() -> None:
+    pooled = diagnose_together([campaign(seed, stribeck=2.0) for seed in range(5)])
+    assert named(pooled) == ["stribeck"]
+    # The lookalike alone would be found in each of these campaigns.
+    other = diagnose_together([campaign(seed, adhesion=2.0) for seed in range(5)])
+    assert named(other) == ["adhesion"]
+
+
+def test_what_one_campaign_takes_for_another_effect_is_explained_by_what_all_share() -> None:
+    five = [campaign(seed, stribeck=1.0) for seed in range(4)]
+    five.append(campaign(4, alone={"adhesion": 0.9}, stribeck=1.0))
+    assert named(diagnose_together(five)) == ["stribeck"]
+
+
+def test_forces_that_no_common_size_explains_are_not_pooled_as_one() -> None:
+    signs = (1.0, -1.0, 1.0, -1.0)
+    pooled = diagnose_together([campaign(seed, payload_inertia=0.5 * sign) for seed, sign in enumerate(signs)])
+    assert "payload_inertia" not in named(pooled)
+
+
+def test_the_same_run_in_two_folders_counts_once(tmp_path: Path) -> None:
+    shutil.copytree(CAMPAIGN, tmp_path / "first")
+    shutil.copytree(CAMPAIGN, tmp_path / "copy")
+    folders: Sequence[Path] = [tmp_path / "first", tmp_path / "copy"]
+    with pytest.raises(
+        AnalysisError, match=r"copy is left out: all of its runs are in .*first too, and a run counts once"
+    ):
+        dragrig.diagnose_together(folders, workers=1)
+    selection = choose_runs(tmp_path / "copy")
+    [first, *others] = selection.experiments
+    kept = without_runs(selection, {first.run.info.header.run_id: "first"})
+    assert kept.experiments == tuple(others)
+    assert kept.left_out[-1].reason == "it is in first too, and counts there"
+
+
+def test_a_single_campaign_and_a_file_for_one_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["gap", "diagnose", str(CAMPAIGN), "--together"]) == 2
+    assert "--together: takes two campaigns or more" in capsys.readouterr().err
+    assert main(["gap", "diagnose", str(CAMPAIGN), str(CAMPAIGN), "--together", "--save-model", "one.toml"]) == 2
+    assert "takes a single campaign, not 2" in capsys.readouterr().err
+
+
+def test_the_result_is_laid_out_for_programs_too() -> None:
+    pooled = diagnose_together([campaign(seed, stribeck=2.0) for seed in range(3)], ["a remark"])
+    data = json.loads(json.dumps(pooled_document(pooled).data))
+    assert data["format"] == "dragrig-gap-together"
+    [effect] = [entry for entry in data["effects"] if entry["established"]]
+    assert (effect["effect"], effect["where"]) == ("stribeck", "all")
+    assert effect["campaigns"] == ["campaign-0", "campaign-1", "campaign-2"]
+    assert len(effect["size"]["campaigns"]) == 3
+    assert data["remarks"] == ["a remark"]
