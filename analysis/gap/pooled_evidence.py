@@ -277,7 +277,10 @@ class _Layout:
     def information(self, own_causes: CauseSet) -> FloatArray:
         """Return the products of residual and shared columns, own causes projected out within their priors."""
         products = _projected(self.competition, own_causes)
-        return np.asarray(self.mixing.T @ (products @ self.mixing), dtype=np.float32)
+        from scipy.sparse import csr_array
+
+        mixing = csr_array(self.mixing.T)
+        return np.asarray(mixing @ (mixing @ products).T, dtype=np.float32)
 
 
 def _projected(competition: Competition, causes: CauseSet) -> FloatArray:

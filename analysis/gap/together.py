@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from itertools import product
 from math import log
 
 import numpy as np
@@ -43,6 +44,9 @@ MAX_POOLED = 12
 MIN_CAMPAIGNS = 2
 CONFUSABLE_SHARE = 0.2
 """A rival that would be there in a cause's place with more than this share of its probability is not told from it."""
+FORM_SHARE, UNLIKELY_LOG_ODDS = 0.15, -1.0
+"""Other forms of a cause leave up to this share of its log evidence to its lookalikes: real ones leave 10 to 40 % of an
+effect, 1 to 16 % of its squares. A lookalike of less is at most so likely."""
 EXPLAINED_LOG_ODDS = 3.0
 """An effect that loses more than this beside chosen ones is what these are taken for in some campaign alone."""
 MIN_LOG_ODDS = 0.0
@@ -332,34 +336,42 @@ class PooledForce:
         numbers = np.unique(np.concatenate([shared.numbers for shared in found]))
         sizes = _common_sizes(found, numbers)
         scales = found[0].scales
-        weight = -log(len(scales) * len(spreads))
-        basis, direction = None, None
+        weight = -log(2 * len(scales) * len(spreads))
         products = self._gathered(name, numbers)
-        for at, scale in enumerate(scales):
-            grams, moments = _without_forms(products, sizes, scale)
-            offsets = np.array([self._offset(campaign, name, at) for campaign in self.campaigns])
-            if basis is None:
-                values, vectors = np.linalg.eigh(grams.sum(axis=0))
-                kept = int(np.searchsorted(np.cumsum(values[::-1]), KEPT_VARIANCE * values.sum())) + 1
-                basis = vectors[:, ::-1][:, : min(kept, MAX_SHARED_COLUMNS)]
-                direction = basis.sum(axis=0) if found[0].one_signed else None
-            gram = np.einsum("nk,cnm,ml->ckl", basis, grams, basis)
+        grams, _ = _without_forms(products, sizes, 0.0)
+        values, vectors = np.linalg.eigh(grams.sum(axis=0))
+        kept = int(np.searchsorted(np.cumsum(values[::-1]), KEPT_VARIANCE * values.sum())) + 1
+        basis = vectors[:, ::-1][:, : min(kept, MAX_SHARED_COLUMNS)]
+        direction = basis.sum(axis=0) if found[0].one_signed else None
+        # Small effects show nothing of their other forms, and large ones do: all campaigns have either.
+        for (at, scale), with_forms in product(enumerate(scales), (False, True)):
+            grams, moments = _without_forms(products, sizes, scale if with_forms else 0.0)
+            offsets = np.array(
+                [self._offset(campaign, name, at if with_forms else None) for campaign in self.campaigns]
+            )
+            gram = basis.T @ grams @ basis
             moment = moments @ basis
             for spread in spreads:
                 yield weight, scale, SharedInformation.of(gram, moment, offsets, scale**2, spread, direction)
 
-    def _offset(self, campaign: ForceEvidence, name: str, at: int) -> float:
+    def _offset(self, campaign: ForceEvidence, name: str, at: int | None) -> float:
         """Return the log Bayes factor of a campaign beyond that of the shared columns.
 
         What chosen causes explain is no merit of this one's other forms, and no merit of the campaign's other causes.
+
+        Parameters
+        ----------
+        at
+            Number of the scale whose other forms count; None for the catalogue's form alone.
         """
         shared = campaign.columns.get(name)
         if shared is None:
             return 0.0
+        forms = 0.0 if at is None else shared.forms[at]
         if not self.chosen:
-            return shared.forms[at] + shared.elsewhere
+            return forms + shared.elsewhere
         explained = 0.5 * (shared.chi2 - float(campaign.information_for(name)[0, 0]))
-        return min(shared.forms[at], 0.0) + min(shared.elsewhere + explained, 0.0)
+        return min(forms, 0.0) + min(shared.elsewhere + explained, 0.0)
 
     def _gathered(self, name: str, numbers: IndexArray) -> FloatArray:
         """Return the products of residual, shared columns and forms of a cause, shape `(C, 1 + n + r, 1 + n + r)`."""
@@ -530,37 +542,50 @@ def pool_force(campaigns: Sequence[ForceEvidence], alone: Alone) -> Mapping[str,
     nothing = PooledForce(tuple(campaigns))
     first = {name: nothing.odds(name) for name in nothing.kinds}
     chosen, evidence, odds = dict[str, PatternOdds](), nothing, first
+
+    def believed(name: str) -> float:
+        log_odds = credible_log_odds(name, odds[name], evidence, alone)
+        effects = [value.total for name, value in chosen.items() if nothing.kinds[name] is CauseKind.EFFECT]
+        if _is_form_error(first[name].total, odds[name].total, effects):
+            return min(log_odds, UNLIKELY_LOG_ODDS)
+        return log_odds
+
     while len(chosen) < MAX_POOLED:
-        credible = {name: credible_log_odds(name, value, evidence, alone) for name, value in odds.items()}
-        likely = [name for name, value in credible.items() if value >= MIN_LOG_ODDS]
+        likely = [name for name in odds if believed(name) >= MIN_LOG_ODDS]
         if not likely:
             break
         best = max(likely, key=lambda name: odds[name].total)
         chosen[best] = odds[best]
         evidence = evidence.beside(best, odds[best])
         odds = {name: evidence.odds(name) for name in odds if name != best}
-    found = {name: _further_cause(name, first[name], value, evidence, alone) for name, value in odds.items()}
-    rivals = tuple(name for name, value in odds.items() if first[name].total - value.total > EXPLAINED_LOG_ODDS)
+    found = {name: PooledCause(odds[name], evidence, _logistic(believed(name)), ()) for name in odds}
+    rivals = tuple(name for name in odds if first[name].total - odds[name].total > EXPLAINED_LOG_ODDS)
+    for name in found.keys() & alone.keys() - set(rivals):
+        likely_alone = float(alone[name].max())
+        # What a campaign's own diagnosis names, and no chosen cause explains, stays.
+        if likely_alone > max(ESTABLISHED, found[name].probability):
+            found[name] = PooledCause(_in_one(alone[name]), evidence, likely_alone, ())
+    for cause, value in _chosen_causes(chosen, rivals, nothing, alone):
+        if cause in chosen or value.probability > found[cause].probability:
+            found[cause] = value
+    return found
+
+
+def _is_form_error(first: float, beside: float, chosen: Sequence[float]) -> bool:
+    """Return whether a cause is what another form of a chosen one leaves, by its log odds alone and beside these."""
+    explained = first - beside > EXPLAINED_LOG_ODDS
+    return explained and beside < FORM_SHARE * max(chosen, default=0.0)
+
+
+def _chosen_causes(
+    chosen: Mapping[str, PatternOdds], further: Sequence[str], nothing: PooledForce, alone: Alone
+) -> Iterator[tuple[str, PooledCause]]:
+    """Yield each chosen cause beside all others, and those that may be there in its place."""
     for name in chosen:
         beside = nothing
         for other in chosen:
             beside = beside if other == name else beside.beside(other, chosen[other])
-        for cause, value in _chosen_cause(name, rivals, beside, alone):
-            if cause == name or value.probability > found[cause].probability:
-                found[cause] = value
-    return found
-
-
-def _further_cause(
-    name: str, first: PatternOdds, odds: PatternOdds, evidence: PooledForce, alone: Alone
-) -> PooledCause:
-    """Return a cause that was not chosen; what a campaign's own diagnosis names and no chosen one explains stays."""
-    probability = _logistic(credible_log_odds(name, odds, evidence, alone))
-    likely = float(alone[name].max()) if name in alone else 0.0
-    explained = first.total - odds.total > EXPLAINED_LOG_ODDS
-    if likely > max(ESTABLISHED, probability) and not explained:
-        return PooledCause(_in_one(alone[name]), evidence, likely, ())
-    return PooledCause(odds, evidence, probability, ())
+        yield from _chosen_cause(name, further, beside, alone)
 
 
 def _chosen_cause(

@@ -36,13 +36,14 @@ def pooled_document(pooled: PooledDiagnosis) -> Document:
     answer, *lead = (
         *(_effect_sentence(effect, pooled) for effect in pooled.established),
         *_nothing_sentences(pooled),
+        *map(_size_sentence, pooled.established),
     )
     count = len(pooled.campaigns)
     return Document(
         title=f"Gap diagnosis of {count} campaigns together",
         badges=tuple(dict.fromkeys(backend for campaign in pooled.campaigns for backend in campaign.backends)),
         answer=answer,
-        lead=(*lead, *_unnamed_sentences(pooled)),
+        lead=(*filter(None, lead), *_unnamed_sentences(pooled)),
         sections=(
             Section("effects", "Which effects, and where", (*_effects_section(pooled),)),
             Section("sizes", "How large in each campaign", (*_sizes_section(pooled),)),
@@ -76,28 +77,25 @@ def _effect_sentence(effect: PooledEffect, pooled: PooledDiagnosis) -> str:
         place = f"is in {len(names)} of {count} campaigns ({_listed(names)})"
     else:
         place = f"is in one campaign alone, {_listed(names)}"
-    likely = effect.where_probabilities[effect.where]
-    sure = f"probability {probability_text(effect.probability)} that it is there"
-    sure += f", {probability_text(likely)} that it is there in {'these' if effect.where is not Where.ALL else 'all'}"
+    likely = probability_text(effect.where_probabilities[effect.where])
+    sure = f"probability {probability_text(effect.probability)}; {likely} that it is just there, if anywhere"
     alike = (
         f"; these campaigns do not tell it from {join_names([display_name(rival) for rival in effect.confusable_with])}"
     )
-    return f"{name} {place} ({sure}){alike if effect.confusable_with else ''}.{_size_sentence(effect)}"
+    return f"{name} {place} ({sure}){alike if effect.confusable_with else ''}."
 
 
 def _size_sentence(effect: PooledEffect) -> str:
     size = effect.size
     if size is None:
         return ""
-    unit = f" {unit_text(size.unit)}".rstrip()
-    text = f" Its {size.parameter} is {value_with_error(size.mean, size.standard_error)}{unit}"
-    if len(effect.members) > 1:
-        text += (
-            f" in the mean, with a spread of {size.spread:.2g}{unit} between campaigns"
-            if size.spread > 0
-            else (" in the mean, and no spread between campaigns is seen")
-        )
-    return f"{text}."
+    unit = unit_text(size.unit)
+    mean = f"{value_with_error(size.mean, size.standard_error)} {unit}".rstrip()
+    text = f"Size of {display_name(effect.effect)} (`{size.parameter}`): {mean}"
+    if len(effect.members) < 2:
+        return f"{text}."
+    spread = f"a spread of {size.spread:.2g} {unit}".rstrip() if size.spread > 0 else "no spread beyond their errors"
+    return f"{text} in the mean, with {spread} between campaigns."
 
 
 def _nothing_sentences(pooled: PooledDiagnosis) -> tuple[str, ...]:
