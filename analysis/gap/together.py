@@ -17,6 +17,7 @@ from math import log
 import numpy as np
 
 from dragrig.analysis import NORMAL_95, Exclusion
+from dragrig.analysis.gap.classifier import MOTION_ERROR_LOG_ODDS
 from dragrig.analysis.gap.diagnose import DiagnosisWithCauses
 from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY, Verdict
 from dragrig.analysis.gap.pooled_evidence import ForceEvidence, SharedColumns, force_evidence
@@ -606,6 +607,11 @@ def _chosen_cause(
         yield rival, PooledCause(rivals[rival], beside, float(np.exp(logs[rival] - total)), (name,))
 
 
+def _less_likely(probability: float, stage_strays: bool) -> float:
+    limited = min(max(probability, 1e-12), 1.0 - 1e-12)
+    return _logistic(log(limited / (1 - limited)) - stage_strays * MOTION_ERROR_LOG_ODDS)
+
+
 def _in_one(alone: FloatArray) -> PatternOdds:
     """Return the odds of an effect that only one campaign shows, by its own diagnosis."""
     limited = np.clip(alone, MIN_PROBABILITY, MAX_PROBABILITY)
@@ -815,8 +821,10 @@ def diagnose_together(campaigns: Sequence[CampaignEvidence], remarks: Sequence[s
     names = dict.fromkeys(name for campaign in campaigns for name in campaign.presence)
     alone = {name: np.array([campaign.presence.get(name, 0.0) for campaign in campaigns]) for name in names}
     pooled = pool_force([campaign.force for campaign in campaigns], alone)
+    # Errors of the motion resemble small effects on the force.
+    strays = any(find_effect(name).moves_stage for campaign in campaigns for name in campaign.effects)
     effects = [
-        _pooled_effect(name, cause, campaigns)
+        _pooled_effect(name, replace(cause, probability=_less_likely(cause.probability, strays)), campaigns)
         for name, cause in pooled.items()
         if cause.evidence.kinds[name] is CauseKind.EFFECT
     ]
