@@ -44,6 +44,7 @@ from .isolability import isolability_sentences as isolability_sentences
 from .isolability import isolate as isolate
 from .next_run import recommend_for_pair as recommend_for_pair
 from .run_data import choose_runs as choose_runs
+from .run_data import without_runs as without_runs
 from .settling import DEFAULT_UNTIL as DEFAULT_UNTIL
 from .settling import SETTLE_FILE as SETTLE_FILE
 from .settling import Batch as Batch
@@ -55,7 +56,6 @@ from .settling import ending_of as ending_of
 from .settling import settle_step as settle_step
 from .settling import surest_causes as surest_causes
 from .settling import verdict_probability as verdict_probability
-from .run_data import without_runs as without_runs
 from .together import MIN_CAMPAIGNS as MIN_CAMPAIGNS
 from .together import CampaignEvidence as CampaignEvidence
 from .together import PooledDiagnosis as PooledDiagnosis

@@ -267,7 +267,7 @@ def prepare_competition(search: ForceSearchResult) -> ForceCompetition:
     """Return all causes that may act on the force of a campaign, beside its nominal model."""
     design = fitted_design(search)
     whitenings = form_error_whitenings(design, search.nominal)
-    store = collect_causes(search, search.study, design, whitenings)
+    store = collect_causes(search, search.study, design, whitenings, all_periods=True)
     # The dictionary has become causes; beside them it would need as much memory again.
     return _compete(design.with_columns(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR), whitenings, store)
 
@@ -292,7 +292,12 @@ def form_error_whitenings(design: Design, nominal: Design) -> tuple[Whitening, .
 
 
 def collect_causes(
-    search: ForceSearchResult, study: Study, design: Design, whitenings: tuple[Whitening, ...]
+    search: ForceSearchResult,
+    study: Study,
+    design: Design,
+    whitenings: tuple[Whitening, ...],
+    *,
+    all_periods: bool = False,
 ) -> ColumnStore:
     """Return unnamed causes, effects as the dictionary has them and as they were fitted, and exchanges.
 
@@ -300,6 +305,8 @@ def collect_causes(
     ----------
     study, design, whitenings
         The runs that were searched, and further ones after them that may not have been made.
+    all_periods
+        Whether to add the columns of periodic effects at all periods, of which only the likely ones become causes.
     """
     store = ColumnStore()
     fits = sorted(search.fits, key=lambda fit: fit.chi2)
@@ -314,7 +321,8 @@ def collect_causes(
     best = store.causes[first_fitted : first_fitted + (len(fits[0].parameters.candidates) if fits else 0)]
     of_best = np.concatenate((np.zeros(0, dtype=np.intp), *(cause.columns for cause in best)))
     _add_exchanges(store, study, design, whitenings, np.unique(of_best), len(search.study.runs))
-    store.periodic = effects.periodic_columns()
+    if all_periods:
+        store.periodic = effects.periodic_columns()
     return store
 
 
