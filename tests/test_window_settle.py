@@ -1,7 +1,7 @@
 """Settling in the window: runs that are chosen, made and diagnosed with their reason on the screen, until it ends."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -17,7 +17,7 @@ import dragrig
 from dragrig.analysis.gap import Ending
 from dragrig.api import read_settle_record, take_up_settling
 from dragrig.config import Plan
-from dragrig.engine_host import SessionJob
+from dragrig.engine_host import Answer, SessionJob
 from dragrig.present.settle import ending_sentence
 from dragrig.rig import read_campaign
 from dragrig.setup import resolve
@@ -61,6 +61,17 @@ def settle(window: MainWindow, campaign: Path, pace: str) -> None:
     press(window.diagnose.settle)
 
 
+def with_answers(window: MainWindow, done: Callable[[], bool]) -> Callable[[], bool]:
+    """Return a condition that answers every prompt meanwhile: what is asked for is mounted."""
+
+    def is_done() -> bool:
+        if window.notices.prompt.isVisible():
+            press(window.notices.answers[Answer.DONE])
+        return done()
+
+    return is_done
+
+
 @pytest.mark.timeout(300)
 def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
     window: MainWindow, few: Path, until: Until, tmp_path: Path
@@ -71,8 +82,7 @@ def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
         lambda running: seen.append((window.run.why.text(), window.run.why.isVisible())) if running else None
     )
     settle(window, campaign, "as fast as possible")
-    until(lambda: (campaign / "settle.json").exists() and read_settle_record(campaign).ending is not None)
-    until(lambda: not page.busy)
+    until(with_answers(window, lambda: "Ended" in page.state.text()))
     record = read_settle_record(campaign)
     so_far, batch = record.batches
     assert record.ending is Ending.TIME
@@ -92,7 +102,7 @@ def test_a_stopped_session_pauses_it_and_the_same_runs_go_on(window: MainWindow,
     campaign = Path(shutil.copytree(few, few.parent / "paused"))
     page, run = window.diagnose, window.run
     settle(window, campaign, "as fast as the real rig")
-    until(lambda: run.queue.current is not None and run.queue.current.current_run is not None)
+    until(lambda: run.queue.current is not None and bool(run.queue.current.runs))
     press(window.stop_button)
     until(lambda: not run.session_running)
     assert page.state.text() == "Settling paused: stopped by operator (stop button); press Settle to go on."
@@ -104,7 +114,8 @@ def test_a_stopped_session_pauses_it_and_the_same_runs_go_on(window: MainWindow,
     resumed = run.queue.entries[-1]
     assert resumed.job.resume == campaign
     assert resumed.why == decided.batches[-1].reason
-    until(lambda: resumed.stage is QueueState.COMPLETE)
+    until(with_answers(window, lambda: resumed.stage is not QueueState.RUNNING))
+    assert resumed.stage is QueueState.COMPLETE, resumed.reason
     assert page.busy
     press(page.cancel)
     assert read_settle_record(campaign).batches == decided.batches

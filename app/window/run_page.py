@@ -61,7 +61,6 @@ from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import (
-    ElidedLabel,
     MessageText,
     StoredSettings,
     Topic,
@@ -456,7 +455,7 @@ class RunPage(QWidget):
         self.preview, self.live = PlanPreview(), LiveView()
         self.live.set_limits(description.lowest_mm, description.highest_mm)
         self.queue_view = QueueView(self.queue)
-        self.why = ElidedLabel("", "prompt")
+        self.why = MessageText(most_lines=2)
         self.why.setAccessibleName("Why these runs are made")
         self.hand = HandView(self._move_by_hand, self.new.operator.text)
         self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
