@@ -26,6 +26,7 @@ import numpy as np
 from dragrig.analysis import find_model
 from dragrig.analysis.gap import (
     CampaignEvidence,
+    DiagnosisOptions,
     PooledDiagnosis,
     Where,
     campaign_evidence,
@@ -127,7 +128,8 @@ def evidence_of(member: Member, keep: Path) -> CampaignEvidence:
         campaign = other_specimen(first, member.seed)
     with tempfile.TemporaryDirectory(prefix="together-") as folder:
         write_campaign(campaign, folder)
-        weighed = diagnose_with_causes(choose_runs(Path(folder)), find_model("capsule"))
+        options = DiagnosisOptions(next_runs=None)
+        weighed = diagnose_with_causes(choose_runs(Path(folder)), find_model("capsule"), options)
     evidence = campaign_evidence(member.name, weighed)
     kept.write_bytes(pickle.dumps(evidence))
     return evidence

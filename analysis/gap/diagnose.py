@@ -345,17 +345,28 @@ def diagnose(
     AnalysisError
         Where the model predicts none of these runs, or a run lacks data that it needs.
     """
-    return diagnose_with_causes(selection, nominal, options, progress).diagnosis
+    return _diagnose(selection, nominal, options, progress, poolable=False).diagnosis
 
 
-@single_blas_thread()
 def diagnose_with_causes(
     selection: RunSelection,
     nominal: NominalModel,
     options: DiagnosisOptions | None = None,
     progress: Progress = no_progress,
 ) -> DiagnosisWithCauses:
-    """Do the same as `diagnose`; return what the diagnosis weighed, too."""
+    """Do the same as `diagnose`; return what campaigns are pooled by, too."""
+    return _diagnose(selection, nominal, options, progress, poolable=True)
+
+
+@single_blas_thread()
+def _diagnose(
+    selection: RunSelection,
+    nominal: NominalModel,
+    options: DiagnosisOptions | None,
+    progress: Progress,
+    *,
+    poolable: bool,
+) -> DiagnosisWithCauses:
     settings = options or DiagnosisOptions()
     start = perf_counter()
     advance = counted(progress, PREPARING_COST + SEARCH_COST + COMPETITION_COST + ASSEMBLY_COST)
@@ -382,7 +393,7 @@ def diagnose_with_causes(
     advance(SEARCH_COST)
     lines = lines_that_matter(lines, settings.tolerance_mN)
     inputs = decision_inputs(search, position, lines, settings.excluded)
-    competition = prepare_competition(search)
+    competition = prepare_competition(search, all_periods=poolable)
     present = judge_presence(competition)
     inputs = replace(inputs, competition=present.probabilities)
     calibration = _calibration_for(study, settings)

@@ -195,7 +195,7 @@ class ForceCompetition(Competition):
     design: Design
     """Campaign around the parameters of the best hypothesis, with its nuisances."""
     periodic: Mapping[str, "PeriodicColumns"]
-    """Of each periodic effect, its variants at all periods."""
+    """Of each periodic effect, its variants at all periods; empty where they were not asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,11 +263,14 @@ class ColumnStore:
         )
 
 
-def prepare_competition(search: ForceSearchResult) -> ForceCompetition:
-    """Return all causes that may act on the force of a campaign, beside its nominal model."""
+def prepare_competition(search: ForceSearchResult, *, all_periods: bool = False) -> ForceCompetition:
+    """Return all causes that may act on the force of a campaign, beside its nominal model.
+
+    `all_periods` adds the columns of periodic effects at all periods, which campaigns are pooled by.
+    """
     design = fitted_design(search)
     whitenings = form_error_whitenings(design, search.nominal)
-    store = collect_causes(search, search.study, design, whitenings, all_periods=True)
+    store = collect_causes(search, search.study, design, whitenings, all_periods=all_periods)
     # The dictionary has become causes; beside them it would need as much memory again.
     return _compete(design.with_columns(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR), whitenings, store)
 

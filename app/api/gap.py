@@ -139,6 +139,7 @@ class DiagnosisRequest:
         from dragrig.analysis.gap import campaign_evidence, diagnose_with_causes
 
         options = diagnosis_options(self.without, self.tolerance_mN, self.calibration)
+        options = replace(options, next_runs=None)
         model = find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
         try:
             selection = without_runs(choose_runs(campaign.folder, self.specimen), campaign.counted_elsewhere)
