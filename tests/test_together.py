@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 import dragrig
 from dragrig.analysis.gap.diagnosis import Verdict
+from dragrig.analysis.gap.pattern_odds import SharedInformation
 from dragrig.analysis.gap.pooled_evidence import POOLED_SCALES_MN, ForceEvidence, SharedColumns
 from dragrig.analysis.gap.presence import CauseKind
 from dragrig.analysis.gap.run_data import choose_runs, without_runs
 from dragrig.analysis.gap.together import (
     CampaignEvidence,
     PooledDiagnosis,
-    SharedInformation,
     Where,
     diagnose_together,
 )
