@@ -11,7 +11,7 @@ import numpy as np
 from dragrig.analysis import Progress, no_progress
 from dragrig.config import Fixture, FrictionModelSettings, RobotDrive, RobotSettings, SettingsError, Specimen
 from dragrig.rig import Acquisition, Contact, FloatArray, MotionProfile
-from dragrig.sim_backend.effects import ActiveEffect, ForceEffect, active_effects, gut_run_state
+from dragrig.sim_backend.effects import ActiveEffect, active_effects, gut_run_state
 from dragrig.sim_backend.friction import RecordedMotion
 from dragrig.sim_backend.robot import AddedForce, Period, Resistance, Walker, energy_error, gut, hard_ground
 
@@ -382,7 +382,7 @@ def study_robot(
     if drive is not None and (reason := robot.why_not(drive)):
         raise SettingsError(f"{reason}; choose a weaker drive or a stronger actuator.")
     base = (model if diagnosed is None else diagnosed).model_copy(update={"effects": ()})
-    acting = [active for active in active_effects(model) if isinstance(active.effect, ForceEffect)]
+    acting = [active for active in active_effects(model) if active.effect.belongs_to_gut]
     hard, inside = partial(hard_ground, robot), partial(gut, robot, base, specimen.wall_thickness_mm)
     varied = robot.ranges if sensitivity and drive is None else {}
     priced = () if diagnosed is None else active_effects(diagnosed)
@@ -415,7 +415,7 @@ def study_robot(
     for number, active in enumerate(priced):
         prices.append(_price(without, inside, active, errors, base, specimen))
         progress(3 + len(varied) + number, steps)
-    slips = [active for active in priced if isinstance(active.effect, ForceEffect)]
+    slips = [active for active in priced if active.effect.belongs_to_gut]
     if len(slips) > 1:
         together = walk_with_effects(robot, drives[-1].gut.drive, inside, slips, base, specimen)
         prices.append(_difference("all of them together", without, together, None))
@@ -458,7 +458,7 @@ def _price(
     specimen: Specimen,
 ) -> Price:
     effect = active.effect
-    if not isinstance(effect, ForceEffect):
+    if not effect.belongs_to_gut:
         return Price(effect.id, None, None, None, None, "belongs to the rig, not to the robot: no price")
     robot, drive = without.walker.robot, without.drive
     relaxed = walk_with_effects(robot, drive, surface, [active], model, specimen)

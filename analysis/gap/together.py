@@ -23,14 +23,13 @@ from dragrig.analysis.gap.pooled_evidence import ForceEvidence, SharedColumns, f
 from dragrig.analysis.gap.presence import KEPT_VARIANCE, PRIOR_PROBABILITIES, CauseKind
 from dragrig.config import AnalysisError
 from dragrig.rig import FloatArray, IndexArray
-from dragrig.sim_backend.effects import Effect, Location, find_effect, hum_effect
+from dragrig.sim_backend.effects import find_effect, hum_effect
 
 MAX_SHARED_COLUMNS = 6
 RIG_SPREADS = (0.0, 0.05)
 """Shares of the variance by which what belongs to the rig differs between campaigns: forms seen at other specimens."""
 GUT_SPREADS = (0.03, 0.2, 0.6)
 LAW_SPREADS = (0.03, 0.2)
-RIG_LOCATIONS = (Location.FORCE_SENSOR, Location.MOTOR, Location.ACQUISITION)
 MAX_POOLED = 12
 MIN_CAMPAIGNS = 2
 CONFUSABLE_SHARE = 0.2
@@ -72,7 +71,7 @@ class PooledForce:
         """Return in which campaigns a cause is, beside those chosen."""
         kind = self.kinds[name]
         effect = find_effect(name) if kind is CauseKind.EFFECT else None
-        of_rig = effect is not None and belongs_to_rig(effect)
+        of_rig = effect is not None and not effect.belongs_to_gut
         if effect is not None and effect.phase is not None:
             return self._periodic_odds(name)
         spreads = LAW_SPREADS if effect is None else RIG_SPREADS if of_rig else GUT_SPREADS
@@ -158,7 +157,7 @@ class PooledForce:
             fitted = np.linalg.solve(root, scale * moment[..., None])[..., 0]
             log_det = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
             factors.append((0.5 * (fitted**2).sum(axis=-1) - log_det).T)
-        of_rig = belongs_to_rig(find_effect(name))
+        of_rig = not find_effect(name).belongs_to_gut
         scales = np.repeat(found[0].scales, len(pairs)).tolist()
         return independent_odds(np.concatenate(factors), scales, of_rig=of_rig)
 
@@ -253,11 +252,6 @@ class PooledCause:
     evidence: PooledForce
     probability: float
     confusable_with: tuple[str, ...]
-
-
-def belongs_to_rig(effect: Effect) -> bool:
-    """Return whether an effect acts in card, sensor or stage, so that all specimens of a rig have it alike."""
-    return effect.location in RIG_LOCATIONS
 
 
 Alone = Mapping[str, FloatArray]
@@ -608,7 +602,7 @@ def _with_patterns(
     presence = probability * np.clip(shares[Where.ALL] + shares[Where.SOME] * odds.members + single, 0.0, 1.0)
     return PooledEffect(
         name,
-        belongs_to_rig(find_effect(name)),
+        not find_effect(name).belongs_to_gut,
         probability,
         max(shares, key=lambda where: shares[where]),
         shares,
@@ -623,7 +617,7 @@ def _effect_by_odds(name: str, campaigns: Sequence[CampaignEvidence]) -> PooledE
     prior = PRIOR_PROBABILITIES["effect"]
     alone = np.clip([campaign.presence.get(name, prior) for campaign in campaigns], MIN_PROBABILITY, MAX_PROBABILITY)
     factors = np.log(alone / (1 - alone)) - log(prior / (1 - prior))
-    odds = independent_odds(factors[None], (1.0,), of_rig=belongs_to_rig(find_effect(name)))
+    odds = independent_odds(factors[None], (1.0,), of_rig=not find_effect(name).belongs_to_gut)
     effect = _with_patterns(name, odds, _logistic(odds.total), campaigns)
     sizes = [campaign.line_sizes.get(name) for campaign in campaigns]
     return replace(effect, size=_population(name, sizes, effect.members))

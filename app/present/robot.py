@@ -344,7 +344,7 @@ def _json(study: RobotStudy) -> dict[str, object]:
                 {
                     "name": driven.name,
                     **driven.gut.drive.model_dump(),
-                    "period_s": driven.gut.drive.period_s,
+                    "period_ms": 1e3 * driven.gut.drive.period_s,
                     "hard": walk_json(driven.hard),
                     "gut": walk_json(driven.gut),
                     "effects_settled": driven.converged,

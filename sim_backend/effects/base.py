@@ -194,6 +194,11 @@ class Effect(ABC):
         return self.channels[0]
 
     @property
+    def belongs_to_gut(self) -> bool:
+        """Whether it acts in the gut, and not in the rig that measures it."""
+        return self.location in {Location.WALL, Location.INTERFACE, Location.SPECIMEN}
+
+    @property
     def has_force_signature(self) -> bool:
         """Whether a diagnosis finds it by its signature in the force: not as a spectral line, not in the position."""
         return self.channel is Channel.FORCE and not self.spectral_line
