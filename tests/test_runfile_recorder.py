@@ -262,7 +262,8 @@ from dragrig.rig.runfile.model import RunStatus
 folder = Path(sys.argv[1])
 if sys.argv[3] == "blind":  # the disk is filled by others, faster than anybody can watch
     module.free_bytes = lambda _: 1 << 60
-recorder = Recorder(folder / "run.h5", header(rate_hz=250e3), reserve_bytes=18 << 20, flush_s=0.005)
+# Offered as fast as the computer can, and not as a rig does: what is not written yet needs a reserve of its own.
+recorder = Recorder(folder / "run.h5", header(rate_hz=250e3), reserve_bytes=20 << 20, flush_s=0.005)
 first = 0
 try:
     while True:
