@@ -419,7 +419,7 @@ def start_campaign(setup: Setup, out: Path | None, options: SessionOptions, pers
         What `run_session` raises.
     """
     if out is not None:
-        _require_no_runs(out)
+        require_no_runs(out)
         with ExitStack() as lock:
             return _run_campaign(setup, replace(options, folder=out), person, _folder_maker(out, lock, new=False))
     now = options.origin or datetime.now().astimezone()
@@ -654,12 +654,13 @@ def _folder_maker(folder: Path, lock: ExitStack, *, new: bool) -> Callable[[], N
                 raise _FolderTakenError(f"{folder}: exists already.") from None
             raise
         lock.enter_context(session_lock(folder))
-        _require_no_runs(folder)
+        require_no_runs(folder)
 
     return make
 
 
-def _require_no_runs(folder: Path) -> None:
+def require_no_runs(folder: Path) -> None:
+    """Refuse a folder that holds runs, as the place of a new campaign; raises `OutputError`."""
     if folder.is_dir() and any(folder.glob("*.h5")):
         raise OutputError(
             f"{folder}: holds runs already; name another folder, or go on with --resume {folder}, or --append {folder}."

@@ -19,7 +19,7 @@ from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
 from dragrig.api import read_settle_record
 from dragrig.cli import main
 from dragrig.config import Plan, PlanStep, to_toml
-from dragrig.config.errors import PlanError, RunFileError, SettingsError
+from dragrig.config.errors import OutputError, PlanError, RunFileError, SettingsError
 from dragrig.present import settlement_document
 from dragrig.present.terminal import document_text
 from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
@@ -133,6 +133,12 @@ def test_what_cannot_be_settled_is_refused_before_anything_moves(tmp_path: Path)
     with pytest.raises(SettingsError, match="--minutes"):
         dragrig.settle(FIRST, minutes=float("nan"), out=folder)
     assert not folder.exists()
+    made = tmp_path / "made"
+    dragrig.simulate(Plan.model_validate({"name": "short", "steps": [DRAG]}), out=made)
+    (made / SETTLE_FILE).write_text("decided", "utf-8")
+    with pytest.raises(OutputError):
+        dragrig.settle(FIRST, minutes=MINUTES, out=made)
+    assert (made / SETTLE_FILE).read_text("utf-8") == "decided"
     tmp_path.joinpath("plain").mkdir()
     with pytest.raises(RunFileError, match=SETTLE_FILE):
         dragrig.resume_settling(tmp_path / "plain")

@@ -336,11 +336,7 @@ def _smoothed_size(residual: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(mean_square, 0.0)))
 
 
-def _compete(
-    design: Design,
-    whitenings: tuple[Whitening, ...],
-    store: ColumnStore,
-) -> ForceCompetition:
+def _compete(design: Design, whitenings: tuple[Whitening, ...], store: ColumnStore) -> ForceCompetition:
     columns = store.release()
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
     total, first = np.zeros((1 + nuisances.size + columns.shape[1],) * 2), 0

@@ -141,8 +141,9 @@ def settle(
     >>> settled = dragrig.settle("first", minutes=20)  # doctest: +SKIP
     >>> settled.record.ending, settled.diagnosed.result.effects  # doctest: +SKIP
     """
-    if not (isfinite(minutes) and minutes > 0):
-        raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
+    from dragrig.campaign_session import require_no_runs
+
+    _require_minutes(minutes)
     if not 0.5 <= until < 1.0:
         raise SettingsError(f"--until {until:g}: is a probability from 0.5 to below 1.")
     setup = resolve(plan, **choices)
@@ -153,6 +154,9 @@ def settle(
             "shorter plan, as first, or give more time."
         )
     check(plan, out=out, **choices).require()
+    if out is not None:
+        # Before anything is written: the decisions of an earlier loop stand there.
+        require_no_runs(Path(out))
     now = datetime.now().astimezone()
     folder = setup.data_root / f"{now:%Y%m%d-%H%M%S}-settle-{setup.plan.name}" if out is None else Path(out)
     first = Batch(plan=setup.plan, minutes=first_min, reason="the first runs")
@@ -191,10 +195,16 @@ def resume_settling(
     folder = Path(campaign)
     record = read_settle_record(folder)
     if minutes is not None:
+        _require_minutes(minutes)
         record = record.model_copy(update={"minutes": minutes, "ending": None})
     settling = _Settling(folder, hands or SettleHands(), step or _ignore)
     made = settling.made_last_batch(record) if len(record.steps) < len(record.batches) else None
     return settling.go_on(record, made)
+
+
+def _require_minutes(minutes: float) -> None:
+    if not (isfinite(minutes) and minutes > 0):
+        raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
 
 
 def read_settle_record(folder: Path) -> SettleRecord:
