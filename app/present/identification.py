@@ -13,6 +13,7 @@ from dragrig.analysis import (
     DragResult,
     Estimate,
     EstimatedQuantity,
+    Exclusion,
     Identification,
     JointFit,
     LogLaw,
@@ -83,23 +84,23 @@ def identification_document(identification: Identification) -> Document:
             Section("joint-figure", "", figures),
             Section("joint", "Joint fit", (Text("None."),) if joint is None else _joint_blocks(joint)),
             *sections,
-            Section(
-                "left-out",
-                "Left out",
-                (
-                    Table.of(
-                        "exclusions",
-                        "",
-                        listed_exclusions(identification.left_out),
-                        Field("what", "left out", lambda exclusion: exclusion.item),
-                        Field("reason", "reason", lambda exclusion: exclusion.reason),
-                    ),
-                ),
-            ),
+            left_out_section(identification.left_out),
             Section("remarks", "Remarks", (Items(identification.remarks, remarks=True),)),
         ),
         data=identification_json(identification),
     )
+
+
+def left_out_section(left_out: Sequence[Exclusion]) -> Section:
+    """List what an evaluation left out, and why."""
+    table = Table.of(
+        "exclusions",
+        "",
+        listed_exclusions(left_out),
+        Field("what", "left out", lambda exclusion: exclusion.item),
+        Field("reason", "reason", lambda exclusion: exclusion.reason),
+    )
+    return Section("left-out", "Left out", (table,))
 
 
 def _answer(identification: Identification) -> str:
