@@ -1,24 +1,20 @@
-"""Carrying out a plan: the session on its worker thread, its campaign folder, and campaigns that go on."""
+"""The campaign of a session: begun in a new folder, resumed, or gone on with by another plan."""
 
 import queue
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from itertools import count
 from math import inf
 from pathlib import Path
-from threading import Event as Signal
-from typing import Protocol, TypeVar, Unpack
+from typing import Unpack
 
 from dragrig.analysis import count_text
 from dragrig.config import (
     UNSTATED,
-    AbortedError,
-    Calibration,
-    CommissioningRecord,
     DragrigError,
     OutputError,
     RigSettings,
@@ -27,357 +23,45 @@ from dragrig.config import (
     reason_of,
     rig_file_of,
 )
-from dragrig.end_signals import EndSignals, rig_open
+from dragrig.hosted_session import SessionOperator, SessionOptions, run_session
 from dragrig.rig import (
-    AcquisitionOutcome,
-    Answer,
-    Backend,
-    BackendRequest,
     Campaign,
     CampaignProgress,
     FolderStore,
-    IdleReading,
     Mirror,
     MirrorReport,
     NullOperator,
-    Operator,
-    PlannedRun,
-    Programme,
-    Prompt,
     RecoveryOutcome,
     ReturnProtocol,
     RunInfo,
     RunStatus,
-    Session,
-    SessionObserver,
     SessionRecord,
     SessionResult,
     SteadyForce,
-    Store,
     latest_session_record,
-    preflight,
     read_campaign,
-    read_commissioning,
-    read_idle,
     read_run,
     read_session_records,
     recover,
     specimen_key,
-    specimen_remark,
-    wiring_key,
-    write_commissioning,
     write_session_record,
 )
 from dragrig.session_state import SessionState, StatePublisher, session_lock
 from dragrig.setup import (
     HARDWARE_BACKEND,
     Assignments,
-    Pace,
     PlanLike,
     Setup,
     SetupChoices,
     contact_position,
     load_settings,
-    opened_rig,
     require_shipped_dialect,
     resolve,
-    resolve_pace,
     within_lab,
 )
 
-ResultT = TypeVar("ResultT")
-
-_POLL_S = 0.02
-_IDLE_MEAN_S = 0.1
-"""Five periods of the mains."""
 MIRROR_ANSWER_S = 10.0
 """How long a mirror may take to answer before a session."""
-
-
-@dataclass(slots=True)
-class _PendingPrompt:
-    prompt: Prompt
-    answered: Signal = field(default_factory=Signal)
-    answer: Answer = Answer.ABORT
-
-
-class PromptRelay:
-    """Passes a session's prompts to the operator on the calling thread.
-
-    Parameters
-    ----------
-    look
-        Reads force and position meanwhile: the thread that asks waits for the answer, so nothing else uses the rig.
-    """
-
-    def __init__(self, operator: Operator, look: Callable[[], IdleReading] | None = None) -> None:
-        self._operator, self._look = operator, look
-        # Not a SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
-        self._prompts: queue.Queue[_PendingPrompt] = queue.Queue()
-
-    @property
-    def attended(self) -> bool:
-        """Whether a person answers what needs no hands."""
-        return self._operator.attended
-
-    def ask(self, prompt: Prompt) -> Answer:
-        """Wait for the answer from the calling thread."""
-        pending = _PendingPrompt(prompt)
-        self._prompts.put(pending)
-        pending.answered.wait()
-        return pending.answer
-
-    def answer_next(self, within_s: float, signals: EndSignals) -> None:
-        """Answer the next prompt, if there is one in this time; Ctrl-C at or before a prompt ends the session."""
-        try:
-            pending = self._prompts.get(timeout=within_s)
-        except queue.Empty:
-            return
-        try:
-            with signals.prompting():
-                pending.answer = self._operator.ask(replace(pending.prompt, look=pending.prompt.look or self._look))
-        except (KeyboardInterrupt, EOFError):
-            pending.answer = Answer.ABORT
-        finally:
-            pending.answered.set()
-
-
-def idle_reader(backend: Backend, *, timed: bool) -> Callable[[], IdleReading]:
-    """Return what reads force and position while nothing is acquired; it takes no time where time is simulated."""
-    duration_s = _IDLE_MEAN_S if timed else 0.0
-    return lambda: read_idle(backend, duration_s)
-
-
-def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], operator: PromptRelay) -> ResultT:
-    """Run work that moves the rig on a worker thread, while this thread handles signals and prompts.
-
-    This thread wakes every few milliseconds, because on Windows nothing else lets it receive Ctrl-C.
-
-    Parameters
-    ----------
-    work
-        Runs on the worker thread, such as `Session.run`.
-    abort
-        Ends it in good order; called for Ctrl-C and the other signals that end a program.
-
-    Raises
-    ------
-    DragrigError
-        What `work` raises.
-    """
-    results: list[ResultT] = []
-    errors: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            results.append(work())
-        except BaseException as error:  # noqa: BLE001  # raised again on the calling thread
-            errors.append(error)
-
-    worker = threading.Thread(target=run, name="session")
-    with rig_open() as signals:
-        worker.start()
-        try:
-            with signals.aborting(abort):
-                while worker.is_alive():
-                    operator.answer_next(_POLL_S, signals)
-        finally:
-            if worker.is_alive():
-                abort("its host failed")
-            worker.join()
-    if errors:
-        raise errors[0]
-    return results[0]
-
-
-class SessionOperator(Operator, SessionObserver, Protocol):
-    """Answers prompts and observes the session."""
-
-
-class RunCounter(NullOperator):
-    """Answers every prompt, and reports how many runs are made."""
-
-    def __init__(self, progress: Callable[[int, int], None]) -> None:
-        self._progress = progress
-        self._made, self._of = 0, 0
-
-    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
-        """Count the runs to be made."""
-        del programme, real_time
-        self._of = len(pending)
-
-    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
-        """Count a run."""
-        del run, outcome
-        self._made += 1
-        self._progress(self._made, self._of)
-
-
-def discard_message(sentence: str) -> None:
-    """Ignore a message."""
-    del sentence
-
-
-def _ignore_abort(abort: Callable[[str], None]) -> None:
-    """Ignore how to end the session."""
-    del abort
-
-
-@dataclass(frozen=True, slots=True)
-class SessionOptions:
-    """How a session is carried out."""
-
-    folder: Path
-    """The campaign's folder, whose free space is checked."""
-    operator: str = ""
-    note: str = ""
-    pace: Pace | None = None
-    """Of a simulated rig, or of a double."""
-    origin: datetime | None = None
-    """Time of day at which a simulated session starts (default: now)."""
-    first_run_at: datetime | None = None
-    """Start of the campaign's first run, in a resumed campaign."""
-    progress: CampaignProgress = field(default_factory=CampaignProgress)
-    begun: Callable[[Callable[[str], None]], None] = _ignore_abort
-    """Called before anything moves with a function that ends the session in good order from any thread."""
-    pause: Signal | None = None
-    """Set by anybody to have the session wait for a person before its next run."""
-    mirror: Path | None = None
-    """Folder for a second copy of each finished file."""
-    tell: Callable[[str], None] = discard_message
-    """Called, from any thread, with a warning that does not stop the session."""
-
-
-def run_session(
-    setup: Setup,
-    open_store: Callable[[SessionRecord], AbstractContextManager[Store]],
-    options: SessionOptions,
-    person: SessionOperator | None = None,
-) -> SessionResult:
-    """Check a plan and carry it out; the calling thread handles Ctrl-C and prompts.
-
-    Parameters
-    ----------
-    open_store
-        Opens the store of the session once everything is checked; gets the session's record.
-    person
-        Answers prompts and observes (default: every prompt counts as done).
-
-    Raises
-    ------
-    PlanError, SettingsError
-        Before anything moves.
-    DragrigError
-        When a record cannot be opened or finished; the stage is stopped first.
-    """
-    from dragrig.analysis import steady_force_of
-
-    observer: SessionOperator = person or NullOperator()
-    programme = setup.programme()
-    left = replace(programme, runs=programme.pending(options.progress.done))
-    if not left.runs:
-        # Without runs, neither prompt nor homing.
-        return SessionResult(RunStatus.COMPLETE, "", ())
-    pace = resolve_pace(options.pace, double=setup.double)
-    calibrations = setup.calibrations()
-    request = BackendRequest(
-        setup.rig,
-        setup.model,
-        pace.real_time,
-        options.origin,
-        calibrations,
-        pace=pace.times_faster,
-        first_run_at=options.first_run_at,
-    )
-    with opened_rig(setup.backend, request, double=setup.double) as backend:
-        further = len(backend.sampler.channels) - 2
-        preflight(
-            left,
-            setup.rig,
-            backend.stage.limits,
-            options.folder,
-            setup.plan_source,
-            further,
-            has_drive=backend.needs_hands,
-        ).require()
-        if backend.needs_hands and (remark := specimen_remark(setup.specimen)):
-            options.tell(f"{remark}.")
-        record = _session_record(setup, backend, options, calibrations)
-        timed = pace.real_time or backend.needs_hands
-        operator = PromptRelay(observer, idle_reader(backend, timed=timed))
-        run_on_worker(lambda: _ask_for_commissioning(setup, operator, backend.clock.now), discard_message, operator)
-        with open_store(record) as store:
-            session = Session(
-                backend,
-                programme,
-                record,
-                store,
-                operator,
-                observer,
-                options.progress,
-                real_time=timed,
-                pause=options.pause,
-                steady_force=steady_force_of,
-            )
-            options.begun(session.abort)
-            with _kept_awake(setup):
-                return run_on_worker(session.run, session.abort, operator)
-
-
-@contextmanager
-def _kept_awake(setup: Setup) -> Iterator[None]:
-    """Keep a computer that runs a real rig from falling asleep; a desktop without such a service is left as it is."""
-    if setup.backend != HARDWARE_BACKEND or setup.double:
-        yield
-        return
-    from wakepy import keep
-
-    with keep.running(on_fail="pass"):
-        yield
-
-
-def _ask_for_commissioning(setup: Setup, operator: Operator, now: Callable[[], datetime]) -> None:
-    """Ask once, on real hardware, before it moves with wires that nobody has looked at since they changed.
-
-    Raises `AbortedError` when the person wants to look first.
-    """
-    if setup.backend != HARDWARE_BACKEND or setup.double or setup.rig_folder is None:
-        return
-    record, wiring = read_commissioning(setup.rig_folder), wiring_key(setup.rig)
-    if record is None or (record.made_on, record.wiring) != (setup.made_on, wiring):
-        record = CommissioningRecord(made_at=now(), made_on=setup.made_on, wiring=wiring)
-    if record.skipped or record.passed:
-        return
-    why = "nobody has looked at this rig's wiring since it was set up or changed"
-    if failed := ", ".join(signal.name for signal in record.signals if not signal.passed):
-        why = f"the look at this rig on {record.made_at:%Y-%m-%d} found faults ({failed})"
-    prompt = f"{why[0].upper()}{why[1:]}: end here and try dragrig check --live, or go on without"
-    if operator.ask(Prompt(prompt)) is not Answer.DONE:
-        raise AbortedError("ended before anything moved: look at the rig with dragrig check --live.")
-    # What a look found stays in the record.
-    write_commissioning(setup.rig_folder, record.model_copy(update={"skipped": True}))
-
-
-def _session_record(
-    setup: Setup, backend: Backend, options: SessionOptions, calibrations: Mapping[str, Calibration]
-) -> SessionRecord:
-    ids = {quantity: entry.id for quantity, entry in calibrations.items()}
-    return SessionRecord(
-        begun_at=backend.clock.now(),
-        backend=setup.backend,
-        double=setup.double,
-        contact_mm=setup.contact_mm if setup.rig.stage.start_from == "contact" else None,
-        operator=options.operator,
-        note=options.note,
-        calibration_id=ids.get("force", ""),
-        encoder_calibration_id=ids.get("encoder", ""),
-        beside=setup.plan_folder,
-        first_order=options.progress.first_order,
-        plan=setup.plan,
-        specimen=setup.specimen,
-        model=setup.model,
-        rig=setup.rig,
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,10 +9,10 @@ from typing import Any, Self
 
 import pytest
 
-from dragrig import campaign_session
-from dragrig.campaign_session import PromptRelay, SessionOptions, run_on_worker, run_session
+from dragrig import hosted_session
 from dragrig.config.errors import PlanError, RecordingError
 from dragrig.end_signals import EndSignals
+from dragrig.hosted_session import PromptRelay, SessionOptions, run_on_worker, run_session
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import Preflight, preflight
 from dragrig.rig.reading import Reading
@@ -176,7 +176,7 @@ def test_a_signal_while_the_rig_is_opened_ends_the_session_before_anything_moves
         os.kill(os.getpid(), signal.SIGINT)
         return preflight(*arguments, **named)
 
-    monkeypatch.setattr(campaign_session, "preflight", pressed)
+    monkeypatch.setattr(hosted_session, "preflight", pressed)
     result = carried_out(NullOperator())
     assert (result.status, result.reason, result.runs) == (RunStatus.ABORTED, "Ctrl-C", ())
 

@@ -17,9 +17,9 @@ import pytest
 from runfiles import header
 
 from dragrig import campaign_session as campaigns
-from dragrig.campaign_session import SessionOptions
 from dragrig.cli import main
 from dragrig.config import RIG_FILE
+from dragrig.hosted_session import SessionOptions
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.runfile import Recorder, mark_bad, read_campaign, read_run
 from dragrig.rig.runfile.model import RunInfo, RunStatus

@@ -19,9 +19,10 @@ from urllib.request import Request, urlopen
 import pytest
 
 import dragrig
-from dragrig.campaign_session import SessionOptions, start_campaign
+from dragrig.campaign_session import start_campaign
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
+from dragrig.hosted_session import SessionOptions
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.reading import Reading

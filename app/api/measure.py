@@ -34,7 +34,8 @@ from dragrig.setup import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.campaign_session import Made, SessionOperator, SessionOptions
+    from dragrig.campaign_session import Made
+    from dragrig.hosted_session import SessionOperator, SessionOptions
 
 
 def examine(**choices: Unpack[RigChoices]) -> Iterator[RigCheck]:
@@ -152,7 +153,8 @@ def simulate(
     (8025,)
     >>> sticky, back = dragrig.simulate("drag", effects=["stribeck:ratio=0.4"])  # doctest: +SKIP
     """
-    from dragrig.campaign_session import RunCounter, SessionOptions, run_session, start_campaign
+    from dragrig.campaign_session import start_campaign
+    from dragrig.hosted_session import RunCounter, SessionOptions, run_session
     from dragrig.rig import MemoryStore, read_run
 
     person = None if progress is None else RunCounter(progress)
@@ -290,7 +292,7 @@ def _session_options(
     tell: Callable[[str], None] | None,
     pause: Signal | None,
 ) -> "SessionOptions":
-    from dragrig.campaign_session import SessionOptions, discard_message
+    from dragrig.hosted_session import SessionOptions, discard_message
 
     tell = tell or discard_message
     target = None if mirror is None else Path(mirror)

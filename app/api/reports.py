@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Literal
 
 from dragrig import present
 from dragrig.analysis import ExportFormat, Progress, export_run, filter_file, no_progress, parts_of
-from dragrig.campaign_session import Made, SessionOperator, SessionOptions, start_campaign
+from dragrig.campaign_session import Made, start_campaign
 from dragrig.config import AnalysisError, OutputError, SettingsError
+from dragrig.hosted_session import SessionOperator, SessionOptions
 from dragrig.present import (
     PAPER_MODEL_FILE,
     PAPER_REPORT_FILE,

@@ -34,7 +34,8 @@ from dragrig.rig import latest_session_record, read_campaign, read_session_recor
 from dragrig.setup import PlanLike, SetupChoices, resolve
 
 if TYPE_CHECKING:
-    from dragrig.campaign_session import Made, SessionOperator
+    from dragrig.campaign_session import Made
+    from dragrig.hosted_session import SessionOperator
     from dragrig.setup import Pace
 
 DEFAULT_SETTLE_MIN = 30.0

@@ -8,7 +8,6 @@ from pathlib import Path
 from threading import Event as Signal
 from typing import Generic, TypeAlias, TypeVar, Unpack
 
-from dragrig.campaign_session import PromptRelay, idle_reader, run_on_worker
 from dragrig.config import (
     AbortedError,
     Calibration,
@@ -18,6 +17,7 @@ from dragrig.config import (
     DeviceError,
     SettingsError,
 )
+from dragrig.hosted_session import PromptRelay, idle_reader, run_on_worker
 from dragrig.rig import (
     JOG_SPEED_MM_S,
     Answer,

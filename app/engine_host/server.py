@@ -25,9 +25,7 @@ from dragrig.api import (
 )
 from dragrig.campaign_session import (
     Made,
-    SessionOptions,
     append_to_campaign,
-    idle_reader,
     resume_campaign,
     start_campaign,
 )
@@ -76,6 +74,7 @@ from dragrig.engine_host.messages import (
     TouchOffStage,
     WatchRig,
 )
+from dragrig.hosted_session import SessionOptions, idle_reader
 from dragrig.present import encoder_calibration_document, force_calibration_document
 from dragrig.rig import (
     LIMIT_SWITCH_CAUSES,
