@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Self, Unpack
+from typing import TYPE_CHECKING, Self, TypedDict, Unpack
 
 from dragrig.analysis import (
     CapsuleModel,
@@ -93,31 +93,46 @@ class DiagnosedFolder:
     why_not: str = ""
 
 
+class DiagnosisChoices(TypedDict, total=False):
+    """What campaigns are diagnosed against, as in `dragrig.diagnose`."""
+
+    nominal: str | Path | NominalModel
+    without: Sequence[str]
+    tolerance_mN: float | None
+    specimen: str | None
+    calibration: str | Path | None
+
+
 @dataclass(frozen=True, slots=True)
 class DiagnosisRequest:
-    """What a campaign is diagnosed against; the arguments of `dragrig.diagnose`."""
+    """What a campaign is diagnosed against, with the defaults of `DiagnosisChoices`, and its next runs."""
 
     nominal: str | Path | NominalModel = "capsule"
-    without: tuple[str, ...] = ()
+    without: Sequence[str] = ()
     tolerance_mN: float | None = None
     specimen: str | None = None
     calibration: str | Path | None = None
     next_runs: ExperimentBudget | None = field(default_factory=ExperimentBudget)
     """Limits of the next runs to recommend; None recommends none."""
 
+    def options(self) -> "DiagnosisOptions":
+        """Return the checked options; raises as `diagnosis_options`."""
+        options = diagnosis_options(self.without, self.tolerance_mN, self.calibration)
+        return replace(options, next_runs=self.next_runs)
+
+    def model(self) -> NominalModel:
+        """Return the expected model; raises `SettingsError`."""
+        return find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
+
     def diagnose(self, campaign: str | Path | Iterable[Run], progress: Progress = no_progress) -> DiagnosedCampaign:
         """Diagnose one campaign; raises as `dragrig.diagnose`."""
         from dragrig.analysis.gap.diagnose import diagnose as diagnose_selection
 
-        options = replace(
-            diagnosis_options(self.without, self.tolerance_mN, self.calibration), next_runs=self.next_runs
-        )
-        model = find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
         named = isinstance(campaign, str | Path)
         reading, diagnosing = parts_of(progress, READING_COST, DIAGNOSIS_COST)
         runs = Path(campaign) if isinstance(campaign, str | Path) else campaign
         selection = choose_runs(runs, self.specimen, reading)
-        result = diagnose_selection(selection, model, options, diagnosing)
+        result = diagnose_selection(selection, self.model(), self.options(), diagnosing)
         return DiagnosedCampaign(result, selection, str(campaign) if named else "these runs")
 
     def diagnose_on_cluster(self, campaign: Path, scheduler: str) -> DiagnosedCampaign:
@@ -134,13 +149,23 @@ class DiagnosisRequest:
             return DiagnosedFolder(name, None, {}, str(error).replace(str(folder), name))
         return DiagnosedFolder(name, diagnosed.result, dict(diagnosed.run_ids))
 
+    def diagnose_many(
+        self,
+        campaigns: Sequence[str | Path],
+        workers: int | None = None,
+        scheduler: str | None = None,
+        progress: Progress = no_progress,
+    ) -> tuple[DiagnosedFolder, ...]:
+        """Diagnose campaigns in parallel; raises as `dragrig.diagnose_many`."""
+        self.options()
+        tasks = [(str(campaign), Path(campaign).absolute()) for campaign in campaigns]
+        return map_tasks(self.with_absolute_paths().diagnose_folder, tasks, workers, scheduler, progress)
+
     def evidence(self, campaign: "FolderToPool") -> "CampaignEvidence | str":
         """Return what one campaign says, to be pooled; or why it cannot be diagnosed, a sentence."""
         from dragrig.analysis.gap import campaign_evidence, diagnose_with_causes
 
-        options = diagnosis_options(self.without, self.tolerance_mN, self.calibration)
-        options = replace(options, next_runs=None)
-        model = find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
+        model, options = self.model(), replace(self.options(), next_runs=None)
         try:
             selection = without_runs(choose_runs(campaign.folder, self.specimen), campaign.counted_elsewhere)
             return campaign_evidence(campaign.name, diagnose_with_causes(selection, model, options))
@@ -159,7 +184,7 @@ class DiagnosisRequest:
 
         if len(campaigns) < MIN_CAMPAIGNS:
             raise AnalysisError("--together: takes two campaigns or more; name another, or leave --together out.")
-        diagnosis_options(self.without, self.tolerance_mN, self.calibration)
+        self.options()
         tasks = [(str(campaign), Path(campaign).absolute()) for campaign in campaigns]
         looking, diagnosing, pooling = parts_of(progress, LOOKING_COST, DIAGNOSING_COST, POOLING_COST)
         with open_executor(workers, scheduler, tasks=len(tasks)) as executor:
@@ -228,21 +253,17 @@ def diagnose(
     >>> diagnosis.verdict, diagnosis.effects, diagnosis.ranking[0].probability  # doctest: +SKIP
     >>> dragrig.simulate("drag", model=diagnosis.model)  # doctest: +SKIP
     """
-    request = DiagnosisRequest(nominal, tuple(without), tolerance_mN, specimen, calibration)
+    request = DiagnosisRequest(nominal, without, tolerance_mN, specimen, calibration)
     return request.diagnose(campaign, progress).result
 
 
 def diagnose_many(
     campaigns: Sequence[str | Path],
     *,
-    nominal: str | Path = "capsule",
-    without: Sequence[str] = (),
-    tolerance_mN: float | None = None,
-    specimen: str | None = None,
-    calibration: str | Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Progress = no_progress,
+    **choices: Unpack[DiagnosisChoices],
 ) -> tuple[DiagnosedFolder, ...]:
     """Diagnose campaigns in parallel, each as `dragrig.diagnose` does; one that fails does not stop the others.
 
@@ -250,12 +271,12 @@ def diagnose_many(
     ----------
     campaigns
         Their folders. The workers of a cluster must see the same folders.
-    nominal, without, tolerance_mN, specimen, calibration
-        As in `dragrig.diagnose`, for all.
     workers
         Number of processes (default: as many as there are cores).
     scheduler
         Address of a Dask cluster to use in their place.
+    choices
+        As of `diagnose`, for all: nominal, without, tolerance_mN, specimen, calibration.
 
     Returns
     -------
@@ -275,10 +296,7 @@ def diagnose_many(
     >>> folders = dragrig.diagnose_many(["runs/first", "runs/second"])  # doctest: +SKIP
     >>> [folder.result.verdict for folder in folders if folder.result]  # doctest: +SKIP
     """
-    diagnosis_options(without, tolerance_mN, calibration)
-    request = DiagnosisRequest(nominal, tuple(without), tolerance_mN, specimen, calibration).with_absolute_paths()
-    tasks = [(str(campaign), Path(campaign).absolute()) for campaign in campaigns]
-    return map_tasks(request.diagnose_folder, tasks, workers, scheduler, progress)
+    return DiagnosisRequest(**choices).diagnose_many(campaigns, workers, scheduler, progress)
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,14 +340,10 @@ def look_into(campaign: tuple[str, Path]) -> FolderToPool:
 def diagnose_together(
     campaigns: Sequence[str | Path],
     *,
-    nominal: str | Path = "capsule",
-    without: Sequence[str] = (),
-    tolerance_mN: float | None = None,
-    specimen: str | None = None,
-    calibration: str | Path | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Progress = no_progress,
+    **choices: Unpack[DiagnosisChoices],
 ) -> "PooledDiagnosis":
     """Diagnose campaigns of one rig together: which effects are in all of them, in some, or in one.
 
@@ -340,12 +354,12 @@ def diagnose_together(
     ----------
     campaigns
         Their folders, each with specimens of its own. The workers of a cluster must see the same folders.
-    nominal, without, tolerance_mN, specimen, calibration
-        As in `dragrig.diagnose`, for all.
     workers
         Number of processes (default: as many as there are cores).
     scheduler
         Address of a Dask cluster to use in their place.
+    choices
+        As of `diagnose`, for all: nominal, without, tolerance_mN, specimen, calibration.
 
     Raises
     ------
@@ -362,8 +376,7 @@ def diagnose_together(
     >>> pooled = dragrig.diagnose_together(["runs/monday", "runs/tuesday"])  # doctest: +SKIP
     >>> [(effect.effect, effect.where, effect.probability) for effect in pooled.established]  # doctest: +SKIP
     """
-    request = DiagnosisRequest(nominal, tuple(without), tolerance_mN, specimen, calibration)
-    return request.diagnose_together(campaigns, workers, scheduler, progress)
+    return DiagnosisRequest(**choices).diagnose_together(campaigns, workers, scheduler, progress)
 
 
 def _require_one_rig(campaigns: Sequence[FolderToPool]) -> None:

@@ -96,20 +96,8 @@ def diagnose_command(
         return
     if len(campaigns) > 1:
         options.require_single_campaign(len(campaigns), save_model=save_model, report=report, figures=figures)
-        from dragrig.api import diagnose_many
-
         with ProgressMeter(f"diagnosing {len(campaigns)} campaigns") as meter:
-            folders = diagnose_many(
-                campaigns,
-                nominal=nominal,
-                without=without,
-                tolerance_mN=tolerance_mN,
-                specimen=specimen,
-                calibration=calibration,
-                workers=workers,
-                scheduler=scheduler,
-                progress=meter.at,
-            )
+            folders = request.diagnose_many(campaigns, workers, scheduler, meter.at)
         _print_diagnoses(folders, as_json=as_json)
         return
     [campaign] = campaigns
