@@ -181,6 +181,24 @@ def test_forces_that_no_common_size_explains_are_not_pooled_as_one() -> None:
     assert "payload_inertia" not in named(pooled)
 
 
+def test_small_effects_are_not_told_from_other_forms_of_a_large_one() -> None:
+    pooled = diagnose_together([campaign(seed, stribeck=20.0, payload_inertia=0.8) for seed in range(5)])
+    assert named(pooled) == ["stribeck"]
+    alone = {"payload_inertia": 0.9, "stribeck": 0.99}
+    shown = [campaign(seed, alone=alone, stribeck=20.0, payload_inertia=0.8) for seed in range(5)]
+    assert set(named(diagnose_together(shown))) == {"stribeck", "payload_inertia"}
+
+
+def test_where_the_stage_strays_pooling_names_what_a_campaign_shows_alone_and_says_so() -> None:
+    straying = [campaign(seed, alone={"servo_lag": 0.98}, stribeck=1.0) for seed in range(5)]
+    pooled = diagnose_together(straying)
+    assert named(pooled) == ["servo_lag"]
+    assert "the stage strays from its command (servo lag)" in pooled.remarks[-1]
+    shown = campaign(9, alone={"servo_lag": 0.98, "stribeck": 0.8}, stribeck=1.0)
+    assert set(named(diagnose_together([*straying, shown]))) == {"servo_lag", "stribeck"}
+    assert named(diagnose_together([campaign(seed, stribeck=1.0) for seed in range(5)])) == ["stribeck"]
+
+
 def test_the_same_run_in_two_folders_counts_once(tmp_path: Path) -> None:
     shutil.copytree(CAMPAIGN, tmp_path / "first")
     shutil.copytree(CAMPAIGN, tmp_path / "copy")
