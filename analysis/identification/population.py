@@ -471,19 +471,18 @@ def _pool_coulomb(
         if len(estimates) < MIN_SPECIMENS:
             continue
         tested = [specimen for specimen in specimens if specimen in estimates]
-        values = np.array([estimates[specimen].value for specimen in tested])
-        errors = np.array([estimates[specimen].standard_error for specimen in tested])
-        unit = float(np.hypot(np.std(values), np.median(errors)))
-        parameter = Parameter(name, "1", float(np.median(values)), unit, positive=False, meaning=meaning)
-        precision = (unit / errors) ** 2
-        information = _Information(
-            precision[:, None, None],
-            (precision * (values - parameter.nominal) / unit)[:, None],
-            np.full(1, 100.0),
-        )
+        values = np.array([[estimates[specimen].value] for specimen in tested])
+        errors = np.array([[estimates[specimen].standard_error] for specimen in tested])
+        # Friction that noise makes negative has no logarithm.
+        positive, nominal = bool((values > 0).all()), float(np.median(values))
+        unit = float(np.hypot(np.std(values), np.median(errors))) / (nominal if positive else 1.0)
+        parameter = Parameter(name, "1", nominal, unit, positive=positive, meaning=meaning)
+        scales = PriorScales.of([parameter])
+        precision = (scales.slopes(values) / errors) ** 2
+        information = _Information(precision[:, :, None], precision * scales.deviations(values), np.full(1, 100.0))
         own = [{name: estimates[specimen]} for specimen in tested]
         best = _restricted_maximum(information, np.ones(1, dtype=np.bool_))
-        yield from _pooled_parameters(information, best, [parameter], PriorScales.of([parameter]), tested, own)
+        yield from _pooled_parameters(information, best, [parameter], scales, tested, own)
 
 
 def _remarks(

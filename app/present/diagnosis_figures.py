@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import PurePath
 from textwrap import wrap
 
 import numpy as np
@@ -622,22 +623,35 @@ def _min_span(view: RunTraces) -> float:
 
 
 MAX_POOLED_PANELS, MAX_LABELLED_CAMPAIGNS = 6, 12
+MAX_LEVEL_CHARACTERS = 60
+"""Names of campaigns that fit on one line; longer ones are slanted."""
 
 
 def pooled_sizes_figure(pooled: PooledDiagnosis) -> Figure:
     """Draw the size of each established effect by campaign, with the population's mean and band."""
     shown = [(effect, effect.size) for effect in pooled.established if effect.size is not None][:MAX_POOLED_PANELS]
-    names = [campaign.source for campaign in pooled.campaigns]
+    names = _beyond_common_folder([campaign.source for campaign in pooled.campaigns])
     with figure_style():
-        figure = new_figure(8.0, 0.6 + 2.0 * len(shown), "Sizes by campaign", narrow=True)
+        figure = new_figure(8.0, 0.9 + 2.0 * len(shown), "Sizes by campaign", narrow=True)
         for row, (effect, size) in enumerate(shown):
             axes = figure.add_subplot(len(shown), 1, row + 1)
             _draw_sizes(axes, effect, size, CYCLE[row % len(CYCLE)])
             if len(names) <= MAX_LABELLED_CAMPAIGNS:
                 axes.set_xticks(range(len(names)), names if row + 1 == len(shown) else [""] * len(names))
+                if sum(map(len, names)) > MAX_LEVEL_CHARACTERS:
+                    axes.tick_params(axis="x", labelrotation=30)
+                    for label in axes.get_xticklabels():
+                        label.set_horizontalalignment("right")
             elif row + 1 == len(shown):
                 axes.set_xlabel("campaign")
         return figure
+
+
+def _beyond_common_folder(sources: Sequence[str]) -> list[str]:
+    """Return folders without what their paths begin with in common."""
+    parts = [PurePath(source).parts for source in sources]
+    common = next((at for at, names in enumerate(zip(*parts, strict=False)) if len(set(names)) > 1), 0)
+    return ["/".join(names[common:]) or source for names, source in zip(parts, sources, strict=True)]
 
 
 def _draw_sizes(axes: Axes, effect: PooledEffect, size: PopulationSize, colour: str) -> None:

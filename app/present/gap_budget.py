@@ -37,6 +37,8 @@ MIN_SHOWN_SHARE = 0.02
 """Smaller parts are summed up as others in sentences and bars; the table has them all."""
 MAX_SENTENCE_PARTS = 4
 """Parts that a sentence names; it sums up further ones, which bar and table have."""
+MAX_ALTERNATIVES = 2
+"""Effects that cannot be separated from each other are named up to this many, and one more rather than counting it."""
 SHARE_DECIMALS = 4
 MAX_PERCENT_DIGITS = 2
 MOSTLY, NEARLY_ALL = 0.5, 0.9
@@ -123,11 +125,20 @@ def _channel_budget(channel: str, entries: Sequence[BudgetEntry]) -> ChannelBudg
     return ChannelBudget(channel, tuple(named), next((entry for entry in here if entry.cause == UNEXPLAINED), None))
 
 
-def part_name(entry: BudgetEntry) -> str:
-    """Name a part, together with the effects that cannot be separated from it: `adhesion or Stribeck friction`."""
+def part_name(entry: BudgetEntry, at_most: int | None = MAX_ALTERNATIVES) -> str:
+    """Name a part, together with the effects that cannot be separated from it: `adhesion or Stribeck friction`.
+
+    Parameters
+    ----------
+    at_most
+        Effects that are named; further ones are counted. None names all.
+    """
     if entry.cause in _NAMES:
         return _NAMES[entry.cause]
-    return " or ".join(map(display_name, (entry.cause, *entry.not_separable_from)))
+    names = [display_name(cause) for cause in (entry.cause, *entry.not_separable_from)]
+    if at_most is not None and len(names) > at_most + 1:
+        names[at_most:] = [f"{len(names) - at_most} other effects"]
+    return " or ".join(names)
 
 
 def owner_of_gap(budget: GapBudget | None) -> str:
@@ -290,7 +301,7 @@ def budget_table(diagnosis: Diagnosis) -> Table:
         "",
         entries,
         Field("channel", "channel", lambda entry: entry.channel.replace("_", " ")),
-        Field("cause", "part of the gap", lambda entry: capitalise(part_name(entry))),
+        Field("cause", "part of the gap", lambda entry: capitalise(part_name(entry, None))),
         Field("share", "share", lambda entry: _share_cell(entry, percents.get((entry.channel, entry.cause)))),
         Field("share_95ci", "95 % interval", _interval_text),
         Field("rms_mN", "rms, mN", lambda entry: entry.rms_mN, decimals(1)),

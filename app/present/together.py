@@ -18,6 +18,7 @@ from dragrig.present import (
     exclusions_json,
     probability_text,
     shortest,
+    significant,
     to_json_object,
     unit_text,
 )
@@ -27,6 +28,7 @@ FORMAT, VERSION = "dragrig-gap-together", 1
 MAX_LISTED = 10
 """Effects that a terminal lists; the page has all."""
 MAX_NAMED_CAMPAIGNS = 4
+_ROUGH = significant(2)
 MIN_LIKELY = 0.1
 """Where nothing is established, the most probable effect is told from this probability on."""
 
@@ -94,7 +96,9 @@ def _size_sentence(effect: PooledEffect) -> str:
     text = f"Size of {display_name(effect.effect)} (`{size.parameter}`): {mean}"
     if len(effect.members) < 2:
         return f"{text}."
-    spread = f"a spread of {size.spread:.2g} {unit}".rstrip() if size.spread > 0 else "no spread beyond their errors"
+    spread = (
+        f"a spread of {_ROUGH(size.spread)} {unit}".rstrip() if size.spread > 0 else "no spread beyond their errors"
+    )
     return f"{text} in the mean, with {spread} between campaigns."
 
 
@@ -157,7 +161,7 @@ def _interval(size: PopulationSize | None) -> str:
 def _spread_cell(effect: PooledEffect) -> FormattedNumber | str:
     if effect.size is None or not effect.established or len(effect.members) < 2:
         return ""
-    return FormattedNumber(effect.size.spread, f"{effect.size.spread:.2g}")
+    return FormattedNumber(effect.size.spread, _ROUGH(effect.size.spread))
 
 
 def _sizes_section(pooled: PooledDiagnosis) -> tuple[Figure, ...]:
