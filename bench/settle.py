@@ -34,6 +34,8 @@ from dragrig.parallel import open_executor, parallel_map
 from dragrig.sim_backend.blind import CATALOGUE, RunList
 
 SHARE, SURE = 0.6, 0.8
+PAUSE_S = 5.0
+"""Between batches."""
 
 
 def held(diagnosis: Diagnosis, truth: Sequence[str]) -> Mapping[str, object]:
@@ -57,13 +59,13 @@ def settled(case: HiddenCase) -> dict[str, object]:
     runs, end_s = tables("first")
     batches = 0
     while True:
-        left_min = SHARE * fixed_s / 60 - end_s / 60
+        left_min = (SHARE * fixed_s - end_s - PAUSE_S) / 60
         result = diagnosed(secret, RunList.of("settle", runs), batch_budget(left_min, RigLimits(kinds=KINDS)))
         ending = ending_of(result, DEFAULT_UNTIL, left_min)
         if ending is not None or result.next_experiment is None:
             break
         plan = plan_of_next_runs(result.next_experiment, mounted=mounting(str(runs[-1]["kind"])))
-        more, end_s = tables(plan, end_s + 5.0)
+        more, end_s = tables(plan, end_s + PAUSE_S)
         runs, batches = [*runs, *more], batches + 1
     fixed = diagnosed(secret, RunList.of("diagnose", fixed_runs), None)
     return {
