@@ -489,6 +489,8 @@ def _difference(name: str, without: SteadyWalk, relaxed: RelaxedWalk, spread: fl
         notes.append(f"not settled after {relaxed.iterations} iterations: the last is told")
     if walk.speed_mm_s == 0:
         notes.append("the robot does not move with it")
+    if walk.speed_mm_s < 0:
+        notes.append("the robot moves backwards with it")
     return Price(
         effect=name,
         speed_mm_s=walk.speed_mm_s,

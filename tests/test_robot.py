@@ -261,3 +261,12 @@ def test_a_drive_too_weak_for_the_gut_is_told_with_both_forces() -> None:
     told = json.loads(result.stdout)
     assert "In the gut it does not move: the actuator's force of 25.0 mN" in told["in_words"][1]
     assert told["drives"][0]["gut"]["speed_mm_s"] == 0
+
+
+def test_a_robot_that_a_drive_moves_backwards_is_told_so() -> None:
+    drive = ["--slow", "14543", "--fast", "1416", "--stroke", "10.9"]
+    told = json.loads(CliRunner().invoke(robot_command, [*drive, "--effect", "stribeck", "--json"]).stdout)
+    assert "In the gut it moves backwards at 1." in told["in_words"][1]
+    [price] = told["prices"]
+    assert price["speed_mm_s"] < 0
+    assert price["note"] == "the robot moves backwards with it"

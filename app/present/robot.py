@@ -100,18 +100,15 @@ def _reached(study: RobotStudy) -> tuple[str, ...]:
 
 def _speed_sentence(study: RobotStudy, driven: DrivenRobot, on: str) -> str:
     walk = driven.hard if on == "the hard surface" else driven.gut
+    place = "In the gut" if on == "the gut" else f"On {on}"
     if walk.walker.slips and walk.speed_mm_s:
-        return (
-            f"On {on} it moves at {walk.speed_mm_s:.1f} mm/s."
-            if on != "the gut"
-            else (f"In the gut it moves at {walk.speed_mm_s:.1f} mm/s.")
-        )
+        backwards = "backwards " if walk.speed_mm_s < 0 else ""
+        return f"{place} it moves {backwards}at {abs(walk.speed_mm_s):.1f} mm/s."
     robot, drive = study.robot, walk.drive
     static = (
         robot.hard_friction_coefficient * robot.mass_g * GRAVITY_M_S2 if on == "the hard surface" else study.static_mN
     )
     force = MN_PER_G_MM_S2 * robot.inner_mass_g * max(drive.slow_mm_s2, drive.fast_mm_s2)
-    place = "In the gut" if on == "the gut" else f"On {on}"
     if walk.walker.slips:
         return f"{place} it slips to and fro and does not move on."
     return (
@@ -262,7 +259,8 @@ def _price_blocks(study: RobotStudy) -> tuple[Text | Table, ...]:
     )
     return (
         Text(
-            "The price is the speed that an effect takes; a negative price is speed gained. ± is the standard error "
+            "The price is the forward speed that an effect takes; a negative price is speed gained, and a negative "
+            "speed is backwards. ± is the standard error "
             "that follows from that of the effect's size, where a diagnosis gives one. What is periodic in position or "
             "in time enters by its mean."
         ),
