@@ -3,10 +3,15 @@
 import json
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import chdir, redirect_stdout
+from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+from clusters import dask_cluster, wait_for_workers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,8 +28,10 @@ from dragrig.analysis.gap.together import (
     diagnose_together,
 )
 from dragrig.cli import main
-from dragrig.config import AnalysisError
+from dragrig.config import AnalysisError, Plan
 from dragrig.present import pooled_document
+from dragrig.rig.runfile import mark_bad
+from dragrig.sim_backend.effects import catalogue
 
 CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 BLOCKS = 60
@@ -139,6 +146,13 @@ def test_an_effect_of_the_rig_is_told_as_the_rigs() -> None:
     assert low < 0.8 * 20.0 < high
 
 
+def test_campaigns_of_one_specimen_are_not_told_as_so_many_specimens() -> None:
+    apart = [campaign(seed, stribeck=2.0) for seed in range(3)]
+    assert "Stribeck friction is in all 3 specimens" in pooled_document(diagnose_together(apart)).answer
+    again = [replace(evidence, specimen="P7") for evidence in apart[:2]]
+    assert "Stribeck friction is in all 3 campaigns" in pooled_document(diagnose_together([*again, apart[2]])).answer
+
+
 def test_an_effect_in_one_specimen_is_told_as_that_specimens() -> None:
     five = [campaign(seed) for seed in range(4)]
     five.insert(2, campaign(9, alone={"stribeck": 0.97}, stribeck=6.0))
@@ -210,9 +224,7 @@ def test_the_same_run_in_two_folders_counts_once(tmp_path: Path) -> None:
     shutil.copytree(CAMPAIGN, tmp_path / "first")
     shutil.copytree(CAMPAIGN, tmp_path / "copy")
     folders: Sequence[Path] = [tmp_path / "first", tmp_path / "copy"]
-    with pytest.raises(
-        AnalysisError, match=r"copy is left out: all of its runs are in .*first too, and a run counts once"
-    ):
+    with pytest.raises(AnalysisError, match=r"left out: all runs of .*copy are in .*first too, and a run counts once"):
         dragrig.diagnose_together(folders, workers=1)
     selection = choose_runs(tmp_path / "copy")
     [first, *others] = selection.experiments
@@ -237,3 +249,120 @@ def test_the_result_is_laid_out_for_programs_too() -> None:
     assert effect["campaigns"] == ["campaign-0", "campaign-1", "campaign-2"]
     assert len(effect["size"]["campaigns"]) == 3
     assert data["remarks"] == ["a remark"]
+
+
+CONSIDERED = {"stribeck", "adhesion", "breakaway", "wall_inertia", "payload_inertia", "force_drift"}
+"""What is in the lab's gut, what resembles it, and two effects of the rig: all would take three times as long."""
+RATIO = 0.8
+FOLDERS = ("first", "second", "third", "copied", "spoilt")
+TOGETHER = (
+    *("gap", "diagnose", *FOLDERS, "--together"),
+    *(word for name in catalogue() if name not in CONSIDERED for word in ("--without", name)),
+)
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A folder of campaigns, what processes said of them together, and the page and the picture that they made."""
+
+    folder: Path
+    told: str
+    page: str
+    picture: bytes
+
+
+def make_campaign(folder: Path, seed: int, *speeds_mm_s: float) -> None:
+    """Simulate five runs on a specimen drawn by the seed, whose friction falls with speed."""
+    steps = [
+        {"kind": "relaxation", "shear_strain": 1.0, "hold_s": 10.0, "wait_s": 5.0},
+        {"kind": "drag", "speed_mm_s": list(speeds_mm_s), "travel_mm": 20.0, "wait_s": 10.0},
+    ]
+    dragrig.simulate(
+        Plan.model_validate({"name": "few", "steps": steps}),
+        out=folder,
+        effects=[f"stribeck:ratio={RATIO}"],
+        assignments=[
+            *(f"specimen.id=P{seed}", f"rig.simulated.seed={seed}"),
+            "rig.simulated.variation.specimen=true",
+        ],
+    )
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """Two campaigns on a specimen of their own, a further one on the second, a copy, and one without a good run.
+
+    Somebody copied a run of the second campaign into the third.
+    """
+    folder = tmp_path_factory.mktemp("lab")
+    with chdir(folder), redirect_stdout(StringIO()) as told:
+        make_campaign(folder / "first", 1, 20.0, 5.0, 60.0, 2.0)
+        make_campaign(folder / "second", 2, 20.0, 5.0, 60.0, 2.0)
+        make_campaign(folder / "third", 2, 30.0, 4.0, 50.0, 1.5)
+        shutil.copy(next((folder / "second").glob("*relaxation*")), folder / "third" / "again.h5")
+        shutil.copytree("first", "copied")
+        dragrig.simulate("drag", out=folder / "spoilt")
+        for run in (folder / "spoilt").glob("*.h5"):
+            mark_bad(run, "slipped")
+        files = ("--report", "page.html", "--figures", "figures")
+        assert main([*TOGETHER, "--json", "--quiet", "--workers", "2", *files]) == 0
+    page, [picture] = folder / "page.html", (folder / "figures").iterdir()
+    return Lab(folder, told.getvalue(), page.read_text("utf-8"), picture.read_bytes())
+
+
+def test_a_strong_effect_of_several_specimens_is_named_from_their_run_files(lab: Lab) -> None:
+    told = json.loads(lab.told)
+    [effect] = [effect for effect in told["effects"] if effect["established"]]
+    assert (effect["effect"], effect["where"], effect["belongs_to"]) == ("stribeck", "all", "gut")
+    assert effect["campaigns"] == ["first", "second", "third"]
+    assert effect["probability"] > 0.99 > max(effect["presence_alone"])
+    low, high = effect["size"]["interval_95"]
+    assert low < RATIO < high
+    assert min(value["value"] for value in effect["size"]["campaigns"]) > 0.5 * RATIO
+
+
+def test_page_and_picture_say_what_is_in_all_campaigns(lab: Lab) -> None:
+    # Two of the campaigns are of one specimen.
+    assert "Stribeck friction is in all 3 campaigns" in lab.page
+    assert "all runs of copied are in first too" in lab.page
+    assert "Size of each effect by campaign; bars hold 95 %" in lab.page
+    assert lab.picture.startswith(b"\x89PNG")
+
+
+def test_runs_and_campaigns_that_do_not_count_are_told_beside_those_that_do(lab: Lab) -> None:
+    told = json.loads(lab.told)
+    assert [(campaign["source"], campaign["specimen"], campaign["runs"]) for campaign in told["campaigns"]] == [
+        *(("first", "P1", 5), ("second", "P2", 5), ("third", "P2", 5)),
+    ]
+    assert {"what": "again.h5", "reason": "it is in second too, and counts there"} in told["campaigns"][2]["left_out"]
+    again, copied, spoilt = told["remarks"]
+    assert again == "1 run of third also in second counted there alone"
+    assert copied == "left out: all runs of copied are in first too, and a run counts once"
+    assert spoilt.startswith("not diagnosed: spoilt: no run can be used")
+    assert "slipped" in spoilt
+
+
+def test_a_cluster_says_the_same_of_campaigns_together(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
+    with dask_cluster() as address, chdir(lab.folder):
+        wait_for_workers(address, 2)
+        assert main([*TOGETHER, "--json", "--quiet", "--scheduler", address]) == 0
+    assert capsys.readouterr().out == lab.told
+
+
+def test_campaigns_of_different_force_sensors_are_refused(
+    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, serial in (("monday", "S-17"), ("tuesday", "unknown"), ("friday", "S-18")):
+        shutil.copytree(lab.folder / "spoilt", name)
+        for path in Path(name).glob("*.h5"):
+            path.with_suffix(".mark.toml").unlink()
+            with h5py.File(path, "r+") as file:
+                file["entry/run"].attrs["sensor_serial"] = serial
+    assert main(["gap", "diagnose", "monday", "tuesday", "friday", "--together", "--workers", "1"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "they name different force sensors: monday (S-17), friday (S-18); pool those of one" in said.err
+    # What states no serial number is not of another sensor.
+    assert main(["gap", "diagnose", "monday", "tuesday", "--together", "--quiet", "--workers", "1"]) == 2
+    assert "fewer than two campaigns are left to pool: left out: all runs of tuesday" in capsys.readouterr().err

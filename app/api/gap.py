@@ -32,6 +32,7 @@ from dragrig.analysis.gap import (
 )
 from dragrig.api.measure import simulate
 from dragrig.config import (
+    UNSTATED,
     AnalysisError,
     DragrigError,
     ModelSettings,
@@ -332,7 +333,7 @@ def look_into(campaign: tuple[str, Path]) -> FolderToPool:
         name,
         folder,
         frozenset(header.run_id for header in headers),
-        frozenset(serials - {""}),
+        frozenset(serials - {"", UNSTATED}),
         frozenset(header.backend for header in headers),
     )
 
@@ -390,6 +391,7 @@ def _require_one_rig(campaigns: Sequence[FolderToPool]) -> None:
             names = ", ".join(
                 f"{campaign.name} ({' and '.join(sorted(value))})"
                 for campaign, value in zip(campaigns, values, strict=True)
+                if value
             )
             raise AnalysisError(
                 f"these campaigns are not of one rig: they name different {what}: {names}; pool those of one."
@@ -405,7 +407,7 @@ def _counted_once(campaigns: Sequence[FolderToPool]) -> tuple[list[FolderToPool]
         seen |= dict.fromkeys(campaign.runs - again.keys(), campaign.name)
         where = ", ".join(dict.fromkeys(again.values()))
         if again and len(again) == len(campaign.runs):
-            remarks.append(f"{campaign.name} is left out: all of its runs are in {where} too, and a run counts once")
+            remarks.append(f"left out: all runs of {campaign.name} are in {where} too, and a run counts once")
             continue
         if again:
             remarks.append(f"{count_text(len(again), 'run')} of {campaign.name} also in {where} counted there alone")

@@ -391,7 +391,7 @@ class _PooledIdentification(_IdentificationRequest):
         except DragrigError as error:
             return Exclusion(name, reason_of(error).removeprefix(f"{campaign.folder}: "))
         infos = [experiment.run.info for experiment in identified.selection.experiments]
-        serials = {str(info.header.entry.get("sensor_serial", "")) for info in infos} - {""}
+        serials = {str(info.header.entry.get("sensor_serial", "")) for info in infos} - {"", UNSTATED}
         result = identified.result
         has_id = str(infos[0].header.specimen.get("id") or UNSTATED) != UNSTATED
         return SpecimenFit(

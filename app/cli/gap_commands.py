@@ -152,7 +152,7 @@ def _diagnose_together(
         finding, reporting = parts_of(meter.at, DIAGNOSE_COST * len(campaigns), PAGE_COST * (report is not None))
         document = pooled_document(request.diagnose_together(campaigns, workers, scheduler, finding))
         write_report(document, report, overwrite=overwrite, progress=reporting)
-        drawn = () if figures is None else save_figures(document, figures, overwrite=overwrite)
+        drawn = () if figures is None else tuple(save_figures(document, figures, overwrite=overwrite))
     print_document(document, as_json=as_json)
     if report is not None and not as_json:
         print_result(f"report  {display_path(report)}")
