@@ -61,6 +61,18 @@ def wait_for_workers(address: str, workers: int) -> None:
         client.wait_for_workers(workers, timeout=PATIENCE_S)
 
 
+@contextmanager
+def tasks_finished(address: str) -> Iterator[list[str]]:
+    """Yield a list that holds the key of each task that a cluster finished meanwhile, once that is over."""
+    from distributed import Client, get_task_stream
+
+    keys: list[str] = []
+    with Client(address, timeout=PATIENCE_S, set_as_default=False) as client:  # type: ignore[no-untyped-call]
+        with get_task_stream(client) as stream:  # type: ignore[no-untyped-call]
+            yield keys
+        keys += [str(row["key"]) for row in stream.data]
+
+
 @dataclass(slots=True)
 class Watched:
     """What a cluster was seen to do.

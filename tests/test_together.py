@@ -11,7 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from clusters import dask_cluster, wait_for_workers
+from clusters import dask_cluster, tasks_finished, wait_for_workers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -345,7 +345,10 @@ def test_runs_and_campaigns_that_do_not_count_are_told_beside_those_that_do(lab:
 def test_a_cluster_says_the_same_of_campaigns_together(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     with dask_cluster() as address, chdir(lab.folder):
         wait_for_workers(address, 2)
-        assert main([*TOGETHER, "--json", "--quiet", "--scheduler", address]) == 0
+        with tasks_finished(address) as keys:
+            assert main([*TOGETHER, "--json", "--quiet", "--scheduler", address]) == 0
+    # Each folder is looked into, and each but the copy diagnosed.
+    assert len(set(keys)) == 2 * len(FOLDERS) - 1
     assert capsys.readouterr().out == lab.told
 
 
