@@ -174,7 +174,10 @@ def test_an_effect_in_some_specimens_is_told_with_their_names() -> None:
 
 @pytest.mark.parametrize("seed", [100, 200, 300])
 def test_campaigns_without_an_effect_name_nothing(seed: int) -> None:
-    assert not named(diagnose_together([campaign(seed + one) for one in range(8)]))
+    pooled = diagnose_together([campaign(seed + number) for number in range(8)])
+    assert not named(pooled)
+    # Eight campaigns without it say no less than one.
+    assert max(effect.probability for effect in pooled.effects) < 0.03
 
 
 def test_what_only_resembles_a_shared_effect_is_not_named_beside_it() -> None:
@@ -191,10 +194,12 @@ def test_what_one_campaign_takes_for_another_effect_is_explained_by_what_all_sha
     assert named(diagnose_together(five)) == ["stribeck"]
 
 
-def test_forces_that_no_common_size_explains_are_not_pooled_as_one() -> None:
-    signs = (1.0, -1.0, 1.0, -1.0)
-    pooled = diagnose_together([campaign(seed, payload_inertia=0.5 * sign) for seed, sign in enumerate(signs)])
-    assert "payload_inertia" not in named(pooled)
+def test_what_is_positive_is_not_named_where_it_comes_out_negative() -> None:
+    against = diagnose_together([campaign(seed, payload_inertia=-0.8) for seed in range(5)])
+    assert "payload_inertia" not in named(against)
+    [effect] = [effect for effect in against.effects if effect.effect == "payload_inertia"]
+    assert effect.size is not None
+    assert effect.size.interval_95[1] < 0
 
 
 def test_small_effects_are_not_told_from_other_forms_of_a_large_one() -> None:
