@@ -70,8 +70,8 @@ CAMPAIGN = Path(__file__).parent / "data" / "campaign"
 FEW_RUNS = ("001-relaxation.h5", "008-coulomb.h5", "010-drag.h5", "018-drag.h5")
 
 
-def specimen_like(folder: Path, name: str) -> Path:
-    """Return a campaign with the runs of the one for tests, of a specimen with this id."""
+def specimen_like(folder: Path, name: str, sensor: str) -> Path:
+    """Return a campaign with the runs of the one for tests, of a specimen with this id, by a sensor with this one."""
     campaign = folder / name
     campaign.mkdir()
     for run in FEW_RUNS:
@@ -80,6 +80,7 @@ def specimen_like(folder: Path, name: str) -> Path:
             file["entry/specimen"].attrs["id"] = name
             attributes = file["entry/run"] if "entry/run" in file else file["entry"]
             attributes.attrs["run_id"] = str(uuid4())
+            attributes.attrs["sensor_serial"] = sensor
     return campaign
 
 
@@ -87,14 +88,15 @@ def test_the_command_tells_a_population_and_counts_a_copied_campaign_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("p1", "p2", "p3"):
-        specimen_like(tmp_path, name)
+    for name, sensor in (("p1", "S-17"), ("p2", "unknown"), ("p3", "S-18")):
+        specimen_like(tmp_path, name, sensor)
     shutil.copytree("p1", "copied")
     words = ["identify", "p1", "p2", "p3", "copied", "--together", "--workers", "1"]
     assert main([*words, "--json", "--quiet", "--report", "r.html"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["specimens"] == ["p1", "p2", "p3"]
     assert "counts once" in json.dumps(told["left_out"])
+    assert "several sensors (S-17, S-18)" in json.dumps(told["remarks"])
     friction = told["parameters"]["friction_coefficient"]
     assert not friction["spreads"]
     assert friction["spread"]["interval_95"][0] == 0
