@@ -103,6 +103,9 @@ def test_the_command_tells_a_population_and_counts_a_copied_campaign_once(
     low, high = friction["next_specimen_95"]
     own = friction["specimens"][0]["own"]
     assert low < own["value"] < high
+    # The runs of all three are the same, and so are their Coulomb tests.
+    coulomb = told["parameters"]["mu"]
+    assert coulomb["mean"]["value"] == pytest.approx(coulomb["specimens"][2]["own"]["value"])
     gain = told["parameters"]["force_gain"]
     assert (gain["of_rig"], gain["spread"]) == (True, None)
     page = Path("r.html").read_text("utf-8")
