@@ -230,7 +230,7 @@ def test_the_gut_needs_a_drive_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("changes", "names"),
     [
-        ({"housing_g": -1.0}, "housing_g"),
+        ({"housing_g": -1.0, "ranges": {}}, "housing_g"),
         ({"ranges": {"housing_g": (20.0, 30.0)}}, "does not hold"),
         ({"ranges": {"houssing_g": (1.0, 30.0)}}, "housing_g"),
     ],
