@@ -11,19 +11,23 @@ from pathlib import Path
 
 import pytest
 from diagnoses import STRIBECK
+from engine_clients import listening
+from rig_faults import Person
 
 import dragrig
 from dragrig.analysis.gap import Ending, OpenCauses, SettleRecord, plan_of_next_runs
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
 from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
-from dragrig.api import read_settle_record
+from dragrig.api import read_settle_record, take_up_settling, write_settle_record
 from dragrig.cli import main
 from dragrig.config import Plan, PlanStep, to_toml
 from dragrig.config.errors import OutputError, PlanError, RunFileError, SettingsError
+from dragrig.engine_host import RigSelection, SessionFinished, SessionJob, StartSession
 from dragrig.present import settlement_document
 from dragrig.present.terminal import document_text
+from dragrig.rig.runfile import mark_bad
 from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
-from dragrig.setup import resolve
+from dragrig.setup import create_lab, resolve
 
 FIRST = Plan.model_validate(
     {
@@ -145,6 +149,55 @@ def test_what_cannot_be_settled_is_refused_before_anything_moves(tmp_path: Path)
     (tmp_path / "plain" / SETTLE_FILE).write_text("{}", "utf-8")
     with pytest.raises(RunFileError, match="cannot be read"):
         dragrig.resume_settling(tmp_path / "plain")
+
+
+@pytest.fixture(scope="module")
+def on_the_double(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign of a run on the double of the real rig, one of whose two drags is missing, with decisions in it."""
+    lab = tmp_path_factory.mktemp("lab")
+    create_lab(lab)
+    drag = {**DRAG, "wait_s": 0.0, "speed_mm_s": [40.0, 20.0], "travel_mm": 10.0, "way_back": "stay"}
+    plan = Plan.model_validate({"name": "short", "steps": [drag]})
+    rig = lab / "rig.toml"
+    made = dragrig.run(plan, out=lab / "c", rig=rig, backend="hardware", double=True, pace=20.0, person=Person())
+    made.session.require()
+    mark_bad(made.files[-1], "slipped")
+    write_settle_record(lab / "c", take_up_settling(lab / "c", 20.0))
+    return made.folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_no_other_backend_goes_on_with_a_campaign(on_the_double: Path) -> None:
+    before = contents(on_the_double)
+    with listening(RigSelection(rig=on_the_double.parent / "rig.toml", backend="simulated")) as host:
+        for words, job in (
+            ("made on the double of hardware; open the window for that", SessionJob(1, "", resume=on_the_double)),
+            (
+                "made on the double of hardware, not on simulated; start a campaign of its own",
+                SessionJob(2, Plan.model_validate({"name": "more", "steps": [DRAG]}), append=on_the_double),
+            ),
+        ):
+            host.client.ask(StartSession(job))
+            ended = host.until(SessionFinished)
+            assert isinstance(ended, SessionFinished)
+            assert ended.status is None
+            assert words in ended.reason
+    assert contents(on_the_double) == before
+
+
+@pytest.mark.parametrize(
+    "other", [("--backend", "simulated"), ("--double",), ("--rig", "my.toml"), ("--set", "rig.x=1")]
+)
+def test_the_command_goes_on_with_the_rig_of_the_campaign_alone(
+    other: tuple[str, ...], on_the_double: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = contents(on_the_double)
+    assert main(["gap", "settle", "--resume", str(on_the_double), "--yes", *other]) == 2
+    assert "--resume goes on as it began: only --minutes may be changed" in capsys.readouterr().err
+    assert contents(on_the_double) == before
 
 
 @pytest.mark.parametrize(
