@@ -68,7 +68,7 @@ def tasks_finished(address: str) -> Iterator[list[str]]:
 
     keys: list[str] = []
     with Client(address, timeout=PATIENCE_S, set_as_default=False) as client:  # type: ignore[no-untyped-call]
-        with get_task_stream(client) as stream:  # type: ignore[no-untyped-call]
+        with get_task_stream(client) as stream:
             yield keys
         keys += [str(row["key"]) for row in stream.data]
 
