@@ -12,6 +12,7 @@ from math import log
 
 import numpy as np
 
+from dragrig.analysis import NORMAL_95
 from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY
 from dragrig.analysis.gap.pattern_odds import PatternOdds, SharedInformation, independent_odds, pattern_odds
 from dragrig.analysis.gap.pooled_evidence import ForceEvidence, SharedColumns
@@ -293,22 +294,42 @@ class Credibility:
         """Return the log odds of an effect by all campaigns.
 
         Pooling adds nothing to what a single campaign says of an effect that it alone has, and its own diagnosis weighs
-        more; an effect whose size is positive is none where it comes out negative.
+        more. An effect whose size is positive is none where it comes out negative, nor is one of the rig whose size has
+        either sign: large scales leave room for both.
         """
         alone = np.clip(self.alone[name], MIN_PROBABILITY, MAX_PROBABILITY)
         value = odds.total
         if odds.in_one:
             probability = float(np.exp(odds.single - np.logaddexp.reduce(odds.single)) @ alone)
             value = min(value, _log_odds(probability))
-        elif value > MIN_LOG_ODDS and find_effect(name).size.low >= 0 and _mean_size(evidence, name, odds) < 0:
+        elif value > MIN_LOG_ODDS and not _has_its_sign(name, evidence.sizes(name, odds.scale)):
             return -np.inf
         return min(value, _log_odds(float(alone.max()))) if self.stage_strays else value
 
 
-def _mean_size(evidence: PooledForce, name: str, odds: PatternOdds) -> float:
-    sizes = [size for size in evidence.sizes(name, odds.scale) if size is not None]
-    weight = sum(error**-2 for _, error in sizes)
-    return sum(value * error**-2 for value, error in sizes) / weight if sizes else 0.0
+def _has_its_sign(name: str, sizes: Sequence[tuple[float, float] | None]) -> bool:
+    known = [size for size in sizes if size is not None]
+    if not known:
+        return True
+    effect, (mean, error, _) = find_effect(name), random_effects_mean(known)
+    if effect.size.low >= 0 and mean < 0:
+        return False
+    return effect.belongs_to_gut or effect.phase is not None or abs(mean) > NORMAL_95 * error
+
+
+def random_effects_mean(estimates: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
+    """Return mean, its standard error, and spread of values with standard errors.
+
+    By the method of DerSimonian and Laird (Controlled Clinical Trials 7, 1986); the spread is beyond the errors.
+    """
+    value, error = np.array(estimates).T
+    weight = error**-2.0
+    fixed = float(weight @ value / weight.sum())
+    heterogeneity = float(weight @ (value - fixed) ** 2) - (len(value) - 1)
+    scale = float(weight.sum() - (weight @ weight) / weight.sum())
+    variance = max(heterogeneity / scale, 0.0) if len(value) > 1 and scale > 0 else 0.0
+    weight = 1.0 / (error**2 + variance)
+    return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5), float(np.sqrt(variance))
 
 
 def _log_odds(probability: float) -> float:

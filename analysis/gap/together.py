@@ -11,7 +11,7 @@ from dragrig.analysis.gap.diagnose import DiagnosisWithCauses
 from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY, Verdict, display_name
 from dragrig.analysis.gap.pattern_odds import PatternOdds, independent_odds
 from dragrig.analysis.gap.pooled_evidence import ForceEvidence, force_evidence
-from dragrig.analysis.gap.pooled_force import PooledCause, pool_force
+from dragrig.analysis.gap.pooled_force import PooledCause, pool_force, random_effects_mean
 from dragrig.analysis.gap.presence import PRIOR_PROBABILITIES, CauseKind
 from dragrig.config import AnalysisError
 from dragrig.sim_backend.effects import find_effect, hum_effect
@@ -291,23 +291,10 @@ def _effect_by_odds(name: str, campaigns: Sequence[CampaignEvidence]) -> PooledE
 def _population(
     name: str, sizes: Sequence[tuple[float, float] | None], members: Sequence[int]
 ) -> PopulationSize | None:
-    """Return mean and spread of sizes by the method of DerSimonian and Laird (Controlled Clinical Trials 7, 1986)."""
+    """Return mean and spread of the sizes of those campaigns that have the effect."""
     known = [size for at in members if (size := sizes[at]) is not None]
     if not known:
         return None
     parameter = find_effect(name).size
-    value, error = np.array(known).T
-    weight = error**-2.0
-    fixed = float(weight @ value / weight.sum())
-    heterogeneity = float(weight @ (value - fixed) ** 2) - (len(known) - 1)
-    scale = float(weight.sum() - (weight @ weight) / weight.sum())
-    variance = max(heterogeneity / scale, 0.0) if len(known) > 1 and scale > 0 else 0.0
-    weight = 1.0 / (error**2 + variance)
-    return PopulationSize(
-        parameter.name,
-        parameter.unit,
-        float(weight @ value / weight.sum()),
-        float(weight.sum() ** -0.5),
-        float(np.sqrt(variance)),
-        tuple(sizes),
-    )
+    mean, error, spread = random_effects_mean(known)
+    return PopulationSize(parameter.name, parameter.unit, mean, error, spread, tuple(sizes))
