@@ -167,14 +167,38 @@ def append_to_campaign(
         What `run_session` raises.
     """
     with _continued_campaign(folder, options.tell) as (latest, before):
-        record = _session_of_specimen(folder, latest, choices)
-        setup = resolve(plan, folder=folder, campaign=record, **choices)
-        _require_suiting(setup, record, folder)
-        for remark in _append_remarks(setup, record, latest, before, folder):
+        setup, remarks = setup_to_append(plan, latest, before, **choices)
+        for remark in remarks:
             options.tell(f"{remark}.")
         first_order = max((run.header.order for run in before.runs), default=-1) + 1
         progress = _progress(before, setup, first_order)
         return _continue_campaign(setup, latest, before, replace(options, progress=progress), person)
+
+
+def setup_to_append(
+    plan: PlanLike, latest: SessionRecord, before: Campaign, *, running: bool = False, **choices: Unpack[SetupChoices]
+) -> tuple[Setup, tuple[str, ...]]:
+    """Return what a further plan runs with in a campaign, and what a person should know of it; nothing is written.
+
+    Parameters
+    ----------
+    latest, before
+        The campaign's latest session, and its runs.
+    running
+        Whether that session is still under way, so that none of its runs is missing yet.
+    choices
+        As of `append_to_campaign`.
+
+    Raises
+    ------
+    SettingsError, PlanError
+        When what is chosen does not suit the campaign's runs.
+    """
+    folder = before.folder
+    record = _session_of_specimen(folder, latest, choices)
+    setup = resolve(plan, folder=folder, campaign=record, **choices)
+    _require_suiting(setup, record, folder)
+    return setup, tuple(_append_remarks(setup, record, None if running else latest, before, folder))
 
 
 @contextmanager
@@ -273,7 +297,7 @@ def _require_suiting(setup: Setup, record: SessionRecord, folder: Path) -> None:
 
 
 def _append_remarks(
-    setup: Setup, record: SessionRecord, latest: SessionRecord, before: Campaign, folder: Path
+    setup: Setup, record: SessionRecord, latest: SessionRecord | None, before: Campaign, folder: Path
 ) -> Iterator[str]:
     ours, theirs = _identity(setup.specimen), _identity(record.specimen)
     if ours != theirs:
@@ -289,7 +313,7 @@ def _append_remarks(
                 f"The last run in {folder} ended {hours:.1f} h ago; the runs count as of the same specimen {ours}, "
                 "which is so much older now: a fresh piece needs --set specimen.id=…"
             )
-    if left := _missing_runs(latest, before):
+    if latest is not None and (left := _missing_runs(latest, before)):
         yield (
             f"{count_text(left, 'run')} of the plan {latest.plan.name} before it "
             f"{'is' if left == 1 else 'are'} missing and will not be made: --resume makes them, as long as nothing is "

@@ -223,9 +223,11 @@ class SpecimenForm(Form):
         return {key: value for key, value in read.items() if value is not None}
 
 
-def specimen_form() -> SpecimenForm:
-    """Return an empty form of a specimen."""
+def specimen_form(*, of_campaign: bool = False) -> SpecimenForm:
+    """Return an empty form of a specimen, or, `of_campaign`, of what differs from the one that a campaign is of."""
     about = f"What is left empty is recorded as {UNSTATED}."
+    if of_campaign:
+        about = "What is left empty is as in the campaign; a fresh piece needs an id of its own."
     fields = (replace(field, default="", empty="") for field in form_fields(Specimen, sweeps=False))
     return SpecimenForm(
         groups=(FormGroup("specimen", about, tuple(field for field in fields if field.key != "name"), {}),)

@@ -19,13 +19,14 @@ from dragrig.analysis import (
     Progress,
     SavgolSettings,
     TableRow,
+    count_text,
     default_filter_settings,
     filter_run,
     gap_starts,
     table_row,
 )
 from dragrig.analysis.gap import Diagnosis, SettleRecord
-from dragrig.api import ExportFormatName, check
+from dragrig.api import ExportFormatName, check, check_setup
 from dragrig.api import export as export_runs
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
@@ -46,20 +47,25 @@ from dragrig.engine_host import RigSelection
 from dragrig.present import Document, drawn, unused_path
 from dragrig.rig import (
     AnyFloatArray,
+    Campaign,
     FloatArray,
     Preflight,
     Run,
     RunInfo,
     RunPreview,
     RunProtocol,
+    SessionRecord,
+    latest_session_record,
     mark_bad,
     protocol_kinds,
+    read_campaign,
     read_info,
     read_mark,
     read_note,
     read_run,
     recover,
     session_record_of_run,
+    specimen_key,
     unmark,
     write_note,
 )
@@ -408,23 +414,77 @@ class RigDescription:
     data_root: str
 
 
-def preview_session(plan: Plan | str, rig: RigSelection, specimen: Sequence[str] = ()) -> SessionPreview:
+@dataclass(frozen=True, slots=True, eq=False)
+class CampaignToExtend:
+    """A campaign that runs are to be added to, as it was when it was read."""
+
+    latest: SessionRecord
+    """Its latest session."""
+    before: Campaign
+    """Its runs."""
+    running: bool = False
+    """Whether that session is still under way."""
+
+    @property
+    def summary(self) -> str:
+        """Number of runs, specimens, and when the last run ended, in a line."""
+        runs = self.before.runs
+        if not runs:
+            return "no runs yet"
+        specimens = ", ".join(sorted({specimen_key(run) for run in runs}))
+        ended = max(run.end_time or run.header.start_time for run in runs)
+        return f"{count_text(len(runs), 'run')}, specimen {specimens}, until {ended.astimezone():%Y-%m-%d %H:%M}"
+
+
+def campaign_to_extend(folder: Path) -> CampaignToExtend:
+    """Read a campaign that runs are to be added to; raises `RunFileError`, `SettingsError` where there is none."""
+    from dragrig.session_state import is_session_running
+
+    latest, _ = latest_session_record(folder)
+    return CampaignToExtend(latest, read_campaign(folder), is_session_running(folder))
+
+
+def preview_session(
+    plan: Plan | str, rig: RigSelection, specimen: Sequence[str] = (), campaign: CampaignToExtend | None = None
+) -> SessionPreview:
     """Check a plan without moving anything.
 
     Parameters
     ----------
     specimen
         What is stated of the specimen, as assignments.
+    campaign
+        What the runs are to be added to (default: a campaign of their own).
 
     Raises
     ------
     SettingsError, PlanError, OutputError
-        For invalid settings.
+        For invalid settings, and such as do not suit the campaign.
     """
-    stage = resolve_rig(**rig.choices()).rig.stage
-    checked = check(plan, **replace(rig, assignments=(*rig.assignments, *specimen)).choices())
+    choices = replace(rig, assignments=(*rig.assignments, *specimen)).choices()
     steps = plan.steps if isinstance(plan, Plan) else plan_form(plan).plan.steps
-    return SessionPreview(checked, stage.lowest_mm, stage.highest_mm, _conditions(checked, steps))
+    if campaign is None:
+        stage = resolve_rig(**rig.choices()).rig.stage
+        checked = check(plan, **choices)
+        return SessionPreview(checked, stage.lowest_mm, stage.highest_mm, _conditions(checked, steps))
+    from dragrig.campaign_session import setup_to_append
+
+    try:
+        setup, remarks = setup_to_append(plan, campaign.latest, campaign.before, running=campaign.running, **choices)
+    except SettingsError as error:
+        raise SettingsError(_in_words_of_the_form(str(error))) from error
+    folder, stage = campaign.before.folder, setup.rig.stage
+    checked = check_setup(setup, folder)
+    checked = replace(checked, remarks=(*map(_in_words_of_the_form, remarks), *checked.remarks))
+    conditions = f"Added to {folder.name}; {_conditions(checked, steps)}"
+    return SessionPreview(checked, stage.lowest_mm, stage.highest_mm, conditions)
+
+
+def _in_words_of_the_form(sentence: str) -> str:
+    """Return a sentence about a specimen's id with the place in the form, instead of the option of the command."""
+    return sentence.replace("--set specimen.id=P8", "P8 under Specimen").replace(
+        "--set specimen.id=…", "an id under Specimen"
+    )
 
 
 def _conditions(checked: Preflight, steps: Sequence[PlanStep]) -> str:

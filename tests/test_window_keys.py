@@ -49,6 +49,7 @@ def window(
     QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
     made.notices.ask(PromptShown(1, "Lay a fresh specimen on the foam", hands=True, can_redo=True, can_skip=True))
     made.notices.complain("something went wrong")
+    made.run.new.destination.adds.setChecked(True)
     made.diagnose.results.show_diagnosis(completed(STRIBECK))
     made.diagnose.results.show()
     yield made

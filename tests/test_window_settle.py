@@ -129,7 +129,8 @@ def test_a_queued_session_of_a_campaign_waits_again_at_the_next_start() -> None:
     again.restore(queue.waiting_as_text())
     (entry,) = again.entries
     assert (entry.job.append, entry.why, entry.title) == (Path("runs/few"), REASON, "Settle few")
-    assert again.of_campaign(Path("runs/few")) is entry
+    assert again.of_campaign(Path("runs/few"), plan) is entry
+    assert again.of_campaign(Path("runs/few"), plan.model_copy(update={"name": "few-then-2"})) is None
 
 
 def test_more_time_for_a_settled_campaign_is_counted_from_what_was_spent(few: Path) -> None:

@@ -18,6 +18,7 @@ from .gap import next_experiment as next_experiment
 from .gap import save_amended_model as save_amended_model
 from .gap import save_next_plan as save_next_plan
 from .measure import check as check
+from .measure import check_setup as check_setup
 from .measure import examine as examine
 from .measure import resume as resume
 from .measure import run as run

@@ -26,6 +26,7 @@ from dragrig.setup import (
     PlanLike,
     RigChoices,
     RigSetup,
+    Setup,
     SetupChoices,
     find_backend,
     open_backend,
@@ -103,8 +104,23 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
     ()
     """
     setup = resolve(plan, **choices)
+    return check_setup(setup, Path(out) if out is not None else setup.data_root)
+
+
+def check_setup(setup: Setup, folder: Path) -> Preflight:
+    """Check what a session would do and which limits it violates; nothing moves.
+
+    Parameters
+    ----------
+    folder
+        Whose free space is checked.
+
+    Raises
+    ------
+    SettingsError, PlanError
+        For settings that cannot be used at all.
+    """
     find_backend(setup.backend, double=setup.double)
-    folder = Path(out) if out is not None else setup.data_root
     is_real = setup.backend == HARDWARE_BACKEND
     further = len(setup.rig.hardware.card.inputs) if is_real else None
     checked = preflight(

@@ -291,7 +291,8 @@ class MainWindow(QMainWindow):
         self.run.running_changed.connect(lambda _: self._follow_rig())
         self.rig.settings.saved.connect(self._settings_saved)
         self.rig.calibrate.finished.connect(self.run.write_log)
-        self.look.browser.campaign_chosen.connect(self.diagnose.offer)
+        for offer in (self.diagnose.offer, self.run.new.destination.offer):
+            self.look.browser.campaign_chosen.connect(offer)
         self.diagnose.next_experiment.connect(self._offer_next)
         self.diagnose.further_runs.connect(self._add_to_campaign)
         self.run.session_over.connect(self.diagnose.session_over)

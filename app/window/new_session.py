@@ -7,23 +7,26 @@ from pathlib import Path
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, QTimer, Signal
-from PySide6.QtWidgets import QComboBox, QFormLayout, QLineEdit, QWidget
+from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLineEdit, QWidget
 
-from dragrig.config import DragrigError, Plan, to_toml
+from dragrig.config import DragrigError, OutputError, Plan, to_toml
 from dragrig.engine_host import Pace, RigSelection
 from dragrig.present import BLUE, PURPLE, duration_text, size_text, write_text
 from dragrig.settings_form import specimen_form
 from dragrig.views import (
+    CampaignToExtend,
     FieldPlace,
     Form,
     PlanForm,
     RigDescription,
     SessionPreview,
+    campaign_to_extend,
     known_plans,
     motion_curves,
     plan_form,
     preview_session,
 )
+from dragrig.window.background import FileWorker
 from dragrig.window.forms import DEFAULT_TEXT, FormEditor
 from dragrig.window.plots import TimePlot
 from dragrig.window.widgets import (
@@ -189,6 +192,98 @@ _SIMULATED_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "as fast
 _DOUBLE_PACES: dict[str, Pace] = {"as fast as the real rig": "real", "5 times faster": 5.0, "20 times faster": 20.0}
 
 
+class CampaignChoice(QWidget):
+    """Whether the runs go into a campaign of their own or are added to one; `changed` after every change, also of it.
+
+    Parameters
+    ----------
+    folder
+        Where to look for campaigns.
+    """
+
+    changed = Signal()
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self._folder = folder
+        self.read: CampaignToExtend | None = None
+        """The campaign, once it is read."""
+        self.reading = False
+        self.problem = ""
+        """Why there is none."""
+        self.adds = QCheckBox("Add to an existing campaign (&Z)")
+        self.adds.setToolTip("The runs go on with a campaign, on its rig and its specimen, instead of a new one")
+        self.campaign = named(QLineEdit(), "Campaign that the runs are added to")
+        self.campaign.setPlaceholderText("folder of a campaign")
+        self.choose = button("Folder …", self._choose, help_="Choose the campaign", keys="Ctrl+Shift+O")
+        self.state = ElidedLabel("", "faint")
+        self.chosen = bare_widget(column(row(self.campaign, self.choose, stretch={0: 1}), self.state))
+        self.chosen.hide()
+        layout = column(self.adds, self.chosen)
+        layout.setContentsMargins(0, 0, 8, 0)
+        self.setLayout(layout)
+        self._files = FileWorker(self._refuse, self)
+        self._typed = QTimer(self)
+        self._typed.setSingleShot(True)
+        self._typed.timeout.connect(self.read_again)
+        self.adds.toggled.connect(self._toggle)
+        self.campaign.textChanged.connect(self._change)
+
+    @property
+    def path(self) -> Path | None:
+        """Folder of the campaign that the runs are added to; None for a campaign of their own."""
+        text = self.campaign.text().strip()
+        return Path(text).expanduser().absolute() if self.adds.isChecked() and text else None
+
+    def offer(self, folder: str) -> None:
+        """Suggest a campaign; one that a person has chosen stays."""
+        if not self.adds.isChecked():
+            self.campaign.setText(folder)
+
+    def read_again(self) -> None:
+        """Read the campaign, as after a session of it."""
+        self._typed.stop()
+        path = self.path
+        missing = "Choose the campaign that the runs are added to." if self.adds.isChecked() and path is None else ""
+        self._show(None, missing, reading=path is not None)
+        if path is not None:
+            self._files.do(lambda: campaign_to_extend(path), self._take)
+
+    def finish(self) -> None:
+        """Finish reading."""
+        self._typed.stop()
+        self._files.drop()
+
+    def _toggle(self, adds: bool) -> None:
+        self.chosen.setVisible(adds)
+        self.read_again()
+
+    def _change(self, text: str) -> None:
+        self.campaign.setToolTip(text)
+        if self.adds.isChecked():
+            self._show(None, "", reading=True)
+            self._typed.start(_EDIT_DELAY_MS)
+
+    def _take(self, campaign: CampaignToExtend) -> None:
+        # Another may have been chosen meanwhile, or none.
+        if campaign.before.folder == self.path:
+            self._show(campaign, "")
+
+    def _refuse(self, sentence: str) -> None:
+        if self.adds.isChecked():
+            self._show(None, sentence)
+
+    def _show(self, campaign: CampaignToExtend | None, problem: str, *, reading: bool = False) -> None:
+        self.read, self.problem, self.reading = campaign, problem, reading
+        self.state.setText("Reading …" if reading else "" if campaign is None else campaign.summary)
+        self.state.setVisible(bool(self.state.text()))
+        self.changed.emit()
+
+    def _choose(self) -> None:
+        start = self.campaign.text().strip() or str(self._folder)
+        choose_path(self, "Campaign that the runs are added to", start, self.campaign.setText)
+
+
 class NewSession(QWidget):
     """Form of the next session; every change emits `planned` with its preview, or `refused` with the reason."""
 
@@ -220,6 +315,7 @@ class NewSession(QWidget):
         self.changes = MessageText(most_lines=2)
         self.problem = MessageText("wrong", most_lines=2)
         self.undo = button("Undo", self.undo_edit, help_="Take back the last change of the form", keys="Ctrl+Z")
+        self.destination = CampaignChoice(Path(description.data_root))
         self.specimen = FormEditor()
         self._specimen_form = specimen_form()
         self.specimen.edit(self._specimen_form)
@@ -243,6 +339,8 @@ class NewSession(QWidget):
         self._edit_timer.timeout.connect(self.update_preview)
         for editor in (self.editor, self.specimen):
             editor.changed.connect(lambda: self._edit_timer.start(_EDIT_DELAY_MS))
+        self.destination.changed.connect(self.update_preview)
+        self.destination.adds.toggled.connect(self._change_specimen)
         self.plans.currentIndexChanged.connect(lambda _: self._load(str(self.plans.currentData())))
         self.plans.currentTextChanged.connect(self.plans.setToolTip)
 
@@ -292,18 +390,42 @@ class NewSession(QWidget):
         self._edit_timer.stop()
         self._note_edit()
         self.session, refusal = None, ""
+        if self.destination.reading:
+            self.start.setEnabled(False)
+            self.queue.setEnabled(False)
+            return
         self.specimen.mark(self._specimen_form.problems(self.specimen.values()), {})
         try:
-            self.session = preview_session(self.plan(), self._rig, self.specimen_facts())
+            self.session = self._preview()
         except DragrigError as error:
             refusal = str(error)
             self.refused.emit(refusal)
         else:
             self.planned.emit(self.session)
-        self._mark_fields(refusal)
+        self._mark_fields(refusal.removeprefix(f"{self.destination.path}: "))
         allowed = self.session is not None and not self.session.preflight.findings
         self.start.setEnabled(allowed)
         self.queue.setEnabled(allowed)
+
+    def _preview(self) -> SessionPreview:
+        """Return the preview of what is in the form; raises `DragrigError`."""
+        destination = self.destination
+        if destination.problem:
+            raise OutputError(destination.problem)
+        return preview_session(self.plan(), self._rig, self.specimen_facts(), destination.read)
+
+    def _change_specimen(self, of_campaign: bool) -> None:
+        """Say what an empty field means; what is filled in stays."""
+        values = self.specimen.values()
+        self._specimen_form = specimen_form(of_campaign=of_campaign)
+        self.specimen.edit(self._specimen_form, values)
+        self._show_specimen()
+        self.update_preview()
+
+    def _show_specimen(self) -> None:
+        # Of a simulated one nobody can know more than its model; but a campaign may be of several.
+        simulated = self._description.title == "SIMULATED"
+        self._specimen_part.setVisible(not simulated or self.destination.adds.isChecked())
 
     def undo_edit(self) -> None:
         """Take back the last change, also of a plan that is not shown any more."""
@@ -318,6 +440,12 @@ class NewSession(QWidget):
         with QSignalBlocker(self.plans):
             self.plans.setCurrentIndex(self.plans.findData(plan))
         self._load(plan)
+
+    def session_over(self, folder: Path) -> None:
+        """Suggest the campaign of a session that has ended, or read the chosen one again, which may have more runs."""
+        self.destination.offer(str(folder))
+        if self.destination.adds.isChecked():
+            self.destination.read_again()
 
     def note_session(self) -> None:
         """Remember the form as the last session of its plan, from which later edits are told."""
@@ -350,7 +478,7 @@ class NewSession(QWidget):
         changes = self._changes(form)
         self.editor.mark(invalid, changes)
         problems = [f"{self._field_name(form, place)}: {problem}" for place, problem in invalid.items()]
-        self._say_problem(problems[0] if problems else refusal or next(iter(findings), ""))
+        self._say_problem(problems[0] if problems else refusal[:1].upper() + refusal[1:] or next(iter(findings), ""))
         told = "; ".join(f"{self._field_name(form, place)} {change}" for place, change in changes.items())
         since = "the last session" if self._last_session(form) is not None else "the plan"
         self.changes.setText(f"Differs from {since}: {told}.")
@@ -391,7 +519,7 @@ class NewSession(QWidget):
         return where + form.field_name(place)
 
     def keep(self) -> None:
-        """Store the choices for the next start."""
+        """Store the choices for the next start, which begins with a campaign of its own."""
         if (plan := str(self.plans.currentData())) not in self._offered:
             self._stored.keep("plan", plan)
         self._stored.keep("operator", self.operator.text())
@@ -412,10 +540,9 @@ class NewSession(QWidget):
         self.plans.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.plans.setMinimumContentsLength(8)
         header = row(label("Plan"), self.plans, self.open, self.save, stretch={1: 1})
-        specimen = bare_widget(column(label("Specimen", "title"), self.specimen))
-        # Of a simulated one nobody can know more than its model.
-        specimen.setVisible(self._description.title != "SIMULATED")
-        fields = scrolling(column(self.editor, form, specimen, 1), across=False)
+        self._specimen_part = bare_widget(column(label("Specimen", "title"), self.specimen))
+        self._show_specimen()
+        fields = scrolling(column(self.destination, self.editor, form, self._specimen_part, 1), across=False)
         buttons = row(self.undo, 1, self.queue, self.start)
         self.changes.hide()
         self.problem.hide()

@@ -334,7 +334,7 @@ class QueueView(QWidget):
             item = QTreeWidgetItem([entry.title, str(entry.run_count), duration_text(entry.planned_s), state])
             item.setData(0, _JOB_ROLE, entry.job.number)
             item.setToolTip(3, state)
-            item.setToolTip(0, entry.why)
+            item.setToolTip(0, f"{entry.title}: {entry.why}" if entry.why else entry.title)
             self.tree.addTopLevelItem(item)
             for run in entry.runs:
                 number = entry.number_of(run)
@@ -521,6 +521,7 @@ class RunPage(QWidget):
     def keep(self) -> None:
         """Store form and waiting sessions for the next start; nothing starts by itself then."""
         self.new.keep()
+        self.new.destination.finish()
         self._stored.keep(self._queue_key, self.queue.waiting_as_text())
 
     def offer_and_queue(self, name: str, plan: PlanForm) -> None:
@@ -533,6 +534,7 @@ class RunPage(QWidget):
         """Append the plan in the form to the queue."""
         try:
             plan, specimen = self.new.plan(), self.new.specimen_facts()
+            campaign = self.new.destination.path
         except DragrigError as error:
             self.complained.emit(str(error), Topic.SESSION)
             return None
@@ -542,10 +544,12 @@ class RunPage(QWidget):
             self.new.operator.text(),
             self.new.note.text(),
             self.new.chosen_pace,
+            append=campaign,
             mirror=self.new.chosen_mirror,
             specimen=specimen,
         )
-        entry = QueuedSession(job, plan.name, session.preflight.duration_s, len(session.preflight.previews))
+        title = plan.name if campaign is None else f"{plan.name}, added to {campaign.name}"
+        entry = QueuedSession(job, title, session.preflight.duration_s, len(session.preflight.previews))
         self.queue.add(entry)
         self.new.keep()
         self.new.note_session()
@@ -554,7 +558,7 @@ class RunPage(QWidget):
 
     def add_to_campaign(self, runs: FurtherRuns) -> None:
         """Queue runs that go on with a campaign, unless they wait or run already, and start them if they are next."""
-        entry = self.queue.of_campaign(runs.folder)
+        entry = self.queue.of_campaign(runs.folder, runs.plan)
         if entry is None:
             job = SessionJob(
                 self.queue.next_number(),
@@ -724,6 +728,8 @@ class RunPage(QWidget):
                 self._trip_reason = event.reason
             else:
                 self.complained.emit(f"Session ended: {event.reason}", Topic.SESSION)
+        if event.folder is not None:
+            self.new.session_over(event.folder)
         for entry in self.queue.entries:
             if entry.job.number == event.job:
                 self.session_over.emit(entry)

@@ -158,12 +158,10 @@ class SessionQueue:
         """Time left for all sessions."""
         return sum(entry.left_s for entry in self.entries)
 
-    def of_campaign(self, folder: Path) -> QueuedSession | None:
-        """Return the session that waits or runs and goes on with a campaign."""
-        lasting = {QueueState.WAITING, QueueState.RUNNING}
-        return next(
-            (queued for queued in self.entries if queued.stage in lasting and queued.job.campaign == folder), None
-        )
+    def of_campaign(self, folder: Path, plan: Plan) -> QueuedSession | None:
+        """Return the session that waits or runs and goes on with a campaign by this plan."""
+        lasting = (entry for entry in self.entries if entry.stage in {QueueState.WAITING, QueueState.RUNNING})
+        return next((entry for entry in lasting if (entry.job.campaign, entry.job.plan) == (folder, plan)), None)
 
     def add(self, entry: QueuedSession) -> None:
         """Append a session."""
