@@ -388,10 +388,12 @@ def _run_campaign(
         options.tell(f"{difference}.")
     state = SessionState(plan=setup.plan.name, backend=setup.backend, double=setup.double)
     publisher = StatePublisher(observer, observer, folder, state)
-    mirror = None if options.mirror is None else _open_mirror(options.mirror, folder, options.tell, before)
     status, reason = RunStatus.FAILED.value, "the program ended it"
-    report = None
+    mirror, report = None, None
     try:
+        if before is not None:
+            publisher.prepares()
+        mirror = None if options.mirror is None else _open_mirror(options.mirror, folder, options.tell, before)
         copied = mirror.submit if mirror is not None else None
         session = run_session(setup, _store_opener(folder, make_folder, copied), options, publisher)
         status, reason = session.status.value, session.reason

@@ -134,7 +134,9 @@ class StatePublisher:
         self._operator, self._observer, self._folder = operator, observer, folder
         self._state = state
         self._runs: tuple[PlannedRun, ...] = ()
-        self._started = False
+        self._started = self._prepared = False
+        self._earlier: bytes | None = None
+        """State of the session before, where this one goes on with its campaign."""
 
     @property
     def attended(self) -> bool:
@@ -189,10 +191,22 @@ class StatePublisher:
         self._publish(self._state.doing, sentinel=str(drift))
         self._observer.sentinel_compared(drift)
 
+    def prepares(self) -> None:
+        """Publish that a campaign goes on, whose state is that of its session before."""
+        with contextlib.suppress(OSError):
+            self._earlier = (self._folder / STATE_FILE).read_bytes()
+        self._prepared = True
+        self._publish("preparing")
+
     def ends(self, status: str, reason: str) -> None:
-        """Publish how the session ended, if it started."""
+        """Publish how the session ended, if it started; otherwise the session before it is still the latest."""
         if self._started:
             self._publish("ended", status=status, reason=reason)
+        elif self._earlier is not None:
+            self._write(self._earlier)
+        elif self._prepared:
+            with contextlib.suppress(OSError):
+                (self._folder / STATE_FILE).unlink(missing_ok=True)
 
     def _publish(self, doing: Activity, **changes: object) -> None:
         now, before = _now(), self._state
@@ -201,9 +215,12 @@ class StatePublisher:
         busy_s = before.busy_s + ((now - before.since).total_seconds() if counts else 0.0)
         update = {"said": "", "wait_s": 0.0, **changes, "doing": doing, "since": now, "busy_s": busy_s}
         self._state = self._state.model_copy(update=update)
+        self._write(self._state.model_dump_json(indent=1).encode())
+
+    def _write(self, content: bytes) -> None:
         part = self._folder / f".{STATE_FILE}.part"
         with contextlib.suppress(OSError, OutputError):
-            part.write_text(self._state.model_dump_json(indent=1), "utf-8")
+            part.write_bytes(content)
             rename_into_place(part, self._folder / STATE_FILE)
 
 

@@ -138,7 +138,7 @@ class CampaignWatch:
         if doing == "ended":
             message = state.reason
         elif doing == "died":
-            message = "its process is gone; dragrig recover finishes its recording"
+            message = f"its process is gone; {self._what_finishes_it()}"
         return CampaignState(
             campaign=self.folder.resolve().name,
             folder=self.folder,
@@ -168,9 +168,10 @@ class CampaignWatch:
         """Return the state without a state file: a session that just started, or one of an older version."""
         records, _ = read_session_records(self.folder)
         latest = records[-1] if records else None
-        left = any(is_recording(path) for path in self.folder.glob("*.h5"))
         message = (
-            "an unfinished recording is left; dragrig recover finishes it" if left else "no session is running here"
+            "an unfinished recording is left; dragrig recover finishes it"
+            if self._has_recording()
+            else "no session is running here"
         )
         return CampaignState(
             campaign=self.folder.resolve().name,
@@ -187,6 +188,15 @@ class CampaignWatch:
             recording=None,
             finished=finished,
         )
+
+    def _has_recording(self) -> bool:
+        return any(is_recording(path) for path in self.folder.glob("*.h5"))
+
+    def _what_finishes_it(self) -> str:
+        """Say what to do about a session that has died."""
+        if self._has_recording():
+            return "dragrig recover finishes its recording"
+        return "no recording is left unfinished, and dragrig run --resume makes the missing runs"
 
     def _read_recording(self, state: SessionState | None) -> RunInProgress | None:
         paths = sorted(path for path in self.folder.glob("*.h5") if is_recording(path))

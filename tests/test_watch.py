@@ -146,6 +146,7 @@ def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path
     state = read_state(seen.asked[0].folder)
     assert isinstance(state, SessionState)
     (tmp_path / "session-1.toml").touch()
+    (tmp_path / "20260504-093000-blank-000.recording.h5").touch()
     (tmp_path / STATE_FILE).write_text(state.model_copy(update={"doing": "recording"}).model_dump_json(), "utf-8")
     result = CampaignWatch(tmp_path).look()
     assert (result.doing, result.over, result.left_s) == ("died", True, None)
