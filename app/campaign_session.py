@@ -410,15 +410,15 @@ def _run_campaign(
 def _open_mirror(target: Path, folder: Path, tell: Callable[[str], None], before: Campaign | None) -> Mirror:
     if (target.resolve() / folder.resolve().name) == folder.resolve():
         raise OutputError(f"--mirror {target}: is where the campaign itself goes; name a folder on another disk.")
-    _require_mirror_in_reach(target)
+    require_mirror_in_reach(target)
     mirror = Mirror(target, folder.resolve().name, tell)
     for run in before.runs if before is not None else ():
         mirror.submit(run.path)
     return mirror
 
 
-def _require_mirror_in_reach(target: Path) -> None:
-    """Refuse a mirror that is not there, or whose disk does not answer, before anything moves."""
+def require_mirror_in_reach(target: Path) -> None:
+    """Refuse a mirror that is not there, or whose disk does not answer, before anything moves; raises `OutputError`."""
     answers = queue.Queue[bool]()
     # A lost network disk may hang for minutes, and with it whoever asks.
     threading.Thread(target=lambda: answers.put(target.is_dir()), name="mirror check", daemon=True).start()

@@ -767,6 +767,8 @@ class DiagnosisTask:
     work: CampaignWork = CampaignWork.DIAGNOSE
     minutes: float | None = None
     """To settle: rig time of further runs; None goes on after a batch, with the time that is left."""
+    mirror: Path | None = None
+    """To settle: folder for a second copy of the decisions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -818,6 +820,8 @@ class CompletedSettleStep:
     record: SettleRecord
     sentence: str
     runs: FurtherRuns | None
+    problems: tuple[str, ...] = ()
+    """What could not be copied to the mirror."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -918,10 +922,10 @@ def _settled_step(task: DiagnosisTask, progress: Progress) -> CompletedSettleSte
         after_diagnosis,
         has_begun,
         lacks_runs,
+        mirrored_decisions,
         read_settle_record,
         settle_request,
         take_up_settling,
-        write_settle_record,
     )
     from dragrig.present import settlement_document, step_sentence
 
@@ -932,11 +936,13 @@ def _settled_step(task: DiagnosisTask, progress: Progress) -> CompletedSettleSte
         record = after_diagnosis(folder, record, result)
         document = settlement_document(record, result, source=task.campaign).without("before-after")
         shown = CompletedDiagnosis(result, drawn(document))
-    write_settle_record(folder, record)
+    problems: list[str] = []
+    with mirrored_decisions(folder, task.mirror, problems.append) as write:
+        write(record)
     batch, over = record.batches[-1], len(record.steps) == len(record.batches)
     begun = not over and has_begun(folder, record)
     runs = FurtherRuns(folder, batch.plan, batch.minutes, len(batch.runs), batch.reason, begun)
-    return CompletedSettleStep(shown, record, step_sentence(record), None if over else runs)
+    return CompletedSettleStep(shown, record, step_sentence(record), None if over else runs, tuple(problems))
 
 
 _WORK: Mapping[

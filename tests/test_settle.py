@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -15,10 +16,16 @@ from engine_clients import listening
 from rig_faults import Person
 
 import dragrig
-from dragrig.analysis.gap import Ending, OpenCauses, SettleRecord, plan_of_next_runs
+from dragrig.analysis.gap import Batch, Ending, OpenCauses, SettleRecord, plan_of_next_runs
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
 from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
-from dragrig.api import read_settle_record, take_up_settling, write_settle_record
+from dragrig.api import (
+    SettleHands,
+    mirrored_decisions,
+    read_settle_record,
+    take_up_settling,
+    write_settle_record,
+)
 from dragrig.cli import main
 from dragrig.config import Plan, PlanStep, to_toml
 from dragrig.config.errors import OutputError, PlanError, RunFileError, SettingsError
@@ -27,6 +34,7 @@ from dragrig.present import settlement_document
 from dragrig.present.terminal import document_text
 from dragrig.rig.runfile import mark_bad
 from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
+from dragrig.session_state import session_lock
 from dragrig.setup import create_lab, resolve
 
 FIRST = Plan.model_validate(
@@ -41,12 +49,16 @@ FIRST = Plan.model_validate(
 MINUTES = 3.0
 EFFECT = "stribeck:ratio=0.3"
 SURE = OpenCauses({"stribeck": 0.99}, 0.0, 0.97, 0.1)
+BEGUN = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
 DRAG = {"kind": "drag", "wait_s": 5.0, "speed_mm_s": 5.0, "travel_mm": 20.0}
 
 
 @pytest.mark.timeout(300)
 def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path) -> None:
-    settled = dragrig.settle(FIRST, minutes=MINUTES, out=tmp_path / "settled", effects=[EFFECT])
+    mirror = tmp_path / "mirror"
+    mirror.mkdir()
+    hands = SettleHands(mirror=mirror)
+    settled = dragrig.settle(FIRST, minutes=MINUTES, out=tmp_path / "settled", hands=hands, effects=[EFFECT])
     record = read_settle_record(settled.folder)
     assert record == settled.record
     assert len(record.batches) == len(record.steps) > 1
@@ -61,6 +73,8 @@ def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path) -> No
     assert len(read_session_records(settled.folder)[0]) == len(record.batches)
     assert {run.header.specimen["name"] for run in runs} == {runs[0].header.specimen["name"]}
     assert SettleRecord.model_validate_json(record.model_dump_json()) == record
+    assert read_settle_record(mirror / "settled") == record
+    assert {path.name for path in settled.folder.glob("*.h5")} < {path.name for path in (mirror / "settled").iterdir()}
     document = settlement_document(settled.record, settled.diagnosed.result)
     said = document_text(document)
     assert str(settled.record.steps[-1].runs) in document.lead[0]
@@ -97,6 +111,56 @@ def test_a_killed_loop_goes_on_where_it_was(tmp_path: Path) -> None:
     planned = [resolve(batch.plan, backend="simulated").programme().runs for batch in record.batches]
     assert len(complete) == sum(run.protocol.kind != "return" for runs in planned for run in runs)
     assert len({run.header.order for run in complete}) == len(complete)
+
+
+def decided(minutes: float) -> SettleRecord:
+    """Return the decisions of a loop that has just begun, by its rig time."""
+    return SettleRecord(
+        plan="few", begun_at=BEGUN, minutes=minutes, until=0.95, batches=(Batch(plan=FIRST, minutes=1.0),)
+    )
+
+
+def test_decisions_go_to_the_mirror_each_time_and_a_lost_mirror_stops_nothing(tmp_path: Path) -> None:
+    folder, mirror, told = tmp_path / "c", tmp_path / "mirror", list[str]()
+    for made in (folder, mirror):
+        made.mkdir()
+    with mirrored_decisions(folder, mirror, told.append) as write:
+        for minutes in (10.0, 20.0):
+            write(decided(minutes))
+            while not (mirror / "c" / SETTLE_FILE).exists() or read_settle_record(mirror / "c") != decided(minutes):
+                assert told == []
+        mirror.rename(tmp_path / "away")
+        write(decided(30.0))
+    assert read_settle_record(folder) == decided(30.0)
+    assert read_settle_record(tmp_path / "away" / "c") == decided(20.0)
+    assert all(sentence.startswith(f"NOT MIRRORED: {SETTLE_FILE} is not in") for sentence in told)
+    assert "there is no such folder" in told[-1]
+    assert not mirror.exists()
+
+
+def test_decisions_of_another_loop_in_the_mirror_are_left(tmp_path: Path) -> None:
+    folder, told = tmp_path / "c", list[str]()
+    other = decided(10.0).model_copy(update={"begun_at": BEGUN - timedelta(days=1)})
+    for made in (folder, tmp_path / "mirror" / "c"):
+        made.mkdir(parents=True)
+    (tmp_path / "mirror" / "c" / SETTLE_FILE).write_text(other.model_dump_json(), "utf-8")
+    with mirrored_decisions(folder, tmp_path / "mirror", told.append) as write:
+        write(decided(20.0))
+    assert read_settle_record(tmp_path / "mirror" / "c") == other
+    assert "a file of this name is there and differs" in told[-1]
+
+
+def test_a_loop_that_never_begins_leaves_nothing_in_campaign_or_mirror(tmp_path: Path) -> None:
+    folder, mirror = tmp_path / "c", tmp_path / "mirror"
+    for made in (folder, mirror):
+        made.mkdir()
+    with session_lock(folder), pytest.raises(OutputError, match="another session"):
+        dragrig.settle(FIRST, minutes=MINUTES, out=folder, hands=SettleHands(mirror=mirror))
+    assert not (folder / SETTLE_FILE).exists()
+    assert list(mirror.iterdir()) == []
+    with pytest.raises(OutputError, match="there is no such folder; make it"):
+        dragrig.settle(FIRST, minutes=MINUTES, out=tmp_path / "d", hands=SettleHands(mirror=tmp_path / "none"))
+    assert not (tmp_path / "d").exists()
 
 
 def test_it_ends_for_the_reason_that_is_told() -> None:

@@ -78,6 +78,7 @@ def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
 ) -> None:
     campaign = Path(shutil.copytree(few, few.parent / "settled"))
     page, seen = window.diagnose, list[tuple[str, bool]]()
+    window.run.new.mirror.setText(str(tmp_path))
     window.run.running_changed.connect(
         lambda running: seen.append((window.run.why.text(), window.run.why.isVisible())) if running else None
     )
@@ -95,6 +96,8 @@ def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
     assert ending_sentence(record) in page.state.text()
     assert ending_sentence(record) in page.results.view.lead.toPlainText()
     assert page.results.isVisibleTo(page)
+    assert read_settle_record(tmp_path / campaign.name) == record
+    window.run.new.mirror.clear()
 
 
 @pytest.mark.timeout(300)

@@ -46,12 +46,12 @@ from .settle import Settlement as Settlement
 from .settle import after_diagnosis as after_diagnosis
 from .settle import has_begun as has_begun
 from .settle import lacks_runs as lacks_runs
+from .settle import mirrored_decisions as mirrored_decisions
 from .settle import read_settle_record as read_settle_record
 from .settle import resume_settling as resume_settling
 from .settle import settle as settle
 from .settle import settle_request as settle_request
 from .settle import take_up_settling as take_up_settling
-from .settle import write_settle_record as write_settle_record
 from .stage import MoveResult as MoveResult
 from .stage import calibrate_encoder as calibrate_encoder
 from .stage import calibrate_force as calibrate_force

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
@@ -30,7 +31,7 @@ from dragrig.analysis.gap import (
 from dragrig.api.gap import DiagnosedCampaign, DiagnosisRequest, stage_range
 from dragrig.api.measure import check, resume, run
 from dragrig.config import DragrigError, PlanError, RunFileError, SettingsError
-from dragrig.rig import latest_session_record, read_campaign, read_session_records, replace_text
+from dragrig.rig import Mirror, latest_session_record, read_campaign, read_session_records, replace_text
 from dragrig.setup import PlanLike, SetupChoices, resolve
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ def settle(
     >>> settled = dragrig.settle("first", minutes=20)  # doctest: +SKIP
     >>> settled.record.ending, settled.diagnosed.result.effects  # doctest: +SKIP
     """
-    from dragrig.campaign_session import require_no_runs
+    from dragrig.campaign_session import require_mirror_in_reach, require_no_runs
 
     _require_minutes(minutes)
     if not 0.5 <= until < 1.0:
@@ -158,16 +159,18 @@ def settle(
     if out is not None:
         # Before anything is written: the decisions of an earlier loop stand there.
         require_no_runs(Path(out))
+    if hands is not None and hands.mirror is not None:
+        require_mirror_in_reach(Path(hands.mirror))
     now = datetime.now().astimezone()
     folder = setup.data_root / f"{now:%Y%m%d-%H%M%S}-settle-{setup.plan.name}" if out is None else Path(out)
     first = Batch(plan=setup.plan, minutes=first_min, reason="the first runs")
     record = SettleRecord(plan=setup.plan.name, begun_at=now, minutes=minutes, until=until, batches=(first,))
-    settling = _Settling(folder, hands or SettleHands(), step or _ignore)
-    with _no_trace_if_nothing_began(folder):
-        settling.keep(record)
-        made = run(plan, out=folder, **settling.how, **choices)
-    made.session.require()
-    return settling.go_on(record, made)
+    with _settling(folder, hands or SettleHands(), step or _ignore) as settling:
+        with _no_trace_if_nothing_began(folder):
+            settling.keep(record)
+            made = run(plan, out=folder, **settling.how, **choices)
+        made.session.require()
+        return settling.go_on(record, made)
 
 
 def resume_settling(
@@ -198,9 +201,9 @@ def resume_settling(
     if minutes is not None:
         _require_minutes(minutes)
         record = record.model_copy(update={"minutes": minutes, "ending": None})
-    settling = _Settling(folder, hands or SettleHands(), step or _ignore)
-    made = settling.made_last_batch(record) if len(record.steps) < len(record.batches) else None
-    return settling.go_on(record, made)
+    with _settling(folder, hands or SettleHands(), step or _ignore) as settling:
+        made = settling.made_last_batch(record) if len(record.steps) < len(record.batches) else None
+        return settling.go_on(record, made)
 
 
 def _require_minutes(minutes: float) -> None:
@@ -227,6 +230,54 @@ def read_settle_record(folder: Path) -> SettleRecord:
 def write_settle_record(folder: Path, record: SettleRecord) -> None:
     """Write what was decided into a campaign."""
     replace_text(folder / SETTLE_FILE, record.model_dump_json(indent=1))
+
+
+@contextmanager
+def mirrored_decisions(
+    folder: Path, mirror: str | Path | None, tell: Callable[[str], None]
+) -> Iterator[Callable[[SettleRecord], None]]:
+    """Yield what writes decisions into a campaign, and into its mirror as run files are: verified, and not waited for.
+
+    At the end of the block the last copy is waited for. Of a session that never began, nothing is left in the mirror.
+
+    Parameters
+    ----------
+    mirror
+        Folder of the mirror; None for none.
+    tell
+        Called, from any thread, with a sentence about a copy that could not be made.
+    """
+    copies = None if mirror is None else Mirror(Path(mirror), folder.resolve().name, tell)
+
+    def write(record: SettleRecord) -> None:
+        write_settle_record(folder, record)
+        if copies is not None:
+            copies.submit(folder / SETTLE_FILE, partial(_is_earlier_state, record.begun_at))
+
+    try:
+        yield write
+    finally:
+        if copies is not None:
+            _close_mirror(copies, folder, tell)
+
+
+def _close_mirror(copies: Mirror, folder: Path, tell: Callable[[str], None]) -> None:
+    report = copies.close()
+    for name, why in report.missing.items():
+        tell(f"NOT MIRRORED: {name} is not in {report.folder} as it is in {folder}: {why}.")
+    original, copy = folder / SETTLE_FILE, report.folder / SETTLE_FILE
+    if report.copied and not original.exists() and copy.resolve() != original.resolve():
+        with suppress(OSError):
+            copy.unlink(missing_ok=True)
+            report.folder.rmdir()
+
+
+def _is_earlier_state(begun_at: datetime, copy: Path) -> bool:
+    """Whether decisions in a mirror are of the loop that began then."""
+    try:
+        return SettleRecord.model_validate_json(copy.read_bytes()).begun_at == begun_at
+    except ValidationError:
+        return False
 
 
 def take_up_settling(folder: Path, minutes: float, until: float = DEFAULT_UNTIL) -> SettleRecord:
@@ -315,6 +366,12 @@ def _no_trace_if_nothing_began(folder: Path) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def _settling(folder: Path, hands: SettleHands, step: Callable[[SettleRecord], None]) -> Iterator["_Settling"]:
+    with mirrored_decisions(folder, hands.mirror, hands.tell) as write:
+        yield _Settling(folder, hands, step, write)
+
+
 @dataclass(frozen=True, slots=True)
 class _Settling:
     """The steps after the first runs."""
@@ -322,6 +379,7 @@ class _Settling:
     folder: Path
     hands: SettleHands
     step: Callable[[SettleRecord], None]
+    write: Callable[[SettleRecord], None]
 
     @property
     def how(self) -> "RunOptions":
@@ -339,7 +397,7 @@ class _Settling:
     def keep(self, record: SettleRecord) -> None:
         """Write what was decided, and tell of it."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        write_settle_record(self.folder, record)
+        self.write(record)
         self.step(record)
 
     def made_last_batch(self, record: SettleRecord) -> "Made":

@@ -1,5 +1,6 @@
 """The page of campaigns: diagnosis (verdict, where the gap is, before and after, next runs), identification, report."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from PySide6.QtCore import QTimer, QUrl, Signal
@@ -114,7 +115,13 @@ _USUAL_MIN, _MOST_MIN = 20.0, 999.0
 
 
 class DiagnosePage(QWidget):
-    """Selects a campaign, diagnoses it in its own process, and shows the result."""
+    """Selects a campaign, diagnoses it in its own process, and shows the result.
+
+    Parameters
+    ----------
+    mirror
+        Returns the folder for a second copy of what settling decides.
+    """
 
     complained = Signal(str)
     begun = Signal()
@@ -123,10 +130,10 @@ class DiagnosePage(QWidget):
     further_runs = Signal(FurtherRuns)
     """Runs that settle the gap, to be made now."""
 
-    def __init__(self, stored: StoredSettings) -> None:
+    def __init__(self, stored: StoredSettings, mirror: Callable[[], Path | None] = lambda: None) -> None:
         super().__init__()
         self.setObjectName("page")
-        self._stored = stored
+        self._stored, self._mirror = stored, mirror
         self._process: DiagnosisProcess | None = None
         self.campaign = named(QLineEdit(stored.text("campaign")), "Campaign to diagnose")
         self.campaign.setPlaceholderText("folder of run files")
@@ -236,7 +243,8 @@ class DiagnosePage(QWidget):
     def _begin(self, work: CampaignWork, campaign: str = "", minutes: float | None = None) -> None:
         self.begun.emit()
         campaign = campaign or self.campaign.text().strip()
-        self._process = DiagnosisProcess(DiagnosisTask(campaign, self.nominal.currentText().strip(), work, minutes))
+        nominal = self.nominal.currentText().strip()
+        self._process = DiagnosisProcess(DiagnosisTask(campaign, nominal, work, minutes, self._mirror()))
         self.progress.setRange(0, 0)
         self.state.setText(f"{_DOING[work]} {campaign} …")
         self._timer.start(_POLL_MS)
@@ -286,6 +294,8 @@ class DiagnosePage(QWidget):
 
     def _take_step(self, step: CompletedSettleStep) -> None:
         """Show what was decided, and have the next runs made."""
+        for problem in step.problems:
+            self.complained.emit(problem)
         if step.completed is not None:
             self.results.show_diagnosis(step.completed)
             self.results.show()

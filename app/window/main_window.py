@@ -261,7 +261,7 @@ class MainWindow(QMainWindow):
         self.notices = NoticeBar(self._reply, self._restart)
         self.run = RunPage(self.engine, rig, self.description, lab, self._stored)
         self.look = LookPage(Path(self.description.data_root), self._stored)
-        self.diagnose = DiagnosePage(self._stored)
+        self.diagnose = DiagnosePage(self._stored, lambda: self.run.new.chosen_mirror)
         self.rig = RigPage(rig, self._calibrate, self._cancel_calibration, self.run.new.operator.text)
         self.rig_meaning = ElidedLabel("", "faint")
         self.rig_meaning.setMinimumWidth(_LEAST_MEANING_PX)

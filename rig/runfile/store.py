@@ -227,15 +227,25 @@ class Mirror:
         self._device: int | None = None
         self._jobs: queue.SimpleQueue[Path | None] = queue.SimpleQueue()
         self._submitted: dict[str, Path] = {}
+        self._earlier: dict[str, Callable[[Path], bool]] = {}
         self._copied: dict[str, None] = {}
         self._missing: dict[str, str] = {}
         self._steps = 0
         self._thread = Thread(target=self._work, name="mirror", daemon=True)
         self._thread.start()
 
-    def submit(self, file: Path) -> None:
-        """Have a file copied; returns at once."""
+    def submit(self, file: Path, is_earlier: Callable[[Path], bool] | None = None) -> None:
+        """Have a file copied; returns at once.
+
+        Parameters
+        ----------
+        is_earlier
+            Of a file that is written again and again: whether a copy that differs is an earlier state of it, so that it
+            is replaced. Called on the mirror's thread.
+        """
         self._submitted[file.name] = file
+        if is_earlier is not None:
+            self._earlier[file.name] = is_earlier
         self._jobs.put(file)
 
     def close(self, max_stall_s: float = MAX_STALL_S, max_s: float = MAX_MIRROR_S) -> MirrorReport:
@@ -281,8 +291,7 @@ class Mirror:
         try:
             self._require_mirror()
             copy = self.folder / file.name
-            said = file.name.endswith((schema.MARK_SUFFIX, schema.NOTE_SUFFIX))
-            copy_verified(file, copy, self._count_step, replaces=said or is_same_recording(file, copy))
+            copy_verified(file, copy, self._count_step, replaces=self._replaces(file, copy))
         except (OSError, OutputError) as error:
             reason = brief_error(error)
             if self._missing.get(file.name) != reason:
@@ -294,6 +303,12 @@ class Mirror:
         self._missing.pop(file.name, None)
         self._copied[file.name] = None
         return True
+
+    def _replaces(self, file: Path, copy: Path) -> bool:
+        if (is_earlier := self._earlier.get(file.name)) is not None:
+            return copy.exists() and is_earlier(copy)
+        said = file.name.endswith((schema.MARK_SUFFIX, schema.NOTE_SUFFIX))
+        return said or is_same_recording(file, copy)
 
     def _require_mirror(self) -> None:
         if not self._root.is_dir():
