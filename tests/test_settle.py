@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -17,17 +17,19 @@ from rig_faults import Person
 
 import dragrig
 from dragrig.analysis.gap import Batch, Ending, OpenCauses, SettleRecord, plan_of_next_runs
+from dragrig.analysis.gap.candidate_runs import ExperimentBudget, greedy_search, short_grid
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
 from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
 from dragrig.api import (
     SettleHands,
     mirrored_decisions,
     read_settle_record,
+    settle_request,
     take_up_settling,
     write_settle_record,
 )
 from dragrig.cli import main
-from dragrig.config import Plan, PlanStep, to_toml
+from dragrig.config import Plan, PlanStep, Specimen, to_toml
 from dragrig.config.errors import OutputError, PlanError, RunFileError, SettingsError
 from dragrig.engine_host import RigSelection, SessionFinished, SessionJob, StartSession
 from dragrig.present import settlement_document
@@ -49,6 +51,7 @@ FIRST = Plan.model_validate(
 MINUTES = 3.0
 EFFECT = "stribeck:ratio=0.3"
 SURE = OpenCauses({"stribeck": 0.99}, 0.0, 0.97, 0.1)
+SPECIMEN = Specimen(name="jejunum")
 BEGUN = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
 DRAG = {"kind": "drag", "wait_s": 5.0, "speed_mm_s": 5.0, "travel_mm": 20.0}
 
@@ -158,9 +161,12 @@ def test_a_loop_that_never_begins_leaves_nothing_in_campaign_or_mirror(tmp_path:
         dragrig.settle(FIRST, minutes=MINUTES, out=folder, hands=SettleHands(mirror=mirror))
     assert not (folder / SETTLE_FILE).exists()
     assert list(mirror.iterdir()) == []
+    told: list[str] = []
+    hands = SettleHands(mirror=tmp_path / "none", tell=told.append)
     with pytest.raises(OutputError, match="there is no such folder; make it"):
-        dragrig.settle(FIRST, minutes=MINUTES, out=tmp_path / "d", hands=SettleHands(mirror=tmp_path / "none"))
+        dragrig.settle(FIRST, minutes=MINUTES, out=tmp_path / "d", hands=hands)
     assert not (tmp_path / "d").exists()
+    assert told == []
 
 
 def test_it_ends_for_the_reason_that_is_told() -> None:
@@ -200,6 +206,11 @@ def test_what_cannot_be_settled_is_refused_before_anything_moves(tmp_path: Path)
         dragrig.settle(FIRST, until=1.2, out=folder)
     with pytest.raises(SettingsError, match="--minutes"):
         dragrig.settle(FIRST, minutes=float("nan"), out=folder)
+    for hands_min in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(SettingsError, match="--hands"):
+            dragrig.settle(FIRST, hands_min=hands_min, out=folder)
+        with pytest.raises(SettingsError, match="--hands"):
+            dragrig.next_experiment("drag", hands_min=hands_min)
     assert not folder.exists()
     made = tmp_path / "made"
     dragrig.simulate(Plan.model_validate({"name": "short", "steps": [DRAG]}), out=made)
@@ -281,9 +292,60 @@ def test_the_command_goes_on_with_the_rig_of_the_campaign_alone(
     assert contents(on_the_double) == before
 
 
+@dataclass(frozen=True)
+class Told:
+    """A question of which every run tells a number of bits of its own."""
+
+    open_bits: float = 10.0
+    bits: float = 0.0
+
+    def with_run(self, observation: float) -> "Told":
+        return replace(self, bits=self.bits + observation)
+
+    def about(self, before: "Told") -> tuple[str, ...]:
+        return ()
+
+
+@pytest.mark.parametrize(("hands_min", "first"), [(0.0, "blank"), (2.0, "blank"), (60.0, "drag")])
+def test_the_more_a_change_costs_the_more_a_run_must_tell_that_needs_one(hands_min: float, first: str) -> None:
+    blank = next(run for run in short_grid(SPECIMEN) if run.step.kind == "blank")
+    drag = next(run for run in short_grid(SPECIMEN) if run.step.kind == "drag")
+    candidates = [(drag, 0.1 * drag.minutes), (blank, 0.1 * (blank.minutes + 3.0))]
+    budget = ExperimentBudget(runs=1, mounted="drag", hands_min=hands_min)
+    assert [run.step.kind for run in greedy_search(Told(), candidates, budget)] == [first]
+
+
+@pytest.mark.timeout(300)
+def test_the_cost_of_hands_is_kept_and_holds_when_the_loop_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, folder = tmp_path / "few.toml", tmp_path / "c"
+    plan.write_text(to_toml(FIRST), "utf-8")
+    words = ["--minutes", str(MINUTES), "--hands", "7", "--effect", EFFECT, "--out", str(folder), "--yes", "--json"]
+    assert main(["gap", "settle", str(plan), *words]) == 0
+    assert json.loads(capsys.readouterr().out)["settle"]["hands_min"] == 7.0
+    record = read_settle_record(folder)
+    budget = settle_request(folder, record).next_runs
+    assert budget is not None
+    assert (record.hands_min, budget.hands_min) == (7.0, 7.0)
+    assert main(["gap", "settle", "--resume", str(folder), "--hands", "1"]) == 2
+    assert "only --minutes may be changed" in capsys.readouterr().err
+    older = json.loads((folder / SETTLE_FILE).read_text("utf-8"))
+    del older["hands_min"]
+    (folder / SETTLE_FILE).write_text(json.dumps(older), "utf-8")
+    assert read_settle_record(folder).hands_min == 2.0
+
+
 @pytest.mark.parametrize(
     "arguments",
-    [[], ["first", "--resume", "there"], ["--resume", "there", "--until", "0.9"], ["first", "--until", "2"]],
+    [
+        [],
+        ["first", "--resume", "there"],
+        ["--resume", "there", "--until", "0.9"],
+        ["first", "--until", "2"],
+        ["first", "--hands", "-1"],
+        ["first", "--hands", "nan"],
+    ],  # fmt: skip
 )
 def test_the_command_refuses_what_makes_no_sense(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gap", "settle", *arguments]) == 2

@@ -1,7 +1,9 @@
+from .candidate_runs import DEFAULT_HANDS_MIN as DEFAULT_HANDS_MIN
 from .candidate_runs import ExperimentBudget as ExperimentBudget
 from .candidate_runs import RigLimits as RigLimits
 from .candidate_runs import mounting as mounting
 from .candidate_runs import plan_of_next_runs as plan_of_next_runs
+from .candidate_runs import require_hands as require_hands
 from .candidate_runs import run_text as run_text
 from .diagnose import DiagnosisOptions as DiagnosisOptions
 from .diagnose import DiagnosisWithCauses as DiagnosisWithCauses

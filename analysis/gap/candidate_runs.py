@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
 from itertools import product
+from math import isfinite
 from pathlib import Path
 from typing import Protocol, Self, TypeVar
 
@@ -14,7 +15,7 @@ from dragrig.analysis import Experiment, capitalise, join_names, prepare_channel
 from dragrig.analysis.gap.design import Study
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun, display_name
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData
-from dragrig.config import Plan, PlanStep, ReturnMode, RunOrder, Specimen
+from dragrig.config import Plan, PlanStep, ReturnMode, RunOrder, SettingsError, Specimen
 from dragrig.rig import (
     AnyFloatArray,
     PlannedRun,
@@ -168,8 +169,16 @@ def _reversal(speed_mm_s: float) -> PlanStep:
 
 MIN_GAIN_BITS = 0.001
 """A run that is expected to tell less is not worth its time: a thousandth of whether an effect is there."""
-FIXTURE_CHANGE_MIN = 2.0
+DEFAULT_HANDS_MIN = 2.0
 """Time of a person's hands at a change of fixture or capsule, in minutes."""
+
+
+def require_hands(hands_min: float) -> None:
+    """Refuse what is no time of a person's hands; raises `SettingsError`."""
+    if not (isfinite(hands_min) and hands_min >= 0):
+        raise SettingsError(
+            f"--hands {hands_min:g}: a person's time at a change of fixture or capsule is a number of minutes from 0."
+        )
 
 
 def mounting(kind: str) -> str:
@@ -212,6 +221,8 @@ class ExperimentBudget:
     """Limits of the rig; default: the range of the campaign's runs."""
     mounted: str = ""
     """What is mounted on the rig, as `mounting` names it, and needs no hands; default: that of the last run."""
+    hands_min: float = DEFAULT_HANDS_MIN
+    """Minutes of a person at a change of fixture or capsule: a run that needs one must tell so much more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -247,7 +258,7 @@ def greedy_search(
 
         def rate(index: int, known: Sequence[float] = gains) -> float:
             candidate = candidates[index][0]
-            hands = 0.0 if mounting(candidate.step.kind) in mounted else FIXTURE_CHANGE_MIN
+            hands = 0.0 if mounting(candidate.step.kind) in mounted else budget.hands_min
             return known[index] / (candidate.minutes + hands)
 
         affordable = [index for index, (run, _) in enumerate(candidates) if spent + run.minutes <= budget.minutes]

@@ -20,7 +20,6 @@ from dragrig.analysis import (
     single_blas_thread,
 )
 from dragrig.analysis.gap.candidate_runs import (
-    FIXTURE_CHANGE_MIN,
     CandidateRun,
     ExperimentBudget,
     RigLimits,
@@ -438,7 +437,7 @@ def search_new_motions(
         if not candidates:
             break
         distance, candidate, observation = max(
-            candidates, key=lambda item: float(item[0].max()) / (item[1].minutes + FIXTURE_CHANGE_MIN)
+            candidates, key=lambda item: float(item[0].max()) / (item[1].minutes + budget.hands_min)
         )
         reason = reason or _coverage_reason(candidate, distance, len(observed))
         selected.append(NextRun(candidate.step, candidate.minutes, None))

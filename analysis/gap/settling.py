@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from enum import StrEnum
 from typing import Literal
 
-from pydantic import AwareDatetime
+from pydantic import AwareDatetime, Field
 
-from dragrig.analysis.gap.candidate_runs import ExperimentBudget, RigLimits
+from dragrig.analysis.gap.candidate_runs import DEFAULT_HANDS_MIN, ExperimentBudget, RigLimits
 from dragrig.analysis.gap.diagnosis import Diagnosis
 from dragrig.config import Plan, Settings
 
@@ -40,10 +40,10 @@ def surest_causes(diagnosis: Diagnosis) -> float:
     return 1.0 if diagnosis.open_causes is None else diagnosis.open_causes.surest
 
 
-def batch_budget(left_min: float, limits: RigLimits | None) -> ExperimentBudget:
-    """Return the limits of the next batch of runs, given the rig time that is left."""
+def batch_budget(left_min: float, limits: RigLimits | None, hands_min: float = DEFAULT_HANDS_MIN) -> ExperimentBudget:
+    """Return the limits of the next batch of runs, given the rig time that is left and the cost of hands."""
     minutes = min(max(MIN_BATCH_MIN, BATCH_SHARE * left_min), left_min)
-    return ExperimentBudget(max(minutes, 0.0), MAX_BATCH_RUNS, limits)
+    return ExperimentBudget(max(minutes, 0.0), MAX_BATCH_RUNS, limits, hands_min=hands_min)
 
 
 def ending_of(diagnosis: Diagnosis, until: float, left_min: float) -> Ending | None:
@@ -97,6 +97,8 @@ class SettleRecord(Settings):
     begun_at: AwareDatetime
     minutes: float
     until: float
+    hands_min: float = Field(DEFAULT_HANDS_MIN, ge=0, allow_inf_nan=False)
+    """Minutes of a person at a change of fixture or capsule."""
     batches: tuple[Batch, ...]
     steps: tuple[SettleStep, ...] = ()
     ending: Ending | None = None

@@ -21,6 +21,7 @@ from dragrig.analysis import (
     parts_of,
 )
 from dragrig.analysis.gap import (
+    DEFAULT_HANDS_MIN,
     Diagnosis,
     ExperimentBudget,
     Isolability,
@@ -572,6 +573,7 @@ def next_experiment(
     *,
     between: tuple[str, str] | None = None,
     minutes: float = DEFAULT_MINUTES,
+    hands_min: float = DEFAULT_HANDS_MIN,
     progress: Progress = no_progress,
     **choices: Unpack[SetupChoices],
 ) -> NextExperiment | None:
@@ -586,6 +588,8 @@ def next_experiment(
         Two effects to separate, at their default sizes, in place of the leading hypotheses.
     minutes
         Rig time available, rests and return strokes included.
+    hands_min
+        Minutes of a person at a change of fixture or capsule: the more, the more a run must tell that needs one.
     choices
         As of `check`; the rig's limits are kept.
 
@@ -606,16 +610,16 @@ def next_experiment(
     >>> experiment = dragrig.next_experiment("runs/first")  # doctest: +SKIP
     >>> experiment.reason, experiment.runs[0].settings  # doctest: +SKIP
     """
-    from dragrig.analysis.gap import DiagnosisOptions, recommend_for_pair
+    from dragrig.analysis.gap import DiagnosisOptions, recommend_for_pair, require_hands
     from dragrig.analysis.gap.diagnose import diagnose
 
     if not (isfinite(minutes) and minutes > 0):
         raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
+    require_hands(hands_min)
     if between is not None:
         _require_two_effects(between)
-    budget = ExperimentBudget(
-        minutes, MAX_RUNS, limits=stage_range(resolve("drag", rig=choices.get("rig"), backend="simulated"))
-    )
+    limits = stage_range(resolve("drag", rig=choices.get("rig"), backend="simulated"))
+    budget = ExperimentBudget(minutes, MAX_RUNS, limits, hands_min=hands_min)
     runs = runs_to_isolate(plan_or_campaign, **choices)
     if between is None and not runs.planned:
         return diagnose(runs.selection, runs.nominal, DiagnosisOptions(next_runs=budget), progress).next_experiment

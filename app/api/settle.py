@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 from pydantic import ValidationError
 
 from dragrig.analysis.gap import (
+    DEFAULT_HANDS_MIN,
     DEFAULT_UNTIL,
     SETTLE_FILE,
     Batch,
@@ -25,6 +26,7 @@ from dragrig.analysis.gap import (
     ending_of,
     mounting,
     plan_of_next_runs,
+    require_hands,
     run_text,
     settle_step,
 )
@@ -100,6 +102,7 @@ def settle(
     *,
     minutes: float = DEFAULT_SETTLE_MIN,
     until: float = DEFAULT_UNTIL,
+    hands_min: float = DEFAULT_HANDS_MIN,
     out: str | Path | None = None,
     hands: SettleHands | None = None,
     step: Callable[[SettleRecord], None] | None = None,
@@ -115,6 +118,8 @@ def settle(
         Rig time of all runs, rests and returns included; a person's hands are not counted.
     until
         Probability of verdict and causes from which the gap counts as settled.
+    hands_min
+        Minutes of a person at a change of fixture or capsule: the more, the more a run must tell that needs one.
     out
         Folder of the campaign, new or without runs (default: a new one in the rig's data root).
     hands
@@ -131,7 +136,7 @@ def settle(
     Raises
     ------
     SettingsError
-        For a time or a probability that cannot be.
+        For a time, also of hands, or a probability that cannot be.
     PlanError
         When the first runs take longer than all of the time.
     AbortedError, TrippedError, DeviceError
@@ -146,6 +151,7 @@ def settle(
     from dragrig.campaign_session import require_mirror_in_reach, require_no_runs
 
     _require_minutes(minutes)
+    require_hands(hands_min)
     if not 0.5 <= until < 1.0:
         raise SettingsError(f"--until {until:g}: is a probability from 0.5 to below 1.")
     setup = resolve(plan, **choices)
@@ -164,7 +170,9 @@ def settle(
     now = datetime.now().astimezone()
     folder = setup.data_root / f"{now:%Y%m%d-%H%M%S}-settle-{setup.plan.name}" if out is None else Path(out)
     first = Batch(plan=setup.plan, minutes=first_min, reason="the first runs")
-    record = SettleRecord(plan=setup.plan.name, begun_at=now, minutes=minutes, until=until, batches=(first,))
+    record = SettleRecord(
+        plan=setup.plan.name, begun_at=now, minutes=minutes, until=until, hands_min=hands_min, batches=(first,)
+    )
     with _settling(folder, hands or SettleHands(), step or _ignore) as settling:
         with _no_trace_if_nothing_began(folder):
             settling.keep(record)
@@ -326,7 +334,7 @@ def has_begun(folder: Path, record: SettleRecord) -> bool:
 def settle_request(folder: Path, record: SettleRecord, nominal: str | Path = "capsule") -> DiagnosisRequest:
     """Return how the campaign is diagnosed: with the rig time that is left for its next runs."""
     limits = stage_range(resolve("drag", folder=folder, campaign=latest_session_record(folder)[0]))
-    return DiagnosisRequest(nominal=nominal, next_runs=batch_budget(record.left_min, limits))
+    return DiagnosisRequest(nominal=nominal, next_runs=batch_budget(record.left_min, limits, record.hands_min))
 
 
 def after_diagnosis(folder: Path, record: SettleRecord, diagnosis: Diagnosis) -> SettleRecord:

@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
 
 FILE = click.Path(path_type=Path)
+HANDS = click.option(
+    "--hands",
+    metavar="MIN",
+    type=float,
+    help="Minutes of a person at a change of fixture or capsule: a run that needs one must tell more (default: 2).",
+)
 DIAGNOSE_COST, ISOLATE_COST, PAGE_COST, FIGURES_COST = 11, 19, 4, 4
 """User CPU time [s] of the diagnosis of a campaign of 40 runs, of the isolability of a plan with 58, of a page, and of
 figures beside it."""
@@ -216,6 +222,7 @@ def evaluate_command(
 @click.argument("source", metavar="CAMPAIGN|PLAN")
 @click.option("--between", nargs=2, metavar="EFFECT EFFECT", help="Two effects to separate, at their default sizes.")
 @click.option("--minutes", metavar="MIN", type=float, default=20.0, show_default=True, help="Rig time available.")
+@HANDS
 @click.option("--save-plan", metavar="FILE.toml", type=FILE, help="Write the runs as a plan to this file.")
 @options.settings
 @options.overwrite
@@ -225,6 +232,7 @@ def next_command(
     source: str,
     between: tuple[str, str] | None,
     minutes: float,
+    hands: float | None,
     save_plan: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -237,13 +245,21 @@ def next_command(
     fixed grid of kinds, speeds, strokes, strains, rests and reversals, added one by one, the best each time, until none
     helps or the rig time is used up. dragrig run carries out the plan of --save-plan.
     """
+    from dragrig.analysis.gap import DEFAULT_HANDS_MIN
     from dragrig.api import next_experiment, save_next_plan
     from dragrig.present import next_experiment_document, require_writable
 
     if save_plan is not None:
         require_writable(save_plan, overwrite=overwrite)
     with ProgressMeter("searching") as meter:
-        experiment = next_experiment(source, between=between, minutes=minutes, progress=meter.at, **settings)
+        experiment = next_experiment(
+            source,
+            between=between,
+            minutes=minutes,
+            hands_min=DEFAULT_HANDS_MIN if hands is None else hands,
+            progress=meter.at,
+            **settings,
+        )
     if save_plan is not None and experiment is not None:
         save_next_plan(experiment, save_plan, overwrite=overwrite)
     print_document(next_experiment_document(experiment), as_json=as_json)
@@ -257,6 +273,7 @@ def next_command(
 @click.argument("plan", required=False)
 @click.option("--minutes", metavar="MIN", type=float, help="Rig time of all runs (default: 30).")
 @click.option("--until", metavar="P", type=float, help="Probability from which the gap is settled (default: 0.95).")
+@HANDS
 @click.option("--resume", metavar="CAMPAIGN", type=FILE, help="Go on with a campaign, whatever ended it.")
 @options.settings
 @options.out("Folder of the campaign, new or empty (default: a new one in the rig's data root).")
@@ -272,6 +289,7 @@ def settle_command(
     plan: str | None,
     minutes: float | None,
     until: float | None,
+    hands: float | None,
     resume: Path | None,
     out: Path | None,
     operator: str,
@@ -293,7 +311,7 @@ def settle_command(
 
     Exit codes: 0 ended as it should, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """
-    from dragrig.analysis.gap import DEFAULT_UNTIL, SettleRecord
+    from dragrig.analysis.gap import DEFAULT_HANDS_MIN, DEFAULT_UNTIL, SettleRecord
     from dragrig.api import DEFAULT_SETTLE_MIN, SettleHands, resume_settling
     from dragrig.api import settle as settle_plan
     from dragrig.cli.operator import TerminalOperator
@@ -302,7 +320,7 @@ def settle_command(
     context = click.get_current_context()
     if (plan is None) == (resume is None):
         raise click.UsageError("Name a plan, or a campaign to go on with after --resume, and not both", context)
-    if resume is not None and (until is not None or out is not None or any(settings.values())):
+    if resume is not None and (any(value is not None for value in (until, hands, out)) or any(settings.values())):
         raise click.UsageError("--resume goes on as it began: only --minutes may be changed", context)
     if report is not None:
         require_writable(report, overwrite=overwrite)
@@ -311,16 +329,17 @@ def settle_command(
         print_remark(step_sentence(record))
 
     with TerminalOperator(yes=yes) as person:
-        hands = SettleHands(operator, note, pace, person, mirror, print_warning)
+        at_the_rig = SettleHands(operator, note, pace, person, mirror, print_warning)
         if resume is not None:
-            settled = resume_settling(resume, hands=hands, step=tell, minutes=minutes)
+            settled = resume_settling(resume, hands=at_the_rig, step=tell, minutes=minutes)
         else:
             settled = settle_plan(
                 plan or "",
                 minutes=DEFAULT_SETTLE_MIN if minutes is None else minutes,
                 until=DEFAULT_UNTIL if until is None else until,
+                hands_min=DEFAULT_HANDS_MIN if hands is None else hands,
                 out=out,
-                hands=hands,
+                hands=at_the_rig,
                 step=tell,
                 **settings,
             )
