@@ -8,9 +8,10 @@ import pytest
 from test_append import QUICK
 
 import dragrig
-from dragrig.campaign_session import SessionOptions, append_to_campaign
+from dragrig.campaign_session import append_to_campaign
 from dragrig.cli import main
 from dragrig.config.errors import PlanError
+from dragrig.hosted_session import SessionOptions
 from dragrig.rig import RunStatus, read_campaign
 from dragrig.session_state import STATE_FILE
 from dragrig.watch import CampaignState, CampaignWatch

@@ -345,7 +345,7 @@ def test_the_cost_of_hands_is_kept_and_holds_when_the_loop_goes_on(
         ["first", "--until", "2"],
         ["first", "--hands", "-1"],
         ["first", "--hands", "nan"],
-    ],  # fmt: skip
+    ],
 )
 def test_the_command_refuses_what_makes_no_sense(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gap", "settle", *arguments]) == 2
