@@ -2,6 +2,7 @@
 
 import queue
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -60,6 +61,9 @@ from dragrig.setup import (
     within_lab,
 )
 
+_POLL_S = 0.02
+FINISHING_S = 5.0
+"""How long the finisher of a session that was killed may still be at work on its last recording."""
 MIRROR_ANSWER_S = 10.0
 """How long a mirror may take to answer before a session."""
 
@@ -206,9 +210,11 @@ def _continued_campaign(folder: Path, tell: Callable[[str], None]) -> Iterator[t
     """Hold a campaign for a further session, its interrupted runs recovered; yield its latest session and its runs."""
     latest_session_record(folder)
     with session_lock(folder):
-        for recording in recover(folder):
-            if recording.outcome is RecoveryOutcome.IN_USE:
-                raise OutputError(f"{recording.recording}: is being recorded; go on with the campaign after that.")
+        until_s = time.monotonic() + FINISHING_S
+        while in_use := [entry for entry in recover(folder) if entry.outcome is RecoveryOutcome.IN_USE]:
+            if time.monotonic() > until_s:
+                raise OutputError(f"{in_use[0].recording}: is being recorded; go on with the campaign after that.")
+            time.sleep(_POLL_S)
         record, damaged = latest_session_record(folder)
         for problem in damaged:
             tell(f"{problem.rstrip('.')}. The session before it counts.")

@@ -2,9 +2,11 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from runfiles import START, header
 from test_append import QUICK
 
 import dragrig
@@ -13,7 +15,8 @@ from dragrig.cli import main
 from dragrig.config.errors import PlanError
 from dragrig.hosted_session import SessionOptions
 from dragrig.rig import RunStatus, read_campaign
-from dragrig.session_state import STATE_FILE
+from dragrig.rig.runfile import Recorder
+from dragrig.session_state import STATE_FILE, is_session_running
 from dragrig.watch import CampaignState, CampaignWatch
 
 
@@ -93,3 +96,19 @@ def test_runs_are_appended_after_a_killed_session_with_its_recording_finished_fi
     assert statuses == {**dict.fromkeys(range(5), RunStatus.COMPLETE), 2: RunStatus.RECOVERED}
     assert not list(campaign.glob("*.recording*"))
     assert CampaignWatch(campaign).look().status == "complete"
+
+
+def test_a_campaign_goes_on_once_the_last_recording_of_a_killed_session_is_finished(campaign: Path) -> None:
+    recorder = Recorder(campaign / "20260504-093000-drag-002.h5", header(order=2))
+
+    def close_once_the_campaign_goes_on() -> None:
+        while not is_session_running(campaign):
+            pass
+        recorder.close(RunStatus.ABORTED, "killed", START, {})
+
+    with ThreadPoolExecutor(1) as finisher:
+        closed = finisher.submit(close_once_the_campaign_goes_on)
+        made = dragrig.run("drag", append=campaign, assignments=QUICK)
+        closed.result()
+    assert [run.order for run in made.session.runs] == [3, 4]
+    assert {run.header.order for run in read_campaign(campaign).runs} == {0, 1, 2, 3, 4}
