@@ -26,8 +26,8 @@ from dragrig.api import (
     read_settle_record,
     settle_request,
     take_up_settling,
-    write_settle_record,
 )
+from dragrig.api.settle import write_settle_record
 from dragrig.cli import main
 from dragrig.config import Plan, PlanStep, Specimen, to_toml
 from dragrig.config.errors import OutputError, PlanError, RunFileError, SettingsError
