@@ -16,7 +16,7 @@ from dragrig.analysis import NORMAL_95
 from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY
 from dragrig.analysis.gap.pattern_odds import PatternOdds, SharedInformation, independent_odds, pattern_odds
 from dragrig.analysis.gap.pooled_evidence import ForceEvidence, SharedColumns
-from dragrig.analysis.gap.presence import KEPT_VARIANCE, CauseKind
+from dragrig.analysis.gap.presence import KEPT_VARIANCE, PRIOR_PROBABILITIES, CauseKind
 from dragrig.rig import FloatArray, IndexArray
 from dragrig.sim_backend.effects import find_effect
 
@@ -360,14 +360,19 @@ def pool_force(
         odds = {name: evidence.odds(name) for name in odds if name != best}
     found = {name: PooledCause(odds[name], evidence, _probability(value), ()) for name, value in believed().items()}
     rivals = tuple(name for name in odds if credibility.first[name] - odds[name].total > EXPLAINED_LOG_ODDS)
-    for name in found.keys() & alone.keys() - set(rivals):
-        likely_alone = float(alone[name].max())
-        # What a campaign's own diagnosis names, and no chosen cause explains, stays.
-        if likely_alone > max(ESTABLISHED, found[name].probability):
-            found[name] = PooledCause(_in_one(alone[name]), evidence, likely_alone, ())
     for cause, value in _chosen_causes(chosen, rivals, nothing, credibility):
         if cause in chosen or value.probability > found[cause].probability:
             found[cause] = value
+    beside_effects = nothing
+    for name in chosen.keys() & alone.keys():
+        beside_effects = beside_effects.beside(name, chosen[name])
+    for name in found.keys() & alone.keys():
+        # What a campaign's own diagnosis names, which knows all forms, stays where no chosen effect explains it.
+        if float(alone[name].max()) > max(ESTABLISHED, found[name].probability) and (
+            name in chosen or credibility.first[name] - beside_effects.odds(name).total <= EXPLAINED_LOG_ODDS
+        ):
+            odds_alone = odds_of_own_diagnoses(alone[name], of_rig=not find_effect(name).belongs_to_gut)
+            found[name] = PooledCause(odds_alone, evidence, _probability(odds_alone.total), ())
     return found
 
 
@@ -394,10 +399,17 @@ def _chosen_causes(
             yield rival, PooledCause(rival_odds[rival], beside, float(np.exp(logs[rival] - total)), (name,))
 
 
-def _in_one(alone: FloatArray) -> PatternOdds:
-    """Return the odds of an effect that only one campaign shows, by its own diagnosis."""
+def odds_of_own_diagnoses(alone: FloatArray, *, of_rig: bool) -> PatternOdds:
+    """Return in which campaigns an effect is by what each campaign alone makes of it, its probabilities, shape `(C,)`.
+
+    That of a single campaign is never lowered: the others add nothing to it.
+    """
     limited = np.clip(alone, MIN_PROBABILITY, MAX_PROBABILITY)
-    return PatternOdds(-np.inf, -np.inf, np.log(limited / (1 - limited)), np.zeros(alone.size), 1.0)
+    own = np.array([_log_odds(probability) for probability in limited])
+    joint = independent_odds((own - _log_odds(PRIOR_PROBABILITIES["effect"]))[None], (1.0,), of_rig=of_rig)
+    if joint.total >= own.max():
+        return joint
+    return PatternOdds(-np.inf, -np.inf, np.where(own == own.max(), own, -np.inf), np.zeros(own.size), 1.0)
 
 
 def _probability(log_odds: float) -> float:
