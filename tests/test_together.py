@@ -202,12 +202,21 @@ def test_what_is_positive_is_not_named_where_it_comes_out_negative() -> None:
     assert effect.size.interval_95[1] < 0
 
 
-def test_the_rigs_effect_is_not_what_has_either_sign() -> None:
+@pytest.mark.parametrize("effect", ["force_nonlinearity", "mesentery_tether"])
+def test_what_has_either_sign_is_no_effect_that_campaigns_share(effect: str) -> None:
     signs = (1.0, -1.0, 1.0, -1.0, 1.0)
-    either = diagnose_together([campaign(seed, force_nonlinearity=2.0 * sign) for seed, sign in enumerate(signs)])
-    assert "force_nonlinearity" not in named(either)
-    same = diagnose_together([campaign(seed, force_nonlinearity=-2.0) for seed in range(5)])
-    assert named(same) == ["force_nonlinearity"]
+    either = diagnose_together([campaign(seed, **{effect: 2.0 * sign}) for seed, sign in enumerate(signs)])
+    assert effect not in named(either)
+    same = diagnose_together([campaign(seed, **{effect: 2.0}) for seed in range(5)])
+    assert named(same) == [effect]
+
+
+def test_what_most_campaigns_name_by_themselves_is_in_all() -> None:
+    alone = {"mesentery_tether": 0.8}
+    five = [campaign(seed, alone=alone) for seed in range(5)]
+    [effect] = diagnose_together(five).established
+    assert (effect.effect, effect.where) == ("mesentery_tether", Where.ALL)
+    assert effect.probability > 0.95
 
 
 def test_small_effects_are_not_told_from_other_forms_of_a_large_one() -> None:

@@ -294,8 +294,8 @@ class Credibility:
         """Return the log odds of an effect by all campaigns.
 
         Pooling adds nothing to what a single campaign says of an effect that it alone has, and its own diagnosis weighs
-        more. An effect whose size is positive is none where it comes out negative, nor is one of the rig whose size has
-        either sign: large scales leave room for both.
+        more. An effect whose size is positive is none where it comes out negative, nor is one whose mean size does not
+        differ from zero: large scales leave room for sizes of either sign.
         """
         alone = np.clip(self.alone[name], MIN_PROBABILITY, MAX_PROBABILITY)
         value = odds.total
@@ -314,7 +314,7 @@ def _has_its_sign(name: str, sizes: Sequence[tuple[float, float] | None]) -> boo
     effect, (mean, error, _) = find_effect(name), random_effects_mean(known)
     if effect.size.low >= 0 and mean < 0:
         return False
-    return effect.belongs_to_gut or effect.phase is not None or abs(mean) > NORMAL_95 * error
+    return effect.phase is not None or abs(mean) > NORMAL_95 * error
 
 
 def random_effects_mean(estimates: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
