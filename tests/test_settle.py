@@ -22,6 +22,7 @@ from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
 from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
 from dragrig.api import (
     SettleHands,
+    lacks_runs,
     mirrored_decisions,
     read_settle_record,
     settle_request,
@@ -121,6 +122,21 @@ def decided(minutes: float) -> SettleRecord:
     return SettleRecord(
         plan="few", begun_at=BEGUN, minutes=minutes, until=0.95, batches=(Batch(plan=FIRST, minutes=1.0),)
     )
+
+
+def test_a_batch_is_not_made_again_where_a_person_went_on_with_another_plan(tmp_path: Path) -> None:
+    short = Plan.model_validate({"name": "short", "steps": [{**DRAG, "travel_mm": 5.0}]})
+    folder, then = tmp_path / "c", short.model_copy(update={"name": "short-then-1"})
+    dragrig.run(short, out=folder, backend="simulated")
+    record = decided(MINUTES).model_copy(
+        update={"batches": (Batch(plan=short, minutes=1.0), Batch(plan=then, minutes=1.0))}
+    )
+    write_settle_record(folder, record)
+    assert lacks_runs(folder, record)
+    dragrig.run(then, append=folder, backend="simulated")
+    assert not lacks_runs(folder, record)
+    dragrig.run("coulomb", append=folder, backend="simulated")
+    assert not lacks_runs(folder, record)
 
 
 def test_decisions_go_to_the_mirror_each_time_and_a_lost_mirror_stops_nothing(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def resume_settling(
         _require_minutes(minutes)
         record = record.model_copy(update={"minutes": minutes, "ending": None})
     with _settling(folder, hands or SettleHands(), step or _ignore) as settling:
-        made = settling.made_last_batch(record) if len(record.steps) < len(record.batches) else None
+        made = settling.made_last_batch(record) if lacks_runs(folder, record) else None
         return settling.go_on(record, made)
 
 
@@ -318,16 +318,20 @@ def take_up_settling(folder: Path, minutes: float, until: float = DEFAULT_UNTIL)
 
 
 def lacks_runs(folder: Path, record: SettleRecord) -> bool:
-    """Whether runs of the last batch are missing; those that a settling began with may be incomplete."""
+    """Whether runs of the last batch are missing and can be made; those that a settling began with may be incomplete.
+
+    Where a person went on with another plan meanwhile, missing ones are not made, as with any plan before the latest.
+    """
     from dragrig.campaign_session import missing_runs
 
     if len(record.steps) == len(record.batches) or not (folder / SETTLE_FILE).exists():
         return False
-    return not has_begun(folder, record) or missing_runs(folder) > 0
+    sessions = {session.plan.name for session in read_session_records(folder)[0]}
+    return record.batches[-1].plan.name not in sessions or (has_begun(folder, record) and missing_runs(folder) > 0)
 
 
 def has_begun(folder: Path, record: SettleRecord) -> bool:
-    """Whether the last batch has a session, which can be resumed."""
+    """Whether the campaign's latest session is of the last batch, and so can be resumed."""
     return latest_session_record(folder)[0].plan.name == record.batches[-1].plan.name
 
 
