@@ -130,11 +130,13 @@ class DiagnosisRequest:
         """Diagnose one campaign; raises as `dragrig.diagnose`."""
         from dragrig.analysis.gap.diagnose import diagnose as diagnose_selection
 
+        # Before any run is read: a wrong option is told at once.
+        model, options = self.model(), self.options()
         named = isinstance(campaign, str | Path)
         reading, diagnosing = parts_of(progress, READING_COST, DIAGNOSIS_COST)
         runs = Path(campaign) if isinstance(campaign, str | Path) else campaign
         selection = choose_runs(runs, self.specimen, reading)
-        result = diagnose_selection(selection, self.model(), self.options(), diagnosing)
+        result = diagnose_selection(selection, model, options, diagnosing)
         return DiagnosedCampaign(result, selection, str(campaign) if named else "these runs")
 
     def diagnose_on_cluster(self, campaign: Path, scheduler: str) -> DiagnosedCampaign:
