@@ -25,7 +25,7 @@ from time import perf_counter
 import numpy as np
 
 import dragrig
-from dragrig.analysis import find_model
+from dragrig.analysis import find_model, no_progress
 from dragrig.analysis.gap import (
     CampaignEvidence,
     DiagnosisOptions,
@@ -189,12 +189,12 @@ def print_rates(groups: Sequence[Group], answers: Sequence[Answer]) -> None:
         print(f"  wrong names of single campaigns {sum(one.false_alone for one in here)} in {SPECIMENS * len(here)}")
 
 
-def print_times(members: Sequence[Member], workers: int | None, temporary: Path) -> None:
+def print_times(members: Sequence[Member], workers: int | None, temporary: Path, keep: Path) -> None:
     """Print how long a fifth of the campaigns, and all of them, take together, from their files."""
     folders = [temporary / f"{number:03d}" for number in range(len(members))]
     for folder in folders:
         folder.mkdir()
-    map_tasks(partial(_write, dict(zip(folders, members, strict=True))), folders, workers)
+    map_tasks(partial(_write, dict(zip(folders, members, strict=True))), folders, workers, None, no_progress)
     for count in (len(folders) // 5, len(folders)):
         start = perf_counter()
         pooled = dragrig.diagnose_together(folders[:count], workers=workers)
@@ -202,6 +202,8 @@ def print_times(members: Sequence[Member], workers: int | None, temporary: Path)
         print(
             f"{count} campaigns, {sum(campaign.runs for campaign in pooled.campaigns)} runs: {wall_s:.0f} s", flush=True
         )
+    for member, evidence in zip(members, pooled.campaigns, strict=True):
+        (keep / f"{member.name}.pickle").write_bytes(pickle.dumps(replace(evidence, source=member.name)))
 
 
 def _write(members: dict[Path, Member], folder: Path) -> None:
@@ -224,7 +226,7 @@ def main() -> None:
         groups = draw_groups(settings.groups, settings.seed, settings.plant)
         members = list(dict.fromkeys(member for group in groups for member in group.members))
         if settings.count:
-            print_times(members[: settings.count], settings.workers, Path(temporary))
+            print_times(members[: settings.count], settings.workers, Path(temporary), keep)
             return
         start = perf_counter()
 
