@@ -354,7 +354,7 @@ def diagnose_with_causes(
     options: DiagnosisOptions | None = None,
     progress: Progress = no_progress,
 ) -> DiagnosisWithCauses:
-    """Do the same as `diagnose`; return what campaigns are pooled by, too."""
+    """Return what campaigns are pooled by, and their diagnosis; it does not say how far the gap closes."""
     return _diagnose(selection, nominal, options, progress, poolable=True)
 
 
@@ -402,7 +402,7 @@ def _diagnose(
     classified = perf_counter()
     advance(COMPETITION_COST)
     diagnosis = _assembled_diagnosis(
-        selection, nominal, settings, study, search, position, lines, judgement, inputs, causes
+        selection, nominal, settings, study, search, position, lines, judgement, inputs, causes, hold_out=not poolable
     )
     advance(ASSEMBLY_COST)
     timings = {
@@ -451,6 +451,8 @@ def _assembled_diagnosis(
     judgement: Judgement,
     inputs: DecisionInputs,
     causes: CausesOfGap,
+    *,
+    hold_out: bool,
 ) -> Diagnosis:
     classification = judgement.verdict
     fit = _named_fit(search, classification)
@@ -459,8 +461,10 @@ def _assembled_diagnosis(
     blocks = [*force_residual_blocks(study, search.nominal, options.tolerance_mN, line or hum)]
     blocks += position_residual_blocks(position.runs)
     where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP)
-    reduction, traces = _held_out_reduction(study, search, fit, position, classification)
     by_excess = unknown_by_excess_alone(inputs, classification, options.tolerance_mN, _calibration_for(study, options))
+    reduction, traces = (
+        _held_out_reduction(study, search, fit, position, classification) if hold_out or by_excess else (None, ())
+    )
     if by_excess and _is_within_noise(where, reduction):
         classification = as_misjudged_noise(classification)
         where = localise(blocks, present=False)

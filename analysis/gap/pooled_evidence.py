@@ -123,15 +123,16 @@ def force_evidence(
         name: _context(competition, presence, strong, own_causes, shared) for name, shared in layout.columns.items()
     }
     different = tuple(dict.fromkeys(contexts.values()))
+    projected = {own_causes: _projected(competition, own_causes) for own_causes in different}
     evidence = ForceEvidence(
-        tuple(map(layout.information, different)),
+        tuple(map(layout.information, projected.values())),
         layout.columns,
         {name: different.index(causes) for name, causes in contexts.items()},
     )
     columns = {
         name: replace(
             shared,
-            forms=_form_evidence(competition, contexts[name], evidence, shared),
+            forms=_form_evidence(competition, projected[contexts[name]], evidence, shared),
             elsewhere=_log_odds_elsewhere(competition, presence, strong, contexts[name], name),
             chi2=float(evidence.information_for(name)[0, 0]),
         )
@@ -155,13 +156,12 @@ def _context(
 
 
 def _form_evidence(
-    competition: Competition, beside: CauseSet, evidence: ForceEvidence, shared: SharedColumns
+    competition: Competition, products: FloatArray, evidence: ForceEvidence, shared: SharedColumns
 ) -> tuple[float, ...]:
     """Return what other forms than the shared columns add to the log Bayes factor of an effect, at each scale."""
     if shared.kind is not CauseKind.EFFECT or not shared.form_rows.size:
         return (0.0,) * len(shared.scales)
     cause = next(cause for cause in competition.causes if cause.name == shared.name and cause.span is not None)
-    products = _projected(competition, beside)
     rows = 1 + cause.columns
     gram, moment = products[np.ix_(rows, rows)] * np.outer(cause.sds, cause.sds), products[rows, 0] * cause.sds
     information = evidence.information_for(shared.name)
@@ -274,9 +274,8 @@ class _Layout:
         residual[0] = 1.0
         return cls(competition, np.concatenate((residual, *blocks), axis=1), columns)
 
-    def information(self, own_causes: CauseSet) -> FloatArray:
-        """Return the products of residual and shared columns, own causes projected out within their priors."""
-        products = _projected(self.competition, own_causes)
+    def information(self, products: FloatArray) -> FloatArray:
+        """Return the products of residual and shared columns by those of the competition's columns."""
         from scipy.sparse import csr_array
 
         mixing = csr_array(self.mixing.T)
@@ -284,6 +283,7 @@ class _Layout:
 
 
 def _projected(competition: Competition, causes: CauseSet) -> FloatArray:
+    """Return the products of all columns, some causes projected out within their priors."""
     products = competition.products
     rows, sds = competition.scaled_columns(causes)
     if not rows.size:
