@@ -302,12 +302,13 @@ class Credibility:
         if odds.in_one:
             probability = float(np.exp(odds.single - np.logaddexp.reduce(odds.single)) @ alone)
             value = min(value, _log_odds(probability))
-        elif value > MIN_LOG_ODDS and not _has_its_sign(name, evidence.sizes(name, odds.scale)):
+        elif value > MIN_LOG_ODDS and not _has_a_size(name, evidence.sizes(name, odds.scale)):
             return -np.inf
         return min(value, _log_odds(float(alone.max()))) if self.stage_strays else value
 
 
-def _has_its_sign(name: str, sizes: Sequence[tuple[float, float] | None]) -> bool:
+def _has_a_size(name: str, sizes: Sequence[tuple[float, float] | None]) -> bool:
+    """Return whether the mean size of an effect differs from zero, and in the direction that it can have."""
     known = [size for size in sizes if size is not None]
     if not known:
         return True
