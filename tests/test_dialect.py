@@ -451,6 +451,7 @@ def test_an_alarm_is_told_in_the_dialects_words(fault: dict[str, str], halt: Hal
         until(lambda: rig.stage.fault is not None)
         assert rig.stage.fault is not None
         assert "a short circuit" in rig.stage.fault.message
+        until(lambda: not rig.bench.moving)
         assert rig.drive.status.halt is halt
 
 

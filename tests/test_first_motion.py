@@ -188,7 +188,7 @@ def test_the_index_is_searched_in_the_quarter_that_is_set() -> None:
         assert backend.bench.position_mm() == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("start_mm", [-2.0, 6.0])
+@pytest.mark.parametrize("start_mm", [-2.5, -2.0, 6.0])
 def test_the_index_is_passed_from_one_side_wherever_homing_begins(start_mm: float) -> None:
     assert abs(INDEX_HYSTERESIS_COUNTS) > 10
     with voltage_rig() as backend:

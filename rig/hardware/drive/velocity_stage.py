@@ -6,7 +6,8 @@ commands: it creeps onto a limit switch and off it again until the counter has s
 """
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 
 from dragrig.config import Calibration, DeviceError, SettingsError
@@ -151,7 +152,7 @@ class VelocityModeStage(MonitoredStage):
         super().__init__(devices, settings.hardware.drive.silence_s)
         max_speed_mm_s = min(settings.stage.max_speed_mm_s, AO_RANGE_V * velocity.per_V)
         self._limits = replace(self._limits, speed_mm_s=max_speed_mm_s)
-        self._homed = self._homing = False
+        self._homed = self._keeps_tolerance = False
         mm_per_count = Scaling.from_settings(settings, calibrations).mm_per_count
         self._counter = PositionCounter(connection, velocity.counter, mm_per_count)
         self._output = VoltageOutput(
@@ -230,32 +231,45 @@ class VelocityModeStage(MonitoredStage):
         speed_mm_s = min(PULSE_SPEED_MM_S, self._limits.speed_mm_s)
         acceleration = min(PULSE_ACCELERATION_MM_S2, self._limits.acceleration_mm_s2)
         profile = MotionProfile.from_pieces(trapezoid(travel_mm, speed_mm_s, acceleration))
-        driven_from_mm, counted_from_mm = self._tracker.position_mm(), self._loop.position_mm()
-        self._loop.follow(profile, counted_from_mm, planned_at, closed=False)
-        self._await_standstill(_STANDSTILL_TIMEOUT_S)
-        self._clock.sleep(_PULSE_SETTLING_S + self._drive.velocity.lag_s, threading.Event())
-        pulse = Pulse(
-            travel_mm, self._tracker.position_mm() - driven_from_mm, self._loop.position_mm() - counted_from_mm
-        )
+        # It may come onto the switch that homing looks for.
+        with self._tolerating(self._override or TravelEnd(self._drive.homing_direction)):
+            driven_from_mm, counted_from_mm = self._tracker.position_mm(), self._loop.position_mm()
+            self._loop.follow(profile, counted_from_mm, planned_at, closed=False)
+            self._await_standstill(_STANDSTILL_TIMEOUT_S)
+            self._clock.sleep(_PULSE_SETTLING_S + self._drive.velocity.lag_s, threading.Event())
+            pulse = Pulse(
+                travel_mm, self._tracker.position_mm() - driven_from_mm, self._loop.position_mm() - counted_from_mm
+            )
+            # A poll that saw it move may read the switches only now.
+            self._monitor.poll()
         if not pulse.problem(self._settings):
             self._loop.hold()
         return pulse
 
     def _find_index(self, side: TravelEnd, planned_at: int) -> None:
-        self._homed, self._homing = False, True
-        self._monitor.tolerate(LIMIT_SWITCH_CAUSES[side])
-        try:
-            self._index_search.run(planned_at)
-        except DeviceError:
-            # The fault that stopped the stage explains more than that it stopped.
-            self._refuse_fault(LIMIT_SWITCH_CAUSES[side])
-            raise
-        finally:
-            self._homing = False
-            self._end_override()
-            self._loop.brake()
+        self._homed = False
+        with self._tolerating(side):
+            try:
+                self._index_search.run(planned_at)
+            except DeviceError:
+                # The fault that stopped the stage explains more than that it stopped.
+                self._refuse_fault(LIMIT_SWITCH_CAUSES[side])
+                raise
+            finally:
+                self._loop.brake()
         self._refuse_fault()
         self._homed = True
+
+    @contextmanager
+    def _tolerating(self, side: TravelEnd) -> Iterator[None]:
+        """Let a limit switch forbid nothing until the end of the block, however often the stage comes to rest in it."""
+        self._keeps_tolerance = True
+        self._monitor.tolerate(LIMIT_SWITCH_CAUSES[side])
+        try:
+            yield
+        finally:
+            self._keeps_tolerance = False
+            self._end_override()
 
     def _follow(self, profile: MotionProfile, origin_mm: float, limits: StageLimits, planned_at: int) -> None:
         write_safeguards(self._link, self._settings)
@@ -284,6 +298,5 @@ class VelocityModeStage(MonitoredStage):
             return
 
     def _end_override(self) -> None:
-        # Homing starts from the switch that is tolerated meanwhile.
-        if not self._homing:
+        if not self._keeps_tolerance:
             super()._end_override()
