@@ -20,8 +20,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget, RigLimits, plan_of_next_runs
-from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
+from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import CapsuleModel

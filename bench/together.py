@@ -28,13 +28,11 @@ import dragrig
 from dragrig.analysis import find_model, no_progress
 from dragrig.analysis.gap import (
     CampaignEvidence,
-    DiagnosisOptions,
     PooledDiagnosis,
     Where,
     campaign_evidence,
     choose_runs,
     diagnose_together,
-    diagnose_with_causes,
 )
 from dragrig.parallel import map_tasks
 from dragrig.scoring import wilson_rate
@@ -150,9 +148,7 @@ def evidence_of(member: Member, keep: Path) -> CampaignEvidence:
         return found
     with tempfile.TemporaryDirectory(prefix="together-") as folder:
         write_member(member, Path(folder))
-        options = DiagnosisOptions(next_runs=None)
-        weighed = diagnose_with_causes(choose_runs(Path(folder)), find_model("capsule"), options)
-    evidence = campaign_evidence(member.name, weighed)
+        evidence = campaign_evidence(member.name, choose_runs(Path(folder)), find_model("capsule"))
     kept.write_bytes(pickle.dumps(evidence))
     return evidence
 

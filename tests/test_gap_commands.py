@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import dragrig
-from dragrig.analysis.gap.diagnose import DiagnosisOptions
+from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.api.gap import diagnosis_options, save_amended_model
 from dragrig.cli import main
 from dragrig.config.errors import SettingsError

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from hidden import hidden, simulated
 
-from dragrig.analysis.gap.diagnose import DiagnosisOptions, diagnose
+from dragrig.analysis.gap import DiagnosisOptions
+from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel

@@ -5,9 +5,6 @@ from .candidate_runs import mounting as mounting
 from .candidate_runs import plan_of_next_runs as plan_of_next_runs
 from .candidate_runs import require_hands as require_hands
 from .candidate_runs import run_text as run_text
-from .diagnose import DiagnosisOptions as DiagnosisOptions
-from .diagnose import DiagnosisWithCauses as DiagnosisWithCauses
-from .diagnose import diagnose_with_causes as diagnose_with_causes
 from .diagnosis import MODEL as MODEL
 from .diagnosis import SPECIMEN as SPECIMEN
 from .diagnosis import UNEXPLAINED as UNEXPLAINED
@@ -69,3 +66,4 @@ from .together import diagnose_together as diagnose_together
 from .training import TrainingCase as TrainingCase
 from .training import calibrate as calibrate
 from .training import cross_validate as cross_validate
+from .weighing import DiagnosisOptions as DiagnosisOptions

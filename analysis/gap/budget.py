@@ -6,7 +6,7 @@ contributions, each without what the nominal parameters absorb of it. A cause's 
 contribution with the gap, over the gap's mean square above noise: shares of all causes and the rest sum to 1.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import exp
 
@@ -44,6 +44,7 @@ from dragrig.analysis.gap.presence import (
     form_laws,
 )
 from dragrig.rig import FloatArray, IndexArray
+from dragrig.sim_backend.effects import hum_effect
 
 MIN_GAP_OVER_NOISE = 0.1
 """Mean square of a gap above noise, relative to noise, below which shares of it mean nothing."""
@@ -98,7 +99,7 @@ def gap_budget(
     study: Study,
     causes: CausesOfGap,
     classification: Classification,
-    position: Mapping[str, float],
+    in_position: Collection[str],
     fitted_position: str,
     position_share: tuple[float, tuple[float, float]] | None,
     lines_mN: Mapping[str, float],
@@ -107,8 +108,8 @@ def gap_budget(
 
     Parameters
     ----------
-    position
-        Probability of presence of the effects on the position; empty where it follows its command.
+    in_position
+        Effects that may be in the errors of the position; empty where it follows its command.
     fitted_position, position_share
         The effect that was fitted to the position, and its share there with the interval; empty and None for none.
     lines_mN
@@ -117,26 +118,40 @@ def gap_budget(
     established = {name: causes.effects[name] for name in classification.effects if name in causes.effects}
     force = force_budget(study, causes, established)
     entries, gap_mN = force.entries, force.gap_mN
-    presence = dict(causes.effects)
     for line, rms_mN in lines_mN.items():
-        presence[line] = classification.marginal(line)
         if line in classification.effects:
-            entries, gap_mN = _with_line(entries, gap_mN, line, rms_mN, presence[line]), float(np.hypot(gap_mN, rms_mN))
+            entries = _with_line(entries, gap_mN, line, rms_mN, classification.marginal(line))
+            gap_mN = float(np.hypot(gap_mN, rms_mN))
     entries = () if classification.verdict is Verdict.NO_GAP else _without_unlikely_rivals(entries, causes.effects)
-    presence = dict.fromkeys(effect_ids(), MIN_PROBABILITY) | presence | dict(position)
-    if position and position_share is not None:
+    if in_position and position_share is not None:
         share = position_share[0]
         interval = _with_form_error(*position_share)
         rest = None if interval is None else (1.0 - interval[1], 1.0 - interval[0])
         if fitted_position in classification.effects:
+            there = classification.marginal(fitted_position)
             entries = (
                 *entries,
-                BudgetEntry(fitted_position, "position", share, interval, None, presence=position[fitted_position]),
+                BudgetEntry(fitted_position, "position", share, interval, None, presence=there),
                 BudgetEntry(UNEXPLAINED, "position", 1.0 - share, rest, None),
             )
-    limited = {name: min(max(value, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY) for name, value in presence.items()}
     runs = force.runs if entries else ()
-    return GapBudget(limited, entries, gap_mN, force.held_out, runs)
+    presence = presence_of_effects(causes, classification, in_position)
+    return GapBudget(presence, entries, gap_mN, force.held_out, runs)
+
+
+def presence_of_effects(
+    causes: CausesOfGap, classification: Classification, in_position: Collection[str]
+) -> Mapping[str, float]:
+    """Return the probability that each effect is there, by its id.
+
+    Parameters
+    ----------
+    in_position
+        Effects that may be in the errors of the position.
+    """
+    elsewhere = {name: classification.marginal(name) for name in (hum_effect().id, *in_position)}
+    presence = dict.fromkeys(effect_ids(), MIN_PROBABILITY) | dict(causes.effects) | elsewhere
+    return {name: min(max(value, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY) for name, value in presence.items()}
 
 
 def _without_unlikely_rivals(entries: Sequence[BudgetEntry], presence: Mapping[str, float]) -> tuple[BudgetEntry, ...]:

@@ -6,13 +6,13 @@ from enum import StrEnum
 
 import numpy as np
 
-from dragrig.analysis import NORMAL_95, Exclusion, join_names
-from dragrig.analysis.gap.diagnose import DiagnosisWithCauses
+from dragrig.analysis import NORMAL_95, Exclusion, NominalModel, RunSelection, join_names, single_blas_thread
 from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY, Verdict, display_name
 from dragrig.analysis.gap.pattern_odds import PatternOdds, independent_odds
 from dragrig.analysis.gap.pooled_evidence import ForceEvidence, force_evidence
 from dragrig.analysis.gap.pooled_force import PooledCause, pool_force, random_effects_mean
 from dragrig.analysis.gap.presence import PRIOR_PROBABILITIES, CauseKind
+from dragrig.analysis.gap.weighing import DiagnosisOptions, weigh_causes
 from dragrig.config import AnalysisError
 from dragrig.sim_backend.effects import find_effect, hum_effect
 
@@ -150,11 +150,13 @@ class CampaignEvidence:
     remarks: tuple[str, ...] = ()
 
 
-def campaign_evidence(source: str, weighed: DiagnosisWithCauses) -> CampaignEvidence:
-    """Return what one campaign, a folder's runs, says alone and to be pooled."""
-    diagnosis, causes = weighed.diagnosis, weighed.causes
-    competition = causes.competition
-    presence = {} if diagnosis.budget is None else dict(diagnosis.budget.presence)
+@single_blas_thread()
+def campaign_evidence(
+    source: str, selection: RunSelection, nominal: NominalModel, options: DiagnosisOptions | None = None
+) -> CampaignEvidence:
+    """Return what one campaign, the runs of a folder, says alone and to be pooled; raises as `diagnose`."""
+    weighed = weigh_causes(selection, nominal, options, all_periods=True)
+    selection, verdict, competition = weighed.selection, weighed.verdict, weighed.causes.competition
     sizes = dict[str, tuple[float, float]]()
     candidate, line = weighed.position.candidate, weighed.lines.mains
     if candidate is not None:
@@ -162,22 +164,22 @@ def campaign_evidence(source: str, weighed: DiagnosisWithCauses) -> CampaignEvid
         sizes[candidate.effect.id] = candidate.values[candidate.effect.size.name], weighed.position.standard_errors[at]
     if line.llr > 0 and line.amplitude > 0:
         sizes[hum_effect().id] = line.amplitude, line.amplitude / float(np.sqrt(2 * line.llr))
-    stated = "+".join(diagnosis.effects) or diagnosis.verdict.value
-    probabilities = {ranked.hypothesis: ranked.probability for ranked in diagnosis.ranking}
+    probabilities, total = verdict.probabilities, sum(verdict.probabilities.values())
+    stated = "+".join(verdict.effects) or verdict.verdict.value
     return CampaignEvidence(
         source,
-        diagnosis.specimen,
-        diagnosis.runs,
-        diagnosis.verdict,
-        diagnosis.effects,
-        probabilities.get(stated, max(probabilities.values(), default=0.0)),
-        presence,
-        force_evidence(competition, causes.presence, competition.periodic),
+        selection.specimen,
+        len(selection.experiments),
+        verdict.verdict,
+        verdict.effects,
+        probabilities.get(stated, max(probabilities.values(), default=0.0)) / total,
+        weighed.presence,
+        force_evidence(competition, weighed.causes.presence, competition.periodic),
         sizes,
-        diagnosis.backends,
-        diagnosis.nominal,
-        diagnosis.left_out,
-        diagnosis.remarks,
+        selection.backends,
+        nominal.name,
+        selection.left_out,
+        selection.remarks,
     )
 
 

@@ -167,12 +167,12 @@ class DiagnosisRequest:
 
     def evidence(self, campaign: "FolderToPool") -> "CampaignEvidence | str":
         """Return what one campaign says, to be pooled; or why it cannot be diagnosed, a sentence."""
-        from dragrig.analysis.gap import campaign_evidence, diagnose_with_causes
+        from dragrig.analysis.gap import campaign_evidence
 
-        model, options = self.model(), replace(self.options(), next_runs=None)
+        model, options = self.model(), self.options()
         try:
             selection = without_runs(choose_runs(campaign.folder, self.specimen), campaign.counted_elsewhere)
-            return campaign_evidence(campaign.name, diagnose_with_causes(selection, model, options))
+            return campaign_evidence(campaign.name, selection, model, options)
         except DragrigError as error:
             return str(error).replace(str(campaign.folder), campaign.name)
 
