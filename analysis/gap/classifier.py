@@ -149,8 +149,17 @@ def _mains_dominates(mains_llr: float, line_llr: float) -> bool:
     return line_llr <= 0.5 * mains_llr
 
 
+def hum_log_odds(mains_llr: float, line_llr: float) -> float:
+    """Return the log odds of mains hum of any size, given the strongest lines at the mains frequency and elsewhere."""
+    return _mains_log_odds(mains_llr if _mains_dominates(mains_llr, line_llr) else 0.0)
+
+
+def _mains_log_odds(mains_llr: float) -> float:
+    return (mains_llr - MIN_MAINS_LLR) / MAINS_LLR_WIDTH
+
+
 def _classify_with_lines(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
-    line_probability = _logistic((inputs.mains_llr - MIN_MAINS_LLR) / MAINS_LLR_WIDTH)
+    line_probability = _logistic(_mains_log_odds(inputs.mains_llr))
     hum_id = hum_effect().id
     hum_probability = 0.0 if hum_id in inputs.excluded else line_probability
     if not _mains_dominates(inputs.mains_llr, inputs.line_llr):

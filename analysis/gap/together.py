@@ -7,6 +7,7 @@ from enum import StrEnum
 import numpy as np
 
 from dragrig.analysis import NORMAL_95, Exclusion, NominalModel, RunSelection, join_names, single_blas_thread
+from dragrig.analysis.gap.classifier import hum_log_odds
 from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY, Verdict, display_name
 from dragrig.analysis.gap.pattern_odds import PatternOdds, independent_odds
 from dragrig.analysis.gap.pooled_evidence import ForceEvidence, force_evidence
@@ -129,6 +130,8 @@ class CampaignEvidence:
         Its evidence on the force.
     line_sizes
         Sizes and standard errors of effects that are found in position or spectrum, by id.
+    hum_log_odds
+        Of hum of any size: what is below the tolerance is no gap of one campaign, and yet the rig's.
     left_out
         Runs that were not used.
     remarks
@@ -144,6 +147,7 @@ class CampaignEvidence:
     presence: Mapping[str, float]
     force: ForceEvidence
     line_sizes: Mapping[str, tuple[float, float]]
+    hum_log_odds: float = -np.inf
     backends: tuple[str, ...] = ()
     nominal: str = ""
     left_out: tuple[Exclusion, ...] = ()
@@ -158,11 +162,13 @@ def campaign_evidence(
     weighed = weigh_causes(selection, nominal, options, all_periods=True)
     selection, verdict, competition = weighed.selection, weighed.verdict, weighed.causes.competition
     sizes = dict[str, tuple[float, float]]()
-    candidate, line = weighed.position.candidate, weighed.lines.mains
+    candidate, line = weighed.position.candidate, weighed.faint_lines.mains
     if candidate is not None:
         at = candidate.fitted_parameters.index(candidate.effect.size)
         sizes[candidate.effect.id] = candidate.values[candidate.effect.size.name], weighed.position.standard_errors[at]
-    if line.llr > 0 and line.amplitude > 0:
+    log_odds_of_hum = -np.inf
+    if hum_effect().id not in weighed.options.excluded and line.llr > 0 and line.amplitude > 0:
+        log_odds_of_hum = hum_log_odds(line.llr, weighed.faint_lines.non_mains.llr)
         sizes[hum_effect().id] = line.amplitude, line.amplitude / float(np.sqrt(2 * line.llr))
     probabilities, total = verdict.probabilities, sum(verdict.probabilities.values())
     stated = "+".join(verdict.effects) or verdict.verdict.value
@@ -176,6 +182,7 @@ def campaign_evidence(
         weighed.presence,
         force_evidence(competition, weighed.causes.presence, competition.periodic),
         sizes,
+        log_odds_of_hum,
         selection.backends,
         nominal.name,
         selection.left_out,
@@ -282,8 +289,10 @@ def _effect_by_odds(name: str, campaigns: Sequence[CampaignEvidence]) -> PooledE
     from scipy.special import expit, logit
 
     prior = PRIOR_PROBABILITIES["effect"]
-    alone = np.clip([campaign.presence.get(name, prior) for campaign in campaigns], MIN_PROBABILITY, MAX_PROBABILITY)
-    factors = logit(alone) - logit(prior)
+    alone = np.array([campaign.presence.get(name, prior) for campaign in campaigns])
+    if name == hum_effect().id:
+        alone = np.maximum(alone, expit([campaign.hum_log_odds for campaign in campaigns]))
+    factors = logit(np.clip(alone, MIN_PROBABILITY, MAX_PROBABILITY)) - logit(prior)
     odds = independent_odds(factors[None], (1.0,), of_rig=not find_effect(name).belongs_to_gut)
     effect = _with_patterns(name, odds, float(expit(odds.total)), campaigns)
     sizes = [campaign.line_sizes.get(name) for campaign in campaigns]

@@ -204,8 +204,8 @@ class WeighedCauses:
         Effects on the force that were fitted.
     position
         What competes for the errors of the position.
-    lines
-        Strongest spectral lines of the rests.
+    lines, faint_lines
+        Strongest spectral lines of the rests: none below the tolerance, and of any size.
     inputs
         What the judgement is made of.
     judgement
@@ -223,6 +223,7 @@ class WeighedCauses:
     search: ForceSearchResult
     position: PositionAnalysis
     lines: SpectralLines
+    faint_lines: SpectralLines
     inputs: DecisionInputs
     judgement: Judgement
     causes: CausesOfGap
@@ -328,7 +329,7 @@ def weigh_causes(
         else search_effects(with_hum)
     )
     advance(SEARCH_COST)
-    lines = lines_that_matter(lines, settings.tolerance_mN)
+    faint_lines, lines = lines, lines_that_matter(lines, settings.tolerance_mN)
     inputs = _decision_inputs(search, position, lines, settings.excluded)
     competition = prepare_competition(search, all_periods=all_periods)
     present = judge_presence(competition)
@@ -338,7 +339,7 @@ def weigh_causes(
     timings_s = {"reading and position": studied - start, "explaining": perf_counter() - studied}
     advance(COMPETITION_COST)
     return WeighedCauses(
-        selection, nominal, settings, study, search, position, lines, inputs, judgement, causes, timings_s
+        selection, nominal, settings, study, search, position, lines, faint_lines, inputs, judgement, causes, timings_s
     )
 
 
