@@ -12,10 +12,13 @@ import h5py
 import numpy as np
 import pytest
 from clusters import dask_cluster, tasks_finished, wait_for_workers
+from hidden import hidden
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dragrig
+from dragrig.analysis import find_model
+from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.pattern_odds import SharedInformation
 from dragrig.analysis.gap.pooled_evidence import POOLED_SCALES_MN, ForceEvidence, SharedColumns
@@ -25,6 +28,7 @@ from dragrig.analysis.gap.together import (
     CampaignEvidence,
     PooledDiagnosis,
     Where,
+    campaign_evidence,
     diagnose_together,
 )
 from dragrig.cli import main
@@ -240,6 +244,32 @@ def test_where_the_stage_strays_pooling_names_what_a_campaign_shows_alone_and_sa
     shown = campaign(9, alone={"servo_lag": 0.98, "stribeck": 0.8}, stribeck=1.0)
     assert set(named(diagnose_together([*straying, shown]))) == {"servo_lag", "stribeck"}
     assert named(diagnose_together([campaign(seed, stribeck=1.0) for seed in range(5)])) == ["stribeck"]
+
+
+def test_a_stage_strays_too_where_only_all_campaigns_together_say_how() -> None:
+    unsure = [campaign(seed, alone={"servo_lag": 0.44}, stribeck=1.0) for seed in range(5)]
+    assert not any(found.effects for found in unsure)
+    assert named(diagnose_together(unsure)) == ["servo_lag"]
+
+
+def test_hum_that_no_campaign_counts_as_a_gap_is_the_rigs(tmp_path: Path) -> None:
+    # A tenth of the catalogue's: 0.4 mN, whose rms is below the tolerance.
+    model = find_model("capsule")
+    humming = [
+        campaign_evidence(str(seed), hidden(tmp_path / str(seed), seed, "mains_hum", size=0.1), model)
+        for seed in (21, 22)
+    ]
+    assert [found.verdict for found in humming] == [Verdict.NO_GAP] * 2
+    pooled = diagnose_together(humming)
+    assert [(effect.effect, effect.where) for effect in pooled.established] == [("mains_hum", Where.ALL)]
+    size = pooled.established[0].size
+    assert size is not None
+    assert size.mean == pytest.approx(0.4, rel=0.25)
+    quiet = [replace(found, hum_log_odds=-6.0) for found in humming]
+    assert named(diagnose_together(quiet)) == []
+    without = DiagnosisOptions(excluded=("mains_hum",))
+    unasked = campaign_evidence("21", choose_runs(tmp_path / "21"), model, without)
+    assert (unasked.hum_log_odds, dict(unasked.line_sizes)) == (-np.inf, {})
 
 
 def test_the_same_run_in_two_folders_counts_once(tmp_path: Path) -> None:

@@ -229,10 +229,11 @@ def diagnose_together(campaigns: Sequence[CampaignEvidence], remarks: Sequence[s
     if len(campaigns) < MIN_CAMPAIGNS:
         raise AnalysisError("there are no two campaigns to pool: name two or more whose runs differ.")
     names = dict.fromkeys(name for campaign in campaigns for name in campaign.presence)
+    by_odds = [_effect_by_odds(name, campaigns) for name in names if not find_effect(name).has_force_signature]
+    named = [name for campaign in campaigns for name in campaign.effects]
+    named += [effect.effect for effect in by_odds if effect.established]
+    straying = dict.fromkeys(name for name in named if find_effect(name).moves_stage)
     alone = {name: np.array([campaign.presence.get(name, 0.0) for campaign in campaigns]) for name in names}
-    straying = dict.fromkeys(
-        name for campaign in campaigns for name in campaign.effects if find_effect(name).moves_stage
-    )
     pooled = pool_force([campaign.force for campaign in campaigns], alone, stage_strays=bool(straying))
     if straying:
         remarks = (*remarks, STRAYING.format(join_names([display_name(name) for name in straying])))
@@ -242,8 +243,7 @@ def diagnose_together(campaigns: Sequence[CampaignEvidence], remarks: Sequence[s
         if cause.evidence.kinds[name] is CauseKind.EFFECT
     ]
     on_force = {effect.effect for effect in effects}
-    elsewhere = [name for name in names if name not in on_force and not find_effect(name).has_force_signature]
-    effects += [_effect_by_odds(name, campaigns) for name in elsewhere]
+    effects += [effect for effect in by_odds if effect.effect not in on_force]
     unnamed = {
         name: cause.probability
         for name, cause in pooled.items()
