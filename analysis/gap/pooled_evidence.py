@@ -7,7 +7,8 @@ its own competition of causes, which knows free laws and other forms, finds an e
 columns alone.
 """
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
 
@@ -119,9 +120,8 @@ def force_evidence(
     )
     pooled = _pooled_causes(competition, periodic)
     layout = _Layout.of(competition, pooled, periodic)
-    contexts = {
-        name: _context(competition, presence, strong, own_causes, shared) for name, shared in layout.columns.items()
-    }
+    sets = _WeighedSets.of(competition, presence, strong)
+    contexts = {name: sets.context(name, _without(competition, own_causes, name)) for name in layout.columns}
     different = tuple(dict.fromkeys(contexts.values()))
     projected = {own_causes: _projected(competition, own_causes) for own_causes in different}
     evidence = ForceEvidence(
@@ -133,7 +133,7 @@ def force_evidence(
         name: replace(
             shared,
             forms=_form_evidence(competition, projected[contexts[name]], evidence, shared),
-            elsewhere=_log_odds_elsewhere(competition, presence, strong, contexts[name], name),
+            elsewhere=sets.log_odds_elsewhere(name, contexts[name]) if shared.kind is CauseKind.EFFECT else 0.0,
             chi2=float(evidence.information_for(name)[0, 0]),
         )
         for name, shared in layout.columns.items()
@@ -141,18 +141,62 @@ def force_evidence(
     return replace(evidence, columns=columns)
 
 
-def _context(
-    competition: Competition, presence: Presence, strong: set[str], own_causes: CauseSet, shared: SharedColumns
-) -> CauseSet:
-    """Return the campaign's own causes beside which a cause is looked at: those of the best set that contains it."""
-    causes = competition.causes
-    best, best_value = _without(competition, own_causes, shared.name), -np.inf
-    for key, value in presence.log_odds.items():
-        others = tuple(entry for entry in key if causes[entry[0]].name != shared.name)
-        effects = {causes[index].name for index, _ in others if causes[index].kind is CauseKind.EFFECT}
-        if len(others) < len(key) and effects <= strong and value > best_value:
-            best, best_value = others, value
-    return best
+@dataclass(frozen=True, slots=True, eq=False)
+class _WeighedSets:
+    """The sets of causes that a campaign weighed, whose effects are its own strong ones but for one in question.
+
+    Attributes
+    ----------
+    own
+        Log odds of the sets that have strong effects alone.
+    log_odds
+        The same values, shape `(S,)`.
+    own_with
+        Of the sets in `own`, the numbers of those that have a cause, by its name.
+    beside
+        Of the sets that have a cause, all else that is in them and their log odds, by its name.
+    """
+
+    own: Mapping[CauseSet, float]
+    log_odds: FloatArray
+    own_with: Mapping[str, Sequence[int]]
+    beside: Mapping[str, Sequence[tuple[CauseSet, float]]]
+
+    @classmethod
+    def of(cls, competition: Competition, presence: Presence, strong: set[str]) -> "_WeighedSets":
+        causes = competition.causes
+        own = dict[CauseSet, float]()
+        own_with, beside = defaultdict[str, list[int]](list), defaultdict[str, list[tuple[CauseSet, float]]](list)
+        for key, value in presence.log_odds.items():
+            named = [causes[index] for index, _ in key]
+            weak = {cause.name for cause in named if cause.kind is CauseKind.EFFECT} - strong
+            if len(weak) > 1:
+                continue
+            names = weak or {cause.name for cause in named}
+            for name in names:
+                beside[name].append((_without(competition, key, name), value))
+                if not weak:
+                    own_with[name].append(len(own))
+            if not weak:
+                own[key] = value
+        return cls(own, np.array(list(own.values())), own_with, beside)
+
+    def context(self, name: str, default: CauseSet) -> CauseSet:
+        """Return the causes beside which a cause is looked at: those of the best set that contains it."""
+        return max(self.beside.get(name, ()), key=lambda found: found[1], default=(default, 0.0))[0]
+
+    def log_odds_elsewhere(self, effect: str, context: CauseSet) -> float:
+        """Return how much likelier an effect becomes by sets of causes other than those that it is looked at beside."""
+        present = self.beside.get(effect, ())
+        gained = lost = 0.0
+        if here := [value for others, value in present if others == context]:
+            everywhere = np.logaddexp.reduce([value for _, value in present])
+            gained = float(everywhere - np.logaddexp.reduce(here))
+        if context in self.own:
+            without = np.ones(self.log_odds.size, dtype=bool)
+            without[self.own_with.get(effect, [])] = False
+            lost = float(np.logaddexp.reduce(self.log_odds[without])) - self.own[context]
+        return gained - lost
 
 
 def _form_evidence(
@@ -171,28 +215,6 @@ def _form_evidence(
         - log_evidence(*normalised(information, shared, shared.sizes_mN, scale), scale, direction)
         for scale in shared.scales
     )
-
-
-def _log_odds_elsewhere(
-    competition: Competition, presence: Presence, strong: set[str], beside: CauseSet, effect: str
-) -> float:
-    """Return how much likelier an effect becomes by sets of causes other than those that it is looked at beside."""
-    if effect not in presence.kinds or presence.kinds[effect] is not CauseKind.EFFECT:
-        return 0.0
-    causes = competition.causes
-    present, absent, here_present, here_absent = [-np.inf], [-np.inf], [-np.inf], [-np.inf]
-    for key, value in presence.log_odds.items():
-        others = tuple(entry for entry in key if causes[entry[0]].name != effect)
-        if {causes[index].name for index, _ in others if causes[index].kind is CauseKind.EFFECT} <= strong:
-            with_effect = len(others) < len(key)
-            (present if with_effect else absent).append(value)
-            if others == beside:
-                (here_present if with_effect else here_absent).append(value)
-    gained, lost = (
-        float(np.logaddexp.reduce(everywhere) - np.logaddexp.reduce(here)) if len(here) > 1 else 0.0
-        for everywhere, here in ((present, here_present), (absent, here_absent))
-    )
-    return gained - lost
 
 
 def _without(competition: Competition, causes: CauseSet, name: str) -> CauseSet:
