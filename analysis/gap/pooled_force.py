@@ -224,7 +224,9 @@ def _projected_out(campaign: ForceEvidence, name: str, scale: float) -> ForceEvi
 def _without(information: FloatArray, rows: IndexArray, sds: FloatArray) -> FloatArray:
     precision = np.eye(rows.size) + information[np.ix_(rows, rows)] * np.outer(sds, sds)
     explained = np.linalg.solve(np.linalg.cholesky(precision), information[rows] * sds[:, None])
-    return np.asarray(information - explained.T @ explained, dtype=np.float32)
+    # No more precisely than it is kept: pooling takes most of its time here.
+    explained = explained.astype(information.dtype)
+    return np.asarray(information - explained.T @ explained)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -347,6 +349,7 @@ def pool_force(
     odds = {name: nothing.odds(name) for name in nothing.kinds}
     credibility = Credibility({name: value.total for name, value in odds.items()}, alone, stage_strays)
     chosen, evidence = dict[str, PatternOdds](), nothing
+    beside_earlier = dict[str, PooledForce]()
 
     def believed() -> dict[str, float]:
         return {name: credibility.log_odds(name, value, evidence, chosen) for name, value in odds.items()}
@@ -356,17 +359,19 @@ def pool_force(
         if not likely:
             break
         best = max(likely, key=lambda name: odds[name].total)
-        chosen[best] = odds[best]
+        chosen[best], beside_earlier[best] = odds[best], evidence
         evidence = evidence.beside(best, odds[best])
         odds = {name: evidence.odds(name) for name in odds if name != best}
     found = {name: PooledCause(odds[name], evidence, _probability(value), ()) for name, value in believed().items()}
     rivals = tuple(name for name in odds if credibility.first[name] - odds[name].total > EXPLAINED_LOG_ODDS)
-    for cause, value in _chosen_causes(chosen, rivals, nothing, credibility):
+    for cause, value in _chosen_causes(chosen, rivals, beside_earlier, credibility):
         if cause in chosen or value.probability > found[cause].probability:
             found[cause] = value
-    beside_effects = nothing
-    for name in chosen.keys() & alone.keys():
-        beside_effects = beside_effects.beside(name, chosen[name])
+    beside_effects = evidence
+    if not chosen.keys() <= alone.keys():
+        beside_effects = nothing
+        for name in chosen.keys() & alone.keys():
+            beside_effects = beside_effects.beside(name, chosen[name])
     for name in found.keys() & alone.keys():
         # What a campaign's own diagnosis names, which knows all forms, stays where no chosen effect explains it.
         if float(alone[name].max()) > max(ESTABLISHED, found[name].probability) and (
@@ -378,14 +383,23 @@ def pool_force(
 
 
 def _chosen_causes(
-    chosen: Mapping[str, PatternOdds], rivals: Sequence[str], nothing: PooledForce, credibility: Credibility
+    chosen: Mapping[str, PatternOdds],
+    rivals: Sequence[str],
+    beside_earlier: Mapping[str, PooledForce],
+    credibility: Credibility,
 ) -> Iterator[tuple[str, PooledCause]]:
-    """Yield each chosen cause beside all others, and those that may be there in its place."""
-    for name in chosen:
+    """Yield each chosen cause beside all others, and those that may be there in its place.
+
+    Parameters
+    ----------
+    beside_earlier
+        The evidence beside those chosen before each.
+    """
+    for at, name in enumerate(chosen):
         others = {cause: odds for cause, odds in chosen.items() if cause != name}
-        beside = nothing
-        for cause, odds in others.items():
-            beside = beside.beside(cause, odds)
+        beside = beside_earlier[name]
+        for later in list(chosen)[at + 1 :]:
+            beside = beside.beside(later, chosen[later])
         own = beside.odds(name)
         value = credibility.log_odds(name, own, beside, others)
         if value < own.total:
