@@ -30,7 +30,18 @@ from dragrig.analysis import (
     set_values,
 )
 from dragrig.config import FrictionModelSettings
-from dragrig.rig import Acquisition, Contact, FloatArray, Phase, Run, RunInfo, RunStatus, specimen_key
+from dragrig.rig import (
+    Acquisition,
+    Campaign,
+    Contact,
+    FloatArray,
+    Phase,
+    Run,
+    RunInfo,
+    RunStatus,
+    read_campaign,
+    specimen_key,
+)
 from dragrig.sim_backend.effects import RunState, gut_run_state
 
 MAX_RUNS = 75
@@ -64,7 +75,7 @@ def spread_over_session(runs: Sequence[RunInfo], max_runs: int = MAX_RUNS) -> li
 
 
 def choose_runs(
-    campaign: Path | Iterable[Run], specimen: str | None = None, progress: Progress = no_progress
+    campaign: Path | Campaign | Iterable[Run], specimen: str | None = None, progress: Progress = no_progress
 ) -> RunSelection:
     """Read the runs that a diagnosis can use.
 
@@ -74,7 +85,7 @@ def choose_runs(
     Parameters
     ----------
     campaign
-        A folder of run files, or runs in memory.
+        A folder of run files, its listing by `read_campaign`, or runs in memory.
     specimen
         Name or id of the specimen; default: the one with the most runs.
 
@@ -85,10 +96,8 @@ def choose_runs(
     AnalysisError
         When it holds no usable run.
     """
-    if isinstance(campaign, Path):
-        from dragrig.rig import read_campaign
-
-        folder = read_campaign(campaign)
+    if isinstance(campaign, Path | Campaign):
+        folder = read_campaign(campaign) if isinstance(campaign, Path) else campaign
         chosen_specimen, left_out, choice_remarks = _main_specimen(folder.runs, folder.good, specimen)
         usable = list[RunInfo]()
 

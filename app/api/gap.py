@@ -45,7 +45,7 @@ from dragrig.config import (
 )
 from dragrig.parallel import map_tasks, open_executor, parallel_map, parallel_map_with_progress
 from dragrig.present import write_text
-from dragrig.rig import Run, read_campaign
+from dragrig.rig import Campaign, Run, read_campaign
 from dragrig.setup import PlanLike, Setup, SetupChoices, resolve
 
 if TYPE_CHECKING:
@@ -171,10 +171,10 @@ class DiagnosisRequest:
 
         model, options = self.model(), self.options()
         try:
-            selection = without_runs(choose_runs(campaign.folder, self.specimen), campaign.counted_elsewhere)
+            selection = without_runs(choose_runs(campaign.listing, self.specimen), campaign.counted_elsewhere)
             return campaign_evidence(campaign.name, selection, model, options)
         except DragrigError as error:
-            return str(error).replace(str(campaign.folder), campaign.name)
+            return str(error).replace(str(campaign.listing.folder), campaign.name)
 
     def diagnose_together(
         self,
@@ -309,36 +309,37 @@ class FolderToPool:
 
     Attributes
     ----------
-    name, folder
-        As it was named, and where it is.
-    runs
-        Ids of its runs.
-    sensors, backends
-        Serial numbers of their force sensors, and where they come from.
+    name, listing
+        As it was named, and what its runs state of themselves.
     counted_elsewhere
         Of runs that an earlier campaign has too: that campaign's name by their ids.
     """
 
     name: str
-    folder: Path
-    runs: frozenset[str]
-    sensors: frozenset[str]
-    backends: frozenset[str]
+    listing: Campaign
     counted_elsewhere: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def runs(self) -> frozenset[str]:
+        """Ids of its good runs."""
+        return frozenset(run.header.run_id for run in self.listing.good)
+
+    @property
+    def sensors(self) -> frozenset[str]:
+        """Serial numbers of their force sensors, where stated."""
+        serials = {str(run.header.entry.get("sensor_serial", "")) for run in self.listing.good}
+        return frozenset(serials - {"", UNSTATED})
+
+    @property
+    def backends(self) -> frozenset[str]:
+        """Where they come from."""
+        return frozenset(run.header.backend for run in self.listing.good)
 
 
 def look_into(campaign: tuple[str, Path]) -> FolderToPool:
     """Read what the runs of a campaign, its name and its folder, state of themselves."""
     name, folder = campaign
-    headers = [run.header for run in read_campaign(folder).good]
-    serials = {str(header.entry.get("sensor_serial", "")) for header in headers}
-    return FolderToPool(
-        name,
-        folder,
-        frozenset(header.run_id for header in headers),
-        frozenset(serials - {"", UNSTATED}),
-        frozenset(header.backend for header in headers),
-    )
+    return FolderToPool(name, read_campaign(folder))
 
 
 def diagnose_together(
