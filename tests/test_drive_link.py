@@ -221,6 +221,30 @@ def test_a_stop_goes_before_everything_that_waits() -> None:
         assert drive.requests.count(STOP) == 1
 
 
+def test_a_thread_with_many_requests_keeps_no_other_from_the_drive() -> None:
+    with linked() as (drive, link):
+        drive.bench.faults.inject(drive_reply_late_s=0.05)
+        answered, ended = list[float](), threading.Event()
+
+        def ask_again_and_again() -> None:
+            while not ended.is_set():
+                link.exchange(STATUS)
+                answered.append(time.monotonic())
+
+        busy = threading.Thread(target=ask_again_and_again)
+        busy.start()
+        try:
+            until(lambda: bool(answered))
+            for _ in range(5):
+                before = len(answered)
+                link.exchange(POSITION)
+                # The request in progress, and its answer that may not be counted yet.
+                assert len(answered) - before <= 2
+        finally:
+            ended.set()
+            busy.join()
+
+
 def test_what_was_planned_before_a_stop_is_dropped() -> None:
     with linked() as (drive, link):
         planned = link.stop_count

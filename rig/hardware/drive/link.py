@@ -60,6 +60,41 @@ class _StopFirstError(Exception):
     """A stop was requested between two frames of a request."""
 
 
+class _TurnLock:
+    """A re-entrant lock that threads get in the order in which they asked for it.
+
+    Python's own goes to whoever asks first once it is free. A thread with many requests in a row asks again at once,
+    and would keep the monitor from polling, and the drive from its silence timeout's feed, for as long as they take.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition(threading.Lock())
+        self._waiting: deque[object] = deque()
+        self._owner: int | None = None
+        self._depth = 0
+
+    def __enter__(self) -> None:
+        thread = threading.get_ident()
+        if self._owner != thread:
+            ticket = object()
+            with self._changed:
+                self._waiting.append(ticket)
+                try:
+                    self._changed.wait_for(lambda: self._owner is None and self._waiting[0] is ticket)
+                    self._owner = thread
+                finally:
+                    self._waiting.remove(ticket)
+                    self._changed.notify_all()
+        self._depth += 1
+
+    def __exit__(self, *_: object) -> None:
+        self._depth -= 1
+        if not self._depth:
+            with self._changed:
+                self._owner = None
+                self._changed.notify_all()
+
+
 class DriveLink:
     """A drive on a serial port, opened at once. Any thread may call any method.
 
@@ -71,7 +106,7 @@ class DriveLink:
         self.dialect = dialect
         self._serial = _open_port(settings)
         # Re-entrant, because a thread that has reserved the link also sends on it.
-        self._lock = threading.RLock()
+        self._lock = _TurnLock()
         self._failure = ""
         self._closed = False
         self._round_trips_s: deque[float] = deque(maxlen=_ROUND_TRIPS_KEPT)
