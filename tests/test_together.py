@@ -262,11 +262,12 @@ def test_hum_that_no_campaign_counts_as_a_gap_is_the_rigs(tmp_path: Path) -> Non
     assert [found.verdict for found in humming] == [Verdict.NO_GAP] * 2
     pooled = diagnose_together(humming)
     assert [(effect.effect, effect.where) for effect in pooled.established] == [("mains_hum", Where.ALL)]
+    assert pooled.remarks == ("mains hum is no gap of any campaign alone: below the tolerance there, or not sure",)
     size = pooled.established[0].size
     assert size is not None
     assert size.mean == pytest.approx(0.4, rel=0.25)
     quiet = [replace(found, hum_log_odds=-6.0) for found in humming]
-    assert named(diagnose_together(quiet)) == []
+    assert (named(diagnose_together(quiet)), diagnose_together(quiet).remarks) == ([], ())
     without = DiagnosisOptions(excluded=("mains_hum",))
     unasked = campaign_evidence("21", choose_runs(tmp_path / "21"), model, without)
     assert (unasked.hum_log_odds, dict(unasked.line_sizes)) == (-np.inf, {})

@@ -22,6 +22,7 @@ STRAYING = (
     "the stage strays from its command ({}): pooling does not tell small effects on the force from errors of its "
     "motion, and names none that no campaign shows alone"
 )
+FAINT_HUM = "mains hum is no gap of any campaign alone: below the tolerance there, or not sure"
 
 
 class Where(StrEnum):
@@ -235,6 +236,11 @@ def diagnose_together(campaigns: Sequence[CampaignEvidence], remarks: Sequence[s
     straying = dict.fromkeys(name for name in named if find_effect(name).moves_stage)
     alone = {name: np.array([campaign.presence.get(name, 0.0) for campaign in campaigns]) for name in names}
     pooled = pool_force([campaign.force for campaign in campaigns], alone, stage_strays=bool(straying))
+    if any(
+        effect.effect == hum_effect().id and effect.established and max(effect.alone) <= ESTABLISHED
+        for effect in by_odds
+    ):
+        remarks = (*remarks, FAINT_HUM)
     if straying:
         remarks = (*remarks, STRAYING.format(join_names([display_name(name) for name in straying])))
     effects = [
