@@ -252,6 +252,15 @@ def test_a_stage_strays_too_where_only_all_campaigns_together_say_how() -> None:
     assert named(diagnose_together(unsure)) == ["servo_lag"]
 
 
+def test_what_one_campaign_alone_says_of_its_stage_is_not_lowered_by_the_others() -> None:
+    lagging = diagnose_together(
+        [campaign(seed, alone={"servo_lag": 0.93 if seed == 2 else 0.003}) for seed in range(3)]
+    )
+    [effect] = lagging.established
+    assert (effect.effect, effect.where, effect.members) == ("servo_lag", Where.ONE, (2,))
+    assert effect.probability == pytest.approx(0.93)
+
+
 def test_hum_that_no_campaign_counts_as_a_gap_is_the_rigs(tmp_path: Path) -> None:
     # A tenth of the catalogue's: 0.4 mN, whose rms is below the tolerance.
     model = find_model("capsule")

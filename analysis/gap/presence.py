@@ -346,7 +346,7 @@ def _compete(
     total = np.zeros((1 + nuisances.size + columns.shape[1],) * 2)
     for kind in dict.fromkeys(kinds):
         # Most causes leave the runs of some kind alone: what is zero in all of them takes no time.
-        chosen = [number for number, other in enumerate(kinds) if other == kind]
+        chosen = [number for number, kind_of_run in enumerate(kinds) if kind_of_run == kind]
         rows = [slice(first_row[number], first_row[number + 1]) for number in chosen]
         acting = np.flatnonzero(np.any([columns[of_run].any(axis=0) for of_run in rows], axis=0))
         gram = np.zeros((1 + nuisances.size + acting.size,) * 2)

@@ -8,10 +8,10 @@ import numpy as np
 
 from dragrig.analysis import NORMAL_95, Exclusion, NominalModel, RunSelection, join_names, single_blas_thread
 from dragrig.analysis.gap.classifier import hum_log_odds
-from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY, Verdict, display_name
-from dragrig.analysis.gap.pattern_odds import PatternOdds, independent_odds
+from dragrig.analysis.gap.diagnosis import ESTABLISHED, Verdict, display_name
+from dragrig.analysis.gap.pattern_odds import PatternOdds
 from dragrig.analysis.gap.pooled_evidence import ForceEvidence, force_evidence
-from dragrig.analysis.gap.pooled_force import PooledCause, pool_force, random_effects_mean
+from dragrig.analysis.gap.pooled_force import PooledCause, odds_of_own_diagnoses, pool_force, random_effects_mean
 from dragrig.analysis.gap.presence import PRIOR_PROBABILITIES, CauseKind
 from dragrig.analysis.gap.weighing import DiagnosisOptions, weigh_causes
 from dragrig.config import AnalysisError
@@ -248,8 +248,7 @@ def diagnose_together(campaigns: Sequence[CampaignEvidence], remarks: Sequence[s
         for name, cause in pooled.items()
         if cause.evidence.kinds[name] is CauseKind.EFFECT
     ]
-    on_force = {effect.effect for effect in effects}
-    effects += [effect for effect in by_odds if effect.effect not in on_force]
+    effects += by_odds
     unnamed = {
         name: cause.probability
         for name, cause in pooled.items()
@@ -292,14 +291,12 @@ def _with_patterns(
 
 def _effect_by_odds(name: str, campaigns: Sequence[CampaignEvidence]) -> PooledEffect:
     """Pool an effect of the position or of the spectrum by what each campaign alone makes of it."""
-    from scipy.special import expit, logit
+    from scipy.special import expit
 
-    prior = PRIOR_PROBABILITIES["effect"]
-    alone = np.array([campaign.presence.get(name, prior) for campaign in campaigns])
+    alone = np.array([campaign.presence.get(name, PRIOR_PROBABILITIES["effect"]) for campaign in campaigns])
     if name == hum_effect().id:
         alone = np.maximum(alone, expit([campaign.hum_log_odds for campaign in campaigns]))
-    factors = logit(np.clip(alone, MIN_PROBABILITY, MAX_PROBABILITY)) - logit(prior)
-    odds = independent_odds(factors[None], (1.0,), of_rig=not find_effect(name).belongs_to_gut)
+    odds = odds_of_own_diagnoses(alone, of_rig=not find_effect(name).belongs_to_gut)
     effect = _with_patterns(name, odds, float(expit(odds.total)), campaigns)
     sizes = [campaign.line_sizes.get(name) for campaign in campaigns]
     return replace(effect, size=_population(name, sizes, effect.members))

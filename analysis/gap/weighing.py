@@ -51,7 +51,6 @@ from dragrig.analysis.gap.forward_selection import (
     search_effects,
 )
 from dragrig.analysis.gap.gap_reduction import (
-    RunGap,
     force_residual_blocks,
     gap_of_run,
     position_residual_blocks,
@@ -258,13 +257,34 @@ class WeighedCauses:
     @cached_property
     def held_out(self) -> tuple[GapReduction | None, tuple[RunTraces, ...]]:
         """How far the named effects close the gap in runs that took no part in the fit, and its traces."""
-        return _held_out_reduction(self.study, self.search, self.fit, self.position, self.judgement.verdict)
+        study, nominal, fit, position = self.study, self.search.nominal, self.fit, self.position
+        predicted = predict_held_out(self.search, fit)
+        if predicted is None:
+            return None, ()
+        design = nominal if fit is None else fit.design
+        gaps = [
+            gap_of_run(
+                run,
+                study.problem.noises[number],
+                nominal.runs[number].motion_sd,
+                (predicted.before[number], nominal.runs[number].whitening),
+                (predicted.after[number], design.runs[number].whitening),
+                study.problem.zero_sds[number],
+                study.informative_blocks(number, nominal.runs[number].motion_sd),
+            )
+            for number, run in enumerate(study.runs)
+        ]
+        reduction = reduction_over_runs(gaps)
+        named = self.judgement.verdict.effects
+        if position.candidate is not None and position.candidate.effect.id in named and fit is None:
+            reduction = position_gap_reduction(position, reduction)
+        return reduction, tuple(map(traces_of_run, gaps))
 
     @cached_property
     def verdict(self) -> Classification:
         """The verdict: the judgement's, but that noise which is a little misjudged is no gap."""
         judged, tolerance_mN = self.judgement.verdict, self.options.tolerance_mN
-        calibration = calibration_for(self.study, self.options)
+        calibration = _calibration_for(self.study, self.options)
         if not unknown_by_excess_alone(self.inputs, judged, tolerance_mN, calibration):
             return judged
         reduction, where = self.held_out[0], localise(self.blocks, present=True)
@@ -334,7 +354,7 @@ def weigh_causes(
     competition = prepare_competition(search, all_periods=all_periods)
     present = judge_presence(competition)
     inputs = replace(inputs, competition=present.probabilities)
-    judgement = judge(inputs, settings.tolerance_mN, calibration_for(study, settings))
+    judgement = judge(inputs, settings.tolerance_mN, _calibration_for(study, settings))
     causes = CausesOfGap(competition, present, judgement.presence)
     timings_s = {"reading and position": studied - start, "explaining": perf_counter() - studied}
     advance(COMPETITION_COST)
@@ -358,37 +378,6 @@ def _with_trusted_motion(selection: RunSelection, position: PositionAnalysis) ->
     )
 
 
-def calibration_for(study: Study, options: DiagnosisOptions) -> VerdictCalibration:
-    """Return the calibration of the verdict: shipped weights were learnt on capsules alone."""
+def _calibration_for(study: Study, options: DiagnosisOptions) -> VerdictCalibration:
     calibration = options.calibration or shipped_calibration()
     return calibration if isinstance(study, CapsuleStudy) else calibration.with_hand_set_weights
-
-
-def _held_out_reduction(
-    study: Study,
-    search: ForceSearchResult,
-    fit: HypothesisFit | None,
-    position: PositionAnalysis,
-    classification: Classification,
-) -> tuple[GapReduction | None, tuple[RunTraces, ...]]:
-    held_out = predict_held_out(search, fit)
-    if held_out is None:
-        return None, ()
-    design = search.nominal if fit is None else fit.design
-    gaps: list[RunGap] = []
-    for number, run in enumerate(study.runs):
-        gaps.append(
-            gap_of_run(
-                run,
-                study.problem.noises[number],
-                search.nominal.runs[number].motion_sd,
-                (held_out.before[number], search.nominal.runs[number].whitening),
-                (held_out.after[number], design.runs[number].whitening),
-                study.problem.zero_sds[number],
-                study.informative_blocks(number, search.nominal.runs[number].motion_sd),
-            )
-        )
-    reduction = reduction_over_runs(gaps)
-    if position.candidate is not None and position.candidate.effect.id in classification.effects and fit is None:
-        reduction = position_gap_reduction(position, reduction)
-    return reduction, tuple(map(traces_of_run, gaps))

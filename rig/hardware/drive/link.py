@@ -64,7 +64,7 @@ class _TurnLock:
     """A re-entrant lock that threads get in the order in which they asked for it.
 
     Python's own goes to whoever asks first once it is free. A thread with many requests in a row asks again at once,
-    and would keep the monitor from polling, and the drive from its silence timeout's feed, for as long as they take.
+    and would keep the monitor from polling for as long as they take.
     """
 
     def __init__(self) -> None:
