@@ -22,7 +22,10 @@ from .estimates import missing as missing
 from .estimates import no_progress as no_progress
 from .estimates import parts_of as parts_of
 from .estimates import summarise_exclusions as summarise_exclusions
+from .export import DELIMITERS as DELIMITERS
 from .export import EXPORT_FORMAT_KEY as EXPORT_FORMAT_KEY
+from .export import EXPORT_FORMAT_VERSION as EXPORT_FORMAT_VERSION
+from .export import EXPORT_PART_KEY as EXPORT_PART_KEY
 from .export import CsvStyle as CsvStyle
 from .export import ExportFormat as ExportFormat
 from .export import ExportSelection as ExportSelection
@@ -64,12 +67,12 @@ from .identification.speed_dependence import r2_eq15 as r2_eq15
 from .identification.speed_dependence import squared_correlation as squared_correlation
 from .identification.steady_sliding import DragSetup as DragSetup
 from .identification.steady_sliding import steady_force_parts as steady_force_parts
-from .importing.foreign import ColumnMap as ColumnMap
-from .importing.foreign import ImportSettings as ImportSettings
-from .importing.foreign import parse_map as parse_map
 from .importing.importer import ImportedRun as ImportedRun
 from .importing.importer import import_file as import_file
 from .importing.importer import import_runs as import_runs
+from .importing.settings import ColumnMap as ColumnMap
+from .importing.settings import ImportSettings as ImportSettings
+from .importing.settings import parse_map as parse_map
 from .linear_gaussian import FRICTION_VARIATION as FRICTION_VARIATION
 from .linear_gaussian import PARAMETER_BOUND as PARAMETER_BOUND
 from .linear_gaussian import STIFFNESS_VARIATION as STIFFNESS_VARIATION

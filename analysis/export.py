@@ -3,10 +3,12 @@
 import io
 import json
 import re
-from collections.abc import Iterator, Mapping
+import unicodedata
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import count, pairwise
 from math import floor, isfinite, log10
 from pathlib import Path
 from typing import TypeAlias
@@ -15,20 +17,30 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis.estimates import Progress, no_progress
+from dragrig.analysis.segments import gap_starts
 from dragrig.analysis.wording import printable
 from dragrig.config import AnalysisError, OutputError, RunFileError
-from dragrig.rig import PHASE_NAMES, Attribute, FloatArray, Run
+from dragrig.rig import PHASE_NAMES, Attribute, FloatArray, IndexArray, Run
 
-EXPORT_FORMAT_KEY = "dragrig-export"
+EXPORT_FORMAT_KEY, EXPORT_PART_KEY = "dragrig-export", "dragrig-export-part"
+"""First in the metadata of a whole run, and of one with columns or samples left out."""
 EXPORT_FORMAT_VERSION = 1
 DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "space"}
 CSV_CHUNK_ROWS = 1 << 16
 PARQUET_ROW_GROUP = 1 << 18
 """Rows that are written at a time."""
 PARQUET_METADATA_KEY = b"dragrig"
+NPZ_PARAMETERS = ("file", "allow_pickle")
+"""Parameters of `numpy.savez_compressed`, which takes every array under its name."""
 MAT_LIMIT_BYTES = 1 << 31
 """Largest variable of a version 5 MAT file."""
-MAX_MATLAB_NAME = 63
+MAX_MATLAB_NAME, MAX_UNIT_IN_NAME = 63, 24
+MATLAB_KEYWORDS = frozenset({
+    "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
+    "otherwise", "parfor", "persistent", "return", "spmd", "switch", "try", "while",
+})  # fmt: skip
+FRAME = ("time", "force", "motor_force", "position", "command", "phase")
+"""Datasets whose names no other column takes."""
 MEAN_DIGITS = 15
 MAX_EXACT_POWER = 22
 """Largest power of ten that a double holds exactly, so that rounding gives the double nearest to the decimal."""
@@ -56,6 +68,25 @@ class ExportContent:
     columns: tuple[ExportColumn, ...]
     metadata: Mapping[str, Json]
 
+    def described(self) -> dict[str, Json]:
+        """Metadata with `columns`: for each its dataset, the name that it had in the run file, unit and number type."""
+        columns: Json = {
+            column.name: [column.dataset, column.units, column.values.dtype.name] for column in self.columns
+        }
+        return {**self.metadata, "columns": columns}
+
+    def legal_in(self, export_format: "ExportFormat") -> "ExportContent":
+        """Return the same with names that are unique and that the format allows."""
+        match export_format:
+            case ExportFormat.MAT:
+                names = _distinct_names(self.columns, ("metadata", "metadata_json"), matlab=True)
+            case ExportFormat.NPZ:
+                names = _distinct_names(self.columns, ("metadata", *NPZ_PARAMETERS))
+            case _:
+                names = _distinct_names(self.columns)
+        columns = (replace(column, name=name) for column, name in zip(self.columns, names, strict=True))
+        return replace(self, columns=tuple(columns))
+
 
 def export_content(run: Run) -> ExportContent:
     """Columns of a run: time, signal, further channels, filtered channels, position, command, phase."""
@@ -71,7 +102,9 @@ def export_content(run: Run) -> ExportContent:
     columns.append(_column("position", "mm", trace.position))
     columns.append(_column("command", "mm", trace.command))
     columns.append(ExportColumn("phase", "phase", "", trace.phase))
-    return ExportContent(tuple(columns), _metadata(run, columns))
+    names = _distinct_names(columns)
+    named = (replace(column, name=name) for column, name in zip(columns, names, strict=True))
+    return ExportContent(tuple(named), _metadata(run))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +116,10 @@ class ExportSelection:
     filtered_only: bool = False
     """Whether a recorded quantity is left out where the filter's is there."""
     every: int = 1
-    """How many samples become one, their mean; of the phase the first."""
+    """How many samples become one at their mean time: their mean, of the phase that of the middle sample.
+
+    None is a mean over a gap: they are counted anew after it. Before a gap and at the end fewer become one.
+    """
 
     def __bool__(self) -> bool:
         """Whether anything is left out."""
@@ -99,28 +135,35 @@ class ExportSelection:
             if not filtered:
                 raise AnalysisError(f"{path}: was not filtered; run dragrig filter first.")
             others = [column for column in others if column.dataset not in filtered]
-        for name in self.columns:
-            if not any(name in _names(column) for column in others):
-                known = [column.name for column in others]
-                from dragrig.config import suggestion
-
-                raise AnalysisError(f"{path}: has no column {name}; {suggestion(name, known)}")
-        chosen = [column for column in others if not self.columns or _names(column) & set(self.columns)]
-        samples = len(time.values) // self.every
-        if not samples:
-            raise AnalysisError(f"{path}: has {len(time.values)} samples, fewer than {self.every}; lower --every.")
-        columns = tuple(replace(column, values=self._thinned(column, samples)) for column in (time, *chosen))
-        # Not the whole run, so that an import takes it for a plain table with units in its names.
+        wanted = {column.dataset for name in self.columns for column in _columns_named(name, others, path)}
+        chosen = [column for column in others if not self.columns or column.dataset in wanted]
+        samples = len(time.values)
+        if self.every > max(samples, 1):
+            raise AnalysisError(f"{path}: has {samples} samples, fewer than {self.every}; lower --every.")
+        rate_hz = float(str(content.metadata["sample_rate_hz"]))
+        starts = _block_starts(np.asarray(time.values, dtype=np.float64), rate_hz, self.every)
+        columns = tuple(replace(column, values=self._thinned(column, starts)) for column in (time, *chosen))
+        lengths = np.diff(starts, append=samples)
+        shorter: Json = [[int(row), int(lengths[row])] for row in np.flatnonzero(lengths < self.every)]
         metadata = {key: value for key, value in content.metadata.items() if key != EXPORT_FORMAT_KEY}
-        described: Json = {column.name: [column.dataset, column.units, column.values.dtype.name] for column in columns}
-        return ExportContent(columns, {**metadata, "columns": described, "samples_averaged": self.every})
+        averaged: dict[str, Json] = {"samples_averaged": self.every, "rows_of_fewer_samples": shorter}
+        return ExportContent(columns, {EXPORT_PART_KEY: EXPORT_FORMAT_VERSION, **metadata, **averaged})
 
-    def _thinned(self, column: ExportColumn, samples: int) -> npt.NDArray[np.generic]:
-        pieces = column.values[: samples * self.every].reshape(samples, self.every)
-        if column.values.dtype.kind != "f" or self.every == 1:
-            return pieces[:, 0]
-        means = np.mean(pieces.astype(np.float64), axis=1)
+    def _thinned(self, column: ExportColumn, starts: IndexArray) -> npt.NDArray[np.generic]:
+        if self.every == 1 or not starts.size:
+            return column.values
+        lengths = np.diff(starts, append=len(column.values))
+        if column.values.dtype.kind != "f":
+            return np.asarray(column.values[starts + (lengths - 1) // 2])
+        means = np.add.reduceat(column.values.astype(np.float64), starts) / lengths
         return np.asarray(_without_rounding_noise(means), dtype=column.values.dtype)
+
+
+def _block_starts(time: FloatArray, sample_rate_hz: float, every: int) -> IndexArray:
+    """Index of the first sample of each block of `every` samples, counted anew after each gap."""
+    bounds = (0, *gap_starts(time, sample_rate_hz).tolist(), len(time))
+    stretches = [np.arange(begin, end, every, dtype=np.intp) for begin, end in pairwise(bounds)]
+    return np.concatenate(stretches)
 
 
 def _without_rounding_noise(values: FloatArray) -> FloatArray:
@@ -130,9 +173,49 @@ def _without_rounding_noise(values: FloatArray) -> FloatArray:
     return np.round(values, decimals) if 0 < decimals <= MAX_EXACT_POWER else values
 
 
-def _names(column: ExportColumn) -> set[str]:
-    unit = column_name("", column.units).removeprefix("column")
-    return {column.name, column.name.removesuffix(unit), column.dataset}
+def _columns_named(name: str, columns: Sequence[ExportColumn], path: Path) -> list[ExportColumn]:
+    """Return the columns of a name: as exported or as in the run file, else as exported without the unit."""
+    named = [column for column in columns if name in {column.name, column.dataset}]
+    named = named or [column for column in columns if name == _bare_name(column)]
+    if not named:
+        from dragrig.config import suggestion
+
+        raise AnalysisError(f"{path}: has no column {name}; {suggestion(name, [column.name for column in columns])}")
+    return named
+
+
+def _unit_ending(column: ExportColumn) -> str:
+    return column_name("", column.units).removeprefix("column")
+
+
+def _bare_name(column: ExportColumn) -> str:
+    return column.name.removesuffix(_unit_ending(column))
+
+
+def _distinct_names(
+    columns: Sequence[ExportColumn], reserved: Sequence[str] = (), *, matlab: bool = False
+) -> list[str]:
+    """Return the columns' names with a number where two differ in nothing but case, or a name is reserved."""
+    taken = {name.casefold() for name in reserved}
+    names: dict[str, str] = {}
+    for column in sorted(columns, key=lambda column: column.dataset not in FRAME):
+        unit = _unit_ending(column) if len(_unit_ending(column)) <= MAX_UNIT_IN_NAME else ""
+        name = _free_name(column.name.removesuffix(unit), unit, taken, matlab=matlab)
+        taken.add(name.casefold())
+        names[column.dataset] = name
+    return [names[column.dataset] for column in columns]
+
+
+def _free_name(stem: str, ending: str, taken: Collection[str], *, matlab: bool) -> str:
+    candidates = (_name_of(stem, f"_{number}{ending}" if number > 1 else ending, matlab=matlab) for number in count(1))
+    return next(name for name in candidates if name.casefold() not in taken)
+
+
+def _name_of(stem: str, ending: str, *, matlab: bool) -> str:
+    if not matlab:
+        return stem + ending
+    ending = _ascii(ending)
+    return _matlab_name(stem)[: MAX_MATLAB_NAME - len(ending)] + ending
 
 
 def column_name(label: str, units: str) -> str:
@@ -146,7 +229,7 @@ def _column(label: str, units: str, values: npt.NDArray[np.generic], dataset: st
     return ExportColumn(column_name(label, units), dataset or label, units, values)
 
 
-def _metadata(run: Run, columns: list[ExportColumn]) -> dict[str, Json]:
+def _metadata(run: Run) -> dict[str, Json]:
     info, header = run.info, run.info.header
     return {
         EXPORT_FORMAT_KEY: EXPORT_FORMAT_VERSION,
@@ -158,10 +241,9 @@ def _metadata(run: Run, columns: list[ExportColumn]) -> dict[str, Json]:
         "backend": header.backend,
         "status": info.status.value,
         "reason": info.reason,
-        "sample_rate_hz": header.sample_rate_hz,
+        "sample_rate_hz": run.trace.sample_rate_hz,
         "signal": run.trace.signal,
         "phases": list(PHASE_NAMES),
-        "columns": {column.name: [column.dataset, column.units, column.values.dtype.name] for column in columns},
         "entry": _finite_attributes(header.entry),
         "protocol": _finite_attributes(header.protocol),
         "capsule": _finite_attributes(header.capsule),
@@ -209,7 +291,7 @@ class CsvStyle:
 
 
 def write_csv(part: Path, content: ExportContent, style: CsvStyle, progress: Progress) -> None:
-    """Write a CSV file in chunks; missing numbers are empty cells."""
+    """Write a CSV file in chunks; missing numbers are empty cells, or nan between blanks."""
     import pyarrow as pa
     from pyarrow import csv
 
@@ -217,14 +299,15 @@ def write_csv(part: Path, content: ExportContent, style: CsvStyle, progress: Pro
     rows = len(content.columns[0].values)
     options = csv.WriteOptions(include_header=False, delimiter=style.delimiter, quoting_style="none")
     with part.open("wb") as file:
-        for key, value in content.metadata.items():
+        for key, value in content.described().items():
             file.write(f"# {key}: {printable(json.dumps(value, ensure_ascii=False))}\n".encode())
         file.write((style.delimiter.join(names) + "\n").encode())
         for start in range(0, rows, CSV_CHUNK_ROWS):
             progress(start, rows)
             chunks = (column.values[start : start + CSV_CHUNK_ROWS] for column in content.columns)
             native = (np.ascontiguousarray(chunk, dtype=chunk.dtype.newbyteorder("=")) for chunk in chunks)
-            table = pa.table([pa.array(values, from_pandas=True) for values in native], names=names)
+            empty_cells = style.delimiter != " "
+            table = pa.table([pa.array(values, from_pandas=empty_cells) for values in native], names=names)
             text = io.BytesIO()
             csv.write_csv(table, text, options)
             numbers = text.getvalue()
@@ -240,10 +323,12 @@ def write_parquet(part: Path, content: ExportContent, progress: Progress) -> Non
     rows = len(content.columns[0].values)
     schema = pa.schema(
         [
-            pa.field(c.name, pa.from_numpy_dtype(c.values.dtype), metadata={b"units": c.units.encode()})
+            pa.field(
+                c.name, pa.from_numpy_dtype(c.values.dtype), metadata={b"units": c.units.encode("utf-8", "replace")}
+            )
             for c in content.columns
         ],
-        metadata={PARQUET_METADATA_KEY: json.dumps(content.metadata).encode()},
+        metadata={PARQUET_METADATA_KEY: json.dumps(content.described()).encode()},
     )
     with parquet.ParquetWriter(part, schema, compression="zstd") as writer:
         for start in range(0, rows, PARQUET_ROW_GROUP):
@@ -257,7 +342,7 @@ def write_npz(part: Path, content: ExportContent) -> None:
     """Write a compressed NumPy archive: one array for each column, and `metadata` as JSON text."""
     arrays = {column.name: column.values for column in content.columns}
     with part.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, metadata=np.array(json.dumps(content.metadata)), **arrays)
+        np.savez_compressed(file, allow_pickle=False, metadata=np.array(json.dumps(content.described())), **arrays)
 
 
 def write_mat(part: Path, content: ExportContent) -> None:
@@ -272,15 +357,18 @@ def write_mat(part: Path, content: ExportContent) -> None:
     for column in content.columns:
         if column.values.nbytes >= MAT_LIMIT_BYTES:
             raise AnalysisError(f"{column.name} has more than 2 GB, which a MAT file cannot hold; export to parquet.")
-    fields: dict[str, MatlabValue] = {_matlab_name(column.name): column.values for column in content.columns}
-    fields["metadata"] = _to_matlab(content.metadata)
-    fields["metadata_json"] = json.dumps(content.metadata)
+    fields: dict[str, MatlabValue] = {column.name: column.values for column in content.columns}
+    fields["metadata"] = _to_matlab(content.described())
+    fields["metadata_json"] = json.dumps(content.described())
     savemat(str(part), {"run": fields}, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
 
 
 def _to_matlab(value: "Json | object") -> MatlabValue:
     if isinstance(value, dict):
-        return {_matlab_name(str(key)): _to_matlab(inner) for key, inner in value.items()}
+        fields: dict[str, MatlabValue] = {}
+        for key, inner in value.items():
+            fields[_free_name(str(key), "", {name.casefold() for name in fields}, matlab=True)] = _to_matlab(inner)
+        return fields
     if value is None:
         return float("nan")
     if isinstance(value, list):
@@ -288,15 +376,24 @@ def _to_matlab(value: "Json | object") -> MatlabValue:
         for index, item in enumerate(value):
             cell[index] = _to_matlab(item)
         return cell
-    if isinstance(value, str | bool | int | float):
+    if isinstance(value, bool | int | float):
         return value
-    return str(value)
+    return str(value).encode("utf-8", "replace").decode()
+
+
+def _ascii(text: str) -> str:
+    """Return a text in letters, digits and underscores: accents go, and any other letter is written by its number."""
+    letters = (letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+    return "".join(
+        letter if letter.isascii() and letter.isalnum() else f"u{ord(letter):X}" if letter.isalnum() else "_"
+        for letter in letters
+    )
 
 
 def _matlab_name(name: str) -> str:
     """Return a valid field name."""
-    plain = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name)
-    return (plain if plain[:1].isalpha() else f"x_{plain}")[:MAX_MATLAB_NAME]
+    plain = _ascii(name)
+    return (plain if plain[:1].isalpha() and plain not in MATLAB_KEYWORDS else f"x_{plain}")[:MAX_MATLAB_NAME]
 
 
 class ExportFormat(StrEnum):
@@ -419,7 +516,7 @@ def write_export(
     if target.exists() and target.samefile(run.info.path):
         raise OutputError(f"{target}: is the run file itself; give the export another name.")
     with _written(target) as part:
-        content = selection.applied_to(export_content(run), run.info.path)
+        content = selection.applied_to(export_content(run), run.info.path).legal_in(export_format)
         match export_format:
             case ExportFormat.CSV:
                 write_csv(part, content, style or CsvStyle(), progress)

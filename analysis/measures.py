@@ -12,6 +12,7 @@ import numpy as np
 from dragrig.analysis.estimates import MIN_SAMPLES_FOR_MEAN, Estimate, Progress, correlated_mean, missing, no_progress
 from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
+from dragrig.analysis.wording import printable
 from dragrig.config import AnalysisError, RunFileError
 from dragrig.rig import SENTINEL_ROLE, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce
 
@@ -482,5 +483,6 @@ def as_frame(rows: Sequence[TableRow] | Sequence[SpeedMean] | Sequence[Specimens
         values = [getattr(row, column.name) for row in rows]
         if "float" in str(column.type):
             values = [nan if value is None else value for value in values]
+        values = [printable(value) if isinstance(value, str) else value for value in values]
         columns[column.name] = values
     return pd.DataFrame(columns)

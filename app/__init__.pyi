@@ -3,6 +3,7 @@ from .api.evaluate import compare as compare
 from .api.evaluate import export as export
 from .api.evaluate import filter as filter  # noqa: A004  # the word that people look for
 from .api.evaluate import import_run as import_run
+from .api.evaluate import import_runs as import_runs
 from .api.evaluate import load as load
 from .api.evaluate import model as model
 from .api.evaluate import table as table

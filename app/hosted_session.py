@@ -14,6 +14,7 @@ from dragrig.config import (
     AbortedError,
     Calibration,
     CommissioningRecord,
+    require_text,
 )
 from dragrig.end_signals import EndSignals, rig_open
 from dragrig.rig import (
@@ -208,6 +209,9 @@ class SessionOptions:
     """Folder for a second copy of each finished file."""
     tell: Callable[[str], None] = discard_message
     """Called, from any thread, with a warning that does not stop the session."""
+
+    def __post_init__(self) -> None:
+        require_text(operator=self.operator, note=self.note)
 
 
 def run_session(

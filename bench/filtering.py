@@ -13,7 +13,7 @@ import pandas as pd
 
 from dragrig.analysis.estimates import no_progress
 from dragrig.analysis.export import CsvStyle, ExportColumn, ExportContent, write_csv
-from dragrig.analysis.importing.readers import read_text
+from dragrig.analysis.importing.readers import read_foreign
 from dragrig.analysis.savgol import SavgolSettings, SavgolStream, smooth
 from dragrig.rig.profile import AnyFloatArray
 
@@ -61,7 +61,7 @@ def tables(rows: int = 300_000) -> None:
         ours, theirs = Path(folder) / "ours.csv", Path(folder) / "theirs.csv"
         wrote = best(lambda: write_csv(ours, ExportContent(columns, {}), CsvStyle(",", ";"), no_progress))
         pandas_wrote = best(lambda: frame.to_csv(theirs, sep=";", decimal=",", index=False))
-        read = best(lambda: read_text(ours))
+        read = best(lambda: read_foreign(ours))
         pandas_read = best(lambda: pd.read_csv(ours, sep=";", decimal=","))
     print(
         f"CSV of {rows} rows, decimal commas: written in {wrote:.2f} s, {pandas_wrote / wrote:.1f} times pandas' speed"

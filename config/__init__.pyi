@@ -1,3 +1,4 @@
+from .errors import NO_TEXT as NO_TEXT
 from .errors import AbortedError as AbortedError
 from .errors import AnalysisError as AnalysisError
 from .errors import DeviceError as DeviceError
@@ -12,7 +13,9 @@ from .errors import SettingsError as SettingsError
 from .errors import StaleDataError as StaleDataError
 from .errors import TrippedError as TrippedError
 from .errors import WorkerError as WorkerError
+from .errors import is_text as is_text
 from .errors import reason_of as reason_of
+from .errors import require_text as require_text
 from .friction_model import AmendedModelSettings as AmendedModelSettings
 from .friction_model import DiagnosisSummary as DiagnosisSummary
 from .friction_model import EffectSettings as EffectSettings

@@ -72,3 +72,19 @@ class OverrunError(StaleDataError):
 def reason_of(error: DragrigError) -> str:
     """Return an error's message without its full stop, for use in another sentence."""
     return str(error).rstrip(".")
+
+
+NO_TEXT = "holds bytes that are no UTF-8; type it anew in a terminal set to UTF-8, and rename a file of such a name"
+"""Said of a text for which `is_text` is false."""
+
+
+def is_text(text: str) -> bool:
+    """Whether UTF-8 can hold a text; what was typed or named in bytes that are no UTF-8 reaches Python as no text."""
+    return text.isascii() or not any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+def require_text(**texts: str) -> None:
+    """Raise `SettingsError` for a text that no file could hold, by the name of its parameter."""
+    for name, text in texts.items():
+        if not is_text(text):
+            raise SettingsError(f"{name} {text!r:.60}: {NO_TEXT}.")

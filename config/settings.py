@@ -20,7 +20,7 @@ from typing import TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
-from dragrig.config.errors import SettingsError
+from dragrig.config.errors import NO_TEXT, SettingsError
 
 _MAX_FILE_BYTES = 4 * 1024 * 1024
 _MAX_TEXT_CHARACTERS = 4096
@@ -259,6 +259,8 @@ def _describe_detail(detail: ErrorDetails, model: type[BaseModel]) -> str:
 
 
 def _message(detail: ErrorDetails) -> str:
+    if detail["type"] == "string_unicode":
+        return NO_TEXT
     message = detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     return message[0].lower() + message[1:] if message[:1].isupper() and not message[1:2].isupper() else message
 

@@ -69,9 +69,10 @@ def test_means_have_no_digits_of_rounding(filtered: Path) -> None:
     content = replace(run, trace=replace(run.trace, time=times, sample_rate_hz=1000.0))
     write_export(content, target, ExportFormat.CSV, selection=ExportSelection(every=10))
     rows = [line.split(",") for line in target.read_text("utf-8").splitlines() if line[0] != "#"][1:]
-    assert [row[0] for row in rows] == [repr(round(0.0045 + 0.01 * at, 4)) for at in range(len(rows))]
-    force = run.trace.force[: 10 * len(rows)].astype(np.float64).reshape(-1, 10).mean(axis=1)
-    np.testing.assert_array_equal(np.array([row[1] for row in rows], np.float32), force.astype(np.float32))
+    whole = len(times) // 10
+    assert [row[0] for row in rows[:whole]] == [repr(round(0.0045 + 0.01 * at, 4)) for at in range(whole)]
+    force = run.trace.force[: 10 * whole].astype(np.float64).reshape(-1, 10).mean(axis=1)
+    np.testing.assert_array_equal(np.array([row[1] for row in rows[:whole]], np.float32), force.astype(np.float32))
 
 
 def test_csv_says_first_what_the_run_is(filtered: Path) -> None:

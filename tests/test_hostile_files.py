@@ -20,7 +20,7 @@ from pyarrow import parquet
 from runfiles import record
 from scipy.io import savemat
 
-from dragrig.analysis.importing import readers
+from dragrig.analysis.importing import file_kinds, matlab, readers
 from dragrig.cli import main
 from dragrig.config.errors import ImportDataError, RunFileError, SettingsError
 from dragrig.config.rig import DriveSettings
@@ -74,7 +74,7 @@ def test_a_mat_file_hands_over_no_other_file(secret: Path, tmp_path: Path) -> No
     with h5py.File(path, "w") as file:
         file.create_dataset("force", (1000,), "<f8", external=[(str(secret), 0, 8000)])
     with pytest.raises(ImportDataError, match="another file"):
-        readers.read_mat(path)
+        matlab.read_mat73(path)
 
 
 @pytest.mark.parametrize(
@@ -126,8 +126,8 @@ def bomb(path: Path, size: int) -> None:
 def test_an_import_is_bounded_in_what_it_unpacks_to(
     ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(readers, "MAX_UNPACKED_BYTES", 8 << 20)
-    monkeypatch.setattr(readers, "MAX_UNPACKED_TEXT_BYTES", 1 << 20)
+    monkeypatch.setattr(file_kinds, "MAX_UNPACKED_BYTES", 8 << 20)
+    monkeypatch.setattr(file_kinds, "MAX_UNPACKED_TEXT_BYTES", 1 << 20)
     path = tmp_path / f"bomb{ending}"
     bomb(path, 16 << 20)
     assert path.stat().st_size < 1 << 20
@@ -138,7 +138,7 @@ def test_an_import_is_bounded_in_what_it_unpacks_to(
 def test_a_mat_file_of_two_compressed_variables_is_measured_whole(tmp_path: Path) -> None:
     path = tmp_path / "two.mat"
     savemat(path, {"first": np.zeros(1000), "second": np.arange(1000.0)}, do_compression=True)
-    assert 16_000 <= readers._mat5_bytes(path) < 17_000
+    assert 16_000 <= matlab.unpacked_bytes(path) < 17_000
 
 
 HOSTILE = (

@@ -1,6 +1,8 @@
 """`dragrig import`: from an instrument's text to a run file, and what cannot be."""
 
 import json
+import zipfile
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -150,28 +152,54 @@ def test_json_is_read_in_its_usual_forms(importer: Importer, content: object) ->
     assert (info.samples, dragrig.load(info.path).trace.force[0]) == (20, 1000.0)
 
 
-def test_a_spreadsheet_is_read_with_its_dates_and_heading(
-    importer: Importer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calamine = pytest.importorskip("python_calamine")
-    begin = datetime(2026, 5, 4, 9, 15, tzinfo=UTC)
+def write_workbook(path: Path, sheets: Mapping[str, Sequence[Sequence[str | float | datetime]]]) -> None:
+    """Write the parts of a workbook (ECMA-376) that readers ask for; dates are numbers in the second style."""
+
+    def cell(value: str | float | datetime) -> str:
+        if isinstance(value, str):
+            return f'<c t="inlineStr"><is><t>{value}</t></is></c>'
+        if isinstance(value, datetime):
+            local = value.replace(tzinfo=UTC)
+            days = (local - datetime(1899, 12, 30, tzinfo=UTC)) / timedelta(days=1)
+            return f'<c s="1"><v>{days!r}</v></c>'
+        return f"<c><v>{value!r}</v></c>"
+
+    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    link = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+    numbers = range(1, len(sheets) + 1)
+    listed = "".join(f'<sheet name="{name}" sheetId="{k}" r:id="r{k}"/>' for k, name in enumerate(sheets, 1))
+    targets = "".join(
+        f'<Relationship Id="r{k}" Type="{link}/worksheet" Target="worksheets/s{k}.xml"/>' for k in numbers
+    )
+    targets += f'<Relationship Id="rs" Type="{link}/styles" Target="styles.xml"/>'
+    package = "http://schemas.openxmlformats.org/package/2006"
+    parts = {
+        "[Content_Types].xml": f'<Types xmlns="{package}/content-types"/>',
+        "_rels/.rels": f'<Relationships xmlns="{package}/relationships">'
+        f'<Relationship Id="r" Type="{link}/officeDocument" Target="xl/workbook.xml"/></Relationships>',
+        "xl/workbook.xml": f'<workbook xmlns="{main}" xmlns:r="{link}"><sheets>{listed}</sheets></workbook>',
+        "xl/_rels/workbook.xml.rels": f'<Relationships xmlns="{package}/relationships">{targets}</Relationships>',
+        "xl/styles.xml": f'<styleSheet xmlns="{main}"><cellXfs><xf numFmtId="0"/><xf numFmtId="22"/></cellXfs>'
+        "</styleSheet>",
+    }
+    for k, rows in zip(numbers, sheets.values(), strict=True):
+        data = "".join(f"<row>{''.join(map(cell, row))}</row>" for row in rows)
+        parts[f"xl/worksheets/s{k}.xml"] = f'<worksheet xmlns="{main}"><sheetData>{data}</sheetData></worksheet>'
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+
+
+def test_a_workbook_is_read_with_its_dates_and_heading(importer: Importer, tmp_path: Path) -> None:
+    begin = datetime.fromisoformat("2026-05-04T09:15").astimezone()
     rows = [[begin + timedelta(milliseconds=10 * k), 0.1 * k, float(k)] for k in range(50)]
-
-    class Book:
-        sheet_names = ("notes", "data")
-
-        def get_sheet_by_name(self, name: str) -> "Book":
-            self.rows = [["Lab 7", "", ""], ["Time", "Load [N]", "Pos [mm]"], *rows] if name == "data" else [["see"]]
-            return self
-
-        def to_python(self, *, skip_empty_area: bool) -> list[list[object]]:
-            return list(self.rows)
-
-    monkeypatch.setattr(calamine.CalamineWorkbook, "from_path", lambda path: Book())
-    (tmp_path / "a.xlsx").write_bytes(b"PK")
+    heading = [["Lab 7", "", ""], ["Time", "Load [N]", "Pos [mm]"]]
+    write_workbook(tmp_path / "a.xlsx", {"notes": [["see"]], "data": [*heading, *rows]})
     importer("a.xlsx", "--map", "time=Time", "--map", "force=Load", "--map", "position=Pos", "--out", "c")
     (info,) = dragrig.campaign("c").runs
     assert (info.samples, info.header.start_time) == (50, begin)
+    told = [event.message for event in dragrig.load(info.path).events]
+    assert "sheet 'notes' was not read: it holds no table of numbers" in told
 
 
 def test_a_long_record_becomes_a_run_for_each_motion(importer: Importer) -> None:
@@ -224,7 +252,7 @@ def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
         (("a.csv", *MAP, "--out", "a.csv"), "a.csv"),
         (("empty.csv", *MAP), "is empty"),
         (("binary.csv", *MAP), "binary.csv"),
-        (("sheet.xlsx", *MAP), "no spreadsheet file"),
+        (("sheet.xlsx", *MAP), "is damaged or no complete file (File is not a zip file)"),
         (("a.csv", *MAP, "--split-at", "rests"), "shows no rests"),
         (("a.csv", "--map", "time=1:s", "--map", "force=Kraft:Nm"), "--radius-mm"),
         (("nowhere.csv", *MAP), "there is no such file"),

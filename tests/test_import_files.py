@@ -15,7 +15,7 @@ from scipy.io import savemat
 
 from dragrig.analysis.export import CsvStyle, ExportFormat, export_run
 from dragrig.analysis.importing import ImportSettings, import_file, parse_map
-from dragrig.analysis.importing.readers import read_npz
+from dragrig.analysis.importing.containers import read_numpy
 from dragrig.analysis.measures import table_row
 from dragrig.analysis.savgol import filter_file
 from dragrig.config.errors import ImportDataError, OutputError
@@ -179,7 +179,8 @@ def test_a_signalling_nan_is_no_more_than_nan(tmp_path: Path) -> None:
     force = np.arange(4, dtype=np.float32)
     force.view(np.uint32)[2] = 0x7FA00000
     np.savez(tmp_path / "run.npz", time=np.arange(4.0), force=force)
-    values = next(column.values for column in read_npz(tmp_path / "run.npz").columns if column.name == "force")
+    (table,) = read_numpy(tmp_path / "run.npz")
+    values = table.column("force").values
     assert np.isnan(values).tolist() == [False, False, True, False]
 
 
@@ -212,7 +213,8 @@ def test_a_table_among_several_can_be_named(tmp_path: Path) -> None:
     source = tmp_path / "two.tdms"
     with TdmsWriter(source) as writer:
         writer.write_segment([ChannelObject("a", "F", FORCE), ChannelObject("b", "F", np.tile(FORCE, 2))])
-    assert len(imported(source, tmp_path, "force=F:N", sample_rate_hz=100).trace.time) == 800
+    with pytest.raises(ImportDataError, match=r"holds 2 runs \(tables: 'a', 'b'\)"):
+        imported(source, tmp_path, "force=F:N", sample_rate_hz=100)
     assert len(imported(source, tmp_path, "force=F:N", sample_rate_hz=100, table="a", order=1).trace.time) == 400
     with pytest.raises(ImportDataError, match="there is no table 'c'"):
         imported(source, tmp_path, "force=F:N", sample_rate_hz=100, table="c")
@@ -291,15 +293,9 @@ def test_what_cannot_be_imported_is_said_in_one_sentence_and_leaves_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["in.csv"]
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [("none.csv", "no such file"), ("book.xlsx", "no spreadsheet file"), ("run.h5", "a run file needs no import")],
-)
-def test_files_of_other_kinds_are_refused(tmp_path: Path, name: str, message: str) -> None:
-    if name != "none.csv":
-        (tmp_path / name).write_bytes(b"PK\x03\x04")
-    with pytest.raises(ImportDataError, match=message):
-        import_file(tmp_path / name, tmp_path)
+def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ImportDataError, match="no such file"):
+        import_file(tmp_path / "none.csv", tmp_path)
 
 
 def test_nothing_is_written_over(tmp_path: Path) -> None:

@@ -7,14 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.analysis.importing.conversion import (
-    UnevenRowsError,
-    counted_grid,
-    detect_phases,
-    fit_sample_grid,
-    resample,
-)
-from dragrig.analysis.importing.readers import read_text
+from dragrig.analysis.importing.conversion import detect_phases
+from dragrig.analysis.importing.readers import read_foreign
+from dragrig.analysis.importing.time_grid import UnevenRowsError, counted_grid, fit_sample_grid, resample
 from dragrig.config.errors import ImportDataError
 from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 
@@ -60,12 +55,12 @@ def test_rows_off_the_grid_are_refused_and_counted() -> None:
         UnevenRowsError, match=r"5 of 2000 rows are off an even rate of 1000 Hz, the first at 0\.7024 s"
     ):
         fit_sample_grid(HERE, late, 0.1)
-    grid = counted_grid(HERE, late, 2000, 1000.0)
+    grid = counted_grid(HERE, late, np.arange(2000), 1000.0)
     np.testing.assert_array_equal(grid.index, np.arange(2000))
 
 
 def test_the_motors_stalls_are_in_its_positions_so_that_rows_must_not_be_moved() -> None:
-    table = read_text(FOREIGN / "cogging" / "speed_test.txt")
+    table = read_foreign(FOREIGN / "cogging" / "speed_test.txt")[0]
     time, position, velocity = (table.columns[k].values for k in (0, 1, 2))
     with pytest.raises(UnevenRowsError, match=r"rows are off an even rate of 1000 Hz.*resample_hz"):
         fit_sample_grid(table.path, time, 0.1)
@@ -78,10 +73,10 @@ def test_the_motors_stalls_are_in_its_positions_so_that_rows_must_not_be_moved()
 
 
 def test_uneven_and_changing_clocks_are_refused_with_what_can_be_done() -> None:
-    sepiolite = read_text(FOREIGN / "velocity-steps" / "sepiolite.txt")
+    sepiolite = read_foreign(FOREIGN / "velocity-steps" / "sepiolite.txt")[0]
     with pytest.raises(UnevenRowsError, match=r"0\.126 to 0\.176 s apart.*unevenly.*state resample_hz"):
         fit_sample_grid(sepiolite.path, sepiolite.columns[0].values, 0.1)
-    basalt = read_text(FOREIGN / "velocity-steps" / "basalt.txt")
+    basalt = read_foreign(FOREIGN / "velocity-steps" / "basalt.txt")[0]
     with pytest.raises(UnevenRowsError, match=r"0\.1 s apart at the start and 0\.01 s at the end.*from_s and to_s"):
         fit_sample_grid(basalt.path, basalt.columns[0].values, 0.1)
 
@@ -90,10 +85,10 @@ def test_a_clock_coarser_than_the_sampling_is_refused_until_the_rate_is_stated()
     coarse = stamps(3000.0, np.arange(300), 3)
     with pytest.raises(UnevenRowsError, match=r"several rows have the time .* state sample_rate_hz"):
         fit_sample_grid(HERE, coarse, 0.1)
-    grid = counted_grid(HERE, coarse, 300, 3000.0)
+    grid = counted_grid(HERE, coarse, np.arange(300), 3000.0)
     np.testing.assert_allclose(grid.time, np.arange(300) / 3000)
     with pytest.raises(ImportDataError, match=r"300 rows at 1000 Hz span 0\.299 s, their time stamps 0\.1 s"):
-        counted_grid(HERE, coarse, 300, 1000.0)
+        counted_grid(HERE, coarse, np.arange(300), 1000.0)
 
 
 def test_a_tolerance_can_be_stated() -> None:

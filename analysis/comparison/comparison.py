@@ -21,6 +21,7 @@ from dragrig.analysis import (
     attribute_number,
     default_filter_settings,
     in_phase,
+    printable,
     smooth_channel,
 )
 from dragrig.config import AnalysisError
@@ -623,7 +624,10 @@ def comparison_rows(comparison: Comparison) -> Iterator[dict[str, str | float | 
                 "trace_largest_at_s": None if trace is None else trace.at_s,
                 "remarks": "; ".join(pair.remarks),
             }
-            yield {key: nan if value is None else value for key, value in row.items()}
+            yield {
+                key: nan if value is None else printable(value) if isinstance(value, str) else value
+                for key, value in row.items()
+            }
 
 
 def comparison_frame(comparison: Comparison) -> "pd.DataFrame":

@@ -1,57 +1,29 @@
-"""A foreign table converted to the arrays of a run: units, even time grid, position and command, phases.
-
-Most instruments stamp rows evenly, to within their last digit; some leave rows out, so that the stamps jump by
-a whole number of periods, which becomes a gap. A program that stalls now and then samples late, and then in a
-burst. It is tempting to move such rows back to where counting puts them, but measured positions show that they were
-taken when they were stamped (a motor's, in the tests' data: the jump of the position is that of the time, not of the
-count). So rows off the grid are never moved: the user either asks for resampling, or states the rate.
-"""
+"""A foreign table converted to the arrays of a run: units, even time grid, position and command, phases."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis import Mask, SavgolSettings, gap_starts, mask_spans, smooth
-from dragrig.analysis.importing.foreign import (
-    CONVERTIBLE_UNITS,
-    TARGET_UNITS,
-    ColumnSource,
-    ForeignColumn,
-    ForeignTable,
-    ImportSettings,
-    UnitScale,
-    canonical_unit,
-    guess_columns,
-    unit_scale,
-)
+from dragrig.analysis import SavgolSettings, gap_starts, mask_spans, smooth
+from dragrig.analysis.importing.clocks import Clock, epoch_clock, restarts, unwrapped
+from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable
+from dragrig.analysis.importing.settings import ColumnSource, ImportSettings, guess_columns
+from dragrig.analysis.importing.time_grid import SampleGrid, counted_grid, fit_sample_grid, import_event, resample
+from dragrig.analysis.importing.units import CONVERTIBLE_UNITS, TARGET_UNITS, UnitScale, canonical_unit, unit_scale
 from dragrig.config import AnalysisError, ImportDataError
 from dragrig.rig import MAX_TRACE_MAGNITUDES, AnyFloatArray, FloatArray, Phase, PhaseArray, RecordedChannel, RunEvent
 
-IMPORT_EVENT = "import"
 RESERVED_NAMES = frozenset({*TARGET_UNITS, "phase"})
 SIGNAL_CHANNELS = ("force", "motor_force")
+COUNTED_QUANTITIES = ("position", "command")
+"""Quantities of counters, which may wrap."""
+MAX_EXACT_INTEGER = 2.0**53
 
-# Even grid.
-MAX_STRAY_SHARE = 0.05
-"""Up to this share of rows off the grid, the message speaks of an even rate with strays."""
-MAX_GAP_SHARE = 0.01
-ALWAYS_ALLOWED_GAPS = 10
-"""This many gaps are never too many, however short the file."""
-
-# Resampling.
-GAP_FACTOR = 5.0
-"""A step longer than this many of the steps around it is a gap, which is not filled."""
-MEDIAN_STEPS = 21
-MIN_ROWS_AVERAGED = 3
-"""With this many rows within a period their mean is taken, so that faster signals do not alias."""
-
-# Phases from the position.
 SPEED_WINDOW_S = 0.05
 MIN_WINDOW_SAMPLES = 7
 MOVING_SHARE = 0.05
@@ -86,24 +58,6 @@ class ConvertedMeasurement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SampleGrid:
-    """Rows on an even grid: `index` counts periods from the first row, shape `(N,)`, rising."""
-
-    sample_rate_hz: float
-    index: npt.NDArray[np.int64]
-    events: tuple[RunEvent, ...] = ()
-
-    @property
-    def time(self) -> FloatArray:
-        """Time since the first row [s]."""
-        return np.asarray(self.index / self.sample_rate_hz, dtype=np.float64)
-
-
-class UnevenRowsError(ImportDataError):
-    """Time stamps that are not on an even grid."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _MappedColumn:
     column: ForeignColumn
     unit: str
@@ -119,33 +73,67 @@ class _MappedColumn:
         return f"{self.column.name!r} in {self.unit or '?'} × {self.scale.factor:g}{offset}"
 
 
+def recordings(table: ForeignTable, settings: ImportSettings) -> tuple[ForeignTable, ...]:
+    """Return the stretches of a table that are a recording of their own: between them the clock begins anew.
+
+    Raises `ImportDataError` where the time cannot be read.
+    """
+    source = _sources(table, settings).get("time")
+    if source is None:
+        return (table,)
+    whole, _ = _without_blank_ends(table, [table.column(source.column)])
+    stamps = _time(whole, source, settings).seconds
+    stretches = restarts(stamps) if np.isfinite(stamps).all() else ()
+    if len(stretches) < 2:
+        return (table,)
+    told = f"the clock begins anew {len(stretches) - 1} times: a run for each of the {len(stretches)} stretches"
+    first, *further = (replace(whole.sliced(rows), remarks=(*table.remarks, told)) for rows in stretches)
+    return (first, *(replace(stretch, begins_at=None) for stretch in further))
+
+
 def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMeasurement:
     """Map and convert columns, and put the rows onto an even grid.
 
     Raises `ImportDataError` when a column is missing, holds text or gaps where numbers are needed, its unit is not
     understood, or rows are unevenly spaced and neither resampling nor a rate is set.
     """
-    sources = settings.columns.mapped() or guess_columns(table).mapped()
-    mapped = {quantity: _map_column(table, quantity, source, settings) for quantity, source in sources.items()}
-    table, blanks = _without_blank_ends(table, [source.column for source in mapped.values()])
+    sources = _sources(table, settings)
+    _require_quantities(table, settings, sources)
+    columns = [table.column(source.column) for source in sources.values()]
+    for column in columns:
+        table.require_numbers(column, throughout=settings.missing == "refuse")
+    table, blanks = _without_blank_ends(table, columns)
+    time = _time(table, sources["time"], settings) if "time" in sources else None
+    mapped = {name: _map_column(table, name, source, settings) for name, source in sources.items() if name != "time"}
+    values: dict[str, FloatArray] = {} if time is None else {"time": time.seconds}
+    told = [*table.remarks, *(() if time is None else time.remarks), *_contradictions(table, sources)]
+    told += [f"column {column.name!r}: {remark}" for column in columns for remark in column.remarks]
     if blanks:
-        mapped = {quantity: _map_column(table, quantity, source, settings) for quantity, source in sources.items()}
-    _require_quantities(table, settings, mapped)
-    values = {
-        quantity: source.scale.apply(table.numbers(source.column, whole=True)) for quantity, source in mapped.items()
-    }
-    for quantity, source in mapped.items():
-        _require_measurable(table, source.column, values[quantity], TARGET_UNITS[quantity])
-    extra, events = _extra_channels(table, mapped)
-    events += [_event(f"{blanks} rows at begin or end lack a number and were left out")] if blanks else []
+        told.append(f"{blanks} rows at begin or end lack a number and were left out")
+    for name, source in mapped.items():
+        numbers = table.numbers(source.column, whole=settings.missing == "refuse")
+        if name in COUNTED_QUANTITIES:
+            numbers, wrapped = unwrapped(numbers)
+            told += [wrapped] if wrapped else []
+        values[name] = source.scale.apply(numbers)
+        _require_measurable(table, source.column, values[name], TARGET_UNITS[name])
+    complete = np.flatnonzero(np.all([np.isfinite(array) for array in values.values()], axis=0))
+    if len(complete) < table.rows:
+        told.append(f"{table.rows - len(complete)} rows without a number were left out: a gap")
+    used = [source.column for source in mapped.values() if not source.by_stated_factor]
+    used += [table.column(sources["time"].column)] if time is not None else []
+    stated_units = {id(source.column): source.unit for source in mapped.values()}
+    extra, extra_told = _extra_channels(table, used, stated_units)
     values |= {name: column.values for name, column in extra.items()}
+    values = {name: array[complete] for name, array in values.items()}
     all_stamps = values.pop("time", None)
-    stamps, rows = _select_rows(table, settings, all_stamps)
-    grid, values = _on_grid(table, settings, stamps, {name: array[rows] for name, array in values.items()})
-    events += grid.events
+    stamps, rows = _select_rows(table, settings, all_stamps, complete)
+    values = {name: array[rows] for name, array in values.items()}
+    grid, values = _on_grid(table, settings, stamps, values, complete[rows])
+    events = [*map(import_event, (*told, *extra_told)), *grid.events]
     events += [
-        _event(f"{quantity} is {source} {TARGET_UNITS[quantity]}: a stated factor")
-        for quantity, source in mapped.items()
+        import_event(f"{name} is {source} {TARGET_UNITS[name]}: a stated factor")
+        for name, source in mapped.items()
         if source.by_stated_factor
     ]
     position, command, origin_mm, remarks = _position_and_command(values, grid, steady=settings.steady)
@@ -155,7 +143,7 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         remarks.append("no single move between standstills detected: all samples count as steady")
     else:
         remarks.append("phases detected from the position")
-    events += map(_event, remarks)
+    events += map(import_event, remarks)
     channels = [
         RecordedChannel(name, TARGET_UNITS.get(name) or extra[name].units, "float64")
         for name in values
@@ -171,9 +159,42 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         origin_mm=origin_mm,
         time_origin_s=float(stamps[0]) if stamps is not None and len(stamps) else 0.0,
         skipped_s=0.0 if stamps is None or all_stamps is None else float(stamps[0] - all_stamps[0]),
-        begins_at=mapped["time"].column.begins_at if "time" in mapped else None,
-        sources={quantity: str(source) for quantity, source in mapped.items()},
+        begins_at=time.begins_at if time is not None and time.begins_at is not None else table.begins_at,
+        sources={name: str(source) for name, source in mapped.items()}
+        | ({"time": repr(table.column(sources["time"].column).name)} if time is not None else {}),
     )
+
+
+def _sources(table: ForeignTable, settings: ImportSettings) -> Mapping[str, ColumnSource]:
+    return settings.columns.mapped() or guess_columns(table).mapped()
+
+
+def _time(table: ForeignTable, source: ColumnSource, settings: ImportSettings) -> Clock:
+    """Return the time of the rows: of a column of dates, of a count since a fixed moment, or in a unit of time."""
+    column = table.column(source.column)
+    numbers, wrapped = unwrapped(table.numbers(column, whole=settings.missing == "refuse"))
+    told = (wrapped,) if wrapped else ()
+    stated = source.unit or column.units
+    if column.begins_at is None and source.factor is None and np.isfinite(numbers).any():
+        clock = epoch_clock(numbers, canonical_unit(stated) or stated)
+        if clock is not None:
+            return replace(clock, remarks=(*told, *clock.remarks))
+    seconds = _map_column(table, "time", source, settings).scale.apply(numbers)
+    if np.nanmax(np.abs(seconds), initial=0.0) > MAX_TRACE_MAGNITUDES["s"] and (clock := epoch_clock(numbers, "")):
+        raise ImportDataError(
+            f"{table.path}: column {column.name!r} is not in {stated}: {clock.remarks[0]}; state that."
+        )
+    _require_measurable(table, column, seconds, "s")
+    return Clock(seconds, column.begins_at, remarks=told)
+
+
+def _contradictions(table: ForeignTable, sources: Mapping[str, ColumnSource]) -> Iterator[str]:
+    """Tell where the map's unit is not the file's."""
+    for source in sources.values():
+        column = table.column(source.column)
+        stated, mapped = (canonical_unit(unit) or unit for unit in (column.units, source.unit))
+        if stated and mapped and stated != mapped:
+            yield f"column {column.name!r} states {stated}, the map {mapped}: the map counts"
 
 
 def _require_quantities(table: ForeignTable, settings: ImportSettings, mapped: Collection[str]) -> None:
@@ -202,10 +223,6 @@ def _require_measurable(table: ForeignTable, column: ForeignColumn, values: Floa
         )
 
 
-def _event(message: str) -> RunEvent:
-    return RunEvent(0.0, IMPORT_EVENT, message)
-
-
 def _without_blank_ends(table: ForeignTable, columns: Sequence[ForeignColumn]) -> tuple[ForeignTable, int]:
     """Return the table without the rows at its begin and end in which a column lacks a number, and their count."""
     complete = np.ones(table.rows, dtype=np.bool_)
@@ -215,10 +232,8 @@ def _without_blank_ends(table: ForeignTable, columns: Sequence[ForeignColumn]) -
     if not rows.size or len(rows) == table.rows:
         return table, 0
     kept = slice(int(rows[0]), int(rows[-1]) + 1)
-    trimmed = tuple(replace(column, values=column.values[kept]) for column in table.columns)
-    lines = None if table.lines is None else table.lines[kept]
     left_out = table.rows - (kept.stop - kept.start)
-    return (replace(table, columns=trimmed, lines=lines), left_out) if left_out else (table, 0)
+    return (table.sliced(kept), left_out) if left_out else (table, 0)
 
 
 def motion_stretches(table: ForeignTable, settings: ImportSettings) -> tuple[tuple[float, float], ...]:
@@ -226,14 +241,13 @@ def motion_stretches(table: ForeignTable, settings: ImportSettings) -> tuple[tup
 
     Raises `ImportDataError` where no time and position are mapped, or there are not several motions.
     """
-    sources = settings.columns.mapped() or guess_columns(table).mapped()
+    sources = _sources(table, settings)
     if not {"time", "position"} <= set(sources):
         raise ImportDataError(f"{table.path}: split_at = 'rests' needs a time and a position; map both.")
-    mapped = {name: _map_column(table, name, sources[name], settings) for name in ("time", "position")}
-    table, _ = _without_blank_ends(table, [source.column for source in mapped.values()])
-    time, position = (
-        source.scale.apply(table.numbers(table.column(source.column.name), whole=True)) for source in mapped.values()
-    )
+    table, _ = _without_blank_ends(table, [table.column(sources[name].column) for name in ("time", "position")])
+    time = _time(table, sources["time"], settings).seconds
+    mapped = _map_column(table, "position", sources["position"], settings)
+    position = mapped.scale.apply(table.numbers(mapped.column, whole=True))
     window_s = max(SPLIT_WINDOW_S, 4 * float(np.median(np.diff(time))))
     ends = np.interp(time + window_s / 2, time, position), np.interp(time - window_s / 2, time, position)
     speed = np.abs(ends[0] - ends[1]) / window_s
@@ -266,30 +280,41 @@ def _map_column(table: ForeignTable, quantity: str, source: ColumnSource, settin
 
 
 def _extra_channels(
-    table: ForeignTable, mapped: Mapping[str, _MappedColumn]
-) -> tuple[dict[str, ForeignColumn], list[RunEvent]]:
-    """Columns of numbers that are stored unconverted, by the name of their channel."""
-    converted = {id(source.column) for source in mapped.values() if not source.by_stated_factor}
-    stated_units = {id(source.column): source.unit for source in mapped.values()}
+    table: ForeignTable, used: Sequence[ForeignColumn], stated_units: Mapping[int, str]
+) -> tuple[dict[str, ForeignColumn], list[str]]:
+    """Return the columns of numbers that are stored unconverted, by the name of their channel, and remarks.
+
+    Parameters
+    ----------
+    stated_units
+        By the identity of a column, the unit that a map states.
+    """
     extra: dict[str, ForeignColumn] = {}
-    events: list[RunEvent] = []
-    for column in table.columns:
-        if id(column) in converted:
+    told: list[str] = []
+    for number, column in enumerate(table.columns, start=1):
+        if any(column is known for known in used):
+            continue
+        if not np.isfinite(column.values).any():
+            if column.bad is not None or column.name != f"column {number}":
+                told.append(f"column {column.name!r:.60} {'holds text' if column.bad else 'is empty'} and was left out")
             continue
         if column.bad is not None:
-            events.append(_event(f"column {column.name!r:.60} holds text and was left out"))
-            continue
+            told.append(
+                f"column {column.name!r:.60} holds {column.bad.text!r:.40} in {table.place(column.bad.row)}: missing"
+            )
+        if np.nanmax(np.abs(column.values)) > MAX_EXACT_INTEGER:
+            told.append(f"column {column.name!r:.60} holds integers above 2^53, which are rounded")
         name = re.sub(r"[^\w.-]+", "_", column.label).strip("_.") or "column"
         while name in RESERVED_NAMES or name in extra:
             name += "_as_read"
         extra[name] = replace(column, units=stated_units.get(id(column), column.units))
-    return extra, events
+    return extra, told
 
 
 def _select_rows(
-    table: ForeignTable, settings: ImportSettings, stamps: FloatArray | None
+    table: ForeignTable, settings: ImportSettings, stamps: FloatArray | None, places: npt.NDArray[np.intp]
 ) -> tuple[FloatArray | None, slice]:
-    """Time stamps between `from_s` and `to_s`, and their rows."""
+    """Time stamps between `from_s` and `to_s`, and their rows; `places` are those of the rows in the table."""
     if stamps is None:
         if settings.from_s is not None or settings.to_s is not None:
             raise ImportDataError(f"{table.path}: from_s and to_s need a time column; map one, as in time=1:s.")
@@ -307,21 +332,24 @@ def _select_rows(
     if backward.size:
         row = int(backward[0]) + 1
         raise ImportDataError(
-            f"{table.path}: time goes back at {table.place(row)}, from {stamps[row - 1]:.9g} s to {stamps[row]:.9g} s; "
-            "import each stretch on its own with from_s and to_s, or sort the rows."
+            f"{table.path}: time goes back at {table.place(int(places[row]))}, from {stamps[row - 1]:.9g} s to "
+            f"{stamps[row]:.9g} s; correct the clock, or sort the rows."
         )
     return stamps[rows], rows
 
 
 def _on_grid(
-    table: ForeignTable, settings: ImportSettings, stamps: FloatArray | None, values: dict[str, FloatArray]
+    table: ForeignTable,
+    settings: ImportSettings,
+    stamps: FloatArray | None,
+    values: dict[str, FloatArray],
+    places: npt.NDArray[np.intp],
 ) -> tuple[SampleGrid, dict[str, FloatArray]]:
-    rows = len(next(iter(values.values())))
     stated_hz = settings.sample_rate_hz or (table.sample_rate_hz if stamps is None else None)
     if settings.resample_hz is not None and stamps is not None:
         return resample(stamps, values, settings.resample_hz)
     if stated_hz is not None:
-        return counted_grid(table.path, stamps, rows, stated_hz), values
+        return counted_grid(table.path, stamps, places, stated_hz), values
     if stamps is None:
         raise ImportDataError(
             f"{table.path}: no column is mapped to time and no sample_rate_hz is given; map one, as in "
@@ -352,186 +380,6 @@ def _position_and_command(
     start = position[0] if np.isfinite(position[0]) else command[0]
     origin_mm = float(start) if np.isfinite(start) else 0.0
     return position - origin_mm, command - origin_mm, origin_mm, remarks
-
-
-def counted_grid(path: Path, stamps: FloatArray | None, rows: int, sample_rate_hz: float) -> SampleGrid:
-    """Grid of rows that are evenly spaced at a stated rate.
-
-    Raises `ImportDataError` when the time stamps' span differs by more than 1 % and three periods.
-    """
-    span_s = (rows - 1) / sample_rate_hz
-    if stamps is not None and rows > 1:
-        stamped_s = float(stamps[-1] - stamps[0])
-        if abs(stamped_s - span_s) > 0.01 * span_s + 3 / sample_rate_hz:
-            raise ImportDataError(
-                f"{path}: {rows} rows at {sample_rate_hz:g} Hz span {span_s:.6g} s, their time stamps {stamped_s:.6g} "
-                "s; correct sample_rate_hz, or leave it out."
-            )
-    event = _event(f"time counted at {sample_rate_hz:g} Hz, as stated")
-    return SampleGrid(sample_rate_hz, np.arange(rows, dtype=np.int64), (event,))
-
-
-def fit_sample_grid(path: Path, stamps: FloatArray, tolerance: float) -> SampleGrid:
-    """Find the even grid that time stamps lie on.
-
-    Parameters
-    ----------
-    stamps
-        Seconds, never falling, shape `(N,)`.
-    tolerance
-        Allowed distance of a stamp from the grid, in periods; the last written digit is allowed for besides.
-
-    Raises
-    ------
-    UnevenRowsError
-        When there is no such grid; the message says how the stamps are spaced and what can be done.
-    """
-    if len(stamps) < 2:
-        raise ImportDataError(f"{path}: has {len(stamps)} row only, from which no sample rate follows; give more.")
-    if not np.diff(stamps).all():
-        row = int((np.diff(stamps) == 0).argmax())
-        raise UnevenRowsError(
-            f"{path}: several rows have the time {stamps[row]:.9g} s; where the clock is coarser than the sampling, "
-            "state sample_rate_hz, so that rows are counted."
-        )
-    resolution = _time_resolution(stamps)
-    # The longest lag of `_sample_period` is at least a quarter of the rows, and both its ends are rounded.
-    period = _round_period(_sample_period(stamps), 4 * resolution / len(stamps))
-    place = (stamps - stamps[0]) / period
-    place = place - float(np.angle(np.exp(2j * np.pi * place).mean())) / (2 * np.pi)
-    index = np.round(place).astype(np.int64)
-    allowance = min(0.49, max(tolerance, 0.51 * resolution / period))
-    stray = np.abs(place - index) > allowance
-    stray[1:] |= np.diff(index) < 1
-    gaps = np.flatnonzero(np.diff(index) > 1)
-    if 0 < np.count_nonzero(stray) <= MAX_STRAY_SHARE * len(stamps):
-        raise UnevenRowsError(
-            f"{path}: {np.count_nonzero(stray)} of {len(stamps)} rows are off an even rate of {1 / period:.9g} Hz, the "
-            f"first at {stamps[stray][0]:.9g} s; state resample_hz to have rows interpolated where they are missing, "
-            "or sample_rate_hz if they were sampled evenly and only stamped late."
-        )
-    if stray.any() or gaps.size > max(ALWAYS_ALLOWED_GAPS, MAX_GAP_SHARE * len(stamps)):
-        raise _uneven_error(path, stamps)
-    index -= index[0]
-    lost = np.diff(index)[gaps] - 1
-    events = [
-        RunEvent(float(index[row] + 1) * period, "gap", f"{count} samples lost, {count * period:.6g} s")
-        for row, count in zip(gaps.tolist(), lost.tolist(), strict=True)
-    ]
-    return SampleGrid(1 / period, index, tuple(events))
-
-
-def _sample_period(stamps: FloatArray) -> float:
-    """Median spacing, refined over ever longer lags; lags across gaps count as that many more periods."""
-    period = float(np.median(np.diff(stamps)))
-    lag = 2
-    while lag <= len(stamps) // 2:
-        spans = stamps[lag:] - stamps[:-lag]
-        period = float(np.median(spans / np.maximum(np.round(spans / period), 1)))
-        lag *= 2
-    return period
-
-
-def _time_resolution(stamps: FloatArray) -> float:
-    """Value of the last decimal that the stamps are written with, at least the resolution of their floats."""
-    finest = float(np.spacing(np.abs(stamps).max()))
-    for decimals in range(10):
-        unit = 10.0**-decimals
-        if unit < 8 * finest:
-            break
-        if np.allclose(stamps, np.round(stamps, decimals), rtol=0, atol=4 * finest):
-            return unit
-    return 8 * finest
-
-
-def _round_period(period: float, uncertainty: float) -> float:
-    """Roundest rate or period, in that order, that agrees with `period` within its uncertainty."""
-    for digits in range(1, 12):
-        for candidate in (1 / float(f"{1 / period:.{digits}g}"), float(f"{period:.{digits}g}")):
-            if abs(candidate - period) <= uncertainty:
-                return candidate
-    return period
-
-
-def _uneven_error(path: Path, stamps: FloatArray) -> UnevenRowsError:
-    steps = np.diff(stamps)
-    part = max(1, len(steps) // 10)
-    first, last = float(np.median(steps[:part])), float(np.median(steps[-part:]))
-    if max(first, last) > 1.5 * min(first, last):
-        spacing = f"rows are {first:.6g} s apart at the start and {last:.6g} s at the end"
-        remedy = "import each stretch on its own with from_s and to_s, or "
-    else:
-        spacing = f"rows are {steps.min():.6g} to {steps.max():.6g} s apart (median {np.median(steps):.6g} s), unevenly"
-        remedy = "state sample_rate_hz if the sampling was even and only its stamps are not, or "
-    return UnevenRowsError(f"{path}: {spacing}; {remedy}state resample_hz to have rows interpolated to an even rate.")
-
-
-def resample(
-    stamps: FloatArray, columns: Mapping[str, FloatArray], sample_rate_hz: float
-) -> tuple[SampleGrid, dict[str, FloatArray]]:
-    """Resample columns at an even rate.
-
-    A sample is the mean of the rows within half a period, or with fewer than three such rows a linear interpolation
-    between the rows around it. Gaps are not filled. A column with missing values is never averaged, and is missing
-    around them.
-
-    Parameters
-    ----------
-    stamps
-        Times of the rows [s], never falling, shape `(N,)`; of rows at the same time the first counts.
-    columns
-        Each of shape `(N,)`.
-    """
-    times, first = np.unique(stamps, return_index=True)
-    count = int(np.floor((times[-1] - times[0]) * sample_rate_hz + 1e-9)) + 1
-    index = np.arange(count, dtype=np.int64)
-    at = times[0] + index / sample_rate_hz
-    is_gap = _gaps_between(times, sample_rate_hz)
-    before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, max(len(times) - 2, 0))
-    if is_gap.size:
-        measured = ~(is_gap[before] & (at > times[before]) & (at < times[before + 1]))
-        index, at = index[measured], at[measured]
-    edges = np.searchsorted(times, np.stack((at - 0.5 / sample_rate_hz, at + 0.5 / sample_rate_hz)))
-    averaged = edges[1] - edges[0] >= MIN_ROWS_AVERAGED
-
-    def resampled(values: FloatArray) -> FloatArray:
-        result = np.asarray(np.interp(at, times, values), dtype=np.float64)
-        if np.isfinite(values).all():
-            sums = np.concatenate(([0.0], np.cumsum(values - values[0])))
-            start, stop = edges[:, averaged]
-            result[averaged] = values[0] + (sums[stop] - sums[start]) / (stop - start)
-        return result
-
-    events = tuple(_resample_events(times, at, averaged, is_gap, sample_rate_hz))
-    grid = SampleGrid(sample_rate_hz, index, events)
-    return grid, {name: resampled(values[first]) for name, values in columns.items()}
-
-
-def _gaps_between(times: FloatArray, sample_rate_hz: float) -> Mask:
-    """Which steps between rows are gaps, shape `(N - 1,)`."""
-    from scipy.ndimage import median_filter
-
-    steps = np.diff(times)
-    if not steps.size:
-        return steps > 0
-    around = median_filter(steps, size=MEDIAN_STEPS, mode="nearest")
-    return np.asarray(steps > np.maximum(GAP_FACTOR * around, 1 / sample_rate_hz))
-
-
-def _resample_events(
-    times: FloatArray, at: FloatArray, averaged: Mask, is_gap: Mask, sample_rate_hz: float
-) -> Iterator[RunEvent]:
-    means = int(np.count_nonzero(averaged))
-    yield _event(
-        f"resampled to {sample_rate_hz:g} Hz from {len(times)} rows: {means} samples are means of rows, "
-        f"{len(at) - means} interpolated"
-    )
-    step_around = np.diff(times)[np.clip(np.searchsorted(times, at) - 1, 0, len(times) - 2)]
-    if invented := int(np.count_nonzero(step_around > 1.5 / sample_rate_hz)):
-        yield _event(f"{invented} samples lie between rows that are further apart than the new period: not measured")
-    for row in np.flatnonzero(is_gap).tolist():
-        message = f"no rows for {times[row + 1] - times[row]:.6g} s: not filled"
-        yield RunEvent(float(times[row] - times[0]), "gap", message)
 
 
 def detect_phases(position: FloatArray, sample_rate_hz: float, gaps: npt.ArrayLike = ()) -> PhaseArray | None:

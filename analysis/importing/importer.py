@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
@@ -12,31 +13,29 @@ from uuid import uuid4
 
 import numpy as np
 
-from dragrig.analysis import SOURCE_KEY, START_UNKNOWN_KEY
+from dragrig.analysis import SOURCE_KEY, START_UNKNOWN_KEY, printable
 from dragrig.analysis.importing.conversion import (
-    IMPORT_EVENT,
     SPEED_WINDOW_S,
     ConvertedMeasurement,
     convert_table,
     motion_stretches,
+    recordings,
 )
-from dragrig.analysis.importing.foreign import ForeignTable, ImportSettings
+from dragrig.analysis.importing.exports import ExportedRun, read_export, restore_run
+from dragrig.analysis.importing.foreign import ForeignTable
 from dragrig.analysis.importing.readers import read_foreign
+from dragrig.analysis.importing.settings import ImportSettings
+from dragrig.analysis.importing.time_grid import IMPORT_EVENT
 from dragrig.config import Capsule, Fixture, ImportDataError, OutputError, Specimen, find_settings, suggestion
 from dragrig.rig import (
     PARAMETERS_OF_KIND,
-    AnyFloatArray,
     Attribute,
     Phase,
-    PhaseArray,
-    RecordedChannel,
     RunEvent,
     RunHeader,
-    RunStatus,
     protocol_kinds,
 )
 
-NOT_CHANNELS = frozenset({"time", "command", "phase"})
 CAPSULE_SIZES = ("diameter_mm", "length_mm", "mass_g", "contact_angle_deg")
 UNKNOWN_SIZE = float("nan")
 MAX_PREAMBLE_CHARS = 4000
@@ -55,11 +54,11 @@ class ImportedRun:
 def import_file(path: Path, target: Path, settings: ImportSettings | None = None) -> ImportedRun:
     """Turn a foreign measurement into a run file.
 
-    A file that this software exported comes back as the run it was; every other file needs a column map, unless its
-    column names say quantity and unit. `force` and `motor_force` are stored in mN. A column of another quantity
-    becomes one of them by a stated factor only (a friction coefficient by the normal load, `Friction:1*1000` for
-    1 N; a current by the motor's constant, `Iq:A*40000`); the column itself is then stored too, in its
-    own unit, and an event says so.
+    A file that this software exported comes back as the run it was, or as the part that was exported; every other
+    file needs a column map, unless its column names say quantity and unit. `force` and `motor_force` are stored in
+    mN. A column of another quantity becomes one of them by a stated factor only (a friction coefficient by the normal
+    load, `Friction:1*1000` for 1 N; a current by the motor's constant, `Iq:A*40000`); the column itself is then stored
+    too, in its own unit, and an event says so.
 
     Parameters
     ----------
@@ -74,38 +73,68 @@ def import_file(path: Path, target: Path, settings: ImportSettings | None = None
         When the target exists already, or cannot be written.
     """
     settings = settings or ImportSettings()
-    return _import_table(path, read_foreign(path, settings), target, settings)
+    if (exported := _unmapped_export(path, settings)) is not None:
+        return _restore_export(exported, target, settings)
+    tables = read_foreign(path, settings)
+    runs = _prepared_runs(path, tables, settings)
+    if len(runs) > 1:
+        names = ", ".join(repr(table.name) for table in tables)
+        raise ImportDataError(
+            f"{path}: holds {len(runs)} runs (tables: {names}); name one with table, or take all with import_runs."
+        )
+    return runs[0].written_to(target)
 
 
 def import_runs(path: Path, folder: Path, settings: ImportSettings) -> tuple[ImportedRun, ...]:
-    """Turn a foreign measurement into a run file, or with `split_at` into one for each of its motions.
+    """Turn a foreign measurement into run files: one for each of its tables with the same columns.
 
-    Their orders count from that of the settings on. Raises as `import_file`.
+    A table whose clock begins anew, and with `split_at` one with rests, becomes several. The orders of the runs count
+    from that of the settings on. Nothing is written before all can be. Raises as `import_file`.
     """
-    table = read_foreign(path, settings)
-    if not settings.split_at:
-        return (_import_table(path, table, folder, settings),)
-    stretches = enumerate(motion_stretches(table, settings))
-    return tuple(
-        _import_table(
-            path,
-            table,
-            folder,
-            settings.model_copy(update={"from_s": begin, "to_s": end, "order": settings.order + number}),
-        )
-        for number, (begin, end) in stretches
-    )
+    if (exported := _unmapped_export(path, settings)) is not None:
+        return (_restore_export(exported, folder, settings),)
+    return tuple(run.written_to(folder) for run in _prepared_runs(path, read_foreign(path, settings), settings))
 
 
-def _import_table(path: Path, table: ForeignTable, target: Path, settings: ImportSettings) -> ImportedRun:
-    from dragrig.rig import write_run
+def _unmapped_export(path: Path, settings: ImportSettings) -> ExportedRun | None:
+    return None if settings.columns.mapped() else read_export(path)
 
-    if table.export and not settings.columns.mapped():
-        return _restore_export(table, target)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PreparedRun:
+    """All that a run file will hold."""
+
+    header: RunHeader
+    measured: ConvertedMeasurement
+    events: tuple[RunEvent, ...]
+
+    def written_to(self, target: Path) -> ImportedRun:
+        from dragrig.rig import write_run
+
+        written = write_run(_run_file_path(target, self.header), self.header, self.measured.columns, events=self.events)
+        return ImportedRun(written, len(self.measured.columns["time"]), self.measured.sample_rate_hz, self.events)
+
+
+def _prepared_runs(path: Path, tables: Sequence[ForeignTable], settings: ImportSettings) -> tuple[_PreparedRun, ...]:
     if settings.kind not in (kinds := protocol_kinds()):
         raise ImportDataError(f"{path}: {settings.kind} is no kind of run; {suggestion(settings.kind, tuple(kinds))}")
+    runs: list[_PreparedRun] = []
+    for table in tables:
+        for recording in recordings(table, settings):
+            spans = motion_stretches(recording, settings) if settings.split_at else ((settings.from_s, settings.to_s),)
+            for from_s, to_s in spans:
+                order = settings.order + len(runs)
+                part = settings.model_copy(update={"from_s": from_s, "to_s": to_s, "order": order})
+                is_titled = len(tables) > 1 and not re.fullmatch(r"block \d+", table.name)
+                # The name of a file need not be text.
+                specimen = printable(f"{path.stem}, {table.name}" if is_titled else path.stem)
+                runs.append(_prepared_run(path, recording, part, specimen))
+    return tuple(runs)
+
+
+def _prepared_run(path: Path, table: ForeignTable, settings: ImportSettings, specimen: str) -> _PreparedRun:
     measured = convert_table(table, settings)
-    header, events = _run_header(path, table, settings, measured)
+    header, events = _run_header(path, table, settings, measured, specimen)
     missing = [key for key in PARAMETERS_OF_KIND.get(header.kind, ()) if key not in header.protocol]
     if missing:
         stated = " ".join(f"--set {key}=…" for key in missing)
@@ -113,8 +142,7 @@ def _import_table(path: Path, table: ForeignTable, target: Path, settings: Impor
             f"{path}: a run of kind {header.kind} needs {', '.join(missing)}, which its positions do not show (no "
             f"single move at one speed between standstills); state them, as in {stated}, or leave the kind out."
         )
-    written = write_run(_run_file_path(target, header), header, measured.columns, events=events)
-    return ImportedRun(written, len(measured.columns["time"]), measured.sample_rate_hz, events)
+    return _PreparedRun(header, measured, events)
 
 
 def _run_file_path(target: Path, header: RunHeader) -> Path:
@@ -127,7 +155,7 @@ def _run_file_path(target: Path, header: RunHeader) -> Path:
 
 
 def _run_header(
-    path: Path, table: ForeignTable, settings: ImportSettings, measured: ConvertedMeasurement
+    path: Path, table: ForeignTable, settings: ImportSettings, measured: ConvertedMeasurement, specimen: str
 ) -> tuple[RunHeader, tuple[RunEvent, ...]]:
     events = measured.events
     start_time = settings.start_time or measured.begins_at or datetime.fromtimestamp(path.stat().st_mtime, UTC)
@@ -137,7 +165,7 @@ def _run_header(
         unknown = "start time not known (--start-time states it): the file's date stands in its place, no session clock"
         events = (RunEvent(0.0, IMPORT_EVENT, unknown), *events)
         undated = {START_UNKNOWN_KEY: True}
-    known = _stated_circumstances(settings, path.stem)
+    known = _stated_circumstances(settings, specimen)
     shown = _shown_protocol(settings.kind, measured, known.specimen)
     protocol = {**{key: value for key, value in shown.items() if key not in settings.protocol}, **settings.protocol}
     if derived := [f"{key} = {shown[key]:g}" for key in shown if isfinite(shown[key]) and key not in settings.protocol]:
@@ -149,7 +177,8 @@ def _run_header(
         "operator": settings.operator,
         "note": settings.note,
         "origin_mm": measured.origin_mm,
-        "import_source": path.name,
+        "import_source": printable(path.name),
+        "import_table": table.name,
         SOURCE_KEY: hashlib.sha256(path.read_bytes()).hexdigest(),
         "import_columns": json.dumps(dict(measured.sources), ensure_ascii=False),
         "import_settings": settings.model_dump_json(exclude_defaults=True),
@@ -236,75 +265,20 @@ def _shown_protocol(kind: str, measured: ConvertedMeasurement, specimen: Mapping
     return {key: shown[key] for key in wanted if key in shown}
 
 
-def _restore_export(table: ForeignTable, target: Path) -> ImportedRun:
-    """Write an exported run again, without its filtered traces; they can be computed again."""
+def _restore_export(exported: ExportedRun, target: Path, settings: ImportSettings) -> ImportedRun:
+    """Write an exported run again; what the settings state besides is not used, and an event says so."""
     from dragrig.rig import write_run
 
-    metadata = table.export
-    try:
-        columns, channels = _exported_columns(table, _mapping(metadata["columns"]))
-        header = RunHeader(
-            run_id=str(metadata["run_id"]),
-            start_time=datetime.fromisoformat(str(metadata["start_time"])),
-            order=int(str(metadata["order"])),
-            backend="external",
-            kind=str(metadata["kind"]),
-            sample_rate_hz=float(str(metadata["sample_rate_hz"])),
-            channels=channels,
-            entry={**_attributes(metadata["entry"]), "exported_from": str(metadata["backend"])},
-            protocol=_attributes(metadata["protocol"]),
-            capsule=_attributes(metadata["capsule"]),
-            specimen=_attributes(metadata["specimen"]),
-            settings_toml=str(metadata.get("settings_toml", "")),
+    run = restore_run(exported)
+    events = run.events
+    stated = set(settings.model_dump(exclude_defaults=True)) - {"order"}
+    if stated:
+        unused = (
+            f"not used, as an export comes back as it was: {', '.join(sorted(stated))}; map its columns to use them"
         )
-        entries = (_sequence(entry) for entry in _sequence(metadata["events"]))
-        events = tuple(RunEvent(float(str(time_s)), str(kind), str(message)) for time_s, kind, message in entries)
-        status, reason = RunStatus(str(metadata["status"])), str(metadata["reason"])
-        end_time = datetime.fromisoformat(str(metadata["end_time"])) if metadata["end_time"] else None
-        checks = _attributes(metadata["checks"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise ImportDataError(
-            f"{table.path}: holds the metadata of an export, which were changed ({error}); restore them, or remove "
-            "them all and map the columns."
-        ) from error
+        events = (RunEvent(0.0, IMPORT_EVENT, unused), *events)
     written = write_run(
-        _run_file_path(target, header), header, columns, events=events, status=status, reason=reason,
-        end_time=end_time, checks=checks,
+        _run_file_path(target, run.header), run.header, run.columns, events=events, status=run.status,
+        reason=run.reason, end_time=run.end_time, checks=run.checks,
     )  # fmt: skip
-    return ImportedRun(written, table.rows, header.sample_rate_hz, events)
-
-
-def _exported_columns(
-    table: ForeignTable, described: Mapping[str, object]
-) -> tuple[dict[str, AnyFloatArray | PhaseArray], tuple[RecordedChannel, ...]]:
-    columns: dict[str, AnyFloatArray | PhaseArray] = {}
-    channels: list[RecordedChannel] = []
-    for name, description in described.items():
-        dataset, units, dtype = (str(part) for part in _sequence(description))
-        if dataset.startswith("filtered/"):
-            continue
-        values = table.numbers(table.column(name), whole=dataset in NOT_CHANNELS)
-        if dataset == "phase":
-            columns["phase"] = values.astype(np.uint8)
-        else:
-            columns[dataset] = values.astype(np.float32) if dtype == "float32" else values
-        if dataset not in NOT_CHANNELS:
-            channels.append(RecordedChannel(dataset, units, "float32" if dtype == "float32" else "float64"))
-    return columns, tuple(channels)
-
-
-def _attributes(group: object) -> dict[str, Attribute]:
-    """Attributes of a group; None stands for a number that was not finite."""
-    return {str(key): float("nan") if value is None else value for key, value in _mapping(group).items()}
-
-
-def _mapping(value: object) -> Mapping[str, "Attribute | None"]:
-    if not isinstance(value, dict):
-        raise TypeError(f"{value!r:.40} is no table")
-    return value
-
-
-def _sequence(value: object) -> list[object]:
-    if not isinstance(value, list):
-        raise TypeError(f"{value!r:.40} is no list")
-    return value
+    return ImportedRun(written, len(run.columns["time"]), run.header.sample_rate_hz, events)

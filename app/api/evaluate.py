@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from dragrig import present
+from dragrig import analysis, present
 from dragrig.analysis import (
     ColumnMap,
     ComparedSide,
@@ -344,10 +344,31 @@ def import_run(
     >>> dragrig.import_run("old.csv", "runs", {"time": "1:s", "force": "Load:N"}, decimal=",")  # doctest: +SKIP
     """
     target = Path(to)
+    return import_file(Path(path), target, _import_settings_of(target, columns, settings, options))
+
+
+def import_runs(
+    path: str | Path,
+    folder: str | Path,
+    columns: Mapping[str, str] | None = None,
+    *,
+    settings: str | Path | None = None,
+    **options: object,
+) -> tuple[ImportedRun, ...]:
+    """Convert a foreign measurement of several recordings into a run file for each: sheets, groups, trials, cycles.
+
+    Parameters and errors are those of `import_run`.
+    """
+    target = Path(folder)
+    return analysis.import_runs(Path(path), target, _import_settings_of(target, columns, settings, options))
+
+
+def _import_settings_of(
+    target: Path, columns: Mapping[str, str] | None, settings: str | Path | None, options: dict[str, object]
+) -> ImportSettings:
     if target.is_dir():
         options.setdefault("order", next_run_order(target))
-    assignments = [f"{quantity}={source}" for quantity, source in (columns or {}).items()]
-    return import_file(Path(path), target, import_settings(assignments, options, settings))
+    return import_settings([f"{name}={source}" for name, source in (columns or {}).items()], options, settings)
 
 
 Comparable = str | Path | Run | Iterable[Run]

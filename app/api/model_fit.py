@@ -28,6 +28,7 @@ from dragrig.analysis import (
     parts_of,
     pool_campaigns,
     pool_specimens,
+    printable,
     select_loaded_runs,
     select_runs,
     why_no_model,
@@ -140,7 +141,7 @@ class IdentifiedCampaign:
 def _model_origin(result: Identification, joint: JointFit, campaign: str) -> IdentificationSummary:
     """Return what the file of an identified model says of where its values come from."""
     return IdentificationSummary(
-        campaign=campaign,
+        campaign=printable(campaign),
         specimen=result.specimen,
         runs=len(result.used),
         software=software_version(),

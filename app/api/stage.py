@@ -16,6 +16,7 @@ from dragrig.config import (
     ContactPoint,
     DeviceError,
     SettingsError,
+    require_text,
 )
 from dragrig.hosted_session import PromptRelay, idle_reader, run_on_worker
 from dragrig.rig import (
@@ -163,6 +164,7 @@ def touch_off(
         Also outside of a lab folder; nothing moves then.
     """
     setup = resolve_rig(**choices)
+    require_text(operator=operator)
     folder = _require_lab(setup, "touch-off")
     require_touch_off(force_mN, speed_mm_s, most_mm, back_mm, setup.limits)
 
@@ -213,6 +215,7 @@ def commission(
         When the person ends it, and when the card does not answer; nothing is stored then.
     """
     setup = resolve_rig(**choices)
+    require_text(operator=operator)
     folder = _require_lab(setup, "check --live")
     request = BackendRequest(
         setup.rig,
@@ -348,6 +351,7 @@ def calibrate_force(
     """
     setup = resolve_rig(**choices)
     folder = _require_lab(setup)
+    require_text(operator=operator, note=note)
     require_loads(weights_g)
     _require_repeats(repeats, duration_s)
 
@@ -408,6 +412,7 @@ def calibrate_encoder(
     """
     setup = resolve_rig(**choices)
     folder = _require_lab(setup)
+    require_text(operator=operator, note=note)
     _require_repeats(repeats, duration_s)
     if not isfinite(travel_mm) or travel_mm == 0:
         raise SettingsError(f"travel_mm = {travel_mm:g}: must be a distance other than 0.")

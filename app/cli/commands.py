@@ -1,7 +1,9 @@
 """The table of all commands, and the click groups that load a command's module when it is called."""
 
 from collections.abc import Mapping
+from glob import has_magic
 from importlib import import_module
+from os.path import lexists
 from typing import Any, NamedTuple
 
 import click
@@ -117,6 +119,30 @@ GAP_SECTIONS: Sections = {
 }
 
 
+class TypedText(click.types.StringParamType):
+    """A text on the command line: what is no UTF-8 can be no more than the name of a file that is there."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the text; fails for bytes that no file could hold, and that name none."""
+        from dragrig.config import NO_TEXT, is_text
+
+        text = super().convert(value, param, ctx)
+        if not (is_text(text) or has_magic(text) or lexists(text)):
+            self.fail(f"{text!r:.60} names no file, and {NO_TEXT}", param, ctx)
+        return text
+
+
+def _typed_as_text(command: click.Command) -> click.Command:
+    """Have a command, and those of a group, take every text as `TypedText`."""
+    for parameter in command.params:
+        if parameter.type is click.STRING:
+            parameter.type = TypedText()
+    if isinstance(command, click.Group) and not isinstance(command, LazyGroup):
+        for inner in command.commands.values():
+            _typed_as_text(inner)
+    return command
+
+
 class LazyGroup(click.Group):
     """A group that loads the module of a command when it is called.
 
@@ -145,7 +171,7 @@ class LazyGroup(click.Group):
         command: object = getattr(import_module(f"dragrig.cli.{module}"), attribute)
         if not isinstance(command, click.Command):
             raise TypeError(f"dragrig.cli.{entry.location} is not a click command")
-        return command
+        return _typed_as_text(command)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Self, TypeVar
 import click
 
 from dragrig.analysis import printable
-from dragrig.config import AbortedError, DragrigError
+from dragrig.config import NO_TEXT, AbortedError, DragrigError, is_text
 from dragrig.end_signals import EndSignals
 from dragrig.present import duration_text, to_json_value
 
@@ -147,11 +147,23 @@ def _sentence_and_code(error: Exception) -> tuple[str, int]:
         case OSError() if error.errno in _FULL:
             # Files are written by code that names them.
             sentence = f"standard output takes no more ({error.strerror}); make room, or print elsewhere"
+        case ValueError() if foreign := _bytes_as_text(error):
+            sentence = f"{foreign!r:.60} {NO_TEXT}"
         case MemoryError():
             sentence = "not enough memory; use fewer samples, or close other programs"
         case _:
             sentence, code = _bug_sentence(error), BUG
     return sentence, code
+
+
+def _bytes_as_text(error: ValueError) -> str:
+    """Return the text that could not be stored, where an error says that it holds bytes that are no UTF-8; else ""."""
+    if isinstance(error, UnicodeEncodeError):
+        return "" if is_text(error.object) else error.object
+    from pydantic import ValidationError
+
+    details = error.errors(include_url=False) if isinstance(error, ValidationError) else []
+    return next((str(detail["input"]) for detail in details if detail["type"] == "string_unicode"), "")
 
 
 def print_error(sentence: str, code: int = BAD_INPUT) -> int:

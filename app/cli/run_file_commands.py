@@ -162,6 +162,7 @@ class _ImportOptions(TypedDict):
     delimiter: str | None
     decimal: str | None
     header_lines: int | None
+    missing: str | None
     table: str | None
     radius_mm: float | None
     split_at: str | None
@@ -192,10 +193,17 @@ class _ImportOptions(TypedDict):
 )
 @click.option("--settings", metavar="F", help="TOML file with these settings, for recurring files.")
 @click.option("--encoding", metavar="NAME", help="Of text (default: detected).")
-@click.option("--delimiter", metavar="MARK", help="Between the columns of text (default: detected).")
-@click.option("--decimal", metavar="MARK", help="Decimal mark of text (default: detected).")
+@click.option("--delimiter", metavar="MARK", help="Between the columns of text: , ; | tab or space (default: found).")
+@click.option("--decimal", metavar="MARK", help="Decimal mark of text, . or , (default: found).")
 @click.option("--header-lines", type=int, metavar="N", help="Lines before the first row of numbers.")
-@click.option("--table", metavar="NAME", help="Variable of a MAT file, group of a TDMS file, sheet of a workbook.")
+@click.option(
+    "--missing",
+    type=click.Choice(["refuse", "gap"]),
+    help="Rows without a number (empty, NaN, ---, OVLD): refuse the file, or leave a gap (default: refuse).",
+)
+@click.option(
+    "--table", metavar="NAME", help="Sheet, group, variable or block (default: the largest, and all like it)."
+)
 @click.option("--radius-mm", type=float, metavar="MM", help="Of a turning rig: converts rad, deg, rev and Nm.")
 @click.option("--split-at", type=click.Choice(["rests"]), help="Make a run of each motion of a long record.")
 @click.option("--sample-rate-hz", type=float, metavar="HZ", help="Rows are evenly spaced at this rate.")
@@ -234,10 +242,14 @@ def import_command(
 ) -> None:
     """Convert foreign measurements into run files.
 
-    FILE is text (CSV, decimal commas, any encoding that instruments write), MAT, Parquet, TDMS, NPZ, JSON or a
-    spreadsheet. Map each column to time, force, position, command, motor_force or temperature with its unit: --map
-    force=Load:N, or by number, --map time=1:s; dates and times need none. A unit of another dimension needs a factor:
-    --map force=Friction:1*1000. An export of this software needs no map. Existing files are never overwritten.
+    FILE is text (CSV, .lvm, decimal commas, any encoding that instruments write), a workbook, MAT, Parquet, Feather,
+    TDMS, NumPy or JSON, packed or not and whatever its name. Map each column to time, force, position, command,
+    motor_force or temperature with its unit: --map force=Load:N, or by number, --map time=1:s; dates and times need
+    none. A unit of another dimension needs a factor: --map force=Friction:1*1000. An export of this software needs no
+    map. Existing files are never overwritten.
+
+    Tables with the same columns (sheets, groups, trials, blocks) become a run each, and so do the stretches of a clock
+    that begins anew. Remarks name all else that the file holds.
 
     Capsule, wall and fixture make a measurement one that gap diagnose compares with the capsule model. What a kind
     of run must state (speed, travel, …) and --set does not is taken from the position.
@@ -302,7 +314,11 @@ def _protocol_settings(assignments: tuple[str, ...]) -> dict[str, object]:
 @click.option("--columns", metavar="NAME,NAME,…", help="Columns besides the time, as force,position (default: all).")
 @click.option("--filtered-only", is_flag=True, help="Leave out what was recorded where the filter's result is there.")
 @click.option(
-    "--every", metavar="N", type=click.IntRange(min=1), default=1, help="Make one row of N samples, their mean."
+    "--every",
+    metavar="N",
+    type=click.IntRange(min=1),
+    default=1,
+    help="Make one row of N samples, their mean; of fewer before a gap and at the end.",
 )
 @options.out("Folder for the files (default: beside each run file).")
 @options.overwrite
@@ -324,6 +340,9 @@ def export_command(
 
     RUN is a run file, a pattern or a campaign's folder. Without --overwrite no existing file is replaced. Runs
     marked bad are left out unless they are named themselves.
+
+    The names of columns are made legal in the format; the metadata state the original ones, so that import needs no
+    map. A row of --every has the mean time, and the phase of its middle sample.
     """
     from dragrig.analysis import CsvStyle, ExportFormat, ExportSelection, export_run
 

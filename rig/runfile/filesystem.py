@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from dragrig.config import OutputError
+from dragrig.config import NO_TEXT, OutputError, is_text
 from dragrig.rig.runfile.schema import PART_SUFFIX, lock_path, part_path
 
 MAX_SHARING_WAIT_S = 5.0
@@ -136,6 +136,8 @@ def rename_into_place(part: Path, target: Path) -> None:
 
 def replace_text(path: Path, text: str) -> None:
     """Write a small text file, atomically in place of an earlier one; raises `OutputError`."""
+    if not is_text(text):
+        raise OutputError(f"{path}: cannot be written, as the text {NO_TEXT}")
     part = part_path(path)
     try:
         part.write_text(text, "utf-8", newline="\n")

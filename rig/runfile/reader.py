@@ -15,7 +15,7 @@ from uuid import UUID
 import h5py
 import numpy as np
 
-from dragrig.config import DragrigError, RunFileError
+from dragrig.config import NO_TEXT, DragrigError, RunFileError, is_text
 from dragrig.rig import AnyFloatArray, FloatArray, PhaseArray, read_only
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import brief_error
@@ -153,6 +153,8 @@ def _check_magnitude(path: str, name: str, value: Attribute) -> None:
     if isinstance(value, str):
         if "\0" in value:
             raise LayoutError(f"the attribute {name} of {path} holds a zero byte")
+        if not is_text(value):
+            raise LayoutError(f"the attribute {name} of {path} {NO_TEXT}")
         if (path, name) == (schema.PROTOCOL, "kind") and len(value) > schema.MAX_KIND_CHARACTERS:
             raise LayoutError(f"the attribute kind of {path} has {len(value)} characters")
         return
@@ -318,6 +320,7 @@ def filtered_of(file: h5py.File) -> FilteredTrace | None:
     if schema.FILTERED not in file:
         return None
     group = required_group(file, schema.FILTERED)
+    _require_text_names(group)
     _require_plausible_total(group)
     columns: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
@@ -355,9 +358,17 @@ def _is_unfinished(file: h5py.File, layout: schema.Layout) -> bool:
     return "status" in run.attrs and attribute_of(run, "status") == RunStatus.RECORDING
 
 
+def _require_text_names(group: h5py.Group) -> None:
+    """Refuse names that are no UTF-8, which h5py gives as bytes."""
+    for name in group:
+        if not isinstance(name, str):
+            raise LayoutError(f"the name {name!r:.60} in {group.name} is no UTF-8")
+
+
 def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[int, tuple[RecordedChannel, ...]]:
     for name in (schema.TIME, signal, "position", schema.COMMAND, schema.PHASE):
         required_dataset(file, f"{schema.TRACE}/{name}")
+    _require_text_names(file[schema.TRACE])
     lengths: dict[str, int] = {}
     channels: list[RecordedChannel] = []
     for name, dataset in file[schema.TRACE].items():

@@ -1,0 +1,439 @@
+"""A text file is preamble, heading, units and rows, and this again: one description, fitted to the whole of it.
+
+Cells that look like values (numbers, dates, times) tell rows from everything else, column by column over all lines.
+Between two stretches of rows stand either a few lines that are left out, with a remark, or the heading of a further
+table.
+"""
+
+import io
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from dragrig.analysis import Mask
+from dragrig.analysis.importing.cells import (
+    NO_VALUE,
+    VALUE,
+    NumberMarks,
+    are_filled,
+    are_values,
+    arrow_mask,
+    matches,
+    number_marks,
+    remark_on_marks,
+    text_column,
+)
+from dragrig.analysis.importing.clocks import Clock, joined
+from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable
+from dragrig.analysis.importing.lvm import with_stated_waveform
+from dragrig.analysis.importing.settings import ImportSettings
+from dragrig.analysis.importing.units import canonical_unit, split_unit
+from dragrig.config import ImportDataError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+DELIMITERS = ("\t", ";", "|", ",", " ")
+"""In the order of preference when two fit equally well; a space stands for any white space."""
+SAMPLED_LINES = 400
+"""Lines from all over a file that tell its delimiter."""
+MIN_FURTHER_ROWS = 3
+"""Fewer rows apart from a table are none of their own: two numbers in a preamble, a footer."""
+TOLD_LINES = 3
+_IS_VALUE = re.compile(VALUE)
+_HAS_NO_VALUE = re.compile(NO_VALUE)
+_SINGLE = re.compile(
+    r"[-+]?(\d+\.?\d*|\d*[.,]\d+|\d{1,3}([.,'’\u00a0\u202f ]\d{3})+[.,]?\d*)(e[-+]?\d+)?( ?[a-zµμ°%]{1,4})?"
+    r"|[-+]?(nan|inf(inity)?)"
+    r"|\d{1,4}[-/.][a-zäéûôç\d]{1,9}[-/.]\d{1,4}([t ][^,;|\t]*)?|\d{1,4}:\d\d[^,;|\t]*(,\d+)?",
+    re.IGNORECASE,
+)
+"""A value that holds no delimiter: a number with either decimal mark, a date, a time."""
+_PARTED = re.compile(r"\d [-+.,]?\d")
+_COMMENT = re.compile(r"\s*(#|%|//)\s?")
+_QUOTED = re.compile(r'"[^"\n]*"')
+_BROKEN_CELL = re.compile(r'(?:^|(?<=[,;\t|]))"[^"]{0,200}\n[^"]{0,200}"(?=[,;\t|]|$)', re.MULTILINE)
+_HEADING_WORD = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
+_BREAK = "\x1e"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Lines:
+    """Lines of a file, and the number of each, counted from 1."""
+
+    texts: Sequence[str]
+    numbers: Sequence[int]
+
+    @classmethod
+    def of(cls, text: str) -> "_Lines":
+        text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\u2212", "-")
+        if '"' not in text or not _BROKEN_CELL.search(text):
+            texts = text.split("\n")
+            return cls(texts, range(1, len(texts) + 1))
+        broken = _BROKEN_CELL.sub(lambda cell: cell[0].replace("\n", _BREAK), text).split("\n")
+        ends = np.cumsum([line.count(_BREAK) + 1 for line in broken])
+        return cls([line.replace(_BREAK, " ") for line in broken], ends.tolist())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """Lines of one width, as columns of cells, and which of them are rows."""
+
+    lines: npt.NDArray[np.intp]
+    columns: "tuple[pa.StringArray, ...]"
+    is_row: Mask
+    value_columns: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Heading:
+    names: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+
+
+def text_tables(path: Path, text: str, settings: ImportSettings) -> tuple[ForeignTable, ...]:
+    """Read all tables of a text.
+
+    Raises `ImportDataError` when there is none, its rows differ in width, or its decimal mark is ambiguous.
+    """
+    lines = _Lines.of(text)
+    delimiter = settings.delimiter_mark or _found_delimiter(lines.texts[settings.header_lines or 0 :])
+    tables = _Fit(path, lines, delimiter, settings).tables() if delimiter else ()
+    if not tables:
+        raise ImportDataError(
+            f"{path}: holds no table of numbers with columns separated by tab, semicolon, bar, comma or white space; "
+            "state delimiter and header_lines if it does."
+        )
+    return tables
+
+
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """Split a line into cells, without the white space and quotes around them."""
+    if delimiter == " ":
+        return line.split()
+    if '"' in line:
+        import csv
+
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+    return [cell.strip() for cell in line.split(delimiter)]
+
+
+def _found_delimiter(lines: Sequence[str]) -> str:
+    """Return the delimiter that gives the most columns of values, then the largest share of such columns."""
+    sample = _sample(lines)
+    shapes = {mark: _shape(sample, mark) for mark in DELIMITERS}
+
+    def fit(mark: str) -> tuple[int, bool, float]:
+        width, numeric = shapes[mark]
+        # Tabs hold empty cells, which white space would swallow, unless it parts the numbers within them.
+        whole = mark != " " and not any(_PARTED.search(cell) for line in sample for cell in split_cells(line, mark))
+        return len(numeric), whole, len(numeric) / max(width, 1)
+
+    best = max(DELIMITERS, key=fit)
+    return best if shapes[best][1] else ""
+
+
+def _sample(lines: Sequence[str]) -> list[str]:
+    spread = lines[:: max(1, len(lines) // SAMPLED_LINES)]
+    return [line for line in spread if line.strip() and not _COMMENT.match(line)]
+
+
+def _shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int, ...]]:
+    """Return the most common number of cells per line, and the columns that are mostly values."""
+    rows = [row for row in (split_cells(line, delimiter) for line in sample) if any(map(_SINGLE.fullmatch, row))]
+    if not rows:
+        return 0, ()
+    width = Counter(map(len, rows)).most_common(1)[0][0]
+    cells_by_column = zip(*(row for row in rows if len(row) == width), strict=True)
+    surplus = (sum(1 if _SINGLE.fullmatch(cell) else -1 for cell in cells if cell) for cells in cells_by_column)
+    return width, tuple(column for column, majority in enumerate(surplus) if majority > 0)
+
+
+class _Fit:
+    """The description of a text file, found table by table: the widest spread first, then what is left over."""
+
+    def __init__(self, path: Path, lines: _Lines, delimiter: str, settings: ImportSettings) -> None:
+        self._path, self._lines, self._delimiter, self._settings = path, lines, delimiter, settings
+        self._widths = _widths(lines.texts, delimiter)
+        self._in_table = np.zeros(len(lines.texts), dtype=np.bool_)
+        self._in_table[: settings.header_lines or 0] = True
+
+    def tables(self) -> tuple[ForeignTable, ...]:
+        """Return all tables, in the order of the file."""
+        found: list[ForeignTable] = []
+        while (grid := self._grid(first=not found)) is not None:
+            self._in_table[grid.lines[grid.is_row]] = True
+            found += self._blocks(grid)
+        found.sort(key=lambda table: table.lines[0] if table.lines else 0)
+        return tuple(found)
+
+    def _grid(self, *, first: bool) -> _Grid | None:
+        """Parse the lines of the width that most rows have; None without rows, or too few after the first table."""
+        free = np.flatnonzero(~self._in_table & (self._widths > 0))
+        sample = _sample([self._lines.texts[line] for line in free.tolist()])
+        width, numeric = _shape(sample, self._delimiter)
+        if not numeric or not (first or (numeric[0] == 0 and len(numeric) > 1)):
+            return None
+        lines = free[self._widths[free] == width]
+        columns = _parsed(self._path, [self._lines.texts[line] for line in lines.tolist()], self._delimiter, width)
+        is_row, value_columns = _rows_among(columns)
+        if not is_row.sum() >= (1 if first else MIN_FURTHER_ROWS):
+            return None
+        return _Grid(lines, columns, is_row, value_columns)
+
+    def _blocks(self, grid: _Grid) -> Iterator[ForeignTable]:
+        """Cut the rows where a heading stands between them, or a line that stood before the first of them as well."""
+        rows = grid.lines[grid.is_row]
+        all_cells = [column.filter(arrow_mask(grid.is_row)) for column in grid.columns]
+        width = len(all_cells)
+        marks = number_marks(str(self._path), all_cells, self._settings.decimal)
+        cuts, left_out = self._cuts(rows, width)
+        start = self._settings.header_lines or 0
+        heading, header_begin = _Heading(), 0
+        for number, (begin, end) in enumerate(zip(cuts, [*cuts[1:], len(rows)], strict=True), start=1):
+            if end - begin < MIN_FURTHER_ROWS and len(rows) > 2 * (end - begin):
+                continue
+            preamble = tuple(self._lines.texts[header_begin : max(int(rows[begin]), start)])
+            cells = [column.slice(begin, end - begin) for column in all_cells]
+            heading = self._placed(_heading(preamble, self._delimiter, width) or heading, cells)
+            inside = [line for line in left_out if rows[begin] < line <= (rows[end] if end < len(rows) else np.inf)]
+            numbers = tuple(self._lines.numbers[line] for line in rows[begin:end])
+            gapless = numbers[-1] - numbers[0] == len(numbers) - 1
+            columns, clocks = _columns(heading, cells, marks)
+            table = ForeignTable(
+                self._path,
+                columns,
+                lines=range(numbers[0], numbers[-1] + 1) if gapless else numbers,
+                preamble=preamble,
+                name=f"block {number}" if len(cuts) > 1 else "",
+                remarks=(*self._told(inside), *remark_on_marks(marks)),
+            )
+            header_begin = int(rows[end - 1]) + 1
+            yield from _side_by_side(
+                with_stated_waveform(_with_joined_clock(table, clocks)), heading.names, self._delimiter
+            )
+
+    def _placed(self, heading: _Heading, cells: "Sequence[pa.StringArray]") -> _Heading:
+        """Find the column without a name, where a heading has one name too few; raises `ImportDataError`."""
+        if not heading.names or len(heading.names) == len(cells):
+            return heading
+        if not are_values(cells[-1]).any():
+            return heading
+        first = text_column("", "", cells[0], NumberMarks())[0].values
+        if np.array_equal(first, first[0] + np.arange(len(first))) or not np.isfinite(first).any():
+            return _Heading(("", *heading.names), ("", *heading.units) if heading.units else ())
+        raise ImportDataError(
+            f"{self._path}: has {len(heading.names)} names for {len(cells)} columns, so that names cannot be placed; "
+            "add the missing one to the heading."
+        )
+
+    def _cuts(self, rows: npt.NDArray[np.intp], width: int) -> tuple[list[int], list[int]]:
+        """Return the places in `rows` at which a table begins, and the lines that belong to none."""
+        texts = self._lines.texts
+        seen = {_skeleton(line) for line in texts[: rows[0]] if line.strip()}
+        cuts, left_out = [0], []
+        for place in np.flatnonzero(np.diff(rows) > 1).tolist():
+            between = [line for line in range(rows[place] + 1, rows[place + 1]) if texts[line].strip()]
+            told = [texts[line] for line in between if not _COMMENT.match(texts[line])]
+            marks = {_skeleton(line) for line in told}
+            if _heading(told, self._delimiter, width) or marks & seen:
+                cuts.append(place + 1)
+            elif ragged := [line for line in between if self._is_ragged(line)]:
+                if len(ragged) < MIN_FURTHER_ROWS:
+                    raise self._ragged_error(ragged[0], width)
+                cuts.append(place + 1)
+            else:
+                left_out += between
+            seen |= marks
+        left_out += [
+            line for line in range(rows[-1] + 1, len(texts)) if texts[line].strip() and not self._in_table[line]
+        ]
+        return cuts, left_out
+
+    def _is_ragged(self, line: int) -> bool:
+        """Whether a line is of values alone, though it has not the width of the rows."""
+        cells = [cell for cell in split_cells(self._lines.texts[line], self._delimiter) if cell]
+        return bool(cells) and all(_IS_VALUE.match(cell) or _HAS_NO_VALUE.match(cell) for cell in cells)
+
+    def _ragged_error(self, line: int, width: int) -> ImportDataError:
+        cells = len(split_cells(self._lines.texts[line], self._delimiter))
+        return ImportDataError(
+            f"{self._path}: line {self._lines.numbers[line]} has {cells} cells where the first row has {width}; "
+            "correct or remove it, or state delimiter and header_lines."
+        )
+
+    def _told(self, left_out: Sequence[int]) -> Iterator[str]:
+        if not left_out:
+            return
+        first, last = (self._lines.numbers[line] for line in (left_out[0], left_out[-1]))
+        place = f"line {first} is" if len(left_out) == 1 else f"{len(left_out)} lines from {first} to {last} are"
+        quoted = ", ".join(repr(self._lines.texts[line].strip()[:60]) for line in left_out[:TOLD_LINES])
+        yield f"{place} no rows and left out: {quoted}{', …' if len(left_out) > TOLD_LINES else ''}"
+
+
+def _widths(lines: Sequence[str], delimiter: str) -> npt.NDArray[np.intp]:
+    """Return the number of cells of each line; 0 for empty lines and comments."""
+    if delimiter == " ":
+        counts = [len(line.split()) for line in lines]
+    else:
+        counts = [
+            (line if '"' not in line else _QUOTED.sub("", line)).count(delimiter) + 1 if line.strip() else 0
+            for line in lines
+        ]
+    widths = np.array(counts, dtype=np.intp)
+    for number, line in enumerate(lines):
+        if line[:1] in "#%/ \t" and _COMMENT.match(line):
+            widths[number] = 0
+    return widths
+
+
+def _parsed(path: Path, lines: Sequence[str], delimiter: str, width: int) -> "tuple[pa.StringArray, ...]":
+    """Return the cells of lines, column by column, without the white space around them."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    from pyarrow import csv as arrow_csv
+
+    names = [str(column) for column in range(width)]
+    body = "\n".join(" ".join(line.split()) for line in lines) if delimiter == " " else "\n".join(lines)
+    data = body.encode("utf-8", "surrogatepass")
+    try:
+        table = arrow_csv.read_csv(
+            io.BytesIO(data),
+            arrow_csv.ReadOptions(column_names=names, block_size=min(len(data) + 1, 2**31 - 1)),
+            arrow_csv.ParseOptions(delimiter=delimiter, ignore_empty_lines=False),
+            arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False),
+        )
+    except pa.ArrowInvalid as error:
+        raise ImportDataError(f"{path}: holds quotes that do not match; remove them.") from error
+    return tuple(pc.utf8_trim_whitespace(column.combine_chunks()) for column in table.columns)
+
+
+def _rows_among(columns: "Sequence[pa.StringArray]") -> tuple[Mask, tuple[int, ...]]:
+    """Return which lines are rows, and the columns of values.
+
+    A row has a value, or a mark of a missing one, in the first column of values, and values in half of the others that
+    are filled.
+    """
+    is_value = np.array([are_values(column) for column in columns])
+    is_filled = np.array([are_filled(column) for column in columns])
+    value_columns = np.flatnonzero(2 * is_value.sum(axis=1) > (is_filled & is_value.any(axis=0)).sum(axis=1))
+    if not value_columns.size:
+        return np.zeros(len(columns[0]), dtype=np.bool_), ()
+    values = is_value[value_columns].sum(axis=0)
+    filled = is_filled[value_columns].sum(axis=0)
+    first = value_columns[0]
+    in_first = is_value[first].copy()
+    in_first[~is_value[first]] = matches(columns[first].filter(arrow_mask(~is_value[first])), NO_VALUE)
+    return in_first & (values > 0) & (2 * values >= filled), tuple(value_columns.tolist())
+
+
+def _skeleton(line: str) -> str:
+    """Return a line without its numbers, by which marks of blocks are known again."""
+    return re.sub(r"[\d.,+-]+", "0", line.strip().casefold())
+
+
+def _columns(
+    heading: _Heading, cells: "Sequence[pa.StringArray]", marks: NumberMarks
+) -> tuple[tuple[ForeignColumn, ...], tuple[Clock | None, ...]]:
+    """Return the columns of a table, and the clock that each is."""
+    columns: list[ForeignColumn] = []
+    clocks: list[Clock | None] = []
+    for number, texts in enumerate(cells):
+        name = heading.names[number] if number < len(heading.names) else ""
+        unit = heading.units[number] if number < len(heading.units) else ""
+        if not name and number == len(cells) - 1 and not are_filled(texts).any():
+            continue  # each line ends with a delimiter
+        name = name or f"column {number + 1}"
+        column, clock = text_column(name, canonical_unit(unit) or unit or split_unit(name)[1] or "", texts, marks)
+        columns.append(column)
+        clocks.append(clock)
+    return tuple(columns), tuple(clocks)
+
+
+def _heading(lines: Sequence[str], delimiter: str, width: int) -> _Heading | None:
+    """Return names and units of the last lines that have the width of the table and no values; None without any.
+
+    Above a line of units, or of marks that a logger adds, stand the names.
+    """
+    if lines and lines[0].lstrip('"').startswith("TOA5"):
+        # Campbell Scientific, TOA5: file, names, units, kinds of processing.
+        lines = lines[:3]
+    rows = [cells for line in lines if any(cells := _heading_cells(line, delimiter, width))]
+    if not rows:
+        return None
+    if len(rows) > 1 and _are_units(rows[-1]) and not _are_units(rows[-2]):
+        return _Heading(tuple(rows[-2]), tuple(cell.strip("[]()") for cell in rows[-1]))
+    return _Heading(tuple(rows[-1]))
+
+
+def _heading_cells(line: str, delimiter: str, width: int) -> list[str]:
+    """Return the cells of a line as wide as the table, up to empty ones or a missing one at its end; else none."""
+    line = _COMMENT.sub("", line, count=1)
+    cells = split_cells(line, delimiter)
+    if delimiter == " " and len(cells) != width:
+        spaced = [cell for cell in re.split(r"\s*\t\s*|\s{2,}", line.strip()) if cell]
+        cells = spaced if len(spaced) == width else _HEADING_WORD.findall(line)
+    while len(cells) > width and not cells[-1]:
+        cells.pop()
+    if len(cells) == width + 1 and delimiter != " " and width > 1:
+        # Behind the last column of numbers a heading may name one of remarks that no line has.
+        cells.pop()
+    missing = width - len(cells)
+    is_short = missing == 1 and delimiter != " " and width > 2
+    if (missing and not is_short) or any(_IS_VALUE.match(cell) and cell[:1].isdigit() for cell in cells):
+        return []
+    return cells
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    filled = [cell for cell in cells if cell]
+    known = sum(canonical_unit(cell) is not None for cell in filled)
+    bracketed = all(cell[:1] in "[(" and cell[-1:] in "])" for cell in filled)
+    return bool(filled) and (bracketed or 2 * known >= len(filled))
+
+
+def _with_joined_clock(table: ForeignTable, clocks: Sequence[Clock | None]) -> ForeignTable:
+    """Make a date and a time of day in columns of their own one clock."""
+    dates = [number for number, clock in enumerate(clocks) if clock is not None and clock.is_date]
+    times = [number for number, clock in enumerate(clocks) if clock is not None and clock.is_time_of_day]
+    if len(dates) != 1 or len(times) != 1:
+        return table
+    (date_at,), (time_at,) = dates, times
+    date, time = clocks[date_at], clocks[time_at]
+    if date is None or time is None:
+        return table
+    columns = list(table.columns)
+    columns[time_at] = joined(date, time).column(columns[time_at].name)
+    told = f"columns {columns[date_at].name!r} and {columns[time_at].name!r} are one clock"
+    del columns[date_at]
+    return replace(table, columns=tuple(columns), remarks=(*table.remarks, told))
+
+
+def _side_by_side(table: ForeignTable, names: Sequence[str], delimiter: str) -> Iterator[ForeignTable]:
+    """Part tables that stand beside each other: the same names again, with or without an empty column between them."""
+    wide = len(table.columns)
+    for width, gap in (
+        (width, gap) for width in range(2, wide // 2 + 1 if len(names) == wide else 0) for gap in (0, 1)
+    ):
+        starts = range(0, wide - width + 1, width + gap)
+        between = [table.columns[start + width] for start in starts if start + width < wide] if gap else []
+        is_same = all(names[start : start + width] == names[:width] for start in starts)
+        is_parted = not any(column.bad or np.isfinite(column.values).any() for column in between)
+        if len(starts) < 2 or starts[-1] + width != wide or not is_same or not is_parted:
+            continue
+        titles = [f"columns {start + 1} to {start + width}" for start in starts]
+        for line in table.preamble:
+            cells = split_cells(line, delimiter)
+            above = [cells[start] for start in starts if start < len(cells) and cells[start]]
+            titles = above if len(set(above)) == len(starts) else titles
+        for start, title in zip(starts, titles, strict=True):
+            columns = table.columns[start : start + width]
+            yield replace(table, columns=columns, name=f"{table.name}, {title}" if table.name else title)
+        return
+    yield table
