@@ -36,7 +36,7 @@ def test_a_jog_asks_and_tells_where_the_stage_is(
     assert main(["jog", "5", "--speed", "20"]) == 0
     printed = capsys.readouterr()
     assert printed.out == "5.000 mm\n"
-    assert "The stage moves from 0.000 to 5.000 mm at 20 mm/s." in printed.err
+    assert "The stage moves by +5 mm at 20 mm/s, from 0.000 to 5.000 mm." in printed.err
     assert main(["jog", "2.5", "--yes", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"position_mm": 2.5, "trip": None}
 
