@@ -77,7 +77,7 @@ def test_at_a_real_rig_yes_does_not_look(
     [
         (["jog", "200"], 2, "0 to 150 mm"),
         (["jog", "1e300"], 2, "0 to 150 mm"),
-        (["jog", "five"], 2, "'five' is not a valid float"),
+        (["jog", "five"], 2, "'five' is not a number"),
         (["jog", "5", "--sped", "3"], 2, "--sped"),
         (["jog", "5", "--override-limit", "low"], 5, "not pressed"),
         (["home", "--override-limit", "up"], 2, "--override-limit"),

@@ -742,7 +742,7 @@ def test_an_invalid_field_says_so_below_itself_and_on_every_tab(window: MainWind
     run, new = window.run, window.run.new
     for key, text, said in (
         ("speed_mm_s", "fast", "'fast' is not a number"),
-        ("repeats", "0", "greater than or equal to 1"),
+        ("repeats", "0", "below 1, the least allowed"),
         ("travel_mm", "900", "outside the stage's travel"),
         ("capsule", "no-such-capsule", "no-such-capsule"),
     ):
@@ -772,7 +772,7 @@ def test_an_invalid_field_of_a_step_that_is_not_shown_is_named(window: MainWindo
     assert not any(label.isVisible() for label in new.editor.problems.values())
     assert not new.start.isEnabled()
     new.editor.steps.setCurrentIndex(1)
-    assert "greater than or equal to 1" in new.editor.problems["repeats"].text()
+    assert "below 1, the least allowed" in new.editor.problems["repeats"].text()
     new.editor.put("repeats", "1")
     new.update_preview()
     fill(window)
