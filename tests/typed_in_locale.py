@@ -147,7 +147,7 @@ def _targets(kept: "list[QWidget]") -> list[_Target]:
             hand.end("")
             return getattr(asked[0], key) if asked else None
 
-        return _Target(name, box.lineEdit(), send, box.problem.text, box.text().split()[-1], *limits)
+        return _Target(name, box.lineEdit(), send, box.problem.text, box.unit.text(), *limits)
 
     def shown(name: str, box: "NumberField", unit: str, *limits: int, whole: bool = False) -> _Target:
         return _Target(name, box.lineEdit(), box.value, box.problem.text, unit, *limits, whole=whole)

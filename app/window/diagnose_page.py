@@ -186,6 +186,7 @@ class DiagnosePage(QWidget):
             self.nominal,
             self.settle,
             self.minutes,
+            self.minutes.unit,
             stretch={1: 1},
         )
         self.identification = DocumentView()

@@ -362,7 +362,9 @@ class TraceOverlay(QWidget):
             self.channel_plot.cursor(name, colour, lambda _: self._show_cursor_values())
             for name, colour in (("A", BLACK), ("B", VERMILLION))
         )
-        filter_ = bare_widget(row(label("Filter window"), self.window_ms, label("order"), self.order))
+        filter_ = bare_widget(
+            row(label("Filter window"), self.window_ms, self.window_ms.unit, label("order"), self.order)
+        )
         shown = bare_widget(row(label("Channel"), self.channel, label("against"), self.axis))
         controls = flow(shown, self.raw, filter_, self.cursors, self.fit)
         for panel, height_px in ((self.channel_plot, 190), (self.speed_plot, 100)):

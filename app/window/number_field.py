@@ -15,10 +15,10 @@ StepFlag = QAbstractSpinBox.StepEnabledFlag
 
 
 class NumberField(QAbstractSpinBox):
-    """A number with its unit, typed or stepped; Qt's own spin boxes read a text as the desktop's language writes it.
+    """A number, typed or stepped; Qt's own spin boxes read a text as the desktop's language writes it.
 
     A text that is no allowed number stays, gives None, and is refused in `problem`, a label for a place beside the
-    field.
+    field. The unit may be typed too; `unit` is the label for it, behind the field.
     """
 
     edited = Signal()
@@ -33,6 +33,7 @@ class NumberField(QAbstractSpinBox):
         self._allowed = allowed
         self.entered_value = value
         """The last number that was allowed, for what is shown with it and moves nothing."""
+        self.unit: QLabel = label(allowed.unit)
         self.problem: QLabel = label("", "wrong", wrap=True)
         self.problem.hide()
         self.lineEdit().textChanged.connect(lambda _: self._check())
@@ -49,7 +50,7 @@ class NumberField(QAbstractSpinBox):
 
     def put(self, value: float) -> None:
         """Show a number."""
-        self.lineEdit().setText(self._with_unit(value))
+        self.lineEdit().setText(number_text(value))
         self._enter()
 
     def set_range(self, allowed: NumberRange) -> None:
@@ -75,9 +76,9 @@ class NumberField(QAbstractSpinBox):
         self._check()
 
     def sizeHint(self) -> QSize:
-        """Room for a usual number with its unit."""
-        width = self.fontMetrics().horizontalAdvance(f"{_USUAL_CHARACTERS}{self._allowed.unit}")
-        return QSize(width + _BUTTONS_PX, super().sizeHint().height())
+        """Room for a usual number."""
+        width = self.fontMetrics().horizontalAdvance(_USUAL_CHARACTERS) + _BUTTONS_PX
+        return QSize(width, super().sizeHint().height())
 
     def minimumSizeHint(self) -> QSize:
         """As much as it asks for: a number that is cut off is another number."""
@@ -90,9 +91,6 @@ class NumberField(QAbstractSpinBox):
         # In decimals: 0.1 and 0.2 are 0.3.
         reached = float(Decimal(repr(value)) + steps * Decimal(repr(self._step)))
         return None if self._allowed.why_not(reached) else reached
-
-    def _with_unit(self, value: float) -> str:
-        return f"{number_text(value)} {self._allowed.unit}".strip()
 
     def _check(self) -> None:
         problem = ""
@@ -113,7 +111,7 @@ class NumberField(QAbstractSpinBox):
         value = self.value()
         if value is None:
             return
-        if (text := self._with_unit(value)) != self.text():
+        if (text := number_text(value)) != self.text():
             self.lineEdit().setText(text)
         if value != self.entered_value:
             self.entered_value = value

@@ -260,8 +260,8 @@ def _numbers(fields: Sequence[NumberField]) -> tuple[float | None, ...]:
     return tuple(field.value() for field in fields)
 
 
-def _titled(text: str, field: QWidget) -> QWidget:
-    return bare_widget(row(label(text), field))
+def _titled(text: str, field: NumberField) -> QWidget:
+    return bare_widget(row(label(text), field, field.unit))
 
 
 _QUEUE_HEADER = ("Session", "Runs", "Duration", "State")
