@@ -176,9 +176,8 @@ def _lists(typed: str) -> bool:
 
 def _question(typed: str) -> str:
     decimal, apart = _TIGHT_COMMA.sub(".", typed), _TIGHT_COMMA.sub(", ", typed)
-    parts = apart.split(", ")
-    if not all(map(_NUMBER.fullmatch, parts)):
-        return "is not clear: write decimals with a point, and a comma and a blank between numbers, as 5.5, 10."
-    if _NUMBER.fullmatch(decimal):
-        return f"is {decimal}, or {' and '.join(parts)}? Write {decimal}, or {apart} with a blank."
-    return f"may have decimal commas: write decimals with a point, and a blank between numbers, as {apart}."
+    readable = {text: all(map(_NUMBER.fullmatch, text.split(", "))) for text in (decimal, apart)}
+    if all(readable.values()):
+        return f"is {decimal} or {apart}? Write a point in a decimal, or a blank between numbers."
+    example = apart if readable[apart] else "5.5, 10"
+    return f"is not clear: write a point in a decimal, and a comma and a blank between numbers, as {example}."

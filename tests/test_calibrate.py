@@ -128,7 +128,7 @@ def test_a_residual_beyond_the_sensors_accuracy_is_noted(
         ("0, 20", [0.0, 0.2], 2, "at least 3 distinct"),
         ("0,20,20,0", [0.0, 0.2, 0.2, 0.0], 2, "at least 3 distinct"),
         ("0,20,inf", [], 2, "'inf' is not a number"),
-        ("0,20", [], 2, "is 0.20, or 0 and 20"),
+        ("0,20", [], 2, "is 0.20 or 0, 20?"),
         ("0,20,heavy", [], 2, "'heavy' is not a number"),
         ("0,20,50", [0.1, 0.1, 0.1], 2, "do not change"),
         ("0,20,50,100", [0.1, 0.12, 0.09, 0.11], 2, "do not follow"),

@@ -90,7 +90,7 @@ def test_a_jog_is_announced_with_the_number_typed_and_goes_so_far(window: MainWi
     new = window.run.new
     speed = new.editor.editors["speed_mm_s"]
     assert isinstance(speed, QLineEdit)
-    for text, said in (("5,5", "is 5.5, or 5 and 5?"), ("100.5", "above 100 mm/s, the rig's limit")):
+    for text, said in (("5,5", "is 5.5 or 5, 5?"), ("100.5", "above 100 mm/s, the rig's limit")):
         type_in(speed, text)
         new.update_preview()
         assert said in new.editor.problems["speed_mm_s"].text()

@@ -135,7 +135,10 @@ def test_the_force_sensor_is_calibrated_and_the_record_seen_before_it_is_stored(
     window.rig.tabs.setCurrentWidget(calibrate)
     window.run.new.operator.setText("A. Person")
     told = calibrate.editor.problems["weights"]
-    for weights, problem in (("0, 20, heavy", "'heavy' is not a number"), ("0, 20,5, 50", "may have decimal commas")):
+    for weights, problem in (
+        ("0, 20, heavy", "'heavy' is not a number"),
+        ("0, 20,5, 50", "is 0, 20.5, 50 or 0, 20, 5, 50?"),
+    ):
         calibrate.editor.put("weights", weights)
         assert problem in told.text()
         assert told.isVisible()
