@@ -184,8 +184,7 @@ def _value(field: FormField, text: str, group: str, default: object) -> object:
     """Return the value of a text; an empty one is the default of a number or a list, and a text of its own."""
     if not text:
         return "" if field.kind is FieldKind.TEXT else default
-    value = parse_field(field, text, group)
-    return float(value) if field.kind is FieldKind.NUMBER and isinstance(value, int) else value
+    return parse_field(field, text, group)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from math import inf
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +31,9 @@ from dragrig.api import ExportFormatName, check, check_setup
 from dragrig.api import export as export_runs
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
+    ANY_NUMBER,
     DragrigError,
+    NumberRange,
     Plan,
     PlanError,
     PlanStep,
@@ -39,8 +42,11 @@ from dragrig.config import (
     SettingsError,
     field_descriptions,
     find_table,
+    number_text,
     parse,
     parse_value,
+    read_number,
+    read_numbers,
     shipped_files,
 )
 from dragrig.engine_host import RigSelection
@@ -92,7 +98,7 @@ class FieldKind(StrEnum):
     """Kind of a form field's value."""
 
     NUMBER = "number"
-    WHOLE = "whole number"
+    NUMBERS = "numbers"
     CHOICE = "choice"
     SWITCH = "switch"
     TEXT = "text"
@@ -106,11 +112,10 @@ class FormField:
     key: str
     name: str
     """Label without the unit."""
-    unit: str
     help: str
-    limits: str
-    """Allowed range as text; empty without one."""
     kind: FieldKind
+    allowed: NumberRange = ANY_NUMBER
+    """Of a number, or of each of several."""
     default: str = ""
     """Default value as text; empty without one."""
     choices: tuple[str | int, ...] = ()
@@ -119,6 +124,16 @@ class FormField:
     required: bool = False
     empty: str = "default"
     """What stands in an empty field."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of a number, or of each of several."""
+        return self.allowed.unit
+
+    @property
+    def limits(self) -> str:
+        """Allowed range as text; empty without one."""
+        return str(self.allowed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,41 +306,41 @@ def _form_field(key: str, entry: Mapping[str, object], description: str, *, swee
     if key in _VOLT_KEYS:
         stem, unit = key.removesuffix("_V"), "V"
     choices = entry.get("enum")
-    kinds_of = {"number": FieldKind.NUMBER, "integer": FieldKind.WHOLE, "boolean": FieldKind.SWITCH,
+    kinds_of = {"number": FieldKind.NUMBER, "integer": FieldKind.NUMBER, "boolean": FieldKind.SWITCH,
                 "array": FieldKind.LIST}  # fmt: skip
     kind = FieldKind.CHOICE if isinstance(choices, list) else kinds_of.get(str(entry.get("type")), FieldKind.TEXT)
     default = entry.get("default")
     return FormField(
         key=key,
         name=_FIELD_LABELS.get(stem, stem).replace("accel", "acceleration").replace("_", " "),
-        unit=unit,
         help=description,
-        limits=_range_text(entry, unit),
         kind=kind,
+        allowed=_range(entry, unit),
         default="" if default is None else value_text(default),
         choices=tuple(choices) if isinstance(choices, list) else (),
-        sweeps=sweeps and kind in {FieldKind.NUMBER, FieldKind.WHOLE},
+        sweeps=sweeps and kind is FieldKind.NUMBER,
         required=required,
     )
 
 
-def _range_text(entry: Mapping[str, object], unit: str) -> str:
+def _range(entry: Mapping[str, object], unit: str) -> NumberRange:
     low, above, high = (entry.get(bound) for bound in ("minimum", "exclusiveMinimum", "maximum"))
-    bounds = [f"above {value_text(above)}" if isinstance(above, int | float) else "",
-             f"from {value_text(low)}" if isinstance(low, int | float) else "",
-             f"to {value_text(high)}" if isinstance(high, int | float) else ""]  # fmt: skip
-    text = " ".join(bound for bound in bounds if bound)
-    return f"{text} {unit}".strip() if text else ""
+    lowest = above if isinstance(above, int | float) else low
+    return NumberRange(
+        unit,
+        float(lowest) if isinstance(lowest, int | float) else -inf,
+        float(high) if isinstance(high, int | float) else inf,
+        above_lowest=isinstance(above, int | float),
+        whole=entry.get("type") == "integer",
+    )
 
 
 def value_text(value: object) -> str:
     """Return a value as a form has it; a list of tables in TOML."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return f"{value:.12g}"
+    if isinstance(value, int | float):
+        return number_text(value)
     if isinstance(value, list | tuple) and all(isinstance(item, float | int) for item in value):
         return ", ".join(map(value_text, value))
     if isinstance(value, list | tuple):
@@ -352,18 +367,27 @@ def parse_field(field: FormField, text: str, group: str) -> object:
         case FieldKind.SWITCH:
             return text == "yes"
         case FieldKind.LIST:
-            return parse_value(f"[{' '.join(text.splitlines())}]")
-        case FieldKind.NUMBER | FieldKind.WHOLE:
-            parts = [parse_value(part.strip()) for part in text.split(",") if part.strip()]
-            if any(isinstance(part, bool | str) or not isinstance(part, int | float) for part in parts):
-                raise SettingsError(f"{group}, {field.name}: {text!r} is not a number; write it as 12.5.")
-            if len(parts) > 1 and not field.sweeps:
-                raise SettingsError(f"{group}, {field.name}: {text!r} is several numbers; one is allowed.")
-            return parts if len(parts) > 1 else parts[0]
+            tables = parse_value(f"[{' '.join(text.splitlines())}]")
+            if isinstance(tables, str):
+                example = "{key = 12.5, …} with commas between, and decimals with a point"
+                raise SettingsError(f"{group}, {field.name}: cannot be read; write {example}.")
+            return tables
+        case FieldKind.NUMBER | FieldKind.NUMBERS:
+            return _parse_number(field, text, group)
         case FieldKind.CHOICE:
             return next((choice for choice in field.choices if str(choice) == text), text)
         case _:
             return text
+
+
+def _parse_number(field: FormField, text: str, group: str) -> float | list[float]:
+    try:
+        if field.kind is FieldKind.NUMBER and not field.sweeps:
+            return read_number(text, field.allowed)
+        numbers = list(read_numbers(text, field.allowed))
+    except SettingsError as error:
+        raise SettingsError(f"{group}, {field.name}: {error}") from None
+    return numbers if field.kind is FieldKind.NUMBERS or len(numbers) > 1 else numbers[0]
 
 
 def _is_plan(path: Path) -> bool:
@@ -411,6 +435,8 @@ class RigDescription:
     lowest_mm: float
     highest_mm: float
     """`lowest_mm`, `highest_mm`: the stage's limits, absolute."""
+    max_speed_mm_s: float
+    max_accel_mm_s2: float
     data_root: str
 
 
@@ -519,8 +545,26 @@ def describe_rig(rig: RigSelection) -> RigDescription:
         force_limit_mN=setup.rig.guard.force_limit_mN,
         lowest_mm=setup.rig.stage.lowest_mm,
         highest_mm=setup.rig.stage.highest_mm,
+        max_speed_mm_s=setup.rig.stage.max_speed_mm_s,
+        max_accel_mm_s2=setup.rig.stage.max_accel_mm_s2,
         data_root=str(setup.data_root),
     )
+
+
+FormT = TypeVar("FormT", bound=Form)
+RIG_LIMIT = "the rig's limit"
+
+
+def within_rig(form: FormT, rig: RigDescription) -> FormT:
+    """Return a form whose speeds and accelerations are refused beyond the limits of the rig."""
+    most = {"speed_mm_s": rig.max_speed_mm_s, "accel_mm_s2": rig.max_accel_mm_s2}
+
+    def limited(field: FormField) -> FormField:
+        limit = next((limit for end, limit in most.items() if field.key.endswith(end)), inf)
+        return replace(field, allowed=field.allowed.within(-inf, limit, RIG_LIMIT))
+
+    groups = tuple(replace(group, fields=tuple(map(limited, group.fields))) for group in form.groups)
+    return replace(form, groups=groups)
 
 
 FORMATS: Mapping[str, ExportFormatName] = {"CSV": "csv", "Parquet": "parquet", "MATLAB": "mat", "NumPy": "npz"}

@@ -82,3 +82,8 @@ from .specimen import Capsule as Capsule
 from .specimen import Fixture as Fixture
 from .specimen import Moment as Moment
 from .specimen import Specimen as Specimen
+from .typed_numbers import ANY_NUMBER as ANY_NUMBER
+from .typed_numbers import NumberRange as NumberRange
+from .typed_numbers import number_text as number_text
+from .typed_numbers import read_number as read_number
+from .typed_numbers import read_numbers as read_numbers

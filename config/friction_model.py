@@ -4,13 +4,13 @@ A model that was identified or diagnosed carries a summary of where its values c
 """
 
 from collections.abc import Mapping, Sequence
-from math import isfinite, nan
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, model_serializer, model_validator
 
 from dragrig.config.errors import SettingsError
 from dragrig.config.settings import Settings, parse
+from dragrig.config.typed_numbers import read_number
 
 
 class EffectSettings(Settings):
@@ -51,14 +51,13 @@ def _parse_effect(text: str) -> EffectSettings:
     for assignment in assignments.split(",") if colon else ():
         key, _, value = assignment.partition("=")
         try:
-            number = float(value)
-        except ValueError:
-            number = nan
-        if not (name.strip() and key.strip() and isfinite(number)):
+            values[key.strip()] = read_number(value)
+        except SettingsError:
+            key = ""
+        if not (name.strip() and key.strip()):
             raise SettingsError(
                 f"--effect {text}: is not of the form id:parameter=number,…, as in stribeck:ratio=0.4,speed_mm_s=2."
             )
-        values[key.strip()] = number
     if not name.strip():
         raise SettingsError(f"--effect {text}: names no effect; dragrig gap effects lists them.")
     return parse(EffectSettings, {"id": name.strip(), "parameters": values}, f"--effect {text}")

@@ -21,11 +21,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
 from dragrig.config.errors import NO_TEXT, SettingsError
+from dragrig.config.typed_numbers import number_text, read_number
 
 _MAX_FILE_BYTES = 4 * 1024 * 1024
 _MAX_TEXT_CHARACTERS = 4096
 _MAX_NESTING = 32
 """Lists and tables within each other."""
+_NO_NUMBER = frozenset({"float_parsing", "int_parsing"})
 _EXPECTED_SHAPES = {
     "model_type": "a table of keys",
     "dict_type": "a table of keys",
@@ -261,8 +263,18 @@ def _describe_detail(detail: ErrorDetails, model: type[BaseModel]) -> str:
 def _message(detail: ErrorDetails) -> str:
     if detail["type"] == "string_unicode":
         return NO_TEXT
+    if detail["type"] in _NO_NUMBER:
+        return _no_number(str(detail["input"]))
     message = detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     return message[0].lower() + message[1:] if message[:1].isupper() and not message[1:2].isupper() else message
+
+
+def _no_number(text: str) -> str:
+    try:
+        example = number_text(read_number(text))
+    except SettingsError:
+        return "is not a number; write it as 12.5"
+    return f"is no number with a decimal point; write {example}"
 
 
 def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:

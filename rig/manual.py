@@ -20,6 +20,7 @@ from dragrig.config import (
     Specimen,
     TrippedError,
     find_settings,
+    number_text,
 )
 from dragrig.rig.devices import (
     Acquisition,
@@ -269,9 +270,9 @@ class ManualControl:
         self.make_ready()
         begin_mm = self.position_mm
         self._require_within_travel(begin_mm + most_mm)
-        retraction = f", then back by {back_mm:g} mm, but no further than its start" if back_mm else ""
+        retraction = f", then back by {number_text(back_mm)} mm, but no further than its start" if back_mm else ""
         move = self._move_text(most_mm, speed_mm_s)
-        text = f"{move} at most, until the force has changed by {force_mN:g} mN{retraction}"
+        text = f"{move} at most, until the force has changed by {number_text(force_mN)} mN{retraction}"
         self.confirm(Prompt(text, hands=self._backend.needs_hands))
         accel = min(speed_mm_s / _APPROACH_RAMP_S, limits.acceleration_mm_s2)
         rest = stationary_piece(_REST_BEFORE_APPROACH_S, Phase.REST)
@@ -328,10 +329,13 @@ class ManualControl:
 
     def _move_text(self, distance_mm: float, speed_mm_s: float) -> str:
         state = self._backend.stage.state()
+        # The very numbers that are sent: one that is rounded would announce another motion.
+        moves = f"The stage moves by {'+' if distance_mm > 0 else ''}{number_text(distance_mm)} mm"
+        speed = f"at {number_text(speed_mm_s)} mm/s"
         if not state.homed:
-            return f"The stage moves by {distance_mm:+.3f} mm at {speed_mm_s:g} mm/s from where it stands"
+            return f"{moves} {speed} from where it stands"
         begin_mm = state.position_mm
-        return f"The stage moves from {begin_mm:.3f} to {begin_mm + distance_mm:.3f} mm at {speed_mm_s:g} mm/s"
+        return f"{moves} {speed}, from {begin_mm:.3f} to {begin_mm + distance_mm:.3f} mm"
 
     def _acquire(
         self,
@@ -452,7 +456,7 @@ def measure_loads(
     """
     for repeat in range(repeats):
         for weight_g in weights_g if repeat % 2 == 0 else weights_g[::-1]:
-            action = f"Hang {weight_g:g} g on the sensor" if weight_g else "Take every weight off the sensor"
+            action = f"Hang {number_text(weight_g)} g on the sensor" if weight_g else "Take every weight off the sensor"
             manual.confirm(Prompt(f"{action} and let it hang still", hands=backend.needs_hands))
             if isinstance(backend, SupportsBenchActions):
                 backend.hang(weight_g * STANDARD_GRAVITY)
@@ -497,7 +501,7 @@ def measure_pushed_travel(
     """Have the stage, switched off, pushed by known travels, and yield the encoder's counts."""
     backend.stage.disable()
     for travel_mm in travels_mm:
-        travel = f"{abs(travel_mm):g} mm {'up' if travel_mm > 0 else 'down'}"
+        travel = f"{number_text(abs(travel_mm))} mm {'up' if travel_mm > 0 else 'down'}"
         text = f"The stage is off. After this answer, push it {travel} against a gauge, within {duration_s:g} s"
         manual.confirm(Prompt(text, hands=backend.needs_hands))
         if isinstance(backend, SupportsBenchActions):

@@ -125,10 +125,11 @@ def test_a_residual_beyond_the_sensors_accuracy_is_noted(
 @pytest.mark.parametrize(
     ("weights", "volts", "code", "sentence"),
     [
-        ("0,20", [0.0, 0.2], 2, "at least 3 distinct"),
+        ("0, 20", [0.0, 0.2], 2, "at least 3 distinct"),
         ("0,20,20,0", [0.0, 0.2, 0.2, 0.0], 2, "at least 3 distinct"),
-        ("0,20,inf", [0.0, 0.2, 0.3], 2, "at least 3 distinct"),
-        ("0,20,heavy", [], 2, "no list of numbers"),
+        ("0,20,inf", [], 2, "'inf' is not a number"),
+        ("0,20", [], 2, "is 0.20 or 0, 20?"),
+        ("0,20,heavy", [], 2, "'heavy' is not a number"),
         ("0,20,50", [0.1, 0.1, 0.1], 2, "do not change"),
         ("0,20,50,100", [0.1, 0.12, 0.09, 0.11], 2, "do not follow"),
         ("0,20,2000", [0.0, 0.2, 9.95], 5, "overloaded"),

@@ -28,7 +28,7 @@ def campaign(tmp_path: Path) -> Path:
     [
         (["--without", "stribek"], "did you mean stribeck?"),
         (["--tolerance", "-1"], "--tolerance -1: a tolerance is a force in mN from 0 on"),
-        (["--tolerance", "nan"], "from 0 on"),
+        (["--tolerance", "nan"], "'nan' is not a number"),
         (["--workers", "0"], "at least one worker"),
         (["--nominal", "capsul"], "did you mean capsule?"),
         (["--nominal", "gone.toml"], "gone.toml: there is no such file"),

@@ -248,7 +248,7 @@ def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
         (("a.csv", *MAP, "--kind", "drag"), "needs speed_mm_s, travel_mm, accel_mm_s2, rest_s, hold_s"),
         (("a.csv", *MAP, "--decimal", "x"), "decimal"),
         (("a.csv", *MAP, "--start-time", "yesterday"), "start_time"),
-        (("a.csv", *MAP, "--resample-hz", "nan"), "resample_hz"),
+        (("a.csv", *MAP, "--resample-hz", "nan"), "--resample-hz"),
         (("a.csv", *MAP, "--out", "a.csv"), "a.csv"),
         (("empty.csv", *MAP), "is empty"),
         (("binary.csv", *MAP), "binary.csv"),

@@ -74,8 +74,8 @@ def test_a_jog_says_from_where_to_where_and_goes_there() -> None:
     assert rig.manual.jog(-2.0) == pytest.approx(10.5, abs=0.001)
     texts = [prompt.text for prompt in rig.person.prompts]
     assert texts == [
-        "The stage moves from 0.000 to 12.500 mm at 5 mm/s",
-        "The stage moves from 12.500 to 10.500 mm at 10 mm/s",
+        "The stage moves by +12.5 mm at 5 mm/s, from 0.000 to 12.500 mm",
+        "The stage moves by -2 mm at 10 mm/s, from 12.500 to 10.500 mm",
     ]
     assert not any(prompt.hands for prompt in rig.person.prompts)
 

@@ -36,7 +36,7 @@ def test_a_jog_asks_and_tells_where_the_stage_is(
     assert main(["jog", "5", "--speed", "20"]) == 0
     printed = capsys.readouterr()
     assert printed.out == "5.000 mm\n"
-    assert "The stage moves from 0.000 to 5.000 mm at 20 mm/s." in printed.err
+    assert "The stage moves by +5 mm at 20 mm/s, from 0.000 to 5.000 mm." in printed.err
     assert main(["jog", "2.5", "--yes", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"position_mm": 2.5, "trip": None}
 
@@ -77,7 +77,7 @@ def test_at_a_real_rig_yes_does_not_look(
     [
         (["jog", "200"], 2, "0 to 150 mm"),
         (["jog", "1e300"], 2, "0 to 150 mm"),
-        (["jog", "five"], 2, "'five' is not a valid float"),
+        (["jog", "five"], 2, "'five' is not a number"),
         (["jog", "5", "--sped", "3"], 2, "--sped"),
         (["jog", "5", "--override-limit", "low"], 5, "not pressed"),
         (["home", "--override-limit", "up"], 2, "--override-limit"),
@@ -86,7 +86,12 @@ def test_at_a_real_rig_yes_does_not_look(
         (["touch-off", "--back", "-1"], 2, "back_mm"),
         (["touch-off", "--speed", "101"], 2, "100 at most"),
         (["jog", "5", "--speed", "101"], 2, "100 at most"),
-        (["jog", "nan"], 2, "a distance other than 0"),
+        (["jog", "0"], 2, "a distance other than 0"),
+        (["jog", "nan"], 2, "'nan' is not a number"),
+        (["jog", "1.234,5"], 2, "mark of thousands; write 1234.5"),
+        (["jog", "1_5"], 2, "is not a number"),
+        (["jog", "-151,5"], 2, "distance_mm = -151.5"),
+        (["jog", "5", "--speed", "100,5"], 2, "speed_mm_s = 100.5"),
         (["jog", "151"], 2, "travels 150 mm at most"),
         (["touch-off", "--most", "-151"], 2, "travels 150 mm at most"),
         (["jog", "5", "--set", "speed_mm_s=3"], 2, "only rig"),

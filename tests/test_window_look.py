@@ -94,14 +94,14 @@ def test_positions_are_absolute_with_the_limits(page: LookPage, until: Until) ->
 def test_changing_the_filter_redraws_the_traces(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
     before, run = page.overlay.traces[0].filtered["force"], page.overlay.traces[0].run
-    page.overlay.window_ms.setValue(200.0)
+    page.overlay.window_ms.put(200.0)
     until(lambda: page.overlay.traces[0].filtered["force"] is not before)
     after = page.overlay.traces[0].filtered["force"]
     assert np.std(np.diff(after)) < np.std(np.diff(before))
     expected = dragrig.filter(dragrig.load(page.overlay.traces[0].path), window_s=0.2).filtered
     assert expected is not None
     np.testing.assert_allclose(after, expected.channels["force"], rtol=1e-5)
-    page.overlay.order.setValue(1)
+    page.overlay.order.put(1)
     until(lambda: page.overlay.traces[0].filtered["force"] is not after)
     assert page.overlay.traces[0].run is run, "the file was read once more"
     page.overlay.channel.setCurrentText("motor_force")
@@ -114,8 +114,8 @@ def test_an_impossible_filter_is_reported(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
     text: list[str] = []
     page.complained.connect(text.append)
-    page.overlay.order.setValue(8)
-    page.overlay.window_ms.setValue(1.0)
+    page.overlay.order.put(8)
+    page.overlay.window_ms.put(1.0)
     until(lambda: bool(text))
     assert "too short" in text[0]
 

@@ -102,17 +102,17 @@ def test_the_stage_is_driven_off_a_pressed_limit_switch(
         press(window.reset)
         until(lambda: "high end is pressed" in window.notices.trip_text.text())
         assert not hand.jog.isEnabled()
-        hand.speed.setValue(10.0)
+        hand.speed.put(10.0)
         hand.override.setCurrentText("high")
         assert not hand.touch.isEnabled()
         assert hand.speed.value() == 2.0
-        hand.distance.setValue(1.0)
+        hand.distance.put(1.0)
         press(hand.jog)
         assert answer_all(window, until) == []
         assert "onto the upper limit switch" in hand.state.text()
         for distance, end in ((-0.5, "the guard stays tripped"), (-4.0, "The upper limit switch is free")):
             hand.override.setCurrentText("high")
-            hand.distance.setValue(distance)
+            hand.distance.put(distance)
             press(hand.jog)
             (prompt,) = answer_all(window, until)
             assert "its upper limit switch overridden" in prompt
@@ -134,12 +134,20 @@ def test_the_force_sensor_is_calibrated_and_the_record_seen_before_it_is_stored(
     window.go_to(window.rig)
     window.rig.tabs.setCurrentWidget(calibrate)
     window.run.new.operator.setText("A. Person")
-    for weights, problem in (("0, 20, heavy", "no list of numbers"), ("0, 20", "at least 3 distinct")):
+    told = calibrate.editor.problems["weights"]
+    for weights, problem in (
+        ("0, 20, heavy", "'heavy' is not a number"),
+        ("0, 20,5, 50", "is 0, 20.5, 50 or 0, 20, 5, 50?"),
+    ):
         calibrate.editor.put("weights", weights)
-        press(calibrate.start)
-        until(lambda: not window.run.rig_busy)
-        assert problem in calibrate.editor.problems["weights"].text()
-        assert calibrate.editor.problems["weights"].isVisible()
+        assert problem in told.text()
+        assert told.isVisible()
+        assert not calibrate.start.isEnabled()
+    calibrate.editor.put("weights", "0, 20")
+    press(calibrate.start)
+    until(lambda: not window.run.rig_busy)
+    assert "at least 3 distinct" in told.text()
+    assert told.isVisible()
     calibrate.editor.put("weights", "0, 20, 50, 100")
     assert not calibrate.editor.problems["weights"].isVisible()
 
@@ -193,7 +201,7 @@ def test_the_encoder_is_calibrated_over_a_known_travel(window: MainWindow, until
     calibrate.editor.put("travel_mm", "10")
     press(calibrate.start)
     prompts = answer_all(window, until)
-    assert [prompt for prompt in prompts if "The stage moves from" in prompt] == prompts[-2:]
+    assert [prompt for prompt in prompts if "The stage moves by" in prompt] == prompts[-2:]
     assert calibrate.record.answer.text().startswith("A count is 1")
     press(calibrate.store)
     until(lambda: "Stored as" in calibrate.state.text())

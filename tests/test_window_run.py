@@ -378,12 +378,12 @@ def test_the_stage_is_homed_jogged_and_touched_off_by_hand(window: MainWindow, u
         return hand.state.text()
 
     assert done(hand.home) == "The stage is at 0.000 mm."
-    hand.distance.setValue(12.5)
+    hand.distance.put(12.5)
     assert done(hand.jog) == "The stage is at 12.500 mm."
-    hand.distance.setValue(1000.0)
-    assert "travels 150 mm at most" in done(hand.jog)
-    assert "travels 150 mm at most" in notices.complaint_text.text()
-    hand.force.setValue(20.0)
+    hand.distance.put(-100.0)  # within the rig's travel, but not from here
+    assert "outside its travel of 0 to 150 mm" in done(hand.jog)
+    assert "outside its travel of 0 to 150 mm" in notices.complaint_text.text()
+    hand.force.put(20.0)
     assert done(hand.touch).startswith("Contact at ")
     assert (lab / "contact.toml").is_file()
     (lab / "contact.toml").unlink()
@@ -413,11 +413,11 @@ def test_escape_stops_a_jog_under_way(qtbot: QtBot, lab: Path, tmp_path: Path, u
         press(window.reset)
         until(lambda: window.guard.text() == "guard: armed")
         hand, notices = window.run.hand, window.notices
-        hand.distance.setValue(100.0)
-        hand.speed.setValue(1.0)
+        hand.distance.put(100.0)
+        hand.speed.put(1.0)
         press(hand.jog)
         until(notices.prompt.isVisible)
-        while "The stage moves from" not in notices.prompt_text.text():
+        while "The stage moves by" not in notices.prompt_text.text():
             press(notices.answers[Answer.DONE])
             until(notices.prompt.isVisible)
         press(notices.answers[Answer.DONE])
@@ -697,7 +697,7 @@ def test_the_wheel_changes_only_the_field_with_the_focus(window: MainWindow, qtb
     spin.setFocus()
     wheel_over(spin)
     assert spin.value() != order
-    spin.setValue(order)
+    spin.put(order)
 
 
 def test_the_preview_names_capsule_fixture_and_order(window: MainWindow) -> None:
@@ -742,7 +742,7 @@ def test_an_invalid_field_says_so_below_itself_and_on_every_tab(window: MainWind
     run, new = window.run, window.run.new
     for key, text, said in (
         ("speed_mm_s", "fast", "'fast' is not a number"),
-        ("repeats", "0", "greater than or equal to 1"),
+        ("repeats", "0", "below 1, the least allowed"),
         ("travel_mm", "900", "outside the stage's travel"),
         ("capsule", "no-such-capsule", "no-such-capsule"),
     ):
@@ -772,7 +772,7 @@ def test_an_invalid_field_of_a_step_that_is_not_shown_is_named(window: MainWindo
     assert not any(label.isVisible() for label in new.editor.problems.values())
     assert not new.start.isEnabled()
     new.editor.steps.setCurrentIndex(1)
-    assert "greater than or equal to 1" in new.editor.problems["repeats"].text()
+    assert "below 1, the least allowed" in new.editor.problems["repeats"].text()
     new.editor.put("repeats", "1")
     new.update_preview()
     fill(window)

@@ -57,7 +57,7 @@ def settle(window: MainWindow, campaign: Path, pace: str) -> None:
     window.run.new.pace.setCurrentText(pace)
     window.go_to(window.diagnose)
     window.diagnose.offer(str(campaign))
-    window.diagnose.minutes.setValue(1)
+    window.diagnose.minutes.put(1)
     press(window.diagnose.settle)
 
 

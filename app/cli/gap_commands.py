@@ -18,6 +18,7 @@ from dragrig.cli.console import (
     print_warning,
     write_report,
 )
+from dragrig.cli.options import NUMBER
 
 if TYPE_CHECKING:
     from dragrig.api import DiagnosedFolder, DiagnosisRequest
@@ -27,7 +28,7 @@ FILE = click.Path(path_type=Path)
 HANDS = click.option(
     "--hands",
     metavar="MIN",
-    type=float,
+    type=NUMBER,
     help="Minutes of a person at a change of fixture or capsule: a run that needs one must tell more (default: 2).",
 )
 DIAGNOSE_COST, ISOLATE_COST, PAGE_COST, FIGURES_COST = 11, 19, 4, 4
@@ -44,7 +45,7 @@ figures beside it."""
     help="Expected behaviour: capsule (default), drive, a friction model (.toml), or a model of your own (.py).",
 )
 @options.without
-@click.option("--tolerance", "tolerance_mN", metavar="MN", type=float, help="Smaller gaps [mN] are ignored.")
+@click.option("--tolerance", "tolerance_mN", metavar="MN", type=NUMBER, help="Smaller gaps [mN] are ignored.")
 @options.measured_specimen
 @click.option("--calibration", metavar="FILE", help="File from gap calibrate --save (default: the shipped one).")
 @click.option("--save-model", metavar="FILE", type=FILE, help="Write the model with the effect added to this file.")
@@ -221,7 +222,7 @@ def evaluate_command(
 @click.command("next")
 @click.argument("source", metavar="CAMPAIGN|PLAN")
 @click.option("--between", nargs=2, metavar="EFFECT EFFECT", help="Two effects to separate, at their default sizes.")
-@click.option("--minutes", metavar="MIN", type=float, default=20.0, show_default=True, help="Rig time available.")
+@click.option("--minutes", metavar="MIN", type=NUMBER, default=20.0, show_default=True, help="Rig time available.")
 @HANDS
 @click.option("--save-plan", metavar="FILE.toml", type=FILE, help="Write the runs as a plan to this file.")
 @options.settings
@@ -271,8 +272,8 @@ def next_command(
 
 @click.command("settle")
 @click.argument("plan", required=False)
-@click.option("--minutes", metavar="MIN", type=float, help="Rig time of all runs (default: 30).")
-@click.option("--until", metavar="P", type=float, help="Probability from which the gap is settled (default: 0.95).")
+@click.option("--minutes", metavar="MIN", type=NUMBER, help="Rig time of all runs (default: 30).")
+@click.option("--until", metavar="P", type=NUMBER, help="Probability from which the gap is settled (default: 0.95).")
 @HANDS
 @click.option("--resume", metavar="CAMPAIGN", type=FILE, help="Go on with a campaign, whatever ended it.")
 @options.settings

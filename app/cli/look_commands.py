@@ -405,7 +405,7 @@ ACTIVITY_TEXTS = {
     metavar="S",
     default=0.5,
     show_default=True,
-    type=click.FloatRange(0.05, 60.0),
+    type=options.Number(0.05, 60.0),
     help="Refresh interval in seconds.",
 )
 @options.as_json

@@ -1,6 +1,5 @@
 """Commands on the friction model: model (what it predicts), robot, identify (parameters from runs), paper."""
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
@@ -18,6 +17,7 @@ from dragrig.cli.console import (
     print_result,
     write_report,
 )
+from dragrig.cli.options import NUMBER
 from dragrig.config import AnalysisError, SettingsError
 
 if TYPE_CHECKING:
@@ -32,13 +32,9 @@ PAPER_SPEEDS = "0.5,1,2,5,10,15,20,30,40,50,60"
 
 
 def _parse_speeds(context: click.Context, parameter: click.Parameter, text: str) -> tuple[float, ...]:
-    del context, parameter
-    try:
-        speeds = tuple(float(number) for number in text.split(",") if number.strip())
-    except ValueError:
-        raise click.BadParameter(f"{text} is no list of numbers; write speeds in mm/s as 0.5,1,2") from None
-    if not speeds or not all(math.isfinite(speed) and speed > 0 for speed in speeds):
-        raise click.BadParameter(f"{text} holds no speed, or one that is not above 0 mm/s; write speeds as 0.5,1,2")
+    speeds = options.numbers(context, parameter, text)
+    if not all(speed > 0 for speed in speeds):
+        raise click.BadParameter(f"{text} holds a speed that is not above 0 mm/s; write speeds as 0.5,1,2")
     return speeds
 
 
@@ -121,10 +117,10 @@ def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple
 @options.effects("Add an effect to the model, as listed by dragrig gap effects, and price it; repeatable.")
 @click.option("--specimen", metavar="F|NAME", default="jejunum", show_default=True, help="Specimen.")
 @click.option("--diagnosis", metavar="CAMPAIGN|F", help="Campaign, or amended model's file, whose effects are priced.")
-@click.option("--slow", metavar="MM/S²", type=float, help="Simulate this drive: acceleration of the slow phases.")
-@click.option("--fast", metavar="MM/S²", type=float, help="Acceleration of the fast phases.")
-@click.option("--stroke", metavar="MM", type=float, help="Stroke of the inner mass.")
-@click.option("--pause", metavar="S", type=float, default=0.0, help="Rest at the end of a period (default: 0).")
+@click.option("--slow", metavar="MM/S²", type=NUMBER, help="Simulate this drive: acceleration of the slow phases.")
+@click.option("--fast", metavar="MM/S²", type=NUMBER, help="Acceleration of the fast phases.")
+@click.option("--stroke", metavar="MM", type=NUMBER, help="Stroke of the inner mass.")
+@click.option("--pause", metavar="S", type=NUMBER, default=0.0, help="Rest at the end of a period (default: 0).")
 @click.option(
     "--assumptions", is_flag=True, help="Vary what is assumed of the robot over its ranges too; takes a minute more."
 )

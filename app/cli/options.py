@@ -1,5 +1,6 @@
 """Options and arguments that several commands share, as decorators."""
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import wraps
@@ -19,6 +20,45 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Pace = Literal["fast", "real"] | float
 """The same as `dragrig.setup.Pace`, which `dragrig --help` must not load."""
+
+
+class Number(click.ParamType[float]):
+    """A number as the window reads it: 1.5 and 1,5 alike, and no mark of thousands.
+
+    Parameters
+    ----------
+    lowest, highest
+        Allowed range.
+    """
+
+    name = "number"
+
+    def __init__(self, lowest: float = -math.inf, highest: float = math.inf) -> None:
+        self._lowest, self._highest = lowest, highest
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number; raises `click.BadParameter`."""
+        from dragrig.config import NumberRange, SettingsError, read_number
+
+        if isinstance(value, int | float):
+            return float(value)
+        try:
+            return read_number(str(value), NumberRange(lowest=self._lowest, highest=self._highest))
+        except SettingsError as error:
+            self.fail(str(error).removesuffix("."), param, ctx)
+
+
+NUMBER = Number()
+
+
+def numbers(context: click.Context, parameter: click.Parameter, value: str) -> tuple[float, ...]:
+    """Return the numbers of an option, separated by commas."""
+    from dragrig.config import SettingsError, read_numbers
+
+    try:
+        return read_numbers(value, tight=True)
+    except SettingsError as error:
+        raise click.BadParameter(str(error).removesuffix("."), context, parameter) from None
 
 
 def as_json(function: Callable[P, R]) -> Callable[P, R]:
@@ -111,9 +151,11 @@ def _parse_pace(context: click.Context, parameter: click.Parameter, value: str |
     names: dict[str | None, Pace | None] = {"fast": "fast", "real": "real", None: None}
     if value in names:
         return names[value]
+    from dragrig.config import SettingsError, read_number
+
     try:
-        return float(value or "")
-    except ValueError:
+        return read_number(value or "")
+    except SettingsError:
         text = f"{value!r} is neither fast, real, nor a number of times faster"
         raise click.BadParameter(text, context, parameter) from None
 
@@ -200,15 +242,14 @@ _MIN_COLUMN_MM, _MAX_COLUMN_MM = 60.0, 300.0
 
 def _column_mm(text: str) -> float:
     """Return the width of pictures that `--column` names; raises `SettingsError`."""
-    from dragrig.config import SettingsError
+    from dragrig.config import NumberRange, SettingsError, read_number
     from dragrig.present import DOUBLE_COLUMN_MM, SINGLE_COLUMN_MM
 
     named = {"single": SINGLE_COLUMN_MM, "double": DOUBLE_COLUMN_MM}
     if text in named:
         return named[text]
-    with suppress(ValueError):
-        if _MIN_COLUMN_MM <= (width := float(text)) <= _MAX_COLUMN_MM:
-            return width
+    with suppress(SettingsError):
+        return read_number(text, NumberRange("mm", _MIN_COLUMN_MM, _MAX_COLUMN_MM))
     raise SettingsError(
         f"--column {text}: is single, double, or a width from {_MIN_COLUMN_MM:g} to {_MAX_COLUMN_MM:g} mm, as 88."
     )

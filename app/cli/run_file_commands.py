@@ -19,6 +19,7 @@ from dragrig.cli.console import (
     print_result,
     with_progress,
 )
+from dragrig.cli.options import NUMBER
 
 if TYPE_CHECKING:
     from dragrig.analysis import FilteredRun, ImportedRun
@@ -101,7 +102,7 @@ def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, note: str
 
 @click.command("filter")
 @options.inputs
-@click.option("--window-s", type=float, metavar="S", help="Length of the window in seconds (default: 0.05).")
+@click.option("--window-s", type=NUMBER, metavar="S", help="Length of the window in seconds (default: 0.05).")
 @click.option("--window-samples", type=int, metavar="N", help="Length of the window in samples, odd.")
 @click.option("--order", type=int, metavar="N", help="Order of the polynomial (default: 3).")
 @click.option(
@@ -201,30 +202,28 @@ class _ImportOptions(TypedDict):
     type=click.Choice(["refuse", "gap"]),
     help="Rows without a number (empty, NaN, ---, OVLD): refuse the file, or leave a gap (default: refuse).",
 )
-@click.option(
-    "--table", metavar="NAME", help="Sheet, group, variable or block (default: the largest, and all like it)."
-)
-@click.option("--radius-mm", type=float, metavar="MM", help="Of a turning rig: converts rad, deg, rev and Nm.")
+@click.option("--table", metavar="NAME", help="Sheet, group, variable or block (default: all like the largest).")
+@click.option("--radius-mm", type=NUMBER, metavar="MM", help="Of a turning rig: converts rad, deg, rev and Nm.")
 @click.option("--split-at", type=click.Choice(["rests"]), help="Make a run of each motion of a long record.")
-@click.option("--sample-rate-hz", type=float, metavar="HZ", help="Rows are evenly spaced at this rate.")
-@click.option("--resample-hz", type=float, metavar="HZ", help="Interpolate rows at uneven times to this rate.")
+@click.option("--sample-rate-hz", type=NUMBER, metavar="HZ", help="Rows are evenly spaced at this rate.")
+@click.option("--resample-hz", type=NUMBER, metavar="HZ", help="Interpolate rows at uneven times to this rate.")
 @click.option(
     "--steady",
     is_flag=True,
     default=None,
     help="The stage was commanded at constant speed: the command is a straight line.",
 )
-@click.option("--from-s", type=float, metavar="S", help="Leave out rows before this time.")
-@click.option("--to-s", type=float, metavar="S", help="Leave out rows after this time.")
+@click.option("--from-s", type=NUMBER, metavar="S", help="Leave out rows before this time.")
+@click.option("--to-s", type=NUMBER, metavar="S", help="Leave out rows after this time.")
 @click.option("--kind", metavar="NAME", help="Kind of run: drag, relaxation, … (default: motion).")
 @click.option(
     "--set", "protocol", metavar="KEY=VALUE", multiple=True, help="Parameters of the motion: speed_mm_s=5, …."
 )
 @click.option("--specimen", metavar="NAME|F", help="Specimen, or its TOML file (default: the name of the file).")
-@click.option("--wall-thickness-mm", type=float, metavar="MM", help="Thickness of the specimen's wall.")
+@click.option("--wall-thickness-mm", type=NUMBER, metavar="MM", help="Thickness of the specimen's wall.")
 @click.option("--capsule", metavar="F|NAME", help="Capsule dummy: drag, rough, smooth, or its TOML file.")
 @click.option("--fixture", type=click.Choice(["foam", "vacuum", "none"]), help="What held the gut (default: by kind).")
-@click.option("--insertion-dwell-s", type=float, metavar="S", help="Age of the contact at the first sample.")
+@click.option("--insertion-dwell-s", type=NUMBER, metavar="S", help="Age of the contact at the first sample.")
 @click.option("--operator", metavar="NAME", help="Operator's name, stored in the run file.")
 @click.option("--note", metavar="TEXT", help="Note, stored in the run file.")
 @click.option("--start-time", metavar="TIME", help="Start of the measurement, as 2026-05-04T09:15:00+02:00.")

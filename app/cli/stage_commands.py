@@ -6,6 +6,7 @@ import click
 
 from dragrig.cli import options
 from dragrig.cli.console import echo, print_document, print_json, print_remark, print_result
+from dragrig.cli.options import NUMBER
 
 
 @click.command("home")
@@ -24,8 +25,8 @@ def home_command(
 
 
 @click.command("jog", context_settings={"ignore_unknown_options": True})
-@click.argument("distance_mm", metavar="MM", type=float)
-@click.option("--speed", "speed_mm_s", metavar="MM/S", type=float, help="Default: 10; 2 off a limit switch.")
+@click.argument("distance_mm", metavar="MM", type=NUMBER)
+@click.option("--speed", "speed_mm_s", metavar="MM/S", type=NUMBER, help="Default: 10; 2 off a limit switch.")
 @options.override_limit
 @options.rig_session
 def jog_command(
@@ -55,19 +56,25 @@ def jog_command(
     "--force",
     "force_mN",
     metavar="MN",
-    type=float,
+    type=NUMBER,
     default=20.0,
     show_default=True,
     help="Force change that counts as contact.",
 )
 @click.option(
-    "--speed", "speed_mm_s", metavar="MM/S", type=float, default=1.0, show_default=True, help="Approach speed."
+    "--speed", "speed_mm_s", metavar="MM/S", type=NUMBER, default=1.0, show_default=True, help="Approach speed."
 )
 @click.option(
-    "--most", "most_mm", metavar="MM", type=float, default=20.0, show_default=True, help="Longest travel, signed."
+    "--most", "most_mm", metavar="MM", type=NUMBER, default=20.0, show_default=True, help="Longest travel, signed."
 )
 @click.option(
-    "--back", "back_mm", metavar="MM", type=float, default=0.0, show_default=True, help="Retract by this after contact."
+    "--back",
+    "back_mm",
+    metavar="MM",
+    type=NUMBER,
+    default=0.0,
+    show_default=True,
+    help="Way back after the contact.",
 )
 @click.option("--operator", metavar="NAME", default="", help="Operator's name, stored with the contact.")
 @options.rig_session
@@ -116,26 +123,18 @@ def calibrate_group(ctx: click.Context) -> None:
         echo(ctx.get_help())
 
 
-def _parse_numbers(context: click.Context, parameter: click.Parameter, value: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(number) for number in value.split(","))
-    except ValueError:
-        text = f"{value!r} is no list of numbers, as 0,20,50,100"
-        raise click.BadParameter(text, context, parameter) from None
-
-
 @calibrate_group.command("force")
 @click.option(
     "--weights",
     metavar="G,G,…",
     required=True,
-    callback=_parse_numbers,
+    callback=options.numbers,
     help="Weights in grams; 0 is the empty sensor.",
 )
 @click.option(
     "--repeats", metavar="N", type=int, default=1, show_default=True, help="Number of series, up and down alternately."
 )
-@click.option("--seconds", metavar="S", type=float, default=2.0, show_default=True, help="Duration of each reading.")
+@click.option("--seconds", metavar="S", type=NUMBER, default=2.0, show_default=True, help="Duration of each reading.")
 @options.session_notes("with the result")
 @options.rig_session
 def calibrate_force_command(
@@ -174,16 +173,21 @@ def calibrate_force_command(
 
 
 @calibrate_group.command("encoder")
-@click.option("--travel", "travel_mm", metavar="MM", type=float, required=True, help="Travel, signed.")
+@click.option("--travel", "travel_mm", metavar="MM", type=NUMBER, required=True, help="Travel, signed.")
 @click.option(
-    "--measured", "measured_mm", metavar="MM", type=float, multiple=True, help="Travel measured by a gauge; repeatable."
+    "--measured",
+    "measured_mm",
+    metavar="MM",
+    type=NUMBER,
+    multiple=True,
+    help="Travel that a gauge showed; repeatable.",
 )
 @click.option("--repeats", metavar="N", type=int, default=3, show_default=True, help="Number of travels.")
 @click.option(
-    "--speed", "speed_mm_s", metavar="MM/S", type=float, default=10.0, show_default=True, help="Speed of travel."
+    "--speed", "speed_mm_s", metavar="MM/S", type=NUMBER, default=10.0, show_default=True, help="Speed of travel."
 )
 @click.option("--by-hand", is_flag=True, help="Switch the stage off and push it.")
-@click.option("--seconds", metavar="S", type=float, default=20.0, show_default=True, help="Time for a push by hand.")
+@click.option("--seconds", metavar="S", type=NUMBER, default=20.0, show_default=True, help="Time for a push by hand.")
 @options.session_notes("with the result")
 @options.rig_session
 def calibrate_encoder_command(

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from PySide6.QtCore import QTimer, QUrl, Signal
 from PySide6.QtGui import QDesktopServices
-from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QLineEdit, QProgressBar, QSizePolicy, QWidget
+from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QSizePolicy, QWidget
 
 from dragrig.analysis.gap import Diagnosis, RunTraces, plan_of_next_runs
-from dragrig.config import DragrigError
+from dragrig.config import DragrigError, NumberRange
 from dragrig.present import BLUE, PALE, VERMILLION
 from dragrig.views import (
     CampaignWork,
@@ -24,6 +24,7 @@ from dragrig.views import (
     PlanForm,
     form_from_plan,
 )
+from dragrig.window.number_field import NumberField
 from dragrig.window.plots import TimePlot
 from dragrig.window.session_queue import QueuedSession, QueueState
 from dragrig.window.widgets import (
@@ -111,7 +112,7 @@ _DOING = {
     CampaignWork.REPORT: "Reporting on",
     CampaignWork.SETTLE: "Settling",
 }
-_USUAL_MIN, _MOST_MIN = 20.0, 999.0
+_USUAL_MIN, _MINUTES = 20.0, NumberRange("min", 1.0, 999.0)
 
 
 class DiagnosePage(QWidget):
@@ -164,12 +165,9 @@ class DiagnosePage(QWidget):
             help_="Make the runs that tell most, diagnose again, and so on until causes and verdict are sure; "
             "goes on where it was paused",
         )
-        self.minutes = named(QDoubleSpinBox(), "Rig time of the further runs")
-        self.minutes.setRange(1.0, _MOST_MIN)
-        self.minutes.setDecimals(0)
-        self.minutes.setValue(stored.number("settle minutes", _USUAL_MIN))
-        self.minutes.setSuffix(" min")
-        self.minutes.setToolTip("Rig time of the further runs, without hands")
+        usual_min = stored.number("settle minutes", _USUAL_MIN)
+        self.minutes = NumberField("Rig time of the further runs, without hands", _MINUTES, usual_min)
+        self.minutes.edited.connect(self._show_state)
         self._awaited: Path | None = None
         """Campaign whose further runs are being made."""
         self._due: Path | None = None
@@ -188,6 +186,7 @@ class DiagnosePage(QWidget):
             self.nominal,
             self.settle,
             self.minutes,
+            self.minutes.unit,
             stretch={1: 1},
         )
         self.identification = DocumentView()
@@ -195,7 +194,7 @@ class DiagnosePage(QWidget):
         self.identification.setMinimumHeight(_LEAST_DOCUMENT_PX)
         doing = row(self.start, self.identify, self.report, self.cancel, self.state, self.progress, self.open_report,
                     stretch={4: 1})  # fmt: skip
-        choice = card(head, doing)
+        choice = card(head, self.minutes.problem, doing)
         choice.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.setLayout(column(choice, self.results, self.identification, 0, margin=8, stretch={1: 1, 2: 1}))
         self.results.hide()
@@ -220,8 +219,9 @@ class DiagnosePage(QWidget):
         self._begin(CampaignWork.DIAGNOSE)
 
     def _settle(self) -> None:
-        self._awaited = None
-        self._begin(CampaignWork.SETTLE, minutes=self.minutes.value())
+        if (minutes := self.minutes.value()) is not None:
+            self._awaited = None
+            self._begin(CampaignWork.SETTLE, minutes=minutes)
 
     def session_over(self, session: QueuedSession) -> None:
         """Go on with settling once the runs that it waits for are made, or say that it is paused."""
@@ -262,7 +262,7 @@ class DiagnosePage(QWidget):
     def keep(self) -> None:
         """Store the choice, and end a running diagnosis."""
         self._stored.keep("campaign", self.campaign.text())
-        self._stored.keep("settle minutes", self.minutes.value())
+        self._stored.keep("settle minutes", self.minutes.entered_value)
         self.stop()
 
     def _poll(self) -> None:
@@ -316,6 +316,8 @@ class DiagnosePage(QWidget):
     def _show_state(self) -> None:
         for work in (self.start, self.identify, self.report, self.settle):
             work.setEnabled(not self.busy and bool(self.campaign.text().strip()))
+        if self.minutes.value() is None:
+            self.settle.setEnabled(False)
         self.open_report.setVisible(self.report_path is not None and not self.busy)
         self.cancel.setEnabled(self.busy or self._awaited is not None)
         self.progress.setVisible(self.busy)

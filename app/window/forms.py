@@ -163,7 +163,7 @@ def field_label(field: FormField) -> str:
 
 
 def _field_help(field: FormField) -> str:
-    sweep = "Several values, separated by commas, make a run for each value." if field.sweeps else ""
+    sweep = "Several values, as 1, 5.5, 20, make a run for each value." if field.sweeps else ""
     limits = f"Allowed: {field.limits}." if field.limits else ""
     default = f"Default: {field.default}." if field.default and field.kind is not FieldKind.LIST else ""
     return " ".join(part for part in (field.help, limits, default, sweep) if part)

@@ -12,11 +12,9 @@ from PySide6.QtWidgets import (
     QAbstractItemView,
     QCheckBox,
     QComboBox,
-    QDoubleSpinBox,
     QHeaderView,
     QLineEdit,
     QMenu,
-    QSpinBox,
     QSplitter,
     QToolButton,
     QTreeWidget,
@@ -25,6 +23,7 @@ from PySide6.QtWidgets import (
 )
 
 from dragrig.analysis import TableRow
+from dragrig.config import NumberRange
 from dragrig.present import BLACK, CYCLE, PALE, VERMILLION, tint
 from dragrig.views import (
     FORMATS,
@@ -43,6 +42,7 @@ from dragrig.views import (
     steady_rows,
 )
 from dragrig.window.background import FileWorker
+from dragrig.window.number_field import NumberField
 from dragrig.window.plots import PlotCursor, TimePlot
 from dragrig.window.trace_pyramid import TracePath, TracePyramid
 from dragrig.window.widgets import (
@@ -347,16 +347,8 @@ class TraceOverlay(QWidget):
         self.raw = QCheckBox("Ra&w data")
         self.raw.setChecked(True)
         self.raw.toggled.connect(lambda _: self.draw())
-        self.window_ms = QDoubleSpinBox()
-        self.window_ms.setRange(1.0, 5000.0)
-        self.window_ms.setValue(50.0)
-        self.window_ms.setSuffix(" ms")
-        self.window_ms.setKeyboardTracking(False)
-        self.window_ms.setAccessibleName("Filter window length")
-        self.order = QSpinBox()
-        self.order.setRange(0, 8)
-        self.order.setValue(3)
-        self.order.setAccessibleName("Filter order")
+        self.window_ms = NumberField("Filter window length", NumberRange("ms", 1.0, 5000.0), 50.0)
+        self.order = NumberField("Filter order", NumberRange("", 0, 8, whole=True), 3)
         self.fit = button("Show a&ll", self.show_all, help_="Show all samples", keys="Ctrl+0")
         self.cursors = QCheckBox("&Cursors")
         self.cursors.toggled.connect(lambda shown: self._show_cursors(shown=shown))
@@ -370,13 +362,16 @@ class TraceOverlay(QWidget):
             self.channel_plot.cursor(name, colour, lambda _: self._show_cursor_values())
             for name, colour in (("A", BLACK), ("B", VERMILLION))
         )
-        filter_ = bare_widget(row(label("Filter window"), self.window_ms, label("order"), self.order))
+        filter_ = bare_widget(
+            row(label("Filter window"), self.window_ms, self.window_ms.unit, label("order"), self.order)
+        )
         shown = bare_widget(row(label("Channel"), self.channel, label("against"), self.axis))
         controls = flow(shown, self.raw, filter_, self.cursors, self.fit)
         for panel, height_px in ((self.channel_plot, 190), (self.speed_plot, 100)):
             panel.widget.setMinimumHeight(height_px)
         plots = column(self.channel_plot.widget, self.speed_plot.widget, self.values, stretch={0: 6, 1: 4, 2: 4})
-        self.setLayout(column(controls, scrolling(plots), margin=8, stretch={1: 1}))
+        problems = self.window_ms.problem, self.order.problem
+        self.setLayout(column(controls, *problems, scrolling(plots), margin=8, stretch={3: 1}))
         self._add_shortcuts()
 
     def show_traces(self, traces: Sequence[ShownTrace]) -> None:
@@ -560,8 +555,8 @@ class LookPage(QWidget):
         self.setObjectName("page")
         self._stored = stored
         self.browser, self.overlay = RunBrowser(Path(stored.text("look folder", str(folder)))), TraceOverlay()
-        self.overlay.window_ms.setValue(stored.number("filter window", 50.0))
-        self.overlay.order.setValue(round(stored.number("filter order", 3)))
+        self.overlay.window_ms.put(stored.number("filter window", 50.0))
+        self.overlay.order.put(stored.number("filter order", 3))
         self.steady = named(table(_STEADY_HEADER), "Steady forces of the selected runs")
         self.state = label("Select runs on the left; several are overlaid.", "faint")
         self.export = QToolButton()
@@ -588,8 +583,8 @@ class LookPage(QWidget):
         self.setLayout(column(splitter, margin=8))
         self.browser.chosen.connect(self._show_selected)
         self.browser.complained.connect(self.complained.emit)
-        self.overlay.window_ms.valueChanged.connect(lambda _: self._filter())
-        self.overlay.order.valueChanged.connect(lambda _: self._filter())
+        self.overlay.window_ms.entered.connect(lambda _: self._filter())
+        self.overlay.order.entered.connect(lambda _: self._filter())
         self.overlay.channel.currentTextChanged.connect(lambda _: self._filter_other())
         self.browser.refresh()
 
@@ -600,8 +595,8 @@ class LookPage(QWidget):
     def keep(self) -> None:
         """Store the settings, and finish reading and writing."""
         self._stored.keep("look folder", self.browser.folder.text())
-        self._stored.keep("filter window", self.overlay.window_ms.value())
-        self._stored.keep("filter order", float(self.overlay.order.value()))
+        self._stored.keep("filter window", self.overlay.window_ms.entered_value)
+        self._stored.keep("filter order", self.overlay.order.entered_value)
         self.browser.close_down()
         self._traces.drop()
         self._table.drop()
@@ -639,7 +634,7 @@ class LookPage(QWidget):
 
     @property
     def _filter_values(self) -> tuple[float, int]:
-        return 1e-3 * self.overlay.window_ms.value(), self.overlay.order.value()
+        return 1e-3 * self.overlay.window_ms.entered_value, int(self.overlay.order.entered_value)
 
     def _load(self) -> None:
         paths, (window_s, order) = [run.path for run in self._selected[:MAX_OVERLAID]], self._filter_values

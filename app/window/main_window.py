@@ -263,6 +263,7 @@ class MainWindow(QMainWindow):
         self.look = LookPage(Path(self.description.data_root), self._stored)
         self.diagnose = DiagnosePage(self._stored, lambda: self.run.new.chosen_mirror)
         self.rig = RigPage(rig, self._calibrate, self._cancel_calibration, self.run.new.operator.text)
+        self.rig.calibrate.set_limits(self.description)
         self.rig_meaning = ElidedLabel("", "faint")
         self.rig_meaning.setMinimumWidth(_LEAST_MEANING_PX)
         self.pages = QStackedWidget()
@@ -486,6 +487,7 @@ class MainWindow(QMainWindow):
             return
         self._show_description()
         self.run.describe(self.description)
+        self.rig.calibrate.set_limits(self.description)
         self._restart()
         sentence = "Saved, and the engine started again: reset the guard before anything moves."
         self.rig.settings.tell(f"{sentence} {self._settings_remark}".strip())

@@ -25,6 +25,7 @@ from dragrig.views import (
     motion_curves,
     plan_form,
     preview_session,
+    within_rig,
 )
 from dragrig.window.background import FileWorker
 from dragrig.window.forms import DEFAULT_TEXT, FormEditor
@@ -441,6 +442,11 @@ class NewSession(QWidget):
             self.plans.setCurrentIndex(self.plans.findData(plan))
         self._load(plan)
 
+    def describe(self, description: RigDescription) -> None:
+        """Take the rig as its settings are now, with other limits."""
+        self._description = description
+        self._load(str(self.plans.currentData()))
+
     def session_over(self, folder: Path) -> None:
         """Suggest the campaign of a session that has ended, or read the chosen one again, which may have more runs."""
         self.destination.offer(str(folder))
@@ -606,6 +612,7 @@ class NewSession(QWidget):
         """Show a plan, with the edits made to it before in this window."""
         edited = self._edited.get(name)
         same = edited is not None and [list(texts) for texts in edited] == [list(texts) for texts in form.values()]
+        form = within_rig(form, self._description)
         self._form, self._shown_plan = form, name
         self.plans.setToolTip(self.plans.currentText())
         self.editor.edit(form, edited if same else None)

@@ -36,7 +36,8 @@ class TimePlot:
     """A plot of one quantity against time, or another; lines differ in width and dashes as well as colour."""
 
     def __init__(self, quantity: str, unit: str, x_label: str = "Time (s)") -> None:
-        self._plot = pyqtgraph.PlotWidget()
+        # Its menu has number fields of its own, which ignore a decimal comma without a word.
+        self._plot = pyqtgraph.PlotWidget(enableMenu=False)
         item = self._plot.getPlotItem()
         item.setLabel("bottom", x_label, **_LABEL_STYLE)
         item.showGrid(x=True, y=True)

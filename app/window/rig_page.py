@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtWidgets import QComboBox, QListWidget, QSplitter, QWidget
 
-from dragrig.config import Calibration, DragrigError, SettingsError
+from dragrig.config import ANY_NUMBER, Calibration, DragrigError, NumberRange, SettingsError
 from dragrig.engine_host import (
     CalibrateEncoder,
     CalibrateForce,
@@ -17,7 +17,17 @@ from dragrig.engine_host import (
     StoreCalibration,
 )
 from dragrig.settings_form import RigSettingsForm, rig_settings_form
-from dragrig.views import FieldKind, FieldPlace, Form, FormField, FormGroup, first_key_named, parse_field
+from dragrig.views import (
+    FieldKind,
+    FieldPlace,
+    Form,
+    FormField,
+    FormGroup,
+    RigDescription,
+    first_key_named,
+    parse_field,
+    within_rig,
+)
 from dragrig.window.forms import CHANGED_MARK, FormEditor
 from dragrig.window.widgets import (
     DocumentView,
@@ -160,40 +170,46 @@ _GROUPS_PX = 240
 _INDENT = "    "
 
 
-def _calibration_field(key: str, name: str, unit: str, help_: str, kind: FieldKind, default: str = "") -> FormField:
-    return FormField(key, name, unit, help_, "", kind, default, empty="")
+def _calibration_field(
+    key: str, name: str, help_: str, kind: FieldKind, allowed: NumberRange = ANY_NUMBER, default: str = ""
+) -> FormField:
+    return FormField(key, name, help_, kind, allowed, default, empty="")
 
 
+_COUNT, _DURATION = NumberRange(whole=True), NumberRange("s")
 _REPEATS, _NOTE = (
-    _calibration_field("repeats", "repeats", "", "How often it is measured", FieldKind.WHOLE, "3"),
-    _calibration_field("note", "note", "", "Stored with the result", FieldKind.TEXT),
+    _calibration_field("repeats", "repeats", "How often it is measured", FieldKind.NUMBER, _COUNT, "3"),
+    _calibration_field("note", "note", "Stored with the result", FieldKind.TEXT),
 )
 _FORCE = FormGroup(
     "force sensor",
     "You are asked to hang each weight on the sensor, which is read then; a line is fitted. Nothing moves.",
     (
         _calibration_field(
-            "weights", "weights", "g", "At least three, separated by commas; 0 is the empty sensor", FieldKind.TEXT
+            "weights", "weights", "At least three, as 0, 20.5, 50; 0 is the empty sensor",
+            FieldKind.NUMBERS, NumberRange("g"),
         ),
-        _calibration_field("repeats", "repeats", "", "Series, up and down alternately", FieldKind.WHOLE, "1"),
-        _calibration_field("seconds", "reading", "s", "Duration of each reading", FieldKind.NUMBER, "2"),
+        _calibration_field("repeats", "repeats", "Series, up and down alternately", FieldKind.NUMBER, _COUNT, "1"),
+        _calibration_field("seconds", "reading", "Duration of each reading", FieldKind.NUMBER, _DURATION, "2"),
         _NOTE,
     ),
     {"weights": "0, 20, 50, 100"},
-)
+)  # fmt: skip
 _ENCODER = FormGroup(
     "encoder",
     "The stage goes a known travel, there and back, or you push it against a gauge; a line is fitted to the counts.",
     (
-        _calibration_field("travel_mm", "travel", "mm", "Signed; each stroke is announced first", FieldKind.NUMBER),
         _calibration_field(
-            "measured_mm", "measured", "mm", "What a gauge showed for every repeat, separated by commas; or nothing",
-            FieldKind.TEXT,
+            "travel_mm", "travel", "Signed; each stroke is announced first", FieldKind.NUMBER, NumberRange("mm")
+        ),
+        _calibration_field(
+            "measured_mm", "measured", "What a gauge showed for every repeat, as 50.1, 49.9; or nothing",
+            FieldKind.NUMBERS, NumberRange("mm"),
         ),
         _REPEATS,
-        _calibration_field("speed_mm_s", "speed", "mm/s", "Speed of the travel", FieldKind.NUMBER, "10"),
-        _calibration_field("by_hand", "pushed by hand", "", "The stage is switched off", FieldKind.SWITCH, "no"),
-        _calibration_field("seconds", "time for a push", "s", "By hand only", FieldKind.NUMBER, "20"),
+        _calibration_field("speed_mm_s", "speed", "Speed of the travel", FieldKind.NUMBER, NumberRange("mm/s"), "10"),
+        _calibration_field("by_hand", "pushed by hand", "The stage is switched off", FieldKind.SWITCH, default="no"),
+        _calibration_field("seconds", "time for a push", "By hand only", FieldKind.NUMBER, _DURATION, "20"),
         _NOTE,
     ),
     {"travel_mm": "50"},
@@ -215,10 +231,11 @@ class CalibrateView(QWidget):
         self._idle = self._armed = self._in_lab = False
         self._entry: Calibration | None = None
         self._problems: dict[FieldPlace, str] = {}
+        self._form = _CALIBRATIONS
         self.sensor = named(QComboBox(), "Sensor to calibrate")
         self.sensor.addItems([group.name.capitalize() for group in _CALIBRATIONS.groups])
         self.editor = FormEditor()
-        self.editor.edit(_CALIBRATIONS)
+        self.editor.edit(self._form)
         self.sensor.currentIndexChanged.connect(self._choose)
         self.editor.changed.connect(self._edited)
         self.start = button("S&tart", self._start, "main", "Begin; questions are asked above the page")
@@ -242,6 +259,12 @@ class CalibrateView(QWidget):
         self._discard_record()
         self._show_state()
 
+    def set_limits(self, rig: RigDescription) -> None:
+        """Refuse speeds beyond the rig's limit."""
+        self._form = within_rig(_CALIBRATIONS, rig)
+        self.editor.edit(self._form, self.editor.values(), self.editor.shown)
+        self._show_state()
+
     def allow(self, *, idle: bool, armed: bool, in_lab: bool) -> None:
         """Allow calibrations while nothing else is done; one that moves the stage with the guard armed."""
         self._idle, self._armed, self._in_lab = idle, armed, in_lab
@@ -254,7 +277,7 @@ class CalibrateView(QWidget):
         self.busy, self._entry = False, result.entry
         if result.record is None:
             number = self.editor.shown
-            key = first_key_named(_CALIBRATIONS.groups[number], result.problem)
+            key = first_key_named(self._form.groups[number], result.problem)
             if key is not None:
                 self._problems = {(number, key): result.problem}
             self._say(f"Not calibrated: {result.problem}", wrong=True)
@@ -296,10 +319,10 @@ class CalibrateView(QWidget):
 
     def _show_state(self) -> None:
         number = self.editor.shown
-        invalid = {place: text for place, text in _CALIBRATIONS.misread(self.editor.values()).items()
+        invalid = {place: text for place, text in self._form.misread(self.editor.values()).items()
                    if place[0] == number}  # fmt: skip
         self.editor.mark({**self._problems, **invalid}, {})
-        moves = _CALIBRATIONS.groups[number] is _ENCODER
+        moves = number == _CALIBRATIONS.groups.index(_ENCODER)
         ready = self._idle and self._in_lab and not self.busy and (self._armed or not moves)
         self.start.setEnabled(ready and not invalid)
         self.cancel.setEnabled(self.busy)
@@ -322,23 +345,26 @@ class CalibrateView(QWidget):
         self._ask(job)
 
     def _job(self) -> CalibrationJob:
-        group = _CALIBRATIONS.groups[self.editor.shown]
+        group = self._form.groups[self.editor.shown]
         texts = self.editor.values()[self.editor.shown]
         fields = {field.key: field for field in group.fields}
 
-        def number(key: str) -> float:
+        def numbers(key: str) -> tuple[float, ...]:
             value = parse_field(fields[key], texts[key].strip() or fields[key].default, group.name)
-            if not isinstance(value, int | float):
+            return tuple(value) if isinstance(value, list) else (value,) if isinstance(value, int | float) else ()
+
+        def number(key: str) -> float:
+            if not (one := numbers(key)):
                 raise SettingsError(f"{key}: is needed.")
-            return float(value)
+            return one[0]
 
         terms = {"operator": self._operator(), "note": texts["note"].strip()}
-        repeats, seconds = round(number("repeats")), number("seconds")
-        if group is _FORCE:
-            return CalibrateForce(_numbers("weights", texts), repeats, seconds, **terms)
+        repeats, seconds = int(number("repeats")), number("seconds")
+        if group.name == _FORCE.name:
+            return CalibrateForce(numbers("weights"), repeats, seconds, **terms)
         return CalibrateEncoder(
             number("travel_mm"),
-            _numbers("measured_mm", texts),
+            numbers("measured_mm"),
             repeats,
             number("speed_mm_s"),
             texts["by_hand"] == "yes",
@@ -362,13 +388,6 @@ class CalibrateView(QWidget):
     def _say(self, sentence: str, *, wrong: bool = False) -> None:
         self.state.setText(sentence)
         set_role(self.state, "wrong" if wrong else "")
-
-
-def _numbers(key: str, texts: Mapping[str, str]) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in texts[key].split(",") if part.strip())
-    except ValueError:
-        raise SettingsError(f"{key}: {texts[key]!r} is no list of numbers, as 0, 20, 50, 100.") from None
 
 
 class RigPage(QWidget):

@@ -1,14 +1,14 @@
 """The page that runs plans: new session, preview, live view, devices, queue."""
 
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
-    QDoubleSpinBox,
     QHeaderView,
     QPlainTextEdit,
     QProgressBar,
@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from dragrig.config import DragrigError
+from dragrig.config import DragrigError, NumberRange
 from dragrig.engine_host import (
     MAX_OVERRIDE_SPEED_MM_S,
     AbortSession,
@@ -55,10 +55,11 @@ from dragrig.engine_host import (
     WatchRig,
 )
 from dragrig.present import duration_text
-from dragrig.views import FurtherRuns, PlanForm, RigDescription, SessionPreview
+from dragrig.views import RIG_LIMIT, FurtherRuns, PlanForm, RigDescription, SessionPreview
 from dragrig.window.background import EngineLink
 from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
+from dragrig.window.number_field import NumberField
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import (
     MessageText,
@@ -148,12 +149,17 @@ class HandView(QWidget):
         self.busy = False
         """Whether a motion is asked for or under way."""
         self._idle = self._armed = False
-        self.distance = _field("Distance of the jog", _JOG_MM, "mm", signed=True)
-        self.speed = _field("Speed of the jog", _JOG_MM_S, "mm/s")
-        self.most = _field("Longest travel of the touch-off", _TOUCH_MM, "mm", signed=True)
-        self.force = _field("Change of the force that is a contact", _TOUCH_MN, "mN")
-        self.approach = _field("Speed of the touch-off", _TOUCH_MM_S, "mm/s")
-        self.back = _field("Way back after the contact", 0.0, "mm")
+        self.distance = NumberField("Distance of the jog", _DISTANCE, _JOG_MM)
+        self.speed = NumberField("Speed of the jog", _SPEED, _JOG_MM_S)
+        self.most = NumberField("Longest travel of the touch-off", _DISTANCE, _TOUCH_MM)
+        self.force = NumberField("Change of the force that is a contact", _FORCE, _TOUCH_MN)
+        self.approach = NumberField("Speed of the touch-off", _SPEED, _TOUCH_MM_S)
+        self.back = NumberField("Way back after the contact", _BACK, 0.0)
+        self._jogged_by, self._touched_by = (
+            (self.distance, self.speed),
+            (self.most, self.force, self.approach, self.back),
+        )
+        self._speed_range = _SPEED
         self.override = named(QComboBox(), "Limit switch that the next motion may leave")
         for name, side in _OVERRIDES.items():
             self.override.addItem(name, side)
@@ -161,7 +167,8 @@ class HandView(QWidget):
             "For the next homing or jog alone, away from the pressed switch and slow; everything else stays guarded"
         )
         self.override.currentIndexChanged.connect(lambda _: self._choose_override())
-        self._usual_mm_s = _JOG_MM_S
+        self._usual_mm_s: float | None = None
+        """Speed before a limit switch was overridden."""
         self.home = button("Ho&me", lambda: self._move(HomeStage(self._side)), help_="Find the stage's origin")
         self.jog = button("&Jog", self._jog, help_="Move the stage by the distance")
         self.touch = button("Touc&h off", self._touch, help_="Approach until the force changes; plans can start there")
@@ -171,9 +178,22 @@ class HandView(QWidget):
         touch = flow(self.touch, _titled("within", self.most), _titled("until", self.force),
                      _titled("at", self.approach), _titled("then back by", self.back))  # fmt: skip
         off_switch = row(label("Pressed limit switch that home or jog may leave"), self.override, 1)
-        motions = column(self.state, card(row(self.home, 1)), card(jog), off_switch, card(touch), 1, margin=8)
+        jogging = card(jog, *(field.problem for field in self._jogged_by))
+        touching = card(touch, *(field.problem for field in self._touched_by))
+        motions = column(self.state, card(row(self.home, 1)), jogging, off_switch, touching, 1, margin=8)
         self.setLayout(column(scrolling(motions)))
+        for field in (*self._jogged_by, *self._touched_by):
+            field.edited.connect(self._show_state)
         self._show_state()
+
+    def set_limits(self, rig: RigDescription) -> None:
+        """Refuse travels and speeds beyond the rig's limits."""
+        travel_mm = rig.highest_mm - rig.lowest_mm
+        self._speed_range = _SPEED.within(0.0, rig.max_speed_mm_s, RIG_LIMIT)
+        self.approach.set_range(self._speed_range)
+        for field in (self.distance, self.most):
+            field.set_range(_DISTANCE.within(-travel_mm, travel_mm, "the rig's travel"))
+        self._limit_speed()
 
     def allow(self, *, idle: bool, armed: bool) -> None:
         """Allow motions while nothing else is done: with the guard armed, or off a pressed limit switch."""
@@ -193,27 +213,37 @@ class HandView(QWidget):
 
     def _show_state(self) -> None:
         free, off_switch = self._idle and not self.busy, self._side is not None
-        for starts in (self.home, self.jog):
-            starts.setEnabled(free and (self._armed or off_switch))
-        self.touch.setEnabled(free and self._armed and not off_switch)
+        may_start = free and (self._armed or off_switch)
+        self.home.setEnabled(may_start)
+        self.jog.setEnabled(may_start and None not in _numbers(self._jogged_by))
+        self.touch.setEnabled(free and self._armed and not off_switch and None not in _numbers(self._touched_by))
         self.override.setEnabled(free)
 
     def _choose_override(self) -> None:
-        """Limit the jog's speed as the rig does off a switch; the speed before comes back afterwards."""
-        if self._side is None:
-            self.speed.setMaximum(_MOST_BY_HAND)
-            self.speed.setValue(self._usual_mm_s)
-        elif self.speed.maximum() > MAX_OVERRIDE_SPEED_MM_S:
+        """Show the highest speed off a switch where the jog's is above it; the speed before comes back afterwards."""
+        if self._side is None and self._usual_mm_s is not None:
+            usual_mm_s, self._usual_mm_s = self._usual_mm_s, None
+            self._limit_speed()
+            self.speed.put(usual_mm_s)
+        elif self._side is not None and (self.speed.value() or 0.0) > MAX_OVERRIDE_SPEED_MM_S:
             self._usual_mm_s = self.speed.value()
-            self.speed.setMaximum(MAX_OVERRIDE_SPEED_MM_S)
+            self.speed.put(MAX_OVERRIDE_SPEED_MM_S)
+        self._limit_speed()
         self._show_state()
 
+    def _limit_speed(self) -> None:
+        most = math.inf if self._side is None else MAX_OVERRIDE_SPEED_MM_S
+        self.speed.set_range(self._speed_range.within(0.0, most, "the most off a limit switch"))
+
     def _jog(self) -> None:
-        self._move(JogStage(self.distance.value(), self.speed.value(), self._side))
+        match _numbers(self._jogged_by):
+            case (float(distance_mm), float(speed_mm_s)):
+                self._move(JogStage(distance_mm, speed_mm_s, self._side))
 
     def _touch(self) -> None:
-        force, speed, back = self.force.value(), self.approach.value(), self.back.value()
-        self._move(TouchOffStage(self.most.value(), force, speed, back, self._operator()))
+        match _numbers(self._touched_by):
+            case (float(most_mm), float(force_mN), float(speed_mm_s), float(back_mm)):
+                self._move(TouchOffStage(most_mm, force_mN, speed_mm_s, back_mm, self._operator()))
 
     def _move(self, motion: HandMotion) -> None:
         self.busy = True
@@ -222,22 +252,16 @@ class HandView(QWidget):
         self._request_move(motion)
 
 
-def _field(name: str, value: float, unit: str, *, signed: bool = False) -> QDoubleSpinBox:
-    made = named(QDoubleSpinBox(), name)
-    made.setRange(-_MOST_BY_HAND if signed else 0.0, _MOST_BY_HAND)
-    made.setDecimals(3)
-    made.setValue(value)
-    made.setSuffix(f" {unit}")
-    made.setToolTip(name)
-    return made
+_DISTANCE, _BACK = NumberRange("mm"), NumberRange("mm", 0.0)
+_SPEED, _FORCE = NumberRange("mm/s", 0.0, above_lowest=True), NumberRange("mN", 0.0, above_lowest=True)
 
 
-_MOST_BY_HAND = 10_000.0
-"""Beyond any stage and sensor; the rig's own limits are checked before anything moves."""
+def _numbers(fields: Sequence[NumberField]) -> tuple[float | None, ...]:
+    return tuple(field.value() for field in fields)
 
 
-def _titled(text: str, field: QWidget) -> QWidget:
-    return bare_widget(row(label(text), field))
+def _titled(text: str, field: NumberField) -> QWidget:
+    return bare_widget(row(label(text), field, field.unit))
 
 
 _QUEUE_HEADER = ("Session", "Runs", "Duration", "State")
@@ -458,6 +482,7 @@ class RunPage(QWidget):
         self.why = MessageText(most_lines=2)
         self.why.setAccessibleName("Why these runs are made")
         self.hand = HandView(self._move_by_hand, self.new.operator.text)
+        self.hand.set_limits(description)
         self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
         self.devices.watch.setChecked(stored.text("watch", "yes") == "yes")
         self.devices.watch.toggled.connect(lambda on: self._watch(on=on))
@@ -516,7 +541,8 @@ class RunPage(QWidget):
         """Show the rig as its settings are now."""
         self._description = description
         self.live.set_limits(description.lowest_mm, description.highest_mm)
-        self.new.update_preview()
+        self.hand.set_limits(description)
+        self.new.describe(description)
 
     def keep(self) -> None:
         """Store form and waiting sessions for the next start; nothing starts by itself then."""

@@ -53,7 +53,7 @@ from PySide6.QtWidgets import (
 )
 
 from dragrig.analysis import printable
-from dragrig.config import DragrigError, OutputError
+from dragrig.config import DragrigError, OutputError, SettingsError, read_number
 from dragrig.present import (
     BLACK,
     BLUE,
@@ -118,7 +118,8 @@ QPushButton[role="page"]:focus {{ background: #E3F1FA; }}
 QLineEdit, QPlainTextEdit {{ background: {PAPER}; border: 1px solid {PALE};
     border-radius: 4px; padding: 5px 7px; selection-background-color: {BLUE}; selection-color: white; }}
 QLineEdit:focus, QPlainTextEdit:focus {{ border: 2px solid {BLUE}; }}
-QComboBox, QSpinBox, QDoubleSpinBox {{ min-height: 30px; }}
+QComboBox, QAbstractSpinBox {{ min-height: 30px; }}
+QAbstractSpinBox[role="wrong"] {{ color: {STOP_COLOUR}; font-weight: 600; }}
 QComboBox QAbstractItemView {{ background: {PAPER}; selection-background-color: {BLUE}; selection-color: white; }}
 QTreeWidget, QTableWidget, QListWidget {{ background: {PAPER}; border: 1px solid {GRID};
     alternate-background-color: {SURFACE_COLOUR};
@@ -596,8 +597,8 @@ class StoredSettings:
     def number(self, name: str, default: float) -> float:
         """Return a number."""
         try:
-            return float(self.text(name))
-        except ValueError:
+            return read_number(self.text(name))
+        except SettingsError:
             return default
 
     def shape(self, name: str) -> QByteArray | None:
