@@ -10,7 +10,6 @@ import socket
 import struct
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -31,6 +30,7 @@ from dragrig.rig import (
     RigCheck,
     Sampler,
     Stage,
+    StopName,
     WallClock,
     attempt,
 )
@@ -57,6 +57,7 @@ from dragrig.rig.hardware.drive import (
     write_travel,
 )
 from dragrig.rig.hardware.lines import CardLines
+from dragrig.rig.hardware.stop_trial import StopTrial
 from dragrig.rig.hardware.sync import MotionSamplingSync
 
 _PEER = struct.Struct("3i")
@@ -395,10 +396,6 @@ class CardLook:
         return LiveView(force_V, force_mN, count, pressed, f"{text}, {switches}" if switches else text)
 
 
-_ENABLE_OBEYED_S = 0.5
-_ENABLE_POLL_S = 0.01
-
-
 class HardwareBackend:
     """The rig that the settings describe. Nothing is touched before `connect` or `examine`.
 
@@ -525,29 +522,19 @@ class HardwareBackend:
             "serial port", False, f"hardware.drive.port is {port}, and here is {known}: connect it, or name it"
         )
 
-    def check_enable(self) -> RigCheck:
-        """Switch the drive on for a moment, at a standstill, and look whether it obeys its enable line."""
-        lines = self._open_card()
-        if not self._rig.hardware.card.lines.enable:
-            return RigCheck(
-                "enable", True, "not wired (hardware.card.lines.enable is empty): only the serial line switches"
-            )
-        stage = self._open_drive()
-        stage.enable()
+    @property
+    def creeps(self) -> bool:
+        """Whether `try_stops` can try in motion: in position mode."""
+        return self._rig.hardware.drive.mode == "position"
+
+    def try_stops(self, *, in_motion: bool) -> Iterator[RigCheck]:
+        """Take enable line, heartbeat and requests away from the drive: at a standstill, or at 1 mm/s over 2 mm."""
         try:
-            lines.set_enable(False)
-            until_s = time.monotonic() + _ENABLE_OBEYED_S
-            while (still_on := stage.state().enabled) and time.monotonic() < until_s:
-                time.sleep(_ENABLE_POLL_S)
-        finally:
-            stage.disable()
-        if still_on:
-            problem = (
-                f"the drive stays on when {self._rig.hardware.card.lines.enable} goes low: check the wire, and the "
-                "drive's setting of this input; without it, nothing but the serial line switches the drive off"
-            )
-            return RigCheck("enable", False, problem)
-        return RigCheck("enable", True, "the drive goes off when its enable line does")
+            lines, stage = self._open_card(), self._open_drive()
+        except DeviceError as error:
+            yield RigCheck(StopName.ENABLE.value, False, reason_of(error))
+            return
+        yield from StopTrial(self._rig, stage, lines, self._clock, self._dialect).run(in_motion=in_motion)
 
     def close(self) -> None:
         """Stop the stage and close every device, whatever happens to the others.
