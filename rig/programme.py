@@ -454,7 +454,7 @@ def preflight(
             "make room or name another folder with --out"
         )
     fastest_mm_s = max((preview.speed_mm_s for preview in previews), default=0.0)
-    remarks = [run_on_remark(failure, on, fastest_mm_s, rig) for failure, on in furthest.items() if on.distance_mm]
+    remarks = [run_on_remark(failure, on, fastest_mm_s) for failure, on in furthest.items() if on.distance_mm]
     return Preflight(tuple(previews), programme.duration_s, total, free, tuple(findings), tuple(remarks))
 
 

@@ -6,9 +6,9 @@ finds it missing; before that, it is what the settings claim, and called so.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import floor, inf, sqrt
+from math import floor, inf, isfinite, sqrt
 
 import numpy as np
 
@@ -28,7 +28,7 @@ _LATE_S = 0.1
 """What is later than this beyond what the settings claim does not act as soon as claimed."""
 _POINTS_PER_PIECE = 33
 _MIN_ALLOWED_MM_S = 0.1
-_IN_MOTION = " in motion"
+_SHORTER_SILENCE = "lower hardware.drive.silence_s"
 
 
 class StopName(StrEnum):
@@ -41,7 +41,7 @@ class StopName(StrEnum):
     @property
     def in_motion(self) -> str:
         """Name of the signal that was tried in motion."""
-        return f"{self.value}{_IN_MOTION}"
+        return f"{self.value} in motion"
 
 
 class Failure(StrEnum):
@@ -106,42 +106,55 @@ def assess_stops(rig: RigSettings, record: CommissioningRecord | None, *, has_ti
     has_timeout
         Whether the drive's dialect has a silence timeout.
     """
-    drive, lines = rig.hardware.drive, rig.hardware.card.lines
-    claimed_s = {StopName.RELAY: RELAY_BEATS * lines.heartbeat_s, StopName.WATCHDOG: drive.silence_s}
+    lines = rig.hardware.card.lines
     seen = {name: _seen_s(record, name) for name in StopName}
     there = {
         StopName.WATCHDOG: has_timeout,
         StopName.RELAY: bool(lines.heartbeat),
         StopName.ENABLE: bool(lines.enable),
     }
-    released_s = drive.silence_s + RELEASE_S
-
-    def stop(name: StopName, until: str, since_s: float, deceleration: float, remedy: str) -> Iterator[Stop]:
-        seen_s, own_s = seen[name], claimed_s.get(name, 0.0)
-        if not there[name] or seen_s is None:
-            return
-        late = seen_s > own_s + _LATE_S
-        took_s = max(seen_s, own_s) if name is StopName.WATCHDOG else seen_s or own_s
-        yield Stop(until.format(took_s), since_s + took_s, deceleration, seen_s > 0, not late, remedy=remedy)
-
-    relay_text, faster = "its heartbeat relay opens, {:.2g} s after the last edge", "use a faster relay"
-    heard_text = f"the drive has heard nothing for {drive.silence_s:g} s (hardware.drive.silence_s)"
-    taken_text = f"{heard_text} and its enable line has gone low"
-    sooner = "lower hardware.drive.silence_s"
-    watchdog = list(stop(StopName.WATCHDOG, heard_text, 0.0, rig.stage.stop_accel_mm_s2, sooner))
-    on_program = [*watchdog, *stop(StopName.RELAY, relay_text, 0.0, COASTING_MM_S2, faster)]
-    on_link = [
-        *watchdog,
-        *stop(StopName.RELAY, f"{heard_text} and {relay_text}", released_s, COASTING_MM_S2, faster),
-        *stop(StopName.ENABLE, taken_text, released_s, COASTING_MM_S2, sooner),
-    ]
-    if drive.mode == "velocity":
-        # The program itself brings the voltage down, once what is written ahead is put out.
-        velocity = drive.velocity
-        ramp_s = drive.silence_s / 2 + velocity.update_s * (velocity.ahead + 1)
-        on_link = [Stop("the program has brought its voltage down", ramp_s, rig.stage.stop_accel_mm_s2, proven=True)]
-    hands = _hand(seen, there, (StopName.WATCHDOG, StopName.RELAY)), _hand(seen, there, tuple(StopName))
+    claimed = {
+        name: _claimed_stops(rig, name, seen_s) for name, seen_s in seen.items() if there[name] and seen_s is not None
+    }
+    # In the order in which claims are believed.
+    names = StopName.WATCHDOG, StopName.RELAY, StopName.ENABLE
+    on_program = [claimed[name][Failure.PROGRAM] for name in names if Failure.PROGRAM in claimed.get(name, {})]
+    on_link = [claimed[name][Failure.LINK] for name in names if name in claimed]
+    if rig.hardware.drive.mode == "velocity":
+        on_link = [_ramp_of_voltage(rig)]
+    hands = _hand(seen, there, names[:2]), _hand(seen, there, names)
     return Stops(_chosen(on_program, hands[0]), _chosen(on_link, hands[1]))
+
+
+def _claimed_stops(rig: RigSettings, name: StopName, seen_s: float) -> dict[Failure, Stop]:
+    """Return how a stop ends a motion after each failure; `seen_s` is 0 where it was not tried."""
+    drive, lines, proven = rig.hardware.drive, rig.hardware.card.lines, seen_s > 0
+    released_s = drive.silence_s + RELEASE_S
+    heard = f"the drive has heard nothing for {drive.silence_s:g} s (hardware.drive.silence_s)"
+    if name is StopName.WATCHDOG:
+        timely, took_s = seen_s <= drive.silence_s + _LATE_S, max(seen_s, drive.silence_s)
+        stop = Stop(heard, took_s, rig.stage.stop_accel_mm_s2, proven, timely, remedy=_SHORTER_SILENCE)
+        return {Failure.PROGRAM: stop, Failure.LINK: stop}
+    if name is StopName.ENABLE:
+        until, timely = f"{heard} and its enable line has gone low", seen_s <= _LATE_S
+        stop = Stop(until, released_s + seen_s, COASTING_MM_S2, proven, timely, remedy=_SHORTER_SILENCE)
+        return {Failure.LINK: stop}
+    claimed_s = RELAY_BEATS * lines.heartbeat_s
+    timely, took_s = seen_s <= claimed_s + _LATE_S, seen_s or claimed_s
+    opens = f"its heartbeat relay opens, {took_s:.2g} s after the last edge"
+    alone = Stop(opens, took_s, COASTING_MM_S2, proven, timely, remedy="use a faster relay")
+    return {
+        Failure.PROGRAM: alone,
+        Failure.LINK: replace(alone, until=f"{heard} and {opens}", after_s=released_s + took_s),
+    }
+
+
+def _ramp_of_voltage(rig: RigSettings) -> Stop:
+    """Return how the program itself stops the stage in velocity mode, once what is written ahead is put out."""
+    drive = rig.hardware.drive
+    after_s = drive.silence_s / 2 + drive.velocity.update_s * (drive.velocity.ahead + 1)
+    until = "the program has brought its voltage down"
+    return Stop(until, after_s, rig.stage.stop_accel_mm_s2, proven=True, remedy=_SHORTER_SILENCE)
 
 
 def _chosen(stops: list[Stop], hand: Stop) -> Stop:
@@ -187,6 +200,8 @@ class RunOn:
 
     stop: Stop
     distance_mm: float
+    unstopped_mm: float
+    """Without that stop: to the end of the stroke; infinite in velocity mode."""
     lowest_mm: float
     highest_mm: float
     """`lowest_mm`, `highest_mm`: relative to the start of the motion."""
@@ -199,15 +214,16 @@ class RunOn:
         time_s = (profile.start_s[:, None] + (ends_s - profile.start_s)[:, None] * shares).ravel()
         position, velocity = profile.position(time_s), profile.velocity(time_s)
         way = velocity * stop.after_s + velocity * np.abs(velocity) / (2 * stop.deceleration_mm_s2)
-        on = way
+        on, unstopped_mm = way, inf
         if rig.hardware.drive.mode == "position":
             standing = np.abs(velocity) <= STANDSTILL_SPEED_MM_S
             standing[-1] = True
             stops = np.flatnonzero(standing)
             left = position[stops[np.searchsorted(stops, np.arange(len(position)))]] - position
+            unstopped_mm = float(np.abs(left).max())
             on = left if stop.by_hand else np.sign(velocity) * np.minimum(np.abs(way), np.abs(left))
         reached = position + (on if stop.timely else way)
-        return cls(stop, float(np.abs(on).max()), float(reached.min()), float(reached.max()))
+        return cls(stop, float(np.abs(on).max()), unstopped_mm, float(reached.min()), float(reached.max()))
 
     def violations(self, failure: str, extremes: MotionExtremes, start_mm: float, limits: StageLimits) -> Iterator[str]:
         """Say where only the run-on leaves the soft limits, which speed would not, and what to wire."""
@@ -226,13 +242,18 @@ class RunOn:
             )
 
 
-def run_on_remark(failure: str, run_on: RunOn, speed_mm_s: float, rig: RigSettings) -> str:
+def run_on_remark(failure: str, run_on: RunOn, speed_mm_s: float) -> str:
     """Say how far the stage goes on after a failure, and whether anybody has seen what ends that."""
-    stop, way = run_on.stop, f"if {failure}, the stage goes on, at up to {speed_mm_s:g} mm/s by up to "
-    by_strokes = rig.hardware.drive.mode == "position"
-    end = ", never beyond the end of its stroke" if by_strokes else ""
-    text = f"{way}{run_on.distance_mm:.1f} mm{end}, until {stop.until}"
-    return text if stop.proven or stop.by_hand else f"{text}; that is set, and untried: dragrig check --live tries it"
+    stop, unstopped_mm = run_on.stop, run_on.unstopped_mm
+    end = ", never beyond the end of its stroke" if isfinite(unstopped_mm) else ""
+    text = (
+        f"if {failure}, the stage goes on, at up to {speed_mm_s:g} mm/s by up to {run_on.distance_mm:.1f} mm{end}, "
+        f"until {stop.until}"
+    )
+    if stop.proven or stop.by_hand:
+        return text
+    without = f"by up to {unstopped_mm:.1f} mm" if isfinite(unstopped_mm) else "until somebody presses the e-stop"
+    return f"{text}; that is set but untried, and without it {without} (dragrig check --live tries it)"
 
 
 def check_stops(rig: RigSettings, stops: Stops) -> RigCheck:
@@ -243,11 +264,10 @@ def check_stops(rig: RigSettings, stops: Stops) -> RigCheck:
     for failure, stop in stops:
         way_mm = inf if stop.by_hand and by_strokes else stop.way_mm(speed_mm_s)
         far = f"by {way_mm:.0f} mm" if way_mm < travel_mm else "to an end of its travel"
-        if by_strokes:
-            far += " at most" if way_mm < travel_mm else ", or of its stroke"
-        tried = "" if stop.proven or stop.by_hand else ", untried"
-        said.append(f"if {failure}, it goes on {far}, until {stop.until}{tried}")
+        end = ", or of its stroke" if by_strokes else ""
+        tried = "" if stop.proven or stop.by_hand else f", untried: without it to an end of its travel{end}"
+        said.append(f"if {failure}, it goes on {far}{end if way_mm >= travel_mm else ''}, until {stop.until}{tried}")
     untried = any(not stop.proven and not stop.by_hand for _, stop in stops)
     by_hand = [stop for _, stop in stops if stop.by_hand]
-    advice = f": {by_hand[0].remedy}" if by_hand else ": dragrig check --live tries it" if untried else ""
+    advice = f": {by_hand[0].remedy}" if by_hand else " (dragrig check --live tries it)" if untried else ""
     return RigCheck("way without program", not by_hand, f"at {speed_mm_s:g} mm/s: {'; '.join(said)}{advice}")
