@@ -67,8 +67,15 @@ class Stop:
     longer: a stage that nothing else stops would be left to its drive alone."""
     by_hand: bool = False
     """Whether nothing but a person is left."""
+    because: str = field(default="", compare=False)
+    """Why nothing else is."""
     remedy: str = field(default="", compare=False)
     """What would make its way shorter."""
+
+    @property
+    def ends(self) -> str:
+        """What ends the motion, and why nothing else does, in words that go on after "until"."""
+        return f"{self.until} ({self.because})" if self.because else self.until
 
     def way_mm(self, speed_mm_s: float) -> float:
         """Return how far the stage goes on at a speed, without a sign."""
@@ -186,9 +193,9 @@ def _hand(seen: dict[StopName, float | None], there: dict[StopName, bool], names
         if not there[StopName.RELAY]
         else "bring the heartbeat relay's contact into its power"
     )
-    until = f"somebody presses the e-stop, for which {HAND_S:g} s count ({why})"
+    until = f"somebody presses the e-stop, for which {HAND_S:g} s count"
     remedy = f"{wire} and have dragrig check --live prove it"
-    return Stop(until, HAND_S, COASTING_MM_S2, timely=False, by_hand=True, remedy=remedy)
+    return Stop(until, HAND_S, COASTING_MM_S2, timely=False, by_hand=True, because=why, remedy=remedy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +245,7 @@ class RunOn:
             lower = f"lower its speed to {allowed:g} mm/s, " if allowed >= _MIN_ALLOWED_MM_S else ""
             yield (
                 f"would go on to {reached_mm:.1f} mm, beyond the limit of {limit_mm:g} mm, if {failure}, until "
-                f"{self.stop.until}: {lower}keep further off the end, or {self.stop.remedy}"
+                f"{self.stop.ends}: {lower}keep further off the end, or {self.stop.remedy}"
             )
 
 
@@ -248,7 +255,7 @@ def run_on_remark(failure: str, run_on: RunOn, speed_mm_s: float) -> str:
     end = ", never beyond the end of its stroke" if isfinite(unstopped_mm) else ""
     text = (
         f"if {failure}, the stage goes on, at up to {speed_mm_s:g} mm/s by up to {run_on.distance_mm:.1f} mm{end}, "
-        f"until {stop.until}"
+        f"until {stop.ends}"
     )
     if stop.proven or stop.by_hand:
         return text
@@ -266,7 +273,7 @@ def check_stops(rig: RigSettings, stops: Stops) -> RigCheck:
         far = f"by {way_mm:.0f} mm" if way_mm < travel_mm else "to an end of its travel"
         end = ", or of its stroke" if by_strokes else ""
         tried = "" if stop.proven or stop.by_hand else f", untried: without it to an end of its travel{end}"
-        said.append(f"if {failure}, it goes on {far}{end if way_mm >= travel_mm else ''}, until {stop.until}{tried}")
+        said.append(f"if {failure}, it goes on {far}{end if way_mm >= travel_mm else ''}, until {stop.ends}{tried}")
     untried = any(not stop.proven and not stop.by_hand for _, stop in stops)
     by_hand = [stop for _, stop in stops if stop.by_hand]
     advice = f": {by_hand[0].remedy}" if by_hand else " (dragrig check --live tries it)" if untried else ""
