@@ -304,24 +304,33 @@ def test_a_patient_timeout_is_tried_more_slowly_over_the_same_way() -> None:
     assert looked.furthest_mm <= 2.0
 
 
-def test_an_e_stop_pressed_while_nobody_asks_the_drive_ends_the_trial() -> None:
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ({"e_stop_pressed": True}, "emergency stop is pressed"),
+        ({"drive_alarm": "overcurrent"}, "see what else stopped it"),
+    ],
+)
+def test_what_else_stops_the_drive_while_nobody_asks_it_is_no_proof_of_its_timeout(
+    fault: dict[str, bool | str], said: str
+) -> None:
     rig, injector = rig_of(silence_s=2.0, enable=""), FaultInjector()
     backend = DoubleBackend(BackendRequest(rig, FrictionModelSettings(), connect=False), injector)
 
-    def press() -> None:
+    def strike() -> None:
         until(lambda: backend.bench.moving)
         time.sleep(0.5)
-        injector.inject(e_stop_pressed=True)
+        injector.inject(**fault)
 
-    hand = threading.Thread(target=press)
-    hand.start()
+    striking = threading.Thread(target=strike)
+    striking.start()
     try:
         (finding,) = backend.try_stops(in_motion=True)
         assert not finding.passed
-        assert "emergency stop" in finding.detail
+        assert said in finding.detail
         assert not backend.bench.moving
     finally:
-        hand.join()
+        striking.join()
         backend.close()
 
 

@@ -22,6 +22,7 @@ _WAIT_S = 1.0
 """How long a relay or a drive may take to go off, at least."""
 _POLL_S = 0.005
 _SILENCE_MARGIN_S = 0.3
+_MIN_SILENCE_SHARE = 0.5
 _MIN_SEEN_S = 1e-3
 
 
@@ -139,27 +140,39 @@ class StopTrial:
             )
         travel_mm = abs(after.position_mm - before.position_mm)
         took_s = travel_mm / (self._speed_mm_s * pace) if in_motion else passed_s
+        if took_s < _MIN_SILENCE_SHARE * self._rig.hardware.drive.silence_s:
+            raise DeviceError(
+                f"the stage stopped {took_s:.2f} s after the last request, sooner than hardware.drive.silence_s: see "
+                "what else stopped it, and try again."
+            )
         heard = "the last request (hardware.drive.silence_s)"
         return self._found(StopName.WATCHDOG, took_s, heard, before.position_mm, in_motion=in_motion)
 
     def _keep_quiet(self) -> None:
-        """Say nothing to the drive; a switch that is pressed ends it, for nobody else looks meanwhile."""
+        """Say nothing to the drive."""
         until_s = time.monotonic() + self._quiet_s
         while time.monotonic() < until_s:
-            pressed = self._lines.read_switches().trip()
-            if pressed is not None:
-                self._stage.stop()
-                raise DeviceError(f"{pressed.message}: remove the cause, and try again.")
+            self._refuse_pressed()
             time.sleep(_POLL_S)
+
+    def _refuse_pressed(self) -> None:
+        """End the trial at a switch: it stops the drive too, and nobody else may look meanwhile."""
+        pressed = self._lines.read_switches().trip()
+        if pressed is not None:
+            self._stage.stop()
+            raise DeviceError(f"{pressed.message}: remove the cause, and try again.")
 
     def _await_off(self, within_s: float) -> float | None:
         """Return when the drive was first seen to be off, as of `time.monotonic`; None where it stays on."""
         until_s = time.monotonic() + within_s
         while self._stage.state().enabled:
+            self._refuse_pressed()
             if time.monotonic() > until_s:
                 return None
             time.sleep(_POLL_S)
-        return time.monotonic()
+        off_s = time.monotonic()
+        self._refuse_pressed()
+        return off_s
 
     def _found(self, name: StopName, took_s: float, since: str, from_mm: float, *, in_motion: bool) -> RigCheck:
         went = f", and {abs(self._stage.state().position_mm - from_mm):.2f} mm on" if in_motion else ""
