@@ -185,7 +185,7 @@ def check_card(
         identity = identify_card(connection)
         yield _check_product(identity)
         trip = lines.read_switches().trip()
-        yield RigCheck("switches", trip is None, "none is pressed" if trip is None else trip.message)
+        yield RigCheck("switches", trip is None, _wired_remark(lines) if trip is None else trip.message)
         yield from _check_sampling(rig, sampler)
         reading = sampler.measure(CHECK_DURATION_S)
         alias = sampler.probe_aliases()
@@ -199,6 +199,17 @@ def check_card(
     jitter = f"counted {moved} in {CHECK_DURATION_S:g} s while nothing moved: check line receiver and shield"
     still = "steady at rest; a jog shows whether it counts"
     yield RigCheck("encoder", moved <= _MAX_JITTER_COUNTS, still if moved <= _MAX_JITTER_COUNTS else jitter)
+
+
+def _wired_remark(lines: CardLines) -> str:
+    """Say that no switch is pressed, and which the program would not see if it were."""
+    unseen = ", ".join(name for switch, name in SWITCH_NAMES.items() if switch not in lines.wired_switches)
+    if not unseen:
+        return "none is pressed"
+    return (
+        f"none is pressed; not wired to the card, so that the drive alone, and not the program, stops there: {unseen} "
+        "(hardware.card.lines)"
+    )
 
 
 def _check_product(identity: dict[str, str]) -> RigCheck:
