@@ -246,7 +246,10 @@ def asked(bench: Bench, person: Cautious, *assignments: str) -> int:
 
 def test_the_real_rig_asks_once_for_a_look_and_again_when_wires_change(faulty_rig: Bench) -> None:
     with without_record(faulty_rig.lab):
-        assert asked(faulty_rig, Cautious(look_first=True)) == 1
+        person = Cautious(look_first=True)
+        assert asked(faulty_rig, person) == 1
+        assert "until the drive has heard nothing for 5 s" in person.asked[0]
+        assert "untried, and without it by up to 18.0 mm" in person.asked[0]
         assert asked(faulty_rig, Cautious()) == 1
         assert asked(faulty_rig, Cautious()) == 0
         assert asked(faulty_rig, Cautious(), "rig.hardware.card.encoder.z=") == 1
