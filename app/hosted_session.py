@@ -277,6 +277,7 @@ def run_session(
                 real_time=timed,
                 pause=options.pause,
                 steady_force=steady_force_of,
+                stops=stops,
             )
             options.begun(session.abort)
             with _kept_awake(setup):

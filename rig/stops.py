@@ -24,6 +24,8 @@ HAND_S = 5.0
 """What counts for a person who sees that the stage does not stop, and presses the e-stop."""
 COASTING_MM_S2 = 250.0
 """Deceleration without current, by the friction of the guide alone: 0.3 N on 1.2 kg."""
+MIN_APPROACH_MM_S = 1.0
+"""No way to a run's start is made more slowly: from there a hand is soon enough."""
 _LATE_S = 0.1
 """What is later than this beyond what the settings claim does not act as soon as claimed."""
 _POINTS_PER_PIECE = 33
@@ -101,6 +103,11 @@ class Stops:
         else:
             yield Failure.PROGRAM.value, self.on_program
             yield Failure.LINK.value, self.on_link
+
+    def approach_speed_mm_s(self, room_mm: float) -> float:
+        """Return the greatest speed of a way to a place that is so far from the end beyond it; never below 1 mm/s."""
+        late = [stop.speed_mm_s(room_mm) for _, stop in self if not stop.timely]
+        return max(MIN_APPROACH_MM_S, min(late, default=inf))
 
 
 def assess_stops(rig: RigSettings, record: CommissioningRecord | None, *, has_timeout: bool) -> Stops:
