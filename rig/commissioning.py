@@ -44,11 +44,11 @@ _MIN_PRESS_ACCURACIES = 4.0
 """Beyond the sensor's accuracy by so much, a change is a finger's."""
 STANDSTILL_PROMPT = (
     "Hands out: the drive is switched on for a few seconds, and the stage holds where it stands, while enable line, "
-    "heartbeat and the program's requests are taken away from it, one after the other"
+    "heartbeat and the program's requests are taken away from it in turn"
 )
 MOTION_PROMPT = (
-    "The same in motion, which alone shows whether the drive stops when it hears nothing: at 1 mm/s over 2 mm at most, "
-    "each. Path clear, and a hand at the e-stop; skip it if in doubt, and those stops stay unproven"
+    "The same in motion, which alone shows whether the drive stops when it hears nothing: at most 2 mm at 1 mm/s for "
+    "every stop. Path clear, and a hand at the e-stop; skip it if in doubt, and those stops stay unproven"
 )
 SWITCH_NAMES: Mapping[str, str] = {
     "e_stop": "e-stop",
@@ -112,7 +112,7 @@ class SupportsLiveLook(Protocol):
         """Whether `try_stops` can try in motion: the drive makes strokes by itself."""
 
     def try_stops(self, *, in_motion: bool) -> Iterator[RigCheck]:
-        """Switch the drive on, and take enable line, heartbeat and the program's requests away, one after the other.
+        """Switch the drive on, and take enable line, heartbeat and the program's requests away in turn.
 
         At a standstill, or at 1 mm/s over 2 mm at most. A device that fails is a finding.
         """
