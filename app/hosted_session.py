@@ -36,7 +36,6 @@ from dragrig.rig import (
     SessionResult,
     Store,
     preflight,
-    read_commissioning,
     read_idle,
     specimen_remark,
     wiring_key,
@@ -257,21 +256,19 @@ def run_session(
     )
     with opened_rig(setup.backend, request, double=setup.double) as backend:
         further = len(backend.sampler.channels) - 2
-        preflight(
-            left,
-            setup.rig,
-            backend.stage.limits,
-            options.folder,
-            setup.plan_source,
-            further,
-            has_drive=backend.needs_hands,
-        ).require()
+        stops = setup.stops() if backend.needs_hands else None
+        checked = preflight(left, setup.rig, backend.stage.limits, options.folder, setup.plan_source, further, stops)
+        checked.require()
         if backend.needs_hands and (remark := specimen_remark(setup.specimen)):
             options.tell(f"{remark}.")
         record = _session_record(setup, backend, options, calibrations)
         timed = pace.real_time or backend.needs_hands
         operator = PromptRelay(observer, idle_reader(backend, timed=timed))
-        run_on_worker(lambda: _ask_for_commissioning(setup, operator, backend.clock.now), discard_message, operator)
+        run_on_worker(
+            lambda: _ask_for_commissioning(setup, operator, backend.clock.now, checked.remarks),
+            discard_message,
+            operator,
+        )
         with open_store(record) as store:
             session = Session(
                 backend,
@@ -284,6 +281,7 @@ def run_session(
                 real_time=timed,
                 pause=options.pause,
                 steady_force=steady_force_of,
+                stops=stops,
             )
             options.begun(session.abort)
             with _kept_awake(setup):
@@ -302,22 +300,27 @@ def _kept_awake(setup: Setup) -> Iterator[None]:
         yield
 
 
-def _ask_for_commissioning(setup: Setup, operator: Operator, now: Callable[[], datetime]) -> None:
+def _ask_for_commissioning(
+    setup: Setup, operator: Operator, now: Callable[[], datetime], remarks: Sequence[str]
+) -> None:
     """Ask once, on real hardware, before it moves with wires that nobody has looked at since they changed.
+
+    The prompt ends with the session's remarks: how far the stage goes on without its program.
 
     Raises `AbortedError` when the person wants to look first.
     """
     if setup.backend != HARDWARE_BACKEND or setup.double or setup.rig_folder is None:
         return
-    record, wiring = read_commissioning(setup.rig_folder), wiring_key(setup.rig)
-    if record is None or (record.made_on, record.wiring) != (setup.made_on, wiring):
-        record = CommissioningRecord(made_at=now(), made_on=setup.made_on, wiring=wiring)
+    record = setup.commissioning() or CommissioningRecord(
+        made_at=now(), made_on=setup.made_on, wiring=wiring_key(setup.rig)
+    )
     if record.skipped or record.passed:
         return
     why = "nobody has looked at this rig's wiring since it was set up or changed"
     if failed := ", ".join(signal.name for signal in record.signals if not signal.passed):
         why = f"the look at this rig on {record.made_at:%Y-%m-%d} found faults ({failed})"
-    prompt = f"{why[0].upper()}{why[1:]}: end here and try dragrig check --live, or go on without"
+    sentences = (f"{why}: end here and try dragrig check --live, or go on without", *remarks)
+    prompt = ". ".join(sentence[0].upper() + sentence[1:] for sentence in sentences)
     if operator.ask(Prompt(prompt)) is not Answer.DONE:
         raise AbortedError("ended before anything moved: look at the rig with dragrig check --live.")
     # What a look found stays in the record.

@@ -16,6 +16,7 @@ from dragrig.config import (
     RIG_FILE,
     UNSTATED,
     Calibration,
+    CommissioningRecord,
     DeviceError,
     DragrigError,
     EffectSettings,
@@ -47,11 +48,15 @@ from dragrig.rig import (
     Programme,
     RunProtocol,
     StageLimits,
+    Stops,
+    assess_stops,
     build_programme,
     latest_calibration,
     protocol_kinds,
+    read_commissioning,
     read_contact,
     stage_limits,
+    wiring_key,
 )
 
 if TYPE_CHECKING:
@@ -254,6 +259,23 @@ class RigSetup:
     def made_on(self) -> str:
         """Key of this rig's calibrations: hardware, its double and the simulated rig have separate ones."""
         return f"{self.backend} double" if self.double else self.backend
+
+    def commissioning(self) -> CommissioningRecord | None:
+        """Return what the look at this very wiring found, if there was one; raises `SettingsError` if damaged."""
+        record = None if self.rig_folder is None else read_commissioning(self.rig_folder)
+        if record is None or (record.made_on, record.wiring) != (self.made_on, wiring_key(self.rig)):
+            return None
+        return record
+
+    def stops(self) -> Stops:
+        """Return what ends a motion when the program fails or its link.
+
+        Raises `SettingsError` for a damaged record of the wiring, and for a dialect of the drive that is not there.
+        """
+        from dragrig.rig.hardware.dialects import Lack, find_dialect
+
+        has_timeout = Lack.SILENCE_TIMEOUT not in find_dialect(self.rig.hardware.drive.dialect).lacks
+        return assess_stops(self.rig, self.commissioning(), has_timeout=has_timeout)
 
     def calibrations(self) -> Mapping[str, Calibration]:
         """Return the latest calibrations by quantity; raises `SettingsError` for a damaged history.

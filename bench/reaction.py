@@ -7,6 +7,10 @@ Run `python bench/reaction.py [--rounds 20]`. The bar is one block, 50 ms, and o
 With `--signals` it prints, for each fault of force input and encoder, how it is found, and how long and how far the
 stage goes on at 20 mm/s, the median of the rounds (docs/faults.md has the table). The bar is 0.6 s: the default of
 `hardware.drive.silence_s`, and 100 ms.
+
+With `--wires` it prints, for each wiring of what stops the stage without its program, what `dragrig check --live` finds
+missing, for how long and how far the stage goes on at 40 mm/s once the serial cable or the program fails, what `dragrig
+check` says of it, and whether `dragrig run` refuses the stroke. The bar is what `check` says.
 """
 
 import argparse
@@ -14,19 +18,23 @@ import re
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import Calibration, RigSettings
+from dragrig.config.rig import Calibration, CommissionedSignal, CommissioningRecord, RigSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
-from dragrig.rig.devices import Acquisition, BackendRequest, Contact
+from dragrig.rig.commissioning import wiring_key
+from dragrig.rig.devices import Acquisition, BackendRequest, Contact, stage_limits
 from dragrig.rig.engine import AcquisitionOutcome, Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.dialects.base import Command
+from dragrig.rig.hardware.drive.stage_base import MonitoredStage
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
+from dragrig.rig.stops import Failure, RunOn, assess_stops
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 
 SPEED_MM_S = 20.0
@@ -190,6 +198,91 @@ def print_signals(rounds: int, mode: str) -> None:
         print(f"| {name} | {failed_checks(rig, faults) or '-'} | {ends} {went}", flush=True)
 
 
+BEATING = {"heartbeat": "port1/line4"}
+WIRES: Mapping[str, tuple[Mapping[str, str], Mapping[str, float | str]]] = {
+    "all of them": (BEATING, {}),
+    "drive's silence timeout alone": ({"enable": ""}, {}),
+    "enable line alone": ({}, {"drive_unwatched": True}),
+    "enable line alone, relay of 0.3 s": ({}, {"drive_unwatched": True, "enable_opens_s": 0.3}),
+    "heartbeat relay alone, three beats": ({"enable": "", **BEATING}, {"drive_unwatched": True}),
+    "heartbeat relay alone, 0.4 s": ({"enable": "", **BEATING}, {"drive_unwatched": True, "relay_opens_s": 0.4}),
+    "none that is connected": (
+        BEATING,
+        {"drive_unwatched": True, "enable_not_wired": True, "relay_not_wired": True},
+    ),
+}
+"""Lines of the settings, and what is wrong behind them."""
+FAST_MM_S = 40.0
+STROKE = MotionProfile.from_pieces((stationary_piece(0.1, Phase.REST), *trapezoid(130.0, FAST_MM_S, 1000.0)))
+FROM_MM = 10.0
+
+
+def look(double: DoubleBackend, rig: RigSettings) -> CommissioningRecord:
+    """Return what a person's look would record of the stops, tried at a standstill and in motion."""
+    found = (*double.try_stops(in_motion=False), *double.try_stops(in_motion=True))
+    signals = [
+        CommissionedSignal(name=check.name, passed=check.passed, detail=check.detail, after_s=check.after_s)
+        for check in found
+    ]
+    return CommissioningRecord(
+        made_at=datetime.now(UTC), made_on="bench", wiring=wiring_key(rig), signals=tuple(signals)
+    )
+
+
+def way_after(double: DoubleBackend, failure: Failure, wait_s: float) -> tuple[float, float]:
+    """Return how long and how far the stage goes on once its link or its program has failed."""
+    stage, bench = double.stage, double.bench
+    assert isinstance(stage, MonitoredStage)
+    stage.enable()
+    stage.home()
+    bench.place(FROM_MM)
+    stage.move(STROKE)
+    while bench.speed_mm_s() < FAST_MM_S - 0.1:
+        time.sleep(0.001)
+    time.sleep(wait_s)
+    from_s, from_mm = time.perf_counter(), bench.position_mm()
+    dead = stage.withholding(polls=True, beats=True) if failure is Failure.PROGRAM else nullcontext()
+    with dead:
+        if failure is Failure.LINK:
+            bench.faults.inject(drive_cut_off=True)
+        while bench.moving:
+            time.sleep(0.0005)
+    return time.perf_counter() - from_s, bench.position_mm() - from_mm
+
+
+def print_wires(rounds: int) -> None:
+    """Print a row of a table for each wiring: the longest way after each failure, and what is said of it."""
+    random = np.random.default_rng(3)
+    run = f"run, {FAST_MM_S:g} mm/s, {FROM_MM:g} to {FROM_MM + STROKE.extremes().highest_mm:g} mm"
+    print(f"| wired | found missing | cable fails | said | program killed | said | {run} |")
+    print("|---|---|---|---|---|---|---|")
+    for name, (lines, faults) in WIRES.items():
+        drive = {"homing_speed_mm_s": 50.0}
+        hardware = {"drive": drive, "card": {"lines": lines}}
+        rig = RigSettings.model_validate({"stage": {"start_mm": FROM_MM}, "hardware": hardware})
+        cells, missing, refused = list[str](), set[str](), False
+        for failure in (Failure.LINK, Failure.PROGRAM):
+            ways = list[tuple[float, float]]()
+            for _ in range(rounds):
+                double = DoubleBackend(BackendRequest(rig, FrictionModelSettings()))
+                double.bench.faults.inject(**faults)
+                try:
+                    record = look(double, rig)
+                    ways.append(way_after(double, failure, float(random.uniform(0.0, 0.3))))
+                finally:
+                    double.close()
+                missing |= {signal.name.split()[0] for signal in record.signals if not signal.passed}
+                stops = assess_stops(rig, record, has_timeout=True)
+            stop = stops.on_link if failure is Failure.LINK else stops.on_program
+            on, limits = RunOn.of(STROKE, rig, stop), stage_limits(rig.stage)
+            refused = refused or any(on.violations(failure, STROKE.extremes(), FROM_MM, limits))
+            after_s, way_mm = np.max(ways, axis=0)
+            said = "end of the stroke" if stop.by_hand else f"{stop.way_mm(FAST_MM_S):.1f} mm"
+            cells += [f"{after_s:.2f} s, {way_mm:.1f} mm", said]
+        found = ", ".join(sorted(missing)) or "-"
+        print(f"| {name} | {found} | {' | '.join(cells)} | {'refused' if refused else 'made'} |", flush=True)
+
+
 def main() -> None:
     """Print the reaction to each condition."""
     options = argparse.ArgumentParser(description=__doc__)
@@ -197,11 +290,15 @@ def main() -> None:
     options.add_argument(
         "--signals", action="store_true", help="faults of force input and encoder in place of the rest"
     )
+    options.add_argument("--wires", action="store_true", help="what stops the stage without its program")
     options.add_argument("--mode", choices=("position", "velocity"), default="position", help="for --signals")
     chosen = options.parse_args()
     rounds = chosen.rounds
     if chosen.signals:
         print_signals(rounds, chosen.mode)
+        return
+    if chosen.wires:
+        print_wires(rounds)
         return
     random = np.random.default_rng(1)
     for name, condition in CONDITIONS.items():

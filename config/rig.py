@@ -524,6 +524,8 @@ class CommissionedSignal(Settings):
     name: str
     passed: bool
     detail: str
+    after_s: float = Field(default=0.0, ge=0)
+    """Time that the drive took to go off when this signal was taken away from it; 0 where that was not tried."""
 
 
 class CommissioningRecord(Settings):

@@ -151,3 +151,8 @@ from .sentinel import SteadyForce as SteadyForce
 from .session import CampaignProgress as CampaignProgress
 from .session import Session as Session
 from .session import SessionResult as SessionResult
+from .stops import RELAY_BEATS as RELAY_BEATS
+from .stops import StopName as StopName
+from .stops import Stops as Stops
+from .stops import assess_stops as assess_stops
+from .stops import check_stops as check_stops

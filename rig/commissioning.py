@@ -1,4 +1,6 @@
-"""The guided look at a newly wired rig: a person pushes, presses and watches; each signal is judged; nothing is driven.
+"""The guided look at a newly wired rig: a person pushes, presses and watches; each signal is judged.
+
+Nothing is driven until the end, when what stops the drive is taken away from it.
 
 What no program can know of a rig by itself is which way its wires go: whether the encoder counts up where the stage
 goes up, the sign of the force, which switch is which, and whether the drive obeys its enable line.
@@ -17,15 +19,14 @@ from typing import Protocol, TypeAlias, runtime_checkable
 from dragrig.config import (
     COMMISSIONING_FILE,
     CommissioningRecord,
-    DeviceError,
     RigSettings,
     read_settings_file,
-    reason_of,
     to_toml,
 )
 from dragrig.rig.devices import RigCheck, SupportsBenchActions
-from dragrig.rig.operator import Prompt
+from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.runfile import replace_text
+from dragrig.rig.stops import StopName
 
 PUSH_MM = 20.0
 """How far a person is asked to push the carriage: well beyond what a bumped stage moves, and easy to judge by eye."""
@@ -41,6 +42,14 @@ The bound lies between the two, where 20 mm shown as 12.5 or 32 mm would be equa
 _JITTER_COUNTS = 2
 _MIN_PRESS_ACCURACIES = 4.0
 """Beyond the sensor's accuracy by so much, a change is a finger's."""
+STANDSTILL_PROMPT = (
+    "Hands out: the drive is switched on for a few seconds, and the stage holds where it stands, while enable line, "
+    "heartbeat and the program's requests are taken away from it in turn"
+)
+MOTION_PROMPT = (
+    "The same in motion, which alone shows whether the drive stops when it hears nothing: at most 2 mm at 1 mm/s for "
+    "every stop. Path clear, and a hand at the e-stop; skip it if in doubt, and those stops stay unproven"
+)
 SWITCH_NAMES: Mapping[str, str] = {
     "e_stop": "e-stop",
     "limit_low": "lower limit switch",
@@ -98,8 +107,15 @@ class SupportsLiveLook(Protocol):
     def check_port(self) -> RigCheck:
         """List the serial ports that exist, and look whether the drive's is among them."""
 
-    def check_enable(self) -> RigCheck:
-        """Switch the drive on for a moment, at a standstill, and look whether it obeys its enable line."""
+    @property
+    def creeps(self) -> bool:
+        """Whether `try_stops` can try in motion: the drive makes strokes by itself."""
+
+    def try_stops(self, *, in_motion: bool) -> Iterator[RigCheck]:
+        """Switch the drive on, and take enable line, heartbeat and the program's requests away in turn.
+
+        At a standstill, or at 1 mm/s over 2 mm at most. A device that fails is a finding.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +242,7 @@ def judge_switch(watched: Watched, switch: str, line: str) -> RigCheck:
 class _Guide:
     """Asks a person for something, and watches the signals from then until shortly after the answer."""
 
-    def __init__(self, live: LiveRig, bench: SupportsBenchActions | None, confirm: Callable[[Prompt], None]) -> None:
+    def __init__(self, live: LiveRig, bench: SupportsBenchActions | None, confirm: Callable[[Prompt], Answer]) -> None:
         self._live, self._bench, self._confirm = live, bench, confirm
 
     def watch(self, text: str, act: _BenchAction = _do_nothing, undo: _BenchAction = _do_nothing) -> Watched:
@@ -249,13 +265,14 @@ class _Guide:
         return Watched(before, tuple(views))
 
 
-def look_at_rig(backend: SupportsLiveLook, rig: RigSettings, confirm: Callable[[Prompt], None]) -> Iterator[RigCheck]:
+def look_at_rig(backend: SupportsLiveLook, rig: RigSettings, confirm: Callable[[Prompt], Answer]) -> Iterator[RigCheck]:
     """Guide a person through the rig, signal by signal, and yield what was found.
 
     Parameters
     ----------
     confirm
-        Shows a prompt and returns once it is done; raises where the person ends the look.
+        Shows a prompt and returns whether it is done or, where that is allowed, skipped; raises where the person ends
+        the look.
 
     Raises
     ------
@@ -277,11 +294,15 @@ def look_at_rig(backend: SupportsLiveLook, rig: RigSettings, confirm: Callable[[
             touched = guide.watch(f"Press the {SWITCH_NAMES[switch]} for a second and release it", hold, release)
             yield judge_switch(touched, switch, getattr(rig.hardware.card.lines, switch))
     yield backend.check_port()
-    confirm(Prompt("Hands out: the drive is switched on for a second, and the stage holds where it stands"))
-    try:
-        yield backend.check_enable()
-    except DeviceError as error:
-        yield RigCheck("enable", False, reason_of(error))
+    confirm(Prompt(STANDSTILL_PROMPT))
+    tried = ""
+    for finding in backend.try_stops(in_motion=False):
+        yield finding
+        tried = finding.name
+    # A device that failed at a standstill moves nothing.
+    all_tried = tried == StopName.WATCHDOG
+    if all_tried and backend.creeps and confirm(Prompt(MOTION_PROMPT, can_skip=True)) is Answer.DONE:
+        yield from backend.try_stops(in_motion=True)
 
 
 def wiring_key(rig: RigSettings) -> str:

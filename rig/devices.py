@@ -313,6 +313,8 @@ class RigCheck:
     passed: bool
     detail: str
     """What was found, and what to do where the check failed."""
+    after_s: float = 0.0
+    """Time that the drive took to go off when this signal was taken away from it; 0 for any other check."""
 
 
 @runtime_checkable

@@ -11,8 +11,6 @@ from datetime import datetime
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
 from dragrig.config import (
     UNSTATED,
     Calibration,
@@ -32,16 +30,16 @@ from dragrig.config import (
 )
 from dragrig.rig.devices import (
     MAX_BLOCK_S,
-    STANDSTILL_SPEED_MM_S,
     Contact,
     RigCheck,
     StageLimits,
     limit_violations,
 )
-from dragrig.rig.profile import MotionExtremes, MotionProfile
+from dragrig.rig.profile import MotionProfile
 from dragrig.rig.protocols import MAX_RUNS, RunProtocol, expand_sweep
 from dragrig.rig.protocols.return_stroke import ReturnProtocol
 from dragrig.rig.runfile import free_bytes
+from dragrig.rig.stops import RunOn, Stops, run_on_remark
 
 _MAX_RETURN_ACCEL_MM_S2 = 400.0
 _SENTINEL_RETURN_MM_S = 20.0
@@ -408,8 +406,7 @@ def preflight(
     folder: Path,
     source: str,
     extra_channels: int | None = None,
-    *,
-    has_drive: bool = False,
+    stops: Stops | None = None,
 ) -> Preflight:
     """Check every run of a programme without motion.
 
@@ -417,22 +414,25 @@ def preflight(
     ----------
     extra_channels
         Channels besides force and position; None for those of the simulated rig.
-    has_drive
-        Whether the stage has a drive, which goes on for a while when the program is stopped or killed.
+    stops
+        What ends a motion when the program fails or its link; None for a stage without a drive.
     """
     if extra_channels is None:
         extra_channels = 1 if rig.sampling.motor_force else 0
     previews: list[RunPreview] = []
     findings: list[str] = []
-    furthest_mm = 0.0
+    furthest: dict[str, RunOn] = {}
     for run in programme.runs:
         extremes, samples = run.profile.extremes(), run.profile.samples(rig.sampling.rate_hz)
         name = f"{source}: run {run.index} ({run.summary})"
         findings += [f"{name} {violation}" for violation in limit_violations(extremes, run.start_mm, limits)]
-        if has_drive:
-            on = RunOn.of(run.profile, rig)
-            furthest_mm = max(furthest_mm, on.distance_mm)
-            findings += [f"{name} {beyond}" for beyond in on.violations(extremes, run.start_mm, limits, rig)]
+        run_ons = {failure: RunOn.of(run.profile, rig, stop) for failure, stop in stops or ()}
+        for failure, on in run_ons.items():
+            furthest[failure] = max(furthest.get(failure, on), on, key=_way_mm)
+        # Of two failures that carry it beyond, the worse one is said.
+        worst_first = sorted(run_ons.items(), key=lambda item: -item[1].stop.after_s)
+        beyond = (list(on.violations(failure, extremes, run.start_mm, limits)) for failure, on in worst_first)
+        findings += [f"{name} {violation}" for violation in next(filter(None, beyond), [])]
         previews.append(
             RunPreview(
                 run=run,
@@ -453,75 +453,13 @@ def preflight(
             f"{folder}: {free / 1e6:.0f} MB are free where the session needs up to {needed / 1e6:.0f} MB; "
             "make room or name another folder with --out"
         )
-    remarks = (run_on_remark(max(preview.speed_mm_s for preview in previews), furthest_mm, rig),) if furthest_mm else ()
-    return Preflight(tuple(previews), programme.duration_s, total, free, tuple(findings), remarks)
+    fastest_mm_s = max((preview.speed_mm_s for preview in previews), default=0.0)
+    remarks = [run_on_remark(failure, on, fastest_mm_s) for failure, on in furthest.items() if on.distance_mm]
+    return Preflight(tuple(previews), programme.duration_s, total, free, tuple(findings), tuple(remarks))
 
 
-_POINTS_PER_PIECE = 33
-
-
-@dataclass(frozen=True, slots=True)
-class RunOn:
-    """Where a stage comes to when the program is stopped or killed at the worst moment of a motion.
-
-    The drive brakes by itself once it has heard nothing for `hardware.drive.silence_s`. In position mode it makes no
-    more than the stroke that it was sent; in velocity mode its voltage stays.
-    """
-
-    distance_mm: float
-    lowest_mm: float
-    highest_mm: float
-    """`lowest_mm`, `highest_mm`: relative to the start of the motion."""
-
-    @classmethod
-    def of(cls, profile: MotionProfile, rig: RigSettings) -> "RunOn":
-        """Return it for a motion from standstill."""
-        drive = rig.hardware.drive
-        ends_s = np.append(profile.start_s[1:], profile.duration_s)
-        shares = np.linspace(0.0, 1.0, _POINTS_PER_PIECE)
-        time_s = (profile.start_s[:, None] + (ends_s - profile.start_s)[:, None] * shares).ravel()
-        position, velocity = profile.position(time_s), profile.velocity(time_s)
-        on = velocity * drive.silence_s + velocity * np.abs(velocity) / (2 * rig.stage.stop_accel_mm_s2)
-        if drive.mode == "position":
-            standing = np.abs(velocity) <= STANDSTILL_SPEED_MM_S
-            standing[-1] = True
-            stops = np.flatnonzero(standing)
-            left = position[stops[np.searchsorted(stops, np.arange(len(position)))]] - position
-            on = np.sign(velocity) * np.minimum(np.abs(on), np.abs(left))
-        reached = position + on
-        return cls(float(np.abs(on).max()), float(reached.min()), float(reached.max()))
-
-    def violations(
-        self, extremes: MotionExtremes, start_mm: float, limits: StageLimits, rig: RigSettings
-    ) -> Iterator[str]:
-        """Say where only the run-on leaves the soft limits."""
-        low_mm, high_mm = start_mm + self.lowest_mm, start_mm + self.highest_mm
-        beyond_low = low_mm < limits.lowest_mm <= start_mm + extremes.lowest_mm
-        beyond_high = high_mm > limits.highest_mm >= start_mm + extremes.highest_mm
-        for beyond, reached_mm, limit_mm in (
-            (beyond_low, low_mm, limits.lowest_mm),
-            (beyond_high, high_mm, limits.highest_mm),
-        ):
-            if beyond:
-                yield (
-                    f"would go on to {reached_mm:.1f} mm, beyond the limit of {limit_mm:g} mm, if the program is "
-                    f"stopped or killed, until the drive has heard nothing for {_silence_s(rig)}: lower the speed, "
-                    "keep further off the end, or lower hardware.drive.silence_s"
-                )
-
-
-def _silence_s(rig: RigSettings) -> str:
-    return f"{rig.hardware.drive.silence_s:g} s"
-
-
-def run_on_remark(speed_mm_s: float, distance_mm: float, rig: RigSettings) -> str:
-    """Say how far the stage goes on without the program."""
-    end = ", never beyond the end of its stroke" if rig.hardware.drive.mode == "position" else ""
-    return (
-        f"a program that is stopped or killed lets the stage go on, at up to {speed_mm_s:g} mm/s by up to "
-        f"{distance_mm:.1f} mm{end}, until the drive has heard nothing for {_silence_s(rig)} "
-        "(hardware.drive.silence_s)"
-    )
+def _way_mm(on: RunOn) -> float:
+    return on.distance_mm
 
 
 def check_limits(rig: RigSettings) -> RigCheck:

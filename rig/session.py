@@ -46,6 +46,7 @@ from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.rig.programme import PlannedRun, Programme
 from dragrig.rig.runfile import Attribute, Run, RunHeader, RunStatus, SessionRecord, software_version
 from dragrig.rig.sentinel import SENTINEL_ROLE, Drift, SteadyForce
+from dragrig.rig.stops import Stops
 
 _MAX_START_ERROR_MM = 0.05
 """How far from a run's start the stage may come to rest: more than the velocity loop's hold error of 0.02 mm."""
@@ -170,6 +171,8 @@ class Session:
         Set by anybody to have the session wait for a person before its next run; cleared then.
     steady_force
         Measures a sentinel.
+    stops
+        What ends a motion when the program fails or its link; where that is late, the way to a run's start is slow.
     """
 
     def __init__(
@@ -185,6 +188,7 @@ class Session:
         real_time: bool = False,
         pause: Signal | None = None,
         steady_force: Callable[[Run], SteadyForce] = unmeasured,
+        stops: Stops | None = None,
     ) -> None:
         self._backend, self._programme, self._record = backend, programme, record
         self._settings_toml = to_toml(record)
@@ -197,7 +201,7 @@ class Session:
         self._results: list[RunResult] = []
         self._contact_since_s = 0.0
         self._inserted_at: datetime | None = None
-        self._steady_force = steady_force
+        self._steady_force, self._stops = steady_force, stops
         self._sentinels, self._undecided = list(progress.sentinels), progress.undecided
         self._specimen_facts: Mapping[str, Attribute] = {}
         """What the last sentinel says about the specimen, for the files of the runs after it."""
@@ -414,7 +418,12 @@ class Session:
         travel_mm = self._travel_to(run)
         if abs(travel_mm) <= START_TOLERANCE_MM:
             return
-        self._acquire_unrecorded("positioning", run, positioning_profile(travel_mm, self._backend.stage.limits))
+        limits = self._backend.stage.limits
+        if self._stops is not None:
+            room_mm = limits.highest_mm - run.start_mm if travel_mm > 0 else run.start_mm - limits.lowest_mm
+            slow_mm_s = self._stops.approach_speed_mm_s(room_mm)
+            limits = replace(limits, speed_mm_s=min(limits.speed_mm_s, slow_mm_s))
+        self._acquire_unrecorded("positioning", run, positioning_profile(travel_mm, limits))
         await_standstill(self._backend)
         if not abs(off_mm := self._travel_to(run)) <= _MAX_START_ERROR_MM:
             raise DeviceError(

@@ -112,7 +112,7 @@ def found(faults: FaultInjector, rig: RigSettings | None = None) -> dict[str, Ri
     request = BackendRequest(settings, FrictionModelSettings(), connect=False, pace=PACE)
     backend = DoubleBackend(request, faults)
     try:
-        return {finding.name: finding for finding in look_at_rig(backend, settings, lambda _: None)}
+        return {finding.name: finding for finding in look_at_rig(backend, settings, lambda _: Answer.DONE)}
     finally:
         backend.close()
 
@@ -121,7 +121,7 @@ def test_a_rig_that_is_wired_as_it_should_be_passes() -> None:
     result = found(FaultInjector())
     assert list(result) == [
         "switches at rest", "encoder", "force", "e-stop", "lower limit switch", "upper limit switch",
-        "serial port", "enable",
+        "serial port", "enable", "relay", "watchdog", "enable in motion", "watchdog in motion",
     ]  # fmt: skip
     assert all(finding.passed for finding in result.values()), result
 
@@ -135,7 +135,7 @@ def test_a_rig_that_is_wired_as_it_should_be_passes() -> None:
             {"switches at rest", "e-stop", "lower limit switch", "upper limit switch", "enable"},
             "normally open",
         ),
-        ("enable_not_wired", {"enable"}, "stays on"),
+        ("enable_not_wired", {"enable", "enable in motion"}, "stays on"),
         ("encoder_stuck", {"encoder"}, "does not count"),
     ],
 )
@@ -164,7 +164,7 @@ def test_the_command_stores_what_it_found_and_ends_without_a_person(
     capsys.readouterr()
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n" * 10))
     assert main([*command, "--operator", "A. Person", "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["signals"]) == 8
+    assert len(json.loads(capsys.readouterr().out)["signals"]) == 12
     record = read_commissioning(lab)
     assert record is not None
     assert (record.operator, record.made_on, record.passed) == ("A. Person", "hardware double", True)
@@ -220,7 +220,7 @@ def test_a_press_that_is_over_before_the_answer_counts(faulty_rig: Bench) -> Non
     assert passed == {
         "switches at rest": True, "encoder": False, "force": True, "e-stop": True,
         "lower limit switch": True, "upper limit switch": False, "serial port": True,
-        "enable": True,
+        "enable": True, "relay": True, "watchdog": True, "enable in motion": True, "watchdog in motion": True,
     }  # fmt: skip
 
 
@@ -246,7 +246,10 @@ def asked(bench: Bench, person: Cautious, *assignments: str) -> int:
 
 def test_the_real_rig_asks_once_for_a_look_and_again_when_wires_change(faulty_rig: Bench) -> None:
     with without_record(faulty_rig.lab):
-        assert asked(faulty_rig, Cautious(look_first=True)) == 1
+        person = Cautious(look_first=True)
+        assert asked(faulty_rig, person) == 1
+        assert "until the drive has heard nothing for 5 s" in person.asked[0]
+        assert "untried, and without it by up to 18.0 mm" in person.asked[0]
         assert asked(faulty_rig, Cautious()) == 1
         assert asked(faulty_rig, Cautious()) == 0
         assert asked(faulty_rig, Cautious(), "rig.hardware.card.encoder.z=") == 1

@@ -63,6 +63,7 @@ def test_every_device_limit_and_calibration_is_told_without_connecting(
         "limits",
         "force limit",
         "encoder filter",
+        "way without program",
         "calibration of force",
         "calibration of encoder",
         "card",

@@ -14,6 +14,7 @@ from dragrig.config.settings import find_settings, parse, shipped_files, to_toml
 from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import Contact, StageLimits
 from dragrig.rig.programme import Programme, build_programme, preflight
+from dragrig.rig.stops import Stops, assess_stops
 
 SPECIMEN = Specimen(name="jejunum")
 LIMITS = StageLimits(0.0, 150.0, 100.0, 3000.0)
@@ -22,6 +23,11 @@ LIMITS = StageLimits(0.0, 150.0, 100.0, 3000.0)
 def made(*steps: dict[str, object], seed: int = 0) -> Programme:
     plan = parse(Plan, {"name": "p", "seed": seed, "steps": list(steps)}, "p.toml")
     return build_programme(plan, SPECIMEN, 40.0, "p.toml")
+
+
+def claimed(rig: RigSettings) -> Stops:
+    """What stops the stage of a rig that nobody has tried."""
+    return assess_stops(rig, None, has_timeout=True)
 
 
 def kinds(programme: Programme) -> list[str]:
@@ -164,12 +170,12 @@ def test_the_way_that_a_stage_goes_on_without_its_program_is_told(tmp_path: Path
     step = {"kind": "drag", "speed_mm_s": 20, "travel_mm": 60, "way_back": "stay"}
     rig = parse(RigSettings, {"hardware": {"drive": {"silence_s": 0.5}}}, "rig.toml")
     assert preflight(made(step), rig, LIMITS, tmp_path, "p.toml").remarks == ()
-    report = preflight(made(step), rig, LIMITS, tmp_path, "p.toml", has_drive=True)
+    report = preflight(made(step), rig, LIMITS, tmp_path, "p.toml", stops=claimed(rig))
     (remark,) = report.remarks
     # 20 mm/s for 0.5 s, and 0.07 mm to brake.
     assert "at up to 20 mm/s by up to 10.1 mm, never beyond the end of its stroke" in remark
     assert report.findings == ()
-    short = preflight(made({**step, "travel_mm": 4}), rig, LIMITS, tmp_path, "p.toml", has_drive=True)
+    short = preflight(made({**step, "travel_mm": 4}), rig, LIMITS, tmp_path, "p.toml", stops=claimed(rig))
     assert "by up to 3.9 mm" in short.remarks[0]
 
 
@@ -182,11 +188,13 @@ def test_a_voltage_that_stays_on_must_not_carry_the_stage_to_an_end(
     step = {"kind": "drag", "speed_mm_s": 20, "travel_mm": travel_mm, "way_back": "stay"}
     limits = replace(LIMITS, highest_mm=140.0)
     assert preflight(made(step), rig, limits, tmp_path, "p.toml").findings == ()
-    report = preflight(made(step), rig, limits, tmp_path, "p.toml", has_drive=True)
+    report = preflight(made(step), rig, limits, tmp_path, "p.toml", stops=claimed(rig))
     (finding,) = report.findings
     # From 0.5 mm before its end on, it brakes.
     assert f"would go on to {reached} mm, beyond the limit" in finding
-    shorter = preflight(made({**step, "travel_mm": 0.7 * travel_mm}), rig, limits, tmp_path, "p.toml", has_drive=True)
+    shorter = preflight(
+        made({**step, "travel_mm": 0.7 * travel_mm}), rig, limits, tmp_path, "p.toml", stops=claimed(rig)
+    )
     assert shorter.findings == ()
 
 

@@ -23,6 +23,7 @@ from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.model import Run, RunHeader, RunStatus
 from dragrig.rig.runfile.store import MemoryStore
 from dragrig.rig.session import CampaignProgress, Session, SessionResult, run_acquisition
+from dragrig.rig.stops import Stops, assess_stops
 from dragrig.sim_backend.devices import open_backend
 
 BEGUN = datetime(2026, 5, 4, 9, 0, tzinfo=UTC)
@@ -52,6 +53,7 @@ def new_session(
     faults: Faults | None = None,
     progress: CampaignProgress | None = None,
     store: MemoryStore | None = None,
+    stops: Stops | None = None,
 ) -> tuple[Session, MemoryStore]:
     rig, model = RigSettings(), FrictionModelSettings()
     plan = parse(Plan, {"name": "p", "steps": list(steps)}, "p.toml")
@@ -60,7 +62,8 @@ def new_session(
     store = store or MemoryStore()
     person = person or NullOperator()
     programme = build_programme(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
-    return Session(backend, programme, record, store, person, person, progress or CampaignProgress()), store
+    progress = progress or CampaignProgress()
+    return Session(backend, programme, record, store, person, person, progress, stops=stops), store
 
 
 def made(*steps: dict[str, object], **options: object) -> tuple[SessionResult, list[Run]]:
@@ -95,6 +98,17 @@ def test_waits_are_made_and_noted_as_the_contacts_age() -> None:
     assert person.waited_s == pytest.approx(89.5, abs=0.1)
     apart = (drags[1].info.header.start_time - drags[0].info.header.start_time).total_seconds()
     assert apart > 45.0
+
+
+@pytest.mark.parametrize(("has_timeout", "speed_mm_s"), [(True, 20.0), (False, 1.0)])
+def test_the_way_to_a_start_is_slow_where_nothing_but_a_person_would_end_it(
+    has_timeout: bool, speed_mm_s: float
+) -> None:
+    rig = RigSettings.model_validate({"hardware": {"card": {"lines": {"enable": ""}}}})
+    near_end: dict[str, object] = {**SHORT_DRAG, "start_mm": 149.0, "travel_mm": -20.0, "wait_s": 0.0}
+    _, (drag, *_) = made(near_end, stops=assess_stops(rig, None, has_timeout=has_timeout))
+    took_s = (drag.info.header.start_time - BEGUN).total_seconds()
+    assert took_s == pytest.approx(149.0 / speed_mm_s, abs=0.2)
 
 
 def test_two_sessions_with_one_seed_record_the_same_arrays() -> None:

@@ -15,6 +15,7 @@ from dragrig.rig import (
     Run,
     check_calibration,
     check_limits,
+    check_stops,
     check_wiring,
     preflight,
     specimen_remark,
@@ -71,6 +72,7 @@ def _rig_findings(setup: RigSetup) -> Iterator[RigCheck]:
         yield check_limits(rig)
         if backend.needs_hands:
             yield from check_wiring(rig, calibrations)
+            yield check_stops(rig, setup.stops())
         for quantity in CALIBRATED_QUANTITIES:
             if quantity in calibrations or (backend.needs_hands and not setup.double):
                 yield check_calibration(quantity, calibrations.get(quantity), rig, backend.clock.now())
@@ -123,9 +125,8 @@ def check_setup(setup: Setup, folder: Path) -> Preflight:
     find_backend(setup.backend, double=setup.double)
     is_real = setup.backend == HARDWARE_BACKEND
     further = len(setup.rig.hardware.card.inputs) if is_real else None
-    checked = preflight(
-        setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further, has_drive=is_real
-    )
+    stops = setup.stops() if is_real else None
+    checked = preflight(setup.programme(), setup.rig, setup.limits, folder, setup.plan_source, further, stops)
     remark = specimen_remark(setup.specimen) if is_real else ""
     return replace(checked, remarks=(*setup.differences, *((remark,) if remark else ()), *checked.remarks))
 

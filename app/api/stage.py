@@ -195,8 +195,9 @@ def commission(
 ) -> CommissioningRecord:
     """Guide a person through the rig's signals: push the carriage, press the sensor, press each switch.
 
-    Nothing is driven; at the end the drive is switched on for a moment, to see whether it obeys its enable line. The
-    record is stored in the lab folder, whatever was found.
+    At the end the drive is switched on, and enable line, heartbeat and the program's requests are taken away in turn:
+    at a standstill, and, where the person does not skip that, at 1 mm/s over 2 mm at most. The record is stored in the
+    lab folder, whatever was found.
 
     Parameters
     ----------
@@ -232,9 +233,11 @@ def commission(
         ended = Signal()
         operator_here = PromptRelay(person or NullOperator())
 
-        def confirm(prompt: Prompt) -> None:
-            if operator_here.ask(prompt) is not Answer.DONE or ended.is_set():
+        def confirm(prompt: Prompt) -> Answer:
+            answer = operator_here.ask(prompt)
+            if answer not in {Answer.DONE, Answer.SKIP} or ended.is_set():
                 raise AbortedError("the look at the rig was ended; nothing is stored.")
+            return answer
 
         def work() -> tuple[RigCheck, ...]:
             findings = []
@@ -250,7 +253,9 @@ def commission(
             wiring=wiring_key(setup.rig),
             operator=operator,
             signals=tuple(
-                CommissionedSignal(name=finding.name, passed=finding.passed, detail=finding.detail)
+                CommissionedSignal(
+                    name=finding.name, passed=finding.passed, detail=finding.detail, after_s=round(finding.after_s, 3)
+                )
                 for finding in findings
             ),
         )

@@ -58,7 +58,7 @@ def check_command(
     as_json: bool,
     **settings: Unpack[options.SettingsOptions],
 ) -> None:
-    """Check PLAN, a file or a shipped name; without PLAN, check the rig. Nothing moves.
+    """Check PLAN, a file or a shipped name; without PLAN, check the rig. Nothing moves without --live.
 
     Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, first, paper, relaxation.
 
@@ -67,7 +67,8 @@ def check_command(
     Without: limits, calibrations and every device in turn, each ok or FAILED; exit code 5 when one failed.
 
     With --live, signal by signal: push the carriage, press the sensor, press each switch; volts, counts and switches
-    are shown as they change. The result is stored as commissioning.toml in the lab folder.
+    are shown as they change. Then what stops the drive is taken away from it: at a standstill, and, unless skipped, at
+    1 mm/s. The result is stored as commissioning.toml in the lab folder.
     """
     from dragrig.api import check
 

@@ -10,7 +10,6 @@ import socket
 import struct
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -31,6 +30,7 @@ from dragrig.rig import (
     RigCheck,
     Sampler,
     Stage,
+    StopName,
     WallClock,
     attempt,
 )
@@ -57,6 +57,7 @@ from dragrig.rig.hardware.drive import (
     write_travel,
 )
 from dragrig.rig.hardware.lines import CardLines
+from dragrig.rig.hardware.stop_trial import StopTrial
 from dragrig.rig.hardware.sync import MotionSamplingSync
 
 _PEER = struct.Struct("3i")
@@ -184,7 +185,7 @@ def check_card(
         identity = identify_card(connection)
         yield _check_product(identity)
         trip = lines.read_switches().trip()
-        yield RigCheck("switches", trip is None, "none is pressed" if trip is None else trip.message)
+        yield RigCheck("switches", trip is None, _wired_remark(lines) if trip is None else trip.message)
         yield from _check_sampling(rig, sampler)
         reading = sampler.measure(CHECK_DURATION_S)
         alias = sampler.probe_aliases()
@@ -198,6 +199,17 @@ def check_card(
     jitter = f"counted {moved} in {CHECK_DURATION_S:g} s while nothing moved: check line receiver and shield"
     still = "steady at rest; a jog shows whether it counts"
     yield RigCheck("encoder", moved <= _MAX_JITTER_COUNTS, still if moved <= _MAX_JITTER_COUNTS else jitter)
+
+
+def _wired_remark(lines: CardLines) -> str:
+    """Say that no switch is pressed, and which the program would not see if it were."""
+    unseen = ", ".join(name for switch, name in SWITCH_NAMES.items() if switch not in lines.wired_switches)
+    if not unseen:
+        return "none is pressed"
+    return (
+        f"none is pressed; not wired to the card, so that the drive alone, and not the program, stops there: {unseen} "
+        "(hardware.card.lines)"
+    )
 
 
 def _check_product(identity: dict[str, str]) -> RigCheck:
@@ -395,10 +407,6 @@ class CardLook:
         return LiveView(force_V, force_mN, count, pressed, f"{text}, {switches}" if switches else text)
 
 
-_ENABLE_OBEYED_S = 0.5
-_ENABLE_POLL_S = 0.01
-
-
 class HardwareBackend:
     """The rig that the settings describe. Nothing is touched before `connect` or `examine`.
 
@@ -525,29 +533,19 @@ class HardwareBackend:
             "serial port", False, f"hardware.drive.port is {port}, and here is {known}: connect it, or name it"
         )
 
-    def check_enable(self) -> RigCheck:
-        """Switch the drive on for a moment, at a standstill, and look whether it obeys its enable line."""
-        lines = self._open_card()
-        if not self._rig.hardware.card.lines.enable:
-            return RigCheck(
-                "enable", True, "not wired (hardware.card.lines.enable is empty): only the serial line switches"
-            )
-        stage = self._open_drive()
-        stage.enable()
+    @property
+    def creeps(self) -> bool:
+        """Whether `try_stops` can try in motion: in position mode."""
+        return self._rig.hardware.drive.mode == "position"
+
+    def try_stops(self, *, in_motion: bool) -> Iterator[RigCheck]:
+        """Take enable line, heartbeat and requests away from the drive: at a standstill, or at 1 mm/s over 2 mm."""
         try:
-            lines.set_enable(False)
-            until_s = time.monotonic() + _ENABLE_OBEYED_S
-            while (still_on := stage.state().enabled) and time.monotonic() < until_s:
-                time.sleep(_ENABLE_POLL_S)
-        finally:
-            stage.disable()
-        if still_on:
-            problem = (
-                f"the drive stays on when {self._rig.hardware.card.lines.enable} goes low: check the wire, and the "
-                "drive's setting of this input; without it, nothing but the serial line switches the drive off"
-            )
-            return RigCheck("enable", False, problem)
-        return RigCheck("enable", True, "the drive goes off when its enable line does")
+            lines, stage = self._open_card(), self._open_drive()
+        except DeviceError as error:
+            yield RigCheck(StopName.ENABLE.value, False, reason_of(error))
+            return
+        yield from StopTrial(self._rig, stage, lines, self._clock, self._dialect).run(in_motion=in_motion)
 
     def close(self) -> None:
         """Stop the stage and close every device, whatever happens to the others.

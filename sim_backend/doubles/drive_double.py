@@ -120,7 +120,7 @@ class DriveDouble:
         with self._lock:
             if (text := self.bench.faults.active.drive_alarm) and not self._alarm:
                 self._raise_alarm(text)
-            if self._enabled and not (self.bench.powered and self._line(self._lines.enable)):
+            if self._enabled and not (self.bench.powered and self.bench.enabled):
                 self._end(Halt.DISABLED)
                 self._enabled = False
             if not self.bench.moving:
@@ -177,7 +177,7 @@ class DriveDouble:
     def _enable(self) -> Refusal | None:
         if self._alarm:
             return Refusal.ALARM
-        if not (self.bench.powered and self._line(self._lines.enable)):
+        if not (self.bench.powered and self.bench.enabled):
             return Refusal.DISABLED
         self._enabled = True
         return None
@@ -278,9 +278,7 @@ class DriveDouble:
         return direction != 0 and not self._line(switch)
 
     def _line(self, line: str) -> bool:
-        if not line or (line == self._lines.enable and self.bench.faults.active.enable_not_wired):
-            return True
-        return self.bench.read_line(line)
+        return not line or self.bench.read_line(line)
 
 
 def make_drive_double(bench: SimulatedBench) -> DriveDouble:
@@ -302,7 +300,7 @@ class VelocityDriveDouble(DriveDouble):
                 self._raise_alarm(text)
             if not self._enabled:
                 return
-            if not (self._line(self._lines.enable) and self.bench.powered):
+            if not (self.bench.enabled and self.bench.powered):
                 self._end(Halt.DISABLED)
             elif not self._line(self._lines.e_stop):
                 self._end(Halt.EMERGENCY_STOP)

@@ -230,7 +230,7 @@ MISSED_BEATS = 3
 
 
 class HeartbeatRelay:
-    """A relay that is closed while edges come, in wall time; one that is not wired is always closed.
+    """A relay that is closed while edges come, in wall time; one without a line is always closed.
 
     Parameters
     ----------
@@ -246,10 +246,9 @@ class HeartbeatRelay:
         self._high = False
         self._edge_s = float("-inf")
 
-    @property
-    def closed(self) -> bool:
-        """Whether the drive has power."""
-        return not self._line or time.monotonic() - self._edge_s < self._timeout_s
+    def closed(self, own_s: float = 0.0) -> bool:
+        """Whether the drive has power; `own_s` is the relay's time from the last edge on, 0 for three beats."""
+        return not self._line or time.monotonic() - self._edge_s < (own_s or self._timeout_s)
 
     def notice(self, line: str, high: bool) -> None:
         """Notice a level that was written to a line."""
@@ -327,6 +326,12 @@ class ActiveFaults:
     """The switches' normally open contacts are wired."""
     enable_not_wired: bool = False
     """The drive is enabled whatever the enable line says."""
+    enable_opens_s: float = 0.0
+    """Time that a relay between the enable line and the drive takes to open, in wall time."""
+    relay_not_wired: bool = False
+    """The heartbeat relay's contact is in no circuit of the drive, which has power whatever the heartbeat does."""
+    relay_opens_s: float = 0.0
+    """Time from the last edge until the heartbeat relay opens, in wall time; 0 for three beats."""
     encoder_swapped: bool = False
     """A and B of the encoder are exchanged, so that it counts the other way."""
     encoder_scale: float = 1.0
@@ -558,6 +563,7 @@ class SimulatedBench:
         self._sampling: _Sampling | None = None
         self._push: tuple[Piece, ...] = ()
         self._written: dict[str, bool] = {}
+        self._lowered_s: dict[str, float] = {}
         clock.skip_when(lambda: self._sampling is None and not self.moving and not self._velocity_input.busy)
 
     def present(self, acquisition: Acquisition) -> None:
@@ -609,7 +615,17 @@ class SimulatedBench:
     @property
     def powered(self) -> bool:
         """Whether the heartbeat relay, if there is one, keeps the drive's power on."""
-        return self._relay.closed
+        faults = self.faults.active
+        return faults.relay_not_wired or self._relay.closed(faults.relay_opens_s)
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the enable line, if there is one, lets the drive be on."""
+        with self._lock:
+            line, faults = self.rig.hardware.card.lines.enable, self.faults.active
+            if not line or faults.enable_not_wired or self.read_line(line):
+                return True
+            return time.monotonic() - self._lowered_s.get(line, float("-inf")) < faults.enable_opens_s
 
     def obey_voltage(self, on: bool) -> None:
         """Let the voltage move the carriage from its next samples on, or no longer: the drive in velocity mode."""
@@ -715,6 +731,8 @@ class SimulatedBench:
     def write_line(self, line: str, high: bool) -> None:
         """Set a digital line."""
         with self._lock:
+            if self._written.get(line, False) and not high:
+                self._lowered_s[line] = time.monotonic()
             self._written[line] = high
             self._relay.notice(line, high)
 

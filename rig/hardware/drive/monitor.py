@@ -11,8 +11,8 @@ line is cleared. What decides that is a thread of its own, because the one that 
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from dragrig.config import DeviceError, RigSettings, reason_of
@@ -114,6 +114,7 @@ class Monitor:
         self._polled_s = self._beaten_s = float("-inf")
         self._moved_at_beat = False
         self._unheard_seen_s: float | None = None
+        self._withholds_polls = self._withholds_beats = False
         self._ended = threading.Event()
         self._fast = threading.Event()
         self._threads = (
@@ -172,6 +173,23 @@ class Monitor:
         if self._latched is not None and self._latched.cause is cause:
             self._latched = None
 
+    @property
+    def last_beat_s(self) -> float:
+        """When the heartbeat last changed its line, as of `time.monotonic`."""
+        return self._beaten_s
+
+    @contextmanager
+    def withholding(self, *, polls: bool = False, beats: bool = False) -> Iterator[None]:
+        """Neither poll nor beat by itself for a while, as chosen: whether the drive goes off then is being tried."""
+        with self._polling:
+            self._withholds_polls, self._withholds_beats = polls, beats
+        try:
+            yield
+        finally:
+            # A beat that comes now is late by intention.
+            self._moved_at_beat = False
+            self._withholds_polls = self._withholds_beats = False
+
     def close(self) -> None:
         """End the threads. Safe to call twice."""
         self._ended.set()
@@ -191,7 +209,7 @@ class Monitor:
 
     def _cycle(self) -> None:
         self._polled_s = time.monotonic()
-        if self._guard_is_blind:
+        if self._guard_is_blind or self._withholds_polls:
             self._ended.wait(self._interval_s)
             return
         self.poll()
@@ -219,13 +237,14 @@ class Monitor:
             silence = f"the drive on {self._link.port} was not heard for {self._silence_s:g} s"
             released = f"{silence}, so that its enable and the heartbeat were taken away"
             self._release_power(Trip(TripCause.DRIVE_FAULT, released))
-        if not (blind or unheard or self._power_released):
+        if not (blind or unheard or self._power_released or self._withholds_beats):
             self._beat(now_s)
         self._ended.wait(min(_MAX_POWER_CHECK_S, self._beat_s / 2))
 
     def _release_power_if_late(self, now_s: float) -> None:
         late_s = now_s - self._beaten_s
-        if not (self._lines.has_heartbeat and self._drive_on and self._moved_at_beat) or late_s < self._relay_s:
+        watched = self._lines.has_heartbeat and self._drive_on and not self._withholds_beats
+        if not (watched and self._moved_at_beat) or late_s < self._relay_s:
             return
         self._moved_at_beat = False
         beat = f"the heartbeat came {late_s:.2f} s late while the stage moved, because this computer stood still"

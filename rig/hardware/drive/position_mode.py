@@ -306,6 +306,27 @@ class PositionModeStage(MonitoredStage):
             self._refuse_fault()
             self._power_on()
 
+    def creep(self, travel_mm: float, speed_mm_s: float) -> None:
+        """Begin to move slowly to where there is room, or to home where the position is not known; the caller ends it.
+
+        Raises `DeviceError` as `move`.
+        """
+        planned_at = self._stop_count
+        with self._commands:
+            self._refuse_not_ready()
+            write_safeguards(self._link, self._settings)
+            if self._is_homed:
+                begin_mm, limits = self._position_mm(), self._limits
+                upward = begin_mm + travel_mm <= limits.highest_mm
+                write_travel(self._link, limits)
+                self._link.set(Parameter.SPEED_MM_S, speed_mm_s)
+                self._link.set(Parameter.ACCELERATION_MM_S2, PULSE_ACCELERATION_MM_S2)
+                request = Request(Command.GO, value=begin_mm + (travel_mm if upward else -travel_mm))
+            else:
+                self._link.set(Parameter.HOMING_SPEED_MM_S, speed_mm_s)
+                request = Request(Command.HOME, value=-1.0 if self._drive.homing_direction == "low" else 1.0)
+            self._begin(request, planned_at)
+
     def await_end(self, cancel: Signal) -> None:
         """Wait as every stage; raises `DeviceError` too when the drive then stands elsewhere than it was sent to."""
         super().await_end(cancel)
@@ -380,14 +401,19 @@ class PositionModeStage(MonitoredStage):
         return travel_mm
 
     def _go(self, target_mm: float, planned_at: int) -> None:
+        try:
+            self._begin(Request(Command.GO, value=target_mm), planned_at)
+        finally:
+            self._await_standstill(self._drive.silence_s + _PULSE_TIMEOUT_S)
+
+    def _begin(self, request: Request, planned_at: int) -> None:
         movement = _PulseMovement(self._link, planned_at)
         self._tracker.begin(movement)
         try:
-            self._link.exchange(Request(Command.GO, value=target_mm), planned_at)
+            self._link.exchange(request, planned_at)
         finally:
             movement.mark_started()
             movement.mark_complete()
-            self._await_standstill(self._drive.silence_s + _PULSE_TIMEOUT_S)
 
     def _pulse_homing(self, begin_mm: float, planned_at: int) -> float:
         """Begin to home and stop after a pulse's travel: a drive that is not homed may take no other command."""

@@ -7,6 +7,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from threading import Event as Signal
 
 from dragrig.config import DeviceError, RigSettings
@@ -357,6 +358,15 @@ class MonitoredStage(ABC):
             limits = self._checked_limits(profile, self._origin_mm())
             self._prove_motion(planned_at)
             self._follow(profile, self._origin_mm(), limits, planned_at)
+
+    def withholding(self, *, polls: bool = False, beats: bool = False) -> AbstractContextManager[None]:
+        """Neither poll the drive nor beat for a while, as chosen: whether it goes off then is being tried."""
+        return self._monitor.withholding(polls=polls, beats=beats)
+
+    @property
+    def last_beat_s(self) -> float:
+        """When the heartbeat last changed its line, as of `time.monotonic`."""
+        return self._monitor.last_beat_s
 
     def await_end(self, cancel: Signal) -> None:
         """Wait until the motion begun last is over, for `guard.stale_data_s` at most: no sample is taken any more.
