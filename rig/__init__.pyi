@@ -113,6 +113,7 @@ from .runfile.finisher import RecoveredRecording as RecoveredRecording
 from .runfile.finisher import RecoveryOutcome as RecoveryOutcome
 from .runfile.finisher import left_recordings as left_recordings
 from .runfile.finisher import recover as recover
+from .runfile.hdf5 import find_excess as find_excess
 from .runfile.hdf5 import refuse_foreign_storage as refuse_foreign_storage
 from .runfile.model import PHASE_NAMES as PHASE_NAMES
 from .runfile.model import Attribute as Attribute

@@ -30,7 +30,7 @@ from dragrig.analysis.importing.foreign import (
     split_unit,
 )
 from dragrig.config import ImportDataError, suggestion
-from dragrig.rig import refuse_foreign_storage
+from dragrig.rig import find_excess, refuse_foreign_storage
 
 if TYPE_CHECKING:
     import h5py
@@ -44,6 +44,8 @@ SAMPLED_BYTES = 4096
 MAX_MATRIX_COLUMNS = 64
 """A matrix with more columns is an image or a grid, not a table."""
 
+MAX_MAT_LINKS = 1_000_000
+"""MATLAB stores every cell of an array under a name of its own."""
 MAX_UNPACKED_BYTES = 2 << 30
 """Largest size of a packed file's content: 250 kS/s of a force and a position for nine minutes."""
 MAX_UNPACKED_TEXT_BYTES = MAX_UNPACKED_BYTES // 16
@@ -505,6 +507,8 @@ def read_mat(path: Path, table: str = "") -> ForeignTable:
     with _damage_reported(path, "MAT"):
         if h5py.is_hdf5(path):
             with h5py.File(path, "r") as file:
+                if (excess := find_excess(file, MAX_MAT_LINKS)) is not None:
+                    raise ValueError(excess)
                 refuse_foreign_storage(file)
                 _require_bounded(path, _hdf5_bytes(file))
                 variables = _hdf5_tree(file)
