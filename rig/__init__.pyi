@@ -144,6 +144,7 @@ from .runfile.store import FolderStore as FolderStore
 from .runfile.store import MemoryStore as MemoryStore
 from .runfile.store import Mirror as Mirror
 from .runfile.store import MirrorReport as MirrorReport
+from .runfile.writer import check_header as check_header
 from .runfile.writer import store_filtered as store_filtered
 from .runfile.writer import write_run as write_run
 from .sentinel import SENTINEL_ROLE as SENTINEL_ROLE

@@ -78,9 +78,7 @@ def dressed() -> "QApplication":
     return qt_application()
 
 
-def opened(
-    qtbot: "QtBot", lab: Path, settings: Path, silence: SilenceLimits = BUSY, **terms: object
-) -> "MainWindow":
+def opened(qtbot: "QtBot", lab: Path, settings: Path, silence: SilenceLimits = BUSY, **terms: object) -> "MainWindow":
     """Return a window on a lab whose engine is there, its guard not yet reset."""
     from PySide6.QtCore import QSettings
 

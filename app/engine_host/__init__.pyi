@@ -2,6 +2,7 @@ from .client import EngineClient as EngineClient
 from .messages import HEARTBEAT_S as HEARTBEAT_S
 from .messages import MAX_OVERRIDE_SPEED_MM_S as MAX_OVERRIDE_SPEED_MM_S
 from .messages import PHASE_NAMES as PHASE_NAMES
+from .messages import SILENCE_LIMITS as SILENCE_LIMITS
 from .messages import AbortSession as AbortSession
 from .messages import Answer as Answer
 from .messages import CalibrateEncoder as CalibrateEncoder

@@ -7,6 +7,7 @@ from multiprocessing.connection import Connection
 
 from dragrig.engine_host.messages import (
     RING_SAMPLES,
+    SILENCE_LIMITS,
     Event,
     Heartbeat,
     HostLost,
@@ -44,7 +45,9 @@ class EngineClient:
         Size of the ring of live samples.
     """
 
-    def __init__(self, rig: RigSelection, silence: SilenceLimits = SilenceLimits(), samples: int = RING_SAMPLES) -> None:
+    def __init__(
+        self, rig: RigSelection, silence: SilenceLimits = SILENCE_LIMITS, samples: int = RING_SAMPLES
+    ) -> None:
         context = multiprocessing.get_context("spawn")
         memory = shared_memory(context, samples)
         self._connection, host_end = context.Pipe()

@@ -47,6 +47,9 @@ class SilenceLimits:
     """At any time: then the client counts as dead, and the host ends."""
 
 
+SILENCE_LIMITS = SilenceLimits()
+
+
 @dataclass(frozen=True, slots=True)
 class RigSelection:
     """The rig of a host; None means the default, as in `dragrig.examine`."""

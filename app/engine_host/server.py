@@ -31,6 +31,7 @@ from dragrig.campaign_session import (
 )
 from dragrig.config import Calibration, DragrigError, SettingsError, TrippedError, reason_of
 from dragrig.engine_host.messages import (
+    SILENCE_LIMITS,
     AbortSession,
     CalibrateEncoder,
     CalibrateForce,
@@ -142,7 +143,7 @@ class RequestReceiver:
         Set to have the session wait for a person before its next run.
     """
 
-    def __init__(self, connection: "Connection[Event, Request]", silence: SilenceLimits = SilenceLimits()) -> None:
+    def __init__(self, connection: "Connection[Event, Request]", silence: SilenceLimits = SILENCE_LIMITS) -> None:
         self._connection = connection
         self._silence = silence
         # No SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
@@ -340,7 +341,7 @@ def serve(
     connection: "Connection[Event, Request]",
     memory: RingMemory,
     rig: RigSelection,
-    silence: SilenceLimits = SilenceLimits(),
+    silence: SilenceLimits = SILENCE_LIMITS,
 ) -> None:
     """Host an engine until the client leaves or dies; the target of the host process."""
     # Ctrl-C in the terminal reaches the client too; a running session handles it by itself.

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from PySide6.QtCore import QObject, QRunnable, QThreadPool, QTimer, Signal
 
 from dragrig.config import DragrigError
-from dragrig.engine_host import HEARTBEAT_S, EngineClient, HostLost, Request, RigSelection, SilenceLimits
+from dragrig.engine_host import HEARTBEAT_S, SILENCE_LIMITS, EngineClient, HostLost, Request, RigSelection, SilenceLimits
 
 ResultT = TypeVar("ResultT")
 
@@ -99,7 +99,7 @@ class EngineLink(QObject):
     """Live samples."""
 
     def __init__(
-        self, rig: RigSelection, parent: QObject | None = None, silence: SilenceLimits = SilenceLimits()
+        self, rig: RigSelection, parent: QObject | None = None, silence: SilenceLimits = SILENCE_LIMITS
     ) -> None:
         super().__init__(parent)
         self._rig, self._silence = rig, silence

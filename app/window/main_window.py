@@ -25,6 +25,7 @@ from PySide6.QtWidgets import (
 from dragrig.config import DragrigError
 from dragrig.end_signals import rig_open
 from dragrig.engine_host import (
+    SILENCE_LIMITS,
     Answer,
     CalibrationMeasured,
     CalibrationStored,
@@ -244,7 +245,7 @@ class MainWindow(QMainWindow):
         rig: RigSelection,
         lab: Path | None = None,
         stored: StoredSettings | None = None,
-        silence: SilenceLimits = SilenceLimits(),
+        silence: SilenceLimits = SILENCE_LIMITS,
     ) -> None:
         super().__init__()
         self._collector = GuiThreadCollector(self)

@@ -223,7 +223,7 @@ def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) ->
 
     A run that ended before its file was finished keeps its status; one that was cut off becomes `recovered`. Nothing
     with samples is removed before its run file is whole, so that calling this again, or losing power meanwhile, does no
-    harm. A recording that cannot be read stays as it is. `progress` is called with each recording before it is finished.
+    harm. A recording that cannot be read stays as it is. `progress` is called with each recording before that.
 
     Raises `RunFileError` when there is no such folder or file.
     """
