@@ -223,8 +223,8 @@ def _continued_campaign(folder: Path, tell: Callable[[str], None]) -> Iterator[t
         if before.unreadable:
             names = ", ".join(path.name for path, _ in before.unreadable)
             tell(
-                f"{folder}: {count_text(len(before.unreadable), 'run file')} cannot be read ({names}): a run of the plan "
-                "that is in none of the others counts as missing, and no number is given again."
+                f"{folder}: {count_text(len(before.unreadable), 'run file')} cannot be read ({names}): a run that no "
+                "other file holds counts as missing, and no number is given again."
             )
         yield record, before
 

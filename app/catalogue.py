@@ -576,21 +576,19 @@ def _encoded_run(run: "RunInfo") -> dict[str, object]:
 def _decoded_run(path: Path, encoded: "dict[str, Any]") -> "RunInfo":
     from dragrig.rig import RecordedChannel, RunHeader, RunInfo, RunStatus, check_header
 
-    header, end, checks = _typed(encoded.pop("header"), dict), encoded.pop("end_time"), encoded.pop("checks")
-    start = datetime.fromisoformat(header.pop("start_time"))
-    channels = tuple(
-        RecordedChannel(*(_typed(text, str) for text in (name, units, dtype)))
-        for name, units, dtype in header.pop("channels")
-    )
-    texts = {name: _typed(header.pop(name), str) for name in ("run_id", "backend", "kind", "settings_toml")}
-    decoded = RunHeader(start_time=start, channels=channels, **texts, **header)
+    stated, end, checks = _typed(encoded["header"], dict), encoded["end_time"], _typed(encoded["checks"], dict)
+    channels = tuple(RecordedChannel(*channel) for channel in stated.pop("channels"))
+    header = RunHeader(start_time=datetime.fromisoformat(stated.pop("start_time")), channels=channels, **stated)
+    texts = [text for channel in channels for text in (channel.name, channel.units, channel.dtype)]
+    for text in (*texts, header.run_id, header.backend, header.kind, header.settings_toml):
+        _typed(text, str)
     # As of a file that is read: whoever gets it computes with it.
-    check_header(decoded)
+    check_header(header)
     return RunInfo(
         path=path,
         format_version=_typed(encoded["format_version"], int),
         status=RunStatus(encoded["status"]),
-        header=decoded,
+        header=header,
         samples=_typed(encoded["samples"], int),
         reason=_typed(encoded["reason"], str),
         end_time=None if end is None else datetime.fromisoformat(end),

@@ -401,6 +401,17 @@ class _PageServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
+class _PageHandler(BaseHTTPRequestHandler):
+    timeout = CONNECTION_S
+
+    def setup(self) -> None:
+        super().setup()
+        self.rfile = _ShortRequest(self.rfile.detach())
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002  # as the base class has it
+        del format, args
+
+
 @contextmanager
 def serve_state_page(port: int, host: str = LOCAL_HOST) -> Iterator[StatePage]:
     """Serve a page until the block ends: to this machine alone, or at another address to those who have its token.
@@ -412,13 +423,7 @@ def serve_state_page(port: int, host: str = LOCAL_HOST) -> Iterator[StatePage]:
     page = StatePage(host)
     page.html = render_template("watch.html", {"title": "dragrig watch"}).encode()
 
-    class Handler(BaseHTTPRequestHandler):
-        timeout = CONNECTION_S
-
-        def setup(self) -> None:
-            super().setup()
-            self.rfile = _ShortRequest(self.rfile.detach())
-
+    class Handler(_PageHandler):
         def do_GET(self) -> None:
             path, _, query = self.path.partition("?")
             asked = dict(parse_qsl(query))
@@ -446,9 +451,6 @@ def serve_state_page(port: int, host: str = LOCAL_HOST) -> Iterator[StatePage]:
             self.send_header("Referrer-Policy", "no-referrer")
             self.end_headers()
             self.wfile.write(content)
-
-        def log_message(self, format: str, *args: object) -> None:  # noqa: A002  # as the base class has it
-            del format, args
 
     try:
         server = _PageServer((host, port), Handler)

@@ -357,7 +357,7 @@ def test_half_open_requests_are_few_at_a_time_and_keep_nobody_out(seen: Onlooker
 
 
 def test_a_request_that_never_ends_is_ended(seen: Onlooker, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dragrig.watch.CONNECTION_S", 0.3)
+    monkeypatch.setattr("dragrig.watch._PageHandler.timeout", 0.3)
     with serve_state_page(0) as page, socket.create_connection(("127.0.0.1", page.port)) as half:
         half.sendall(b"GET / HTTP/1.0\r\n")
         half.settimeout(60.0)

@@ -45,9 +45,7 @@ class EngineClient:
         Size of the ring of live samples.
     """
 
-    def __init__(
-        self, rig: RigSelection, silence: SilenceLimits = SILENCE_LIMITS, samples: int = RING_SAMPLES
-    ) -> None:
+    def __init__(self, rig: RigSelection, silence: SilenceLimits = SILENCE_LIMITS, samples: int = RING_SAMPLES) -> None:
         context = multiprocessing.get_context("spawn")
         memory = shared_memory(context, samples)
         self._connection, host_end = context.Pipe()

@@ -7,7 +7,15 @@ from typing import Any, TypeVar
 from PySide6.QtCore import QObject, QRunnable, QThreadPool, QTimer, Signal
 
 from dragrig.config import DragrigError
-from dragrig.engine_host import HEARTBEAT_S, SILENCE_LIMITS, EngineClient, HostLost, Request, RigSelection, SilenceLimits
+from dragrig.engine_host import (
+    HEARTBEAT_S,
+    SILENCE_LIMITS,
+    EngineClient,
+    HostLost,
+    Request,
+    RigSelection,
+    SilenceLimits,
+)
 
 ResultT = TypeVar("ResultT")
 
