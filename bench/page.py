@@ -1,8 +1,8 @@
 """Flood the page of `dragrig watch`: what it costs the computer that records, and whether it still answers.
 
 `python bench/page.py [REQUESTS]`: half-open requests, requests of a byte now and then, endless requests, and tabs with
-long names, so many of each (1000), from a process of their own. Printed: the most threads and the memory of the server's
-process, and the slowest answer that somebody else got meanwhile. Exits with 1 where a bound does not hold.
+long names, so many of each (1000), from a process of their own. Printed: the most threads of the server's process, the
+memory that it gains, and the slowest answer that somebody else got meanwhile. Exits with 1 where a bound does not hold.
 """
 
 import multiprocessing
