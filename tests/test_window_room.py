@@ -180,7 +180,7 @@ def test_it_opens_on_a_small_screen_at_twice_the_size(tmp_path: Path) -> None:
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
-from windows import lab_in
+from windows import BUSY, lab_in
 from PySide6.QtCore import QSettings
 from dragrig.engine_host.messages import GuardState, RigSelection
 from dragrig.window.main_window import MainWindow, qt_application
