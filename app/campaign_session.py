@@ -21,6 +21,7 @@ from dragrig.config import (
     RigSettings,
     SettingsError,
     Specimen,
+    parse_toml,
     reason_of,
     rig_file_of,
 )
@@ -174,8 +175,8 @@ def append_to_campaign(
         setup, remarks = setup_to_append(plan, latest, before, **choices)
         for remark in remarks:
             options.tell(f"{remark}.")
-        first_order = max((run.header.order for run in before.runs), default=-1) + 1
-        progress = _progress(before, setup, first_order)
+        # Where none of its files is there, the plan before has given no order, and is another plan all the same.
+        progress = _progress(before, setup, max(before.next_order, latest.first_order + 1))
         return _continue_campaign(setup, latest, before, replace(options, progress=progress), person)
 
 
@@ -218,7 +219,14 @@ def _continued_campaign(folder: Path, tell: Callable[[str], None]) -> Iterator[t
         record, damaged = latest_session_record(folder)
         for problem in damaged:
             tell(f"{problem.rstrip('.')}. The session before it counts.")
-        yield record, read_campaign(folder)
+        before = read_campaign(folder)
+        if before.unreadable:
+            names = ", ".join(path.name for path, _ in before.unreadable)
+            tell(
+                f"{folder}: {count_text(len(before.unreadable), 'run file')} cannot be read ({names}): a run that no "
+                "other file holds counts as missing, and no number is given again."
+            )
+        yield record, before
 
 
 def _continue_campaign(
@@ -490,9 +498,19 @@ def _progress_done(before: Campaign, first_order: int) -> frozenset[int]:
     numbers = [
         run.header.entry.get("plan_run")
         for run in before.good
-        if run.status is RunStatus.COMPLETE and run.header.order >= first_order
+        if run.status is RunStatus.COMPLETE and run.header.order >= first_order and _is_of_plan(run, first_order)
     ]
     return frozenset(number for number in numbers if isinstance(number, int))
+
+
+def _is_of_plan(run: RunInfo, first_order: int) -> bool:
+    """Whether a run is of the plan that begins with this order, by its own settings, as far as they say it.
+
+    A file that was away when the plan was appended may have the order of one of its runs.
+    """
+    with suppress(SettingsError):
+        return parse_toml(run.header.settings_toml, str(run.path)).get("first_order", first_order) == first_order
+    return True
 
 
 def _progress(before: Campaign, setup: Setup, first_order: int) -> CampaignProgress:
@@ -504,7 +522,7 @@ def _progress(before: Campaign, setup: Setup, first_order: int) -> CampaignProgr
     return CampaignProgress(
         done=_progress_done(before, first_order),
         first_order=first_order,
-        next_order=max((run.header.order for run in before.runs), default=-1) + 1,
+        next_order=max(before.next_order, first_order),
         sentinels=sentinels,
         undecided=bool(own) and not made_after,
     )

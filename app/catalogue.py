@@ -28,6 +28,7 @@ from dragrig.run_listing import (
     RunQuery,
     ScannedFolder,
     below,
+    count_files,
     operator_of,
     scan_folder,
     walk,
@@ -44,6 +45,10 @@ CHECKED_FILES = 5_000
 of older ones only once a name in it has changed."""
 BUSY_S = 5.0
 """How long a catalogue that another process writes is waited for."""
+SPARE_CONTENT_BYTES, RUN_CONTENT_BYTES = 1 << 20, 1 << 17
+"""What is known of a campaign takes no more, for its folder and for each file: a run states some 10 kB."""
+GONE_FILES = 100
+"""So many files, and half of a campaign, may be removed at once before all that is known of it counts as damaged."""
 _APPLICATION_ID = 0x64726167
 _BATCH_S = 1.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -60,6 +65,7 @@ _INSERT_FOLDER = "INSERT INTO folder (path, state, signature, files, summary, co
 Remark = Callable[[str], None]
 ReadingProgress = Callable[[int, int], None]
 AnswerT = TypeVar("AnswerT")
+TypeT = TypeVar("TypeT")
 
 
 def ask_runs(
@@ -146,13 +152,19 @@ def _ask_catalogue(
     raise AssertionError("the last attempt returns or raises")
 
 
+_NOT_AS_WRITTEN = (
+    *(sqlite3.Error, zlib.error, LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError),
+)
+"""What reading a catalogue raises that holds something else than was written."""
+
+
 @contextmanager
 def _explained() -> Iterator[None]:
     try:
         yield
     except sqlite3.OperationalError as error:
         raise _UnusableError(f"the catalogue cannot be used ({error})") from error
-    except (sqlite3.Error, zlib.error, KeyError, TypeError, ValueError) as error:
+    except _NOT_AS_WRITTEN as error:
         raise _DamagedError from error
 
 
@@ -417,9 +429,13 @@ class _Catalogue:
         self, path: str, folder: Path | None = None
     ) -> tuple[Mapping[str, _KnownRun], Mapping[str, str], Sequence[str]]:
         """Return the known runs of a folder, the errors of unreadable ones, and all names."""
-        asked = "SELECT content FROM folder WHERE path = ? AND content IS NOT NULL"
+        asked = "SELECT content, files FROM folder WHERE path = ? AND content IS NOT NULL"
         row = self._connection.execute(asked, (self._key(path),)).fetchone()
-        return ({}, {}, ()) if row is None else _decoded_content(row[0], folder or self._folder / path)
+        if row is None:
+            return {}, {}, ()
+        (content, files), folder = row, folder or self._folder / path
+        # The number is the catalogue's own word as the content is, and bounded by what is there.
+        return _decoded_content(content, folder, _most_bytes(min(int(files), 2 * count_files(folder) + GONE_FILES)))
 
 
 def _parts(path: str) -> list[str]:
@@ -491,22 +507,43 @@ def _encoded_content(campaign: "Campaign", states: Mapping[str, str]) -> bytes:
         "runs": runs,
         "unreadable": {path.name: str(error) for path, error in campaign.unreadable},
     }
-    return zlib.compress(json.dumps(content).encode("ascii"), 1)
+    text = json.dumps(content).encode("ascii")
+    if len(text) > _most_bytes(len(states)):
+        raise _UnusableError(f"cannot hold what the runs in {campaign.folder} state of themselves, {len(text)} bytes")
+    return zlib.compress(text, 1)
 
 
-def _decoded_content(packed: bytes, folder: Path) -> tuple[Mapping[str, _KnownRun], Mapping[str, str], Sequence[str]]:
+def _most_bytes(files: int) -> int:
+    return SPARE_CONTENT_BYTES + files * RUN_CONTENT_BYTES
+
+
+def _decoded_content(
+    packed: bytes, folder: Path, most_bytes: int
+) -> tuple[Mapping[str, _KnownRun], Mapping[str, str], Sequence[str]]:
     from dragrig.rig import RunMark
 
-    content = json.loads(zlib.decompress(packed))
+    unpacker = zlib.decompressobj()
+    text = unpacker.decompress(packed, most_bytes)
+    if not unpacker.eof:
+        raise _DamagedError
+    content = json.loads(text)
     runs = {
-        name: _KnownRun(
-            state,
+        _typed(name, str): _KnownRun(
+            _typed(state, str),
             _decoded_run(folder / name, run),
-            None if mark is None else RunMark(mark[0], datetime.fromisoformat(mark[1])),
+            None if mark is None else RunMark(_typed(mark[0], str), datetime.fromisoformat(mark[1])),
         )
         for name, state, run, mark in content["runs"]
     }
-    return runs, content["unreadable"], content["names"]
+    unreadable = {_typed(name, str): _typed(error, str) for name, error in content["unreadable"].items()}
+    return runs, unreadable, [_typed(name, str) for name in content["names"]]
+
+
+def _typed(value: object, kind: type[TypeT]) -> TypeT:
+    """Return a value that has to be of this type; raises `TypeError`."""
+    if type(value) is not kind:
+        raise TypeError(f"{type(value).__name__} in the place of {kind.__name__}")
+    return value
 
 
 def _encoded_run(run: "RunInfo") -> dict[str, object]:
@@ -537,15 +574,24 @@ def _encoded_run(run: "RunInfo") -> dict[str, object]:
 
 
 def _decoded_run(path: Path, encoded: "dict[str, Any]") -> "RunInfo":
-    from dragrig.rig import RecordedChannel, RunHeader, RunInfo, RunStatus
+    from dragrig.rig import RecordedChannel, RunHeader, RunInfo, RunStatus, check_header
 
-    header = encoded.pop("header")
-    start, end = datetime.fromisoformat(header.pop("start_time")), encoded.pop("end_time")
-    channels = tuple(RecordedChannel(*channel) for channel in header.pop("channels"))
+    stated, end, checks = _typed(encoded["header"], dict), encoded["end_time"], _typed(encoded["checks"], dict)
+    channels = tuple(RecordedChannel(*channel) for channel in stated.pop("channels"))
+    header = RunHeader(start_time=datetime.fromisoformat(stated.pop("start_time")), channels=channels, **stated)
+    texts = [text for channel in channels for text in (channel.name, channel.units, channel.dtype)]
+    for text in (*texts, header.run_id, header.backend, header.kind, header.settings_toml):
+        _typed(text, str)
+    # As of a file that is read: whoever gets it computes with it.
+    check_header(header)
     return RunInfo(
         path=path,
-        header=RunHeader(start_time=start, channels=channels, **header),
-        status=RunStatus(encoded.pop("status")),
+        format_version=_typed(encoded["format_version"], int),
+        status=RunStatus(encoded["status"]),
+        header=header,
+        samples=_typed(encoded["samples"], int),
+        reason=_typed(encoded["reason"], str),
         end_time=None if end is None else datetime.fromisoformat(end),
-        **encoded,
+        checks={name: value for name, value in checks.items() if isinstance(value, str | float | int)},
+        raw_sha256=_typed(encoded["raw_sha256"], str),
     )

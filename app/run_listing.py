@@ -243,6 +243,15 @@ def scan_folder(top: Path, path: str, state: str) -> tuple[ScannedFolder, list[s
     return ScannedFolder(path, state, files, is_campaign), subfolders
 
 
+def count_files(folder: Path) -> int:
+    """Return how many run files there are in a folder, recordings included; none where it cannot be read."""
+    try:
+        with os.scandir(folder) as entries:
+            return sum(os.path.normcase(entry.name).endswith(FINISHED_SUFFIX) for entry in entries)
+    except OSError:
+        return 0
+
+
 def _entry_state(entry: "os.DirEntry[str]", now_s: float) -> str:
     try:
         return _state(entry.stat(), now_s)

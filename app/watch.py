@@ -12,10 +12,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BufferedReader
 from pathlib import Path
 from urllib.parse import parse_qsl
 
@@ -274,6 +275,12 @@ def _time_left_s(state: SessionState, recording: RunInProgress | None) -> float 
     return left_s * busy_s / done_s
 
 
+MAX_CONNECTIONS = 64
+"""Open at once; the oldest gives way to a new one, for an answer takes milliseconds."""
+CONNECTION_S = 10.0
+"""How long a browser may neither ask nor take its answer."""
+MAX_REQUEST_BYTES = 1 << 14
+MAX_TABS, MAX_TAB_CHARACTERS = 256, 64
 LOCAL_HOST = "127.0.0.1"
 LOCAL_HOSTS = (LOCAL_HOST, "localhost")
 HIDDEN_TAB_S = 70.0
@@ -312,9 +319,12 @@ class StatePage:
         return host.rsplit(":", 1)[0] in LOCAL_HOSTS
 
     def content(self, tab: str) -> tuple[bytes, bool]:
-        """Return the state for a tab, and whether it is the last one."""
+        """Return the state for a tab, and whether it is the last one; of too many tabs, the first are forgotten."""
         with self._changed:
+            self._asked_at.pop(tab, None)
             self._asked_at[tab] = time.monotonic()
+            if len(self._asked_at) > MAX_TABS:
+                del self._asked_at[next(iter(self._asked_at))]
             return self._content, self._over
 
     def forget(self, tab: str) -> None:
@@ -343,15 +353,63 @@ def _own_address() -> str:
         return socket.gethostname()
 
 
+class _ShortRequest(BufferedReader):
+    """What a browser sends, up to a bound; more raises `ConnectionError`."""
+
+    _left = MAX_REQUEST_BYTES
+
+    def readline(self, size: int | None = -1) -> bytes:
+        """Return the next line."""
+        most = self._left + 1
+        line = super().readline(most if size is None or size < 0 else min(size, most))
+        self._left -= len(line)
+        if self._left < 0:
+            raise ConnectionError("the request is too long")
+        return line
+
+
 class _PageServer(ThreadingHTTPServer):
     daemon_threads = True
+    request_queue_size = MAX_CONNECTIONS
     # On Windows it would let two programs serve on one port.
     allow_reuse_address = os.name == "posix"
+
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        self._open: dict[int, socket.socket] = {}
+        self._lock = threading.Lock()
+        super().__init__(address, handler)
+
+    def process_request(self, request: socket.socket, client_address: object) -> None:  # type: ignore[override]
+        """Answer in a thread of its own, and end the oldest connection where there are too many."""
+        with self._lock:
+            self._open[id(request)] = request
+            oldest = self._open.pop(next(iter(self._open))) if len(self._open) > MAX_CONNECTIONS else None
+        if oldest is not None:
+            with suppress(OSError):  # it has just ended by itself
+                oldest.shutdown(socket.SHUT_RDWR)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: socket.socket) -> None:  # type: ignore[override]
+        """End a connection."""
+        with self._lock:
+            self._open.pop(id(request), None)
+        super().shutdown_request(request)
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Ignore a browser that disconnected before its answer."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
+
+
+class _PageHandler(BaseHTTPRequestHandler):
+    timeout = CONNECTION_S
+
+    def setup(self) -> None:
+        super().setup()
+        self.rfile = _ShortRequest(self.rfile.detach())
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002  # as the base class has it
+        del format, args
 
 
 @contextmanager
@@ -365,11 +423,11 @@ def serve_state_page(port: int, host: str = LOCAL_HOST) -> Iterator[StatePage]:
     page = StatePage(host)
     page.html = render_template("watch.html", {"title": "dragrig watch"}).encode()
 
-    class Handler(BaseHTTPRequestHandler):
+    class Handler(_PageHandler):
         def do_GET(self) -> None:
             path, _, query = self.path.partition("?")
             asked = dict(parse_qsl(query))
-            tab = asked.get("tab", "")
+            tab = asked.get("tab", "")[:MAX_TAB_CHARACTERS]
             if not page.admits(self.headers.get("Host", ""), asked.get("token", "")):
                 self.send_error(403)
             elif path == "/":
@@ -393,9 +451,6 @@ def serve_state_page(port: int, host: str = LOCAL_HOST) -> Iterator[StatePage]:
             self.send_header("Referrer-Policy", "no-referrer")
             self.end_headers()
             self.wfile.write(content)
-
-        def log_message(self, format: str, *args: object) -> None:  # noqa: A002  # as the base class has it
-            del format, args
 
     try:
         server = _PageServer((host, port), Handler)

@@ -4,15 +4,24 @@ The runs are empty files in 3,000 campaigns, entered as if a template had been r
 on the template. Times are those of the processor, in seconds, the least of five.
 
     python bench/catalogue.py [FOLDER]
+
+With `--attacks N` instead: N times, somebody changes what a catalogue says of a campaign, in its values, its columns,
+as a bomb or as deep JSON; counted is whatever is no answer, takes more than 10 s of the processor, or comes twice.
 """
 
+import json
 import os
+import random
 import resource
+import shutil
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -72,8 +81,85 @@ def children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
+ODD_VALUES = (None, True, -1, 2**70, 1e308, float("nan"), "", "\ud800", "9" * 5000, [], {}, [[]], {"": None})
+MOST_S = 10.0
+
+
+def places_in(value: object) -> Iterator[tuple[object, object]]:
+    """Yield what holds a value, at any depth, and its key there."""
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in list(entries):
+        yield value, key
+        yield from places_in(inner)
+
+
+def changed_content(draw: random.Random, content: bytes) -> bytes:
+    """Change what is known of a campaign."""
+    match draw.randrange(8):
+        case 0:
+            return zlib.compress(draw.choice((b"[", b'{"a":', b'[{"":')) * draw.choice((500, 100_000)))
+        case 1:
+            return zlib.compress(draw.choice((b"\0", b" ", b"[],", b'"')) * draw.choice((1 << 20, 1 << 28)))
+        case 2:
+            at = draw.randrange(len(content))
+            return content[:at] + draw.randbytes(3) + content[at + draw.choice((3, 30)) :]
+        case _:
+            known = json.loads(zlib.decompress(content))
+            for _ in range(draw.choice((1, 1, 3))):
+                holder, key = draw.choice(list(places_in(known)))
+                if isinstance(holder, dict) and draw.random() < 0.3:
+                    holder.pop(key, None)
+                else:
+                    holder[key] = draw.choice(ODD_VALUES)
+            return zlib.compress(json.dumps(known).encode("ascii"))
+
+
+def attack(draw: random.Random, file: Path) -> None:
+    """Change a row of a catalogue."""
+    with closing(sqlite3.connect(file)) as connection, connection:
+        column = draw.choice(("content", "content", "content", "summary", "state", "signature", "files"))
+        (content,) = connection.execute("SELECT content FROM folder WHERE content IS NOT NULL").fetchone()
+        value = changed_content(draw, content) if column == "content" else draw.choice((*ODD_VALUES[5:9], 2**62))
+        try:
+            connection.execute(f"UPDATE folder SET {column} = ? WHERE content IS NOT NULL", (value,))
+        except (sqlite3.Error, UnicodeEncodeError):
+            connection.execute("UPDATE folder SET summary = '[' WHERE content IS NOT NULL")
+
+
+def count_attacks(count: int) -> int:
+    """Attack a catalogue so often; return how many answers were none."""
+    wrong, again, slowest_s = 0, 0, 0.0
+    with tempfile.TemporaryDirectory() as name:
+        root = Path(name) / "runs"
+        shutil.copytree(TEMPLATE.parent, root / "first")
+        (Path(name) / "rig.toml").write_text("", "utf-8")
+        time.sleep(run_listing.SETTLING_S)
+        file = root.with_name(root.name + catalogue.SUFFIX)
+        for number in range(count):
+            catalogue.ask_runs(root, lambda listing: listing.summaries(), rebuild=True)
+            attack(random.Random(number), file)
+            remarks: list[str] = []
+            began_s = time.process_time()
+            try:
+                for _ in range(2):
+                    catalogue.ask_runs(root / "first", lambda listing: listing.campaign(), remark=remarks.append)
+                    catalogue.ask_runs(root, lambda listing: listing.summaries(), remark=remarks.append)
+            except Exception as error:  # noqa: BLE001  # whatever it is, it is no answer
+                remarks += [f"{type(error).__name__}: {error}"] * 2
+            taken_s = time.process_time() - began_s
+            slowest_s = max(slowest_s, taken_s)
+            again += any("it is made again" in remark for remark in remarks)
+            if len(remarks) > 1 or taken_s > MOST_S:
+                wrong += 1
+                print(f"attack {number}: {taken_s:.1f} s, {remarks[:2]}"[:300], flush=True)
+    print(f"{count} attacks, {again} made again, {wrong} answers that are none; at most {slowest_s:.1f} s")
+    return wrong
+
+
 def main() -> None:
     """Make the lab and print the times."""
+    if sys.argv[1:2] == ["--attacks"]:
+        raise SystemExit(min(count_attacks(int(sys.argv[2])), 1))
     with tempfile.TemporaryDirectory(dir=sys.argv[1] if len(sys.argv) > 1 else None) as name:
         root = make_files(Path(name))
         reading_s = least_s(lambda: dragrig.rig.read_marked(TEMPLATE))

@@ -316,7 +316,7 @@ def _break_link(draw: random.Random, file: h5py.File, groups: list[str], dataset
     name = draw.choice((*group, "loop", "x\x1b[2J")) if draw.random() < 0.6 else "loop"
     if name in group:
         del group[name]
-    match draw.randrange(6):
+    match draw.randrange(7):
         case 0:
             group[name] = h5py.SoftLink(f"{group.name}/{name}")
         case 1:
@@ -327,6 +327,9 @@ def _break_link(draw: random.Random, file: h5py.File, groups: list[str], dataset
             group[name] = h5py.ExternalLink("/etc/passwd", "/")
         case 4:
             group[name] = file[draw.choice(datasets)]
+        case 5:
+            for _ in range(draw.choice((40, 4000))):
+                group = group.create_group("deeper")
         case _:
             for number in range(draw.choice((1, 300))):
                 group.create_group(f"{name}{number}")

@@ -18,7 +18,7 @@ from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QLabel, QLineEdit, QWidget
 
 import dragrig
-from dragrig.engine_host.messages import ResetGuard, RigSelection
+from dragrig.engine_host.messages import ResetGuard, RigSelection, SilenceLimits
 from dragrig.rig.operator import Answer
 from dragrig.setup import create_lab
 from dragrig.window.main_window import MainWindow, qt_application
@@ -34,7 +34,7 @@ class Photographer:
         self.application = qt_application()
         self.folder, self.place = folder, lab.parent
         settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
-        self.window = MainWindow(rig, lab, StoredSettings(settings), PATIENCE_S)
+        self.window = MainWindow(rig, lab, StoredSettings(settings), SilenceLimits(PATIENCE_S, PATIENCE_S))
         self.window.resize(1500, 1000)
         self.window.show()
 

@@ -43,7 +43,7 @@ from PySide6.QtWidgets import (
 )
 
 import dragrig
-from dragrig.engine_host import GuardState, RigSelection
+from dragrig.engine_host import GuardState, RigSelection, SilenceLimits
 from dragrig.rig.operator import Answer
 from dragrig.setup import create_lab
 from dragrig.window.live_view import STALE_S
@@ -195,7 +195,7 @@ class Person:
         if self.window is not None:
             self.window.close_in_order("another window is opened")
         stored = StoredSettings(QSettings(str(self.lab / "window.ini"), QSettings.Format.IniFormat))
-        window = self.window = MainWindow(rig, self.lab, stored, PATIENCE_S)
+        window = self.window = MainWindow(rig, self.lab, stored, SilenceLimits(PATIENCE_S, PATIENCE_S))
         window.resize(self.width, self.height)
         window.move(0, 0)
         window.show()

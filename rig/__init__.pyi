@@ -113,6 +113,7 @@ from .runfile.finisher import RecoveredRecording as RecoveredRecording
 from .runfile.finisher import RecoveryOutcome as RecoveryOutcome
 from .runfile.finisher import left_recordings as left_recordings
 from .runfile.finisher import recover as recover
+from .runfile.hdf5 import find_excess as find_excess
 from .runfile.hdf5 import refuse_foreign_storage as refuse_foreign_storage
 from .runfile.model import PHASE_NAMES as PHASE_NAMES
 from .runfile.model import Attribute as Attribute
@@ -143,6 +144,7 @@ from .runfile.store import FolderStore as FolderStore
 from .runfile.store import MemoryStore as MemoryStore
 from .runfile.store import Mirror as Mirror
 from .runfile.store import MirrorReport as MirrorReport
+from .runfile.writer import check_header as check_header
 from .runfile.writer import store_filtered as store_filtered
 from .runfile.writer import write_run as write_run
 from .sentinel import SENTINEL_ROLE as SENTINEL_ROLE

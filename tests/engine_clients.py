@@ -14,7 +14,6 @@ from pathlib import Path
 from dragrig.config.plan import Plan
 from dragrig.engine_host.client import EngineClient
 from dragrig.engine_host.messages import (
-    SILENCE_TIMEOUT_S,
     Event,
     GuardState,
     PromptReply,
@@ -25,12 +24,14 @@ from dragrig.engine_host.messages import (
     SessionFinished,
     SessionJob,
     SessionStarted,
+    SilenceLimits,
     StartSession,
 )
 from dragrig.rig.operator import Answer  # fmt: skip
 
 PATIENCE_S = 600.0
 """Machines that test are busy."""
+PATIENT = SilenceLimits(PATIENCE_S, PATIENCE_S)
 
 
 def plan(speed_mm_s: float = 20.0, travel_mm: float = 10.0, runs: int = 1, prompt: str = "", **keys: object) -> Plan:
@@ -91,9 +92,9 @@ class Listener:
 
 
 @contextmanager
-def listening(rig: RigSelection | None = None, silence_s: float = SILENCE_TIMEOUT_S) -> Iterator[Listener]:
+def listening(rig: RigSelection | None = None, silence: SilenceLimits = PATIENT) -> Iterator[Listener]:
     """A host, and a client that hears it; the guard is reset."""
-    client = EngineClient(rig or RigSelection(backend="simulated"), silence_s)
+    client = EngineClient(rig or RigSelection(backend="simulated"), silence)
     try:
         listener = Listener(client)
         listener.until(GuardState)

@@ -18,7 +18,7 @@ from threading import Event, Lock, Thread
 import numpy as np
 from runfiles import START, arrays, header
 
-from dragrig.rig.runfile import Recorder, finish, left_recordings, read_run, recover, verify
+from dragrig.rig.runfile import Recorder, RecoveryOutcome, finish, left_recordings, read_run, recover, verify
 from dragrig.rig.runfile.model import RunEvent, RunStatus
 
 PAGE_BYTES = 4096
@@ -172,8 +172,9 @@ def lost_s(recorded: Recorded, moment_s: float, folder: Path, draw: random.Rando
         for name, values in arrays(0, samples, RATE_HZ).items():
             np.testing.assert_array_equal(trace[name], values, err_msg=name)
         assert verify(path).holds
-        assert left_recordings(folder) == ()
     elif recorded.offered(moment_s):
         assert not any(result.path for result in results)
+    assert not [result for result in results if result.outcome is RecoveryOutcome.LEFT]
+    assert left_recordings(folder) == ()
     missing = [at_s for at_s, offered in recorded.offers if offered > samples and at_s <= moment_s]
     return moment_s - missing[0] if missing else 0.0

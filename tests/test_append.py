@@ -78,6 +78,43 @@ def test_a_resumed_campaign_makes_the_missing_runs_of_the_appended_plan(campaign
     assert dragrig.resume(campaign).session.runs == ()
 
 
+TWO = (*QUICK, "speed_mm_s=[5.0, 10.0]")
+
+
+@pytest.fixture(scope="module")
+def two_drags(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("two") / "c"
+    dragrig.run("drag", out=folder, assignments=TWO)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("meanwhile", "files", "number"), [("damaged", 1, 4), ("damaged", 4, 4), ("away", 3, 1), ("away", 4, 1)]
+)
+def test_files_that_are_restored_leave_no_run_of_a_later_plan_out(
+    meanwhile: str, files: int, number: int, two_drags: Path, tmp_path: Path
+) -> None:
+    campaign = Path(shutil.copytree(two_drags, tmp_path / "c"))
+    lost = sorted(campaign.glob("*.h5"), key=lambda path: path.name[-6:])[-files:]
+    for path in lost:
+        path.write_bytes(b"no run") if meanwhile == "damaged" else path.unlink()
+    told: list[str] = []
+    made = dragrig.run("drag", append=campaign, tell=told.append, assignments=(*TWO, "rig.guard.force_limit_mN=50"))
+    assert [run.order for run in made.session.runs] == [number]
+    assert (meanwhile == "damaged") == ("cannot be read" in told[0])
+    for path in lost:
+        shutil.copy(two_drags / path.name, path)
+    resumed = dragrig.resume(campaign, assignments=("rig.guard.force_limit_mN=8000",))
+    assert [run.run.index for run in resumed.session.runs] == [0, 1, 2, 3]
+    assert dragrig.resume(campaign).session.runs == ()
+
+
+def test_a_left_recording_keeps_its_number(campaign: Path) -> None:
+    (campaign / "20260504-093000-drag-041.recording.h5").write_bytes(b"no recording")
+    made = dragrig.run("drag", append=campaign, assignments=SLOW)
+    assert [run.order for run in made.session.runs] == [42, 43]
+
+
 def test_a_sentinel_is_compared_with_the_campaigns_first(tmp_path: Path) -> None:
     plan = tmp_path / "plan.toml"
     plan.write_text(

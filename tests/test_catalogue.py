@@ -1,14 +1,18 @@
 """The catalogue of a lab's runs: it answers as the run files do, whatever happens to them, to it, or to its process."""
 
+import json
 import os
 import shutil
 import sqlite3
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Callable
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import h5py
 import pytest
@@ -211,6 +215,69 @@ def alter(*statements: str) -> Change:
         connection.close()
 
     return change_file
+
+
+def reword(change_content: Callable[[dict[str, Any]], object], *, files: int | None = None) -> Change:
+    """Change what is known of each campaign."""
+
+    def change_file(file: Path) -> None:
+        with closing(sqlite3.connect(file)) as connection, connection:
+            for id_, packed in connection.execute(
+                "SELECT id, content FROM folder WHERE content IS NOT NULL"
+            ).fetchall():
+                content = json.loads(zlib.decompress(packed))
+                changed = change_content(content)
+                text = changed if isinstance(changed, bytes) else json.dumps(content).encode()
+                connection.execute("UPDATE folder SET content = ? WHERE id = ?", (zlib.compress(text, 1), id_))
+                if files is not None:
+                    connection.execute("UPDATE folder SET files = ?", (files,))
+
+    return change_file
+
+
+def in_header(name: str, value: object) -> Change:
+    return reword(lambda content: content["runs"][0][2]["header"].update({name: value}))
+
+
+UNPACKED = 300 << 20
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        reword(lambda content: content["runs"][0][2].update(header=None)),
+        in_header("specimen", None),
+        in_header("specimen", {"name": "jejunum"}),
+        in_header("entry", {"operator": {"first": "A."}}),
+        in_header("sample_rate_hz", "fast"),
+        in_header("settings_toml", 7),
+        in_header("channels", [[1, 2, 3]]),
+        in_header("start_time", "2026-05-04T09:00:00"),
+        reword(lambda content: content["runs"][0][2].update(samples="many")),
+        reword(lambda content: content["names"].append(None)),
+        reword(lambda content: content.update(unreadable={"x": 1})),
+        reword(lambda _: b"[" * 100_000 + b"]" * 100_000),
+        alter("UPDATE folder SET summary = '" + "[" * 100_000 + "'"),
+        reword(lambda _: bytes(UNPACKED)),
+        reword(lambda _: b"[" + b"[]," * (UNPACKED // 3) + b"1]", files=10**9),
+        alter("UPDATE folder SET files = 'x'"),
+    ],
+    ids=["no header", "no specimen", "half a specimen", "entry", "rate", "settings", "channels", "no zone", "samples",
+         "name", "error", "deep", "deep summary", "bomb", "bomb that says so", "files"],
+)  # fmt: skip
+def test_a_catalogue_that_somebody_reworded_is_made_again(
+    damage: Change, root: Path, settled: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    del settled
+    remarks_on(root)
+    damage(catalogue_of(root))
+    begun_s = time.process_time()
+    remarks = remarks_on(root)
+    assert time.process_time() - begun_s < 6.0
+    assert ["was damaged; it is made again" in remark for remark in remarks] == [True]
+    assert remarks_on(root) == []
+    assert main(["list", str(root)]) == 0
+    assert "bug" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,15 @@ from multiprocessing.connection import Connection
 
 import pytest
 
-from dragrig.engine_host.messages import AbortSession, ExamineRig, PromptReply, ResetGuard, SessionJob, StartSession
+from dragrig.engine_host.messages import (
+    AbortSession,
+    ExamineRig,
+    PromptReply,
+    ResetGuard,
+    SessionJob,
+    SilenceLimits,
+    StartSession,
+)
 from dragrig.engine_host.server import RequestReceiver
 from dragrig.rig.operator import Answer
 
@@ -17,7 +25,7 @@ Client = Connection
 @pytest.fixture
 def pair() -> Iterator[tuple[Client, RequestReceiver]]:
     client, host = Pipe()
-    ear = RequestReceiver(host, silence_s=600.0)
+    ear = RequestReceiver(host, SilenceLimits(600.0, 600.0))
     yield client, ear
     client.close()
     while ear.next() is not None:
@@ -67,3 +75,54 @@ def test_an_abort_applies_to_earlier_requests_with_its_first_reason(
     assert ear.await_answer(2, lambda: client.send(PromptReply(2, Answer.DONE))) is Answer.DONE
     while not stopped.empty():
         assert stopped.get() == (1, "Escape")
+
+
+@pytest.fixture
+def impatient() -> Iterator[tuple[Client, RequestReceiver]]:
+    """An ear that minds a tenth of a second of silence while anything moves."""
+    client, host = Pipe()
+    ear = RequestReceiver(host, SilenceLimits(0.1, 600.0))
+    yield client, ear
+    client.close()
+    while ear.next() is not None:
+        pass
+    host.close()
+
+
+def test_silence_while_anything_moves_aborts_it_and_the_host_goes_on(impatient: tuple[Client, RequestReceiver]) -> None:
+    client, ear = impatient
+    first, second = StartSession(SessionJob(1, "drag")), StartSession(SessionJob(2, "drag"))
+    client.send(first)
+    assert ear.next() == first
+    stopped: queue.SimpleQueue[str] = queue.SimpleQueue()
+    ear.stops(stopped.put)
+    assert "did not respond while the stage could move" in stopped.get(timeout=60.0)
+    ear.stops(None)
+    client.send(second)
+    assert ear.next() == second
+    assert not ear.gone.is_set()
+    assert stopped.empty()
+
+
+def test_silence_where_the_stage_stands_aborts_nothing_until_it_would_move(
+    impatient: tuple[Client, RequestReceiver],
+) -> None:
+    client, ear = impatient
+    client.send(StartSession(SessionJob(1, "drag")))
+    ear.next()
+    stopped: queue.SimpleQueue[str] = queue.SimpleQueue()
+    ear.stops(stopped.put)
+    ear.stands = True
+    looks = 0
+
+    def look() -> None:
+        nonlocal looks
+        looks += 1
+        ear.stands = False  # from now on it stands because of the prompt alone
+        if looks == 3:
+            client.send(PromptReply(1, Answer.DONE))
+
+    with pytest.raises(queue.Empty):
+        stopped.get(timeout=0.4)
+    assert ear.await_answer(1, lambda: None, look) is Answer.DONE
+    assert stopped.get(timeout=60.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from engine_clients import Listener, listening, plan
+from engine_clients import PATIENCE_S, Listener, listening, plan
 
 from dragrig.engine_host.messages import (
     AbortSession,
@@ -26,6 +26,7 @@ from dragrig.engine_host.messages import (
     SessionJob,
     SessionStarted,
     SessionWaiting,
+    SilenceLimits,
     StartSession,
     WatchRig,
 )
@@ -43,7 +44,7 @@ CLIENT = Path(__file__).with_name("engine_clients.py")
 @pytest.fixture(scope="module")
 def host() -> Iterator[Listener]:
     # Between tests nobody says that the client lives.
-    with listening(silence_s=600.0) as entry:
+    with listening() as entry:
         yield entry
 
 
@@ -113,7 +114,7 @@ def test_killing_the_client_stops_the_stage_and_finishes_the_run(tmp_path: Path)
 
 
 def test_a_silent_client_counts_as_dead(tmp_path: Path) -> None:
-    with listening(silence_s=4.0) as heard:
+    with listening(silence=SilenceLimits(PATIENCE_S, 4.0)) as heard:
         host = psutil.Process(heard.client.pid)
         heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
         heard.until_samples(100)

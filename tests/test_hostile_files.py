@@ -7,7 +7,9 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
@@ -25,7 +27,7 @@ from dragrig.cli import main
 from dragrig.config.errors import ImportDataError, RunFileError, SettingsError
 from dragrig.config.rig import DriveSettings
 from dragrig.rig import mark_bad, write_note
-from dragrig.rig.runfile import finish, read_run
+from dragrig.rig.runfile import finish, hdf5, read_run
 from dragrig.session_state import SessionState
 from dragrig.setup import resolve
 from dragrig.watch import CampaignWatch, serve_state_page
@@ -75,6 +77,46 @@ def test_a_mat_file_hands_over_no_other_file(secret: Path, tmp_path: Path) -> No
         file.create_dataset("force", (1000,), "<f8", external=[(str(secret), 0, 8000)])
     with pytest.raises(ImportDataError, match="another file"):
         matlab.read_mat73(path)
+
+
+def nest(file: h5py.File) -> None:
+    group = file["entry"]
+    for _ in range(3000):
+        group = group.create_group("deeper")
+
+
+def crowd(file: h5py.File) -> None:
+    group = file["entry"].create_group("crowd")
+    for number in range(20_000):
+        group[str(number)] = file["entry/run"]
+
+
+@pytest.mark.parametrize(("spoil", "why"), [(nest, "more than 32 deep"), (crowd, "more than 10000 names")])
+def test_a_run_file_of_endless_groups_is_refused_before_it_is_gone_through(
+    spoil: Callable[[h5py.File], None], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = finish(record(tmp_path / "run.h5", 1000))
+    with h5py.File(path, "r+") as file:
+        spoil(file)
+    begun_s = time.process_time()
+    assert main(["info", str(path)]) == 2
+    assert time.process_time() - begun_s < 1.0
+    assert why in capsys.readouterr().err
+    measured = tmp_path / "measured.mat"
+    shutil.copy(path, measured)
+    if spoil is nest:
+        with pytest.raises(ImportDataError, match=why):
+            readers.read_foreign(measured)
+
+
+def test_a_file_of_endless_text_heaps_is_not_searched_for_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "heaps.h5"
+    rest = hdf5.MIN_HEAP_BYTES - hdf5.HEAP_HEADER_BYTES
+    heap = hdf5.HEAP_SIGNATURE + hdf5.MIN_HEAP_BYTES.to_bytes(8, "little") + bytes(8) + rest.to_bytes(8, "little")
+    path.write_bytes(heap.ljust(hdf5.MIN_HEAP_BYTES, b"\0") * 400)
+    assert hdf5.find_damaged_text(path) is None
+    monkeypatch.setattr(hdf5, "MAX_SEARCHED_FOR_HEAPS_BYTES", 300 * path.stat().st_size)
+    assert hdf5.find_damaged_text(path) == 300 * hdf5.MIN_HEAP_BYTES
 
 
 @pytest.mark.parametrize(

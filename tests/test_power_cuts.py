@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from power_cuts import Recorded, lost_s, record_on_emulated_disk
 from runfiles import arrays, header, record
 
+from dragrig.cli import main
 from dragrig.config.errors import OutputError
-from dragrig.rig.runfile import finisher, read_run, recover
+from dragrig.rig.runfile import finisher, left_recordings, read_run, recover
 from dragrig.rig.runfile.finisher import RecoveryOutcome
 from dragrig.rig.runfile.journal import FrameKind, Journal, read_frames
 from dragrig.rig.runfile.recorder import create_recording
@@ -35,6 +36,39 @@ def test_a_power_cut_at_any_moment_costs_the_last_moments_only(recorded: Recorde
         lost.append(lost_s(recorded, draw.uniform(recorded.begun_s, recorded.ended_s), folder, draw))
     stall_s = float(np.diff([at_s for at_s, _ in recorded.offers]).max())
     assert max(lost) <= 0.25 + MAX_LAG_S + stall_s, lost
+
+
+def test_a_power_cut_before_the_first_sample_leaves_nothing_that_recover_complains_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "recorded").mkdir()
+    recorded = record_on_emulated_disk(tmp_path / "recorded", seed=2, max_lag_s=0.5, duration_s=0.1)
+    draw, empty = random.Random(2), 0
+    for number in range(2 * CUTS):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        recorded.disk.cut(draw.uniform(recorded.begun_s, recorded.offers[0][0]), folder, draw)
+        left = left_recordings(folder)
+        assert main(["recover", str(folder)]) == 0
+        printed = capsys.readouterr()
+        if left and not (folder / "run.h5").exists():
+            empty += 1
+            assert "run.recording.h5: the power went before a sample of it was taken; its empty journal" in printed.err
+            assert list(folder.iterdir()) == []
+        assert main(["recover", str(folder)]) == 0
+        assert "nothing to recover" in capsys.readouterr().err
+    assert empty
+
+
+def test_a_journal_whose_beginning_alone_is_damaged_stays(tmp_path: Path) -> None:
+    left = record(tmp_path / "run.h5", 2500)
+    left.unlink()
+    journal = journal_path(left)
+    content = journal.read_bytes()
+    journal.write_bytes(content[:100] + bytes(50) + content[150:])
+    (recovered,) = recover(tmp_path)
+    assert recovered.outcome is RecoveryOutcome.LEFT
+    assert journal.exists()
 
 
 @given(

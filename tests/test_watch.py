@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,7 +30,15 @@ from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.session_state import LOCK_FILE, STATE_FILE, SessionState, read_state, session_lock
 from dragrig.setup import resolve
-from dragrig.watch import HIDDEN_TAB_S, CampaignState, CampaignWatch, serve_state_page
+from dragrig.watch import (
+    HIDDEN_TAB_S,
+    MAX_CONNECTIONS,
+    MAX_TAB_CHARACTERS,
+    MAX_TABS,
+    CampaignState,
+    CampaignWatch,
+    serve_state_page,
+)
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -326,6 +335,55 @@ def test_a_page_without_an_answer_says_since_when_and_goes_on_asking(seen: Onloo
             expect(page.locator("#run")).to_have_text("1 of 4")
             page.unroute("**/state.json*")
             expect(page.locator("#state")).to_contain_text("Records", timeout=600_000)
+
+
+def server_threads() -> int:
+    return sum("process_request_thread" in thread.name for thread in threading.enumerate())
+
+
+def test_half_open_requests_are_few_at_a_time_and_keep_nobody_out(seen: Onlooker) -> None:
+    with ExitStack() as stack, serve_state_page(0) as page:
+        page.show(seen.recorded[0])
+        most = 0
+        for number in range(300):
+            half = stack.enter_context(socket.create_connection(("127.0.0.1", page.port)))
+            half.sendall(b"GET / HTTP/1.0\r\nHost: ")
+            if number % 50 == 49:
+                with urlopen(f"{page.address}state.json", timeout=60.0) as answer:
+                    assert json.load(answer)["doing"] == "recording"
+                most = max(most, server_threads())
+        # The last to be ended may still be on their way.
+        assert most <= 2 * MAX_CONNECTIONS
+
+
+def test_a_request_that_never_ends_is_ended(seen: Onlooker, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dragrig.watch._PageHandler.timeout", 0.3)
+    with serve_state_page(0) as page, socket.create_connection(("127.0.0.1", page.port)) as half:
+        half.sendall(b"GET / HTTP/1.0\r\n")
+        half.settimeout(60.0)
+        assert half.recv(1) == b""
+
+
+def test_a_request_without_bound_is_not_read(seen: Onlooker) -> None:
+    with serve_state_page(0) as page, socket.create_connection(("127.0.0.1", page.port)) as endless:
+        endless.settimeout(60.0)
+        with suppress(OSError):
+            endless.sendall(b"GET / HTTP/1.0\r\n" + b"X: " + b"y" * 60_000 + b"\r\n")
+        received = b""
+        with suppress(OSError):
+            received = endless.recv(1 << 16)
+        assert received == b""
+
+
+def test_tabs_without_bound_are_forgotten(seen: Onlooker) -> None:
+    with serve_state_page(0, "0.0.0.0") as page:
+        page.show(seen.recorded[0])
+        for number in range(2 * MAX_TABS):
+            page.content(f"{number}{'x' * 1000}")
+        tab = "y" * 3000
+        urlopen(f"http://127.0.0.1:{page.port}/state.json?token={page.token}&tab={tab}").close()
+        assert len(page._asked_at) == MAX_TABS
+        assert len(list(page._asked_at)[-1]) == MAX_TAB_CHARACTERS
 
 
 def test_the_time_left_follows_the_pace(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from diagnoses import ALL, BLANK, RIPPLE_AND_AGEING, STRIBECK, TOGETHER
 from runfiles import PRACTICE
-from windows import WAIT_MS, Until, dressed, lab_in, press, require_qt
+from windows import BUSY, WAIT_MS, Until, dressed, lab_in, press, require_qt
 
 require_qt()
 
@@ -43,7 +43,7 @@ def window(
     dressed()
     lab = lab_in(tmp_path_factory.mktemp("lab"))
     settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
-    made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), 600.0)
+    made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), BUSY)
     made.show()
     QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
     made.go_to(made.diagnose)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import pytest
-from windows import WAIT_MS, dressed, lab_in, require_qt
+from windows import BUSY, WAIT_MS, dressed, lab_in, require_qt
 
 require_qt()
 
@@ -43,7 +43,7 @@ def window(
     dressed()
     lab = lab_in(tmp_path_factory.mktemp("lab"))
     settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
-    made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), 600.0)
+    made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), BUSY)
     made.resize(1500, 1000)
     made.show()
     QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)

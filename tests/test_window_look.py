@@ -1,6 +1,7 @@
 """The pages that look at runs and diagnose them, used as a person uses them, on real files."""
 
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +19,8 @@ from runfiles import record
 
 import dragrig
 from dragrig.rig.runfile.filesystem import lock_run
-from dragrig.views import FORMATS, completed, shown_trace
+from dragrig.views import FORMATS, ShownTrace, completed, shown_trace
+from dragrig.window import prepared_traces
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage
 from dragrig.window.widgets import DrawnFigure, StoredSettings, top_items
@@ -64,6 +66,36 @@ def choose(page: LookPage, until: Until, *places: int) -> None:
     for place in places:
         runs_of(page)[place].setSelected(True)
     until(lambda: len(page.overlay.traces) == len(places) and page.steady.rowCount() == len(places))
+
+
+def test_a_long_run_is_prepared_beside_the_gui_thread_and_then_drawn(
+    page: LookPage, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    overlay, prepared = page.overlay, page.overlay.prepared
+    choose(page, until, 0, 2)
+    shown = overlay.channel_plot.shown()
+    monkeypatch.setattr(prepared_traces, "MAX_SAMPLES_AT_ONCE", 100)
+    threads: set[str] = set()
+    made = prepared_traces.DrawingKey.drawing
+
+    def noting(key: prepared_traces.DrawingKey, trace: ShownTrace) -> object:
+        threads.add(threading.current_thread().name)
+        return made(key, trace)
+
+    monkeypatch.setattr(prepared_traces.DrawingKey, "drawing", noting)
+    overlay.axis.setCurrentText("position")
+    assert overlay.channel_plot._lines == []
+    overlay.cursors.click()
+    until(lambda: not prepared.busy)
+    assert len(overlay.channel_plot._lines) == 4
+    assert overlay.channel_plot.shown()[0] > 35.0, "the way is not fitted"
+    values = [overlay.values.item(at, 1).text() for at in range(1, overlay.values.rowCount())]
+    assert "no sample" not in values
+    overlay.axis.setCurrentText("time")
+    until(lambda: not prepared.busy)
+    assert overlay.channel_plot.shown() == pytest.approx(shown, abs=0.05)
+    overlay.cursors.click()
+    assert threading.main_thread().name not in threads
 
 
 def test_runs_are_overlaid_with_their_settings(page: LookPage, until: Until) -> None:

@@ -1,11 +1,15 @@
 """The min/max pyramid: nothing that sticks out is hidden, whatever the zoom and however the samples came."""
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.window.trace_pyramid import TracePath, TracePyramid
+from dragrig.window import trace_pyramid
+from dragrig.window.trace_pyramid import TraceCrossings, TracePath, TracePyramid
 
 
 @settings(deadline=None, max_examples=80)
@@ -97,3 +101,19 @@ def test_a_way_there_and_back_does_not_jump_across_what_is_not_shown() -> None:
     shown_x, shown_y = TracePath(x, np.arange(2000.0)).view(2.0, 4.0, 800)
     assert np.isnan(shown_y).sum() == 1
     assert len(shown_x) == pytest.approx(400, abs=8)
+
+
+@given(
+    values=st.lists(st.one_of(st.floats(-5.0, 5.0, width=32), st.just(float("nan"))), max_size=60),
+    wanted=st.floats(-6.0, 6.0, width=32),
+    blocks=st.integers(1, 40),
+)
+def test_where_a_channel_first_comes_to_a_value_is_found_as_by_going_through_all(
+    values: list[float], wanted: float, blocks: int
+) -> None:
+    known = [(at, value) for at, value in enumerate(values) if not math.isnan(value)]
+    beyond = [(at, value >= wanted) for at, value in known]
+    expected = next((at for (at, before), (_, after) in pairwise(beyond) if before != after), None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trace_pyramid, "MAX_PATH_BLOCKS", blocks)
+        assert TraceCrossings(np.array(values, np.float32)).first(wanted) == expected

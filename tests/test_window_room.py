@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from windows import WAIT_MS, dressed, lab_in, require_qt
+from windows import BUSY, WAIT_MS, dressed, lab_in, require_qt
 
 require_qt()
 
@@ -33,7 +33,7 @@ def window(
     dressed()
     lab = lab_in(tmp_path_factory.mktemp("lab"))
     settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
-    made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), 600.0)
+    made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), BUSY)
     made.resize(SMALL)
     made.show()
     QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
@@ -180,7 +180,7 @@ def test_it_opens_on_a_small_screen_at_twice_the_size(tmp_path: Path) -> None:
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
-from windows import lab_in
+from windows import BUSY, lab_in
 from PySide6.QtCore import QSettings
 from dragrig.engine_host.messages import GuardState, RigSelection
 from dragrig.window.main_window import MainWindow, qt_application
@@ -191,7 +191,7 @@ if __name__ == "__main__":
     application = qt_application()
     lab = lab_in(Path({str(tmp_path / "lab")!r}))
     settings = StoredSettings(QSettings(str(lab / "w.ini"), QSettings.Format.IniFormat))
-    window = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, settings, 600.0)
+    window = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, settings, BUSY)
     window.show()
     window.take(GuardState("x" * 2000))
     application.processEvents()

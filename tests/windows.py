@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from dragrig.engine_host.messages import SilenceLimits
+
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
     from pytestqt.qtbot import QtBot
@@ -20,7 +22,7 @@ PACKAGES = {
 }  # fmt: skip
 """Debian's package for each library of the system that Qt needs, even off screen."""
 WAIT_MS = 600_000
-BUSY_S = 600.0
+BUSY = SilenceLimits(600.0, 600.0)
 """A machine that tests may hold the window up for long."""
 
 
@@ -76,7 +78,7 @@ def dressed() -> "QApplication":
     return qt_application()
 
 
-def opened(qtbot: "QtBot", lab: Path, settings: Path, **terms: object) -> "MainWindow":
+def opened(qtbot: "QtBot", lab: Path, settings: Path, silence: SilenceLimits = BUSY, **terms: object) -> "MainWindow":
     """Return a window on a lab whose engine is there, its guard not yet reset."""
     from PySide6.QtCore import QSettings
 
@@ -86,7 +88,8 @@ def opened(qtbot: "QtBot", lab: Path, settings: Path, **terms: object) -> "MainW
 
     dressed()
     rig = RigSelection(rig=lab / "rig.toml", **terms)  # type: ignore[arg-type]
-    window = MainWindow(rig, lab, StoredSettings(QSettings(str(settings), QSettings.Format.IniFormat)), BUSY_S)
+    stored = StoredSettings(QSettings(str(settings), QSettings.Format.IniFormat))
+    window = MainWindow(rig, lab, stored, silence)
     window.show()
     qtbot.waitUntil(lambda: window.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
     return window

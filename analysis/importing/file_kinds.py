@@ -14,12 +14,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from dragrig.config import ImportDataError
-from dragrig.rig import refuse_foreign_storage
+from dragrig.rig import find_excess, refuse_foreign_storage
 
 MAX_UNPACKED_BYTES = 2 << 30
 """Largest size of a packed file's content: 250 kS/s of a force and a position for nine minutes."""
 MAX_UNPACKED_TEXT_BYTES = MAX_UNPACKED_BYTES // 16
 """The same of a spreadsheet, whose cells take some sixteen times their text."""
+MAX_MAT_LINKS = 1_000_000
+"""MATLAB stores every cell of an array under a name of its own."""
 SNIFFED_BYTES = 4096
 _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -134,6 +136,8 @@ def _hdf5_kind(path: Path, head: bytes) -> FileKind:
     import h5py
 
     with h5py.File(path, "r") as file:
+        if (excess := find_excess(file, MAX_MAT_LINKS)) is not None:
+            raise ImportDataError(f"{path}: {excess}; export it anew or as CSV.")
         refuse_foreign_storage(file)
         if head.startswith(b"MATLAB 7.3") or any("MATLAB_class" in item.attrs for item in file.values()):
             return FileKind.MAT73

@@ -304,7 +304,7 @@ def import_settings(
 
 def next_run_order(folder: Path) -> int:
     """Return the order of the next run of a folder."""
-    return max((run.header.order + 1 for run in read_campaign(folder).runs), default=0)
+    return read_campaign(folder).next_order
 
 
 def import_run(

@@ -309,7 +309,9 @@ def recover_command(ctx: click.Context, places: tuple[Path, ...], as_json: bool)
     if not recordings:
         print_remark("There is nothing to recover.")
     for recording in recordings:
-        if recording.outcome is not RecoveryOutcome.FINISHED:
+        if recording.outcome is RecoveryOutcome.EMPTY:
+            print_remark(f"{recording.message}.")
+        elif recording.outcome is not RecoveryOutcome.FINISHED:
             print_error(recording.message)
     if any(recording.outcome is RecoveryOutcome.LEFT for recording in recordings):
         ctx.exit(BAD_INPUT)

@@ -2,7 +2,7 @@ from .client import EngineClient as EngineClient
 from .messages import HEARTBEAT_S as HEARTBEAT_S
 from .messages import MAX_OVERRIDE_SPEED_MM_S as MAX_OVERRIDE_SPEED_MM_S
 from .messages import PHASE_NAMES as PHASE_NAMES
-from .messages import SILENCE_TIMEOUT_S as SILENCE_TIMEOUT_S
+from .messages import SILENCE_LIMITS as SILENCE_LIMITS
 from .messages import AbortSession as AbortSession
 from .messages import Answer as Answer
 from .messages import CalibrateEncoder as CalibrateEncoder
@@ -41,6 +41,7 @@ from .messages import SessionFinished as SessionFinished
 from .messages import SessionJob as SessionJob
 from .messages import SessionStarted as SessionStarted
 from .messages import SessionWaiting as SessionWaiting
+from .messages import SilenceLimits as SilenceLimits
 from .messages import StageMoved as StageMoved
 from .messages import StartSession as StartSession
 from .messages import StoreCalibration as StoreCalibration

@@ -7,7 +7,7 @@ from multiprocessing.connection import Connection
 
 from dragrig.engine_host.messages import (
     RING_SAMPLES,
-    SILENCE_TIMEOUT_S,
+    SILENCE_LIMITS,
     Event,
     Heartbeat,
     HostLost,
@@ -15,6 +15,7 @@ from dragrig.engine_host.messages import (
     Request,
     RigSelection,
     RingMemory,
+    SilenceLimits,
     StopHost,
     shared_memory,
 )
@@ -23,11 +24,13 @@ _CLOSE_TIMEOUT_S = 30.0
 """Time for a moving stage to stop and its run to be finished."""
 
 
-def _serve(connection: "Connection[Event, Request]", memory: RingMemory, rig: RigSelection, silence_s: float) -> None:
+def _serve(
+    connection: "Connection[Event, Request]", memory: RingMemory, rig: RigSelection, silence: SilenceLimits
+) -> None:
     """Load the engine and host it: the host's process does, the client's never."""
     from dragrig.engine_host.server import serve
 
-    serve(connection, memory, rig, silence_s)
+    serve(connection, memory, rig, silence)
 
 
 class EngineClient:
@@ -35,13 +38,14 @@ class EngineClient:
 
     Parameters
     ----------
-    silence_s
-        The host stops the stage after this long without a request; `beat` is one.
+    silence
+        How long the host goes on without a request; `beat` is one, due every `HEARTBEAT_S`. A program that cannot give
+        it while it computes says so here, and sees itself to it that the stage can be stopped.
     samples
         Size of the ring of live samples.
     """
 
-    def __init__(self, rig: RigSelection, silence_s: float = SILENCE_TIMEOUT_S, samples: int = RING_SAMPLES) -> None:
+    def __init__(self, rig: RigSelection, silence: SilenceLimits = SILENCE_LIMITS, samples: int = RING_SAMPLES) -> None:
         context = multiprocessing.get_context("spawn")
         memory = shared_memory(context, samples)
         self._connection, host_end = context.Pipe()
@@ -49,7 +53,7 @@ class EngineClient:
         self._lost = False
         # Not a daemon, which would be killed with this process in place of ending in good order.
         self._process = context.Process(
-            target=_serve, args=(host_end, memory, rig, silence_s), name="dragrig-engine", daemon=False
+            target=_serve, args=(host_end, memory, rig, silence), name="dragrig-engine", daemon=False
         )
         self._process.start()
         # Without this the host would never notice that this process is gone.

@@ -33,10 +33,21 @@ __all__ = [
     "TravelEnd",
 ]  # types of the messages' fields, for clients that do not import the rig
 
-SILENCE_TIMEOUT_S = 20.0
-"""A client without a sign of life for this long counts as dead; one whose interpreter hangs for seconds does not."""
-HEARTBEAT_S = 1.0
-"""Interval of a client's signs of life."""
+HEARTBEAT_S = 0.2
+"""Interval of a client's signs of life, given by the thread that would send a stop: another one proves nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class SilenceLimits:
+    """How long the host goes on without a sign of life from its client; any request is one."""
+
+    moving_s: float = 1.0
+    """While anything moves, or may at once: then it is stopped, and what is done ends as aborted."""
+    standing_s: float = 20.0
+    """At any time: then the client counts as dead, and the host ends."""
+
+
+SILENCE_LIMITS = SilenceLimits()
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ from dragrig.campaign_session import (
 )
 from dragrig.config import Calibration, DragrigError, SettingsError, TrippedError, reason_of
 from dragrig.engine_host.messages import (
-    SILENCE_TIMEOUT_S,
+    SILENCE_LIMITS,
     AbortSession,
     CalibrateEncoder,
     CalibrateForce,
@@ -67,6 +67,7 @@ from dragrig.engine_host.messages import (
     SessionJob,
     SessionStarted,
     SessionWaiting,
+    SilenceLimits,
     StageMoved,
     StartSession,
     StopHost,
@@ -84,6 +85,7 @@ from dragrig.rig import (
     BackendRequest,
     Drift,
     IdleReading,
+    Phase,
     PlannedRun,
     Programme,
     Prompt,
@@ -94,9 +96,10 @@ from dragrig.rig import (
 )
 from dragrig.setup import open_backend, resolve, resolve_pace, resolve_rig
 
-_POLL_S = 0.25
+_POLL_S = 0.05
 CLIENT_GONE = "the window is gone"
 CLIENT_SILENT = "the window has been silent for too long"
+CLIENT_FROZEN = "the window did not respond while the stage could move"
 
 
 class EventSender:
@@ -134,13 +137,15 @@ class RequestReceiver:
     ----------
     gone
         Set once the client is gone, or wants the host to end.
+    stands
+        Whether the stage stands, for the moment, though what is done can be aborted; set by whoever does it.
     pause
         Set to have the session wait for a person before its next run.
     """
 
-    def __init__(self, connection: "Connection[Event, Request]", silence_s: float = SILENCE_TIMEOUT_S) -> None:
+    def __init__(self, connection: "Connection[Event, Request]", silence: SilenceLimits = SILENCE_LIMITS) -> None:
         self._connection = connection
-        self._silence_s = silence_s
+        self._silence = silence
         # No SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
         self._requests: queue.Queue[tuple[int, Request] | None] = queue.Queue()
         self._lock = Lock()
@@ -151,6 +156,7 @@ class RequestReceiver:
         self._answers: dict[int, queue.Queue[Answer]] = {}
         self.gone = Signal()
         self.pause = Signal()
+        self.stands = False
         Thread(target=self._receive_all, name="receiver", daemon=True).start()
 
     def next(self, within_s: float | None = None) -> Request | None:
@@ -166,7 +172,8 @@ class RequestReceiver:
         return request
 
     def stops(self, abort: Callable[[str], None] | None) -> None:
-        """Set what aborts the current request; an abort received before is applied now."""
+        """Set what aborts the current request, which may move from now on; an abort received before is applied now."""
+        self.stands = False
         with self._lock:
             self._abort, reason = abort, self._abort_reason if self._is_aborted else ""
         if abort is not None and reason:
@@ -199,21 +206,33 @@ class RequestReceiver:
         """Whether the current request is aborted; read with the lock held."""
         return self._current <= self._aborted
 
+    @property
+    def _may_move(self) -> bool:
+        """Whether anything moves, or may without a further word from the client."""
+        with self._lock:
+            return self._abort is not None and not self._answers and not self.stands
+
     def _receive_all(self) -> None:
         reason = CLIENT_GONE
-        last_s = time.monotonic()
+        last_s, frozen = time.monotonic(), False
         with suppress(EOFError, OSError):
             while True:
+                # What has arrived comes first: a host that was held up itself has not heard it yet.
                 if self._connection.poll(_POLL_S):
                     request = self._connection.recv()
-                    last_s = time.monotonic()
+                    last_s, frozen = time.monotonic(), False
                     self._receive(request)
                     if isinstance(request, StopHost):
                         reason = "the window was closed"
                         break
-                elif time.monotonic() - last_s > self._silence_s:
+                    continue
+                silent_s = time.monotonic() - last_s
+                if silent_s > self._silence.standing_s:
                     reason = CLIENT_SILENT
                     break
+                if silent_s > self._silence.moving_s and not frozen and self._may_move:
+                    frozen = True
+                    self._abort_all(f"{CLIENT_FROZEN}, for {silent_s:.1f} s")
         self.gone.set()
         self._abort_all(reason)
         self._requests.put(None)
@@ -284,20 +303,24 @@ class RemoteOperator:
 
     def waits(self, duration_s: float, why: str) -> None:
         """Report a wait."""
+        self._receiver.stands = True
         self._sender.say(SessionWaiting(duration_s, why))
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Report the start of a run."""
         self._order = order
+        self._receiver.stands = False
         self._live.begin()
         self._sender.say(RunStarted(_queued_run(run), order))
 
     def reads(self, reading: Reading) -> None:
         """Write a block of samples to the live ring."""
+        self._receiver.stands = reading.phase[-1] in _STANDING
         self._live.put(reading)
 
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         """Report the end of a run."""
+        self._receiver.stands = False
         queued, warnings = _queued_run(run), tuple(outcome.checks.warnings)
         self._sender.say(RunFinished(queued, self._order, outcome.status, outcome.reason, outcome.samples, warnings))
 
@@ -310,6 +333,7 @@ def _queued_run(run: PlannedRun) -> QueuedRun:
     return QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm)
 
 
+_STANDING = (Phase.REST, Phase.HOLD)
 NOT_YET_RESET = "not reset since the start; check: path clear, hands out, e-stop in reach"
 
 
@@ -317,12 +341,12 @@ def serve(
     connection: "Connection[Event, Request]",
     memory: RingMemory,
     rig: RigSelection,
-    silence_s: float = SILENCE_TIMEOUT_S,
+    silence: SilenceLimits = SILENCE_LIMITS,
 ) -> None:
     """Host an engine until the client leaves or dies; the target of the host process."""
     # Ctrl-C in the terminal reaches the client too; a running session handles it by itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    sender, receiver = EventSender(connection), RequestReceiver(connection, silence_s)
+    sender, receiver = EventSender(connection), RequestReceiver(connection, silence)
     EngineHost(sender, receiver, LiveRingWriter(memory), rig).run()
     sender.close()
 
@@ -548,7 +572,12 @@ class EngineHost:
 
     def _calibrated(self, job: CalibrationJob) -> CalibrationMeasured:
         """Calibrate as the command does, but leave the result to be looked at before it is stored."""
-        choices, person, begun = self._rig.choices(), self._operator, self._receiver.stops
+        choices, person = self._rig.choices(), self._operator
+
+        def begun(abort: Callable[[str], None]) -> None:
+            self._receiver.stops(abort)
+            self._receiver.stands = isinstance(job, CalibrateForce) or job.by_hand
+
         match job:
             case CalibrateForce(weights_g, repeats, duration_s, name, note):
                 force = calibrate_force(weights_g, repeats=repeats, duration_s=duration_s, operator=name, note=note,

@@ -7,7 +7,15 @@ from typing import Any, TypeVar
 from PySide6.QtCore import QObject, QRunnable, QThreadPool, QTimer, Signal
 
 from dragrig.config import DragrigError
-from dragrig.engine_host import HEARTBEAT_S, SILENCE_TIMEOUT_S, EngineClient, HostLost, Request, RigSelection
+from dragrig.engine_host import (
+    HEARTBEAT_S,
+    SILENCE_LIMITS,
+    EngineClient,
+    HostLost,
+    Request,
+    RigSelection,
+    SilenceLimits,
+)
 
 ResultT = TypeVar("ResultT")
 
@@ -88,17 +96,22 @@ _ENGINE_POLL_MS = 33
 
 
 class EngineLink(QObject):
-    """An engine host, with its events and samples as signals; `restart` replaces it."""
+    """An engine host, with its events and samples as signals; `restart` replaces it.
+
+    Signs of life come from this thread's event loop, as a stop would: a window that takes no key gives none either.
+    """
 
     event_received = Signal(object)
     """An event of the host."""
     sampled = Signal(object)
     """Live samples."""
 
-    def __init__(self, rig: RigSelection, parent: QObject | None = None, silence_s: float = SILENCE_TIMEOUT_S) -> None:
+    def __init__(
+        self, rig: RigSelection, parent: QObject | None = None, silence: SilenceLimits = SILENCE_LIMITS
+    ) -> None:
         super().__init__(parent)
-        self._rig, self._silence_s = rig, silence_s
-        self._client = EngineClient(rig, silence_s)
+        self._rig, self._silence = rig, silence
+        self._client = EngineClient(rig, silence)
         self._heartbeat_at = 0.0
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._poll)
@@ -121,7 +134,7 @@ class EngineLink(QObject):
     def restart(self) -> None:
         """Start another host in place of a lost one, or of one that does nothing now; it reads the settings anew."""
         self._client.close()
-        self._client = EngineClient(self._rig, self._silence_s)
+        self._client = EngineClient(self._rig, self._silence)
 
     def close(self) -> None:
         """End the host, after stopping a running session."""

@@ -1,8 +1,10 @@
 """The page of recorded runs: browser, overlaid traces with cursors, steady forces, export."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +46,8 @@ from dragrig.views import (
 from dragrig.window.background import FileWorker
 from dragrig.window.number_field import NumberField
 from dragrig.window.plots import PlotCursor, TimePlot
-from dragrig.window.trace_pyramid import TracePath, TracePyramid
+from dragrig.window.prepared_traces import DrawingKey, PreparedTraces
+from dragrig.window.trace_pyramid import TraceCrossings, TracePath, TracePyramid
 from dragrig.window.widgets import (
     StoredSettings,
     bare_widget,
@@ -327,6 +330,14 @@ _PAN_SHARE = 0.2
 _CURSOR_STEPS = 200
 
 
+@dataclass(frozen=True, slots=True)
+class _Line:
+    panel: TimePlot
+    key: DrawingKey
+    colour: str
+    width: float
+
+
 class TraceOverlay(QWidget):
     """Traces of several runs, filtered in front of raw, against time, position or speed."""
 
@@ -356,8 +367,9 @@ class TraceOverlay(QWidget):
         self.values.setMinimumHeight(72)
         self.values.setMaximumHeight(170)
         self.values.hide()
-        self._pyramids: dict[tuple[int, str, bool], TracePyramid] = {}
-        self._paths: dict[tuple[int, str, bool, str], TracePath] = {}
+        self.prepared = PreparedTraces(self)
+        self.prepared.ready.connect(self._draw_prepared)
+        self._once_drawn: Callable[[], None] | None = None
         self._cursors = tuple(
             self.channel_plot.cursor(name, colour, lambda _: self._show_cursor_values())
             for name, colour in (("A", BLACK), ("B", VERMILLION))
@@ -377,10 +389,8 @@ class TraceOverlay(QWidget):
     def show_traces(self, traces: Sequence[ShownTrace]) -> None:
         """Show runs; the zoom stays if they are the same runs as before."""
         same = [trace.path for trace in traces] == [trace.path for trace in self.traces]
-        same_data = [trace.run for trace in traces] == [trace.run for trace in self.traces]
         self.traces = list(traces)
-        self._pyramids = {key: kept for key, kept in self._pyramids.items() if same_data and not key[2]}
-        self._paths = {}
+        self.prepared.show(traces)
         chosen = self.channel.currentText()
         names = list(dict.fromkeys(name for trace in traces for name in trace.channels)) or ["force"]
         self.channel.blockSignals(True)
@@ -390,7 +400,7 @@ class TraceOverlay(QWidget):
         self.channel.blockSignals(False)
         self.draw()
         if not same:
-            self.show_all()
+            self._do_once_drawn(self.show_all)
 
     def draw(self) -> None:
         """Draw the chosen channel."""
@@ -399,16 +409,15 @@ class TraceOverlay(QWidget):
             panel.remove_lines()
         unit = next((trace.units.get(name, "") for trace in self.traces), "")
         self.channel_plot.set_quantity(name.replace("_", " ").capitalize(), unit)
-        if self.raw.isChecked():
-            for index in range(len(self.traces)):
-                colour = PALE if len(self.traces) == 1 else tint(CYCLE[index % MAX_OVERLAID])
-                self._draw_trace(self.channel_plot, index, name, colour, 1.0, filtered=False)
-        for index, trace in enumerate(self.traces):
-            colour = CYCLE[index % MAX_OVERLAID]
-            # A channel without a filtered copy is shown raw.
-            self._draw_trace(self.channel_plot, index, name, colour, 2.0, filtered=name in trace.filtered)
-            below = "position" if self.axis.currentText() == "speed" else "speed"
-            self._draw_trace(self.speed_plot, index, below, colour, 2.0, filtered=below == "speed")
+        lines = tuple(self._lines(name))
+        drawings = self.prepared.of([*dict.fromkeys(line.key for line in lines), *self._crossings()])
+        for line in lines:
+            match drawings.get(line.key):
+                case TracePyramid() as pyramid:
+                    trace = self.traces[line.key.index]
+                    line.panel.line("", line.colour, line.width).trace(pyramid, trace.rate_hz, trace.start_s)
+                case TracePath() as path:
+                    line.panel.line("", line.colour, line.width).path(path)
         self._draw_limits(self.channel_plot, shown=name == "position")
         self._draw_limits(self.speed_plot, shown=self.axis.currentText() == "speed")
         self.channel_plot.title(
@@ -417,6 +426,39 @@ class TraceOverlay(QWidget):
         for panel in (self.channel_plot, self.speed_plot):
             panel.redraw()
         self._show_cursor_values()
+
+    def _lines(self, name: str) -> Iterator[_Line]:
+        """Yield the lines of the chosen channel, those in front last."""
+        axis = self.axis.currentText()
+        if self.raw.isChecked():
+            for index in range(len(self.traces)):
+                colour = PALE if len(self.traces) == 1 else tint(CYCLE[index % MAX_OVERLAID])
+                yield _Line(self.channel_plot, DrawingKey(index, name, "raw", axis), colour, 1.0)
+        for index, trace in enumerate(self.traces):
+            colour = CYCLE[index % MAX_OVERLAID]
+            # A channel without a filtered copy is shown raw.
+            kind: Literal["raw", "filtered"] = "filtered" if name in trace.filtered else "raw"
+            yield _Line(self.channel_plot, DrawingKey(index, name, kind, axis), colour, 2.0)
+            below = DrawingKey(index, *(("position", "raw") if axis == "speed" else ("speed", "filtered")), axis)
+            yield _Line(self.speed_plot, below, colour, 2.0)
+
+    def _crossings(self) -> Sequence[DrawingKey]:
+        """Return what the cursors look values up in."""
+        axis = self.axis.currentText()
+        if axis == "time" or not self.cursors.isChecked():
+            return ()
+        return [DrawingKey(index, "", "crossings", axis) for index in range(len(self.traces))]
+
+    def _do_once_drawn(self, action: Callable[[], None]) -> None:
+        """Do something now, and again when all lines are there."""
+        self._once_drawn = action if self.prepared.busy else None
+        action()
+
+    def _draw_prepared(self) -> None:
+        action, self._once_drawn = self._once_drawn, None
+        self.draw()
+        if action is not None:
+            self._do_once_drawn(action)
 
     def _draw_limits(self, panel: TimePlot, *, shown: bool) -> None:
         """Draw the stage's limits into a plot of positions, where they are in view."""
@@ -460,30 +502,14 @@ class TraceOverlay(QWidget):
             low, high = self.channel_plot.shown()
             cursor.place(cursor.time_s + direction * (high - low) / _CURSOR_STEPS)
 
-    def _draw_trace(self, panel: TimePlot, index: int, name: str, colour: str, width: float, *, filtered: bool) -> None:
-        trace = self.traces[index]
-        source = trace.filtered if filtered else trace.channels
-        if name not in source:
-            return
-        key, axis = (index, name, filtered), self.axis.currentText()
-        if axis != "time":
-            along = trace.along(axis)
-            if along is None:
-                return
-            if (*key, axis) not in self._paths:
-                self._paths[*key, axis] = TracePath(along, source[name])
-            panel.line("", colour, width).path(self._paths[*key, axis])
-            return
-        if key not in self._pyramids:
-            self._pyramids[key] = TracePyramid()
-            self._pyramids[key].append(source[name])
-        panel.line("", colour, width).trace(self._pyramids[key], trace.rate_hz, trace.start_s)
-
     def _change_axis(self) -> None:
         axis = self.axis.currentText()
         self.speed_plot.set_x_quantity(axis.capitalize(), _AXIS_UNITS[axis])
         self.speed_plot.set_quantity(*(("Position", "mm") if axis == "speed" else ("Speed", "mm/s")))
         self.draw()
+        self._do_once_drawn(self._fit_cursors)
+
+    def _fit_cursors(self) -> None:
         self.show_all()
         self._show_cursors(shown=self.cursors.isChecked())
 
@@ -498,26 +524,22 @@ class TraceOverlay(QWidget):
             return
         name = self.channel.currentText()
         first, second = (cursor.time_s for cursor in self._cursors)
-        axis = self.axis.currentText()
+        axis, crossings = self.axis.currentText(), self.prepared.of(self._crossings())
         rows = [(f"{axis} ({_AXIS_UNITS[axis]})", f"{first:.4f}", f"{second:.4f}", f"{second - first:.4f}")]
-        for trace in self.traces:
+        for index, trace in enumerate(self.traces):
             values = trace.filtered.get(name, trace.channels.get(name))
             if values is not None:
-                a, b = (_value_at(values, _place(trace, axis, at)) for at in (first, second))
+                known = crossings.get(DrawingKey(index, "", "crossings", axis))
+                found = known.first if isinstance(known, TraceCrossings) else partial(_sample_at, trace, axis)
+                a, b = (_value_at(values, found(at)) for at in (first, second))
                 title = f"{trace.label}: {name} ({trace.units.get(name, '')})"
                 rows.append((title, _cursor_text(a), _cursor_text(b), _cursor_text(b - a)))
         fill_table(self.values, rows)
 
 
-def _place(trace: ShownTrace, axis: str, at: float) -> int | None:
-    """Return the sample of a run at a time, or where it first comes to a position or a speed."""
-    if axis == "time":
-        return round((at - trace.start_s) * trace.rate_hz)
-    along = trace.along(axis)
-    if along is None:
-        return None
-    reached = np.nonzero(np.diff(np.sign(along - np.float32(at))))[0]
-    return int(reached[0]) if len(reached) else None
+def _sample_at(trace: ShownTrace, axis: str, time_s: float) -> int | None:
+    """Return the sample of a run at a time; None for another axis, in which nothing can be looked up."""
+    return round((time_s - trace.start_s) * trace.rate_hz) if axis == "time" else None
 
 
 def _value_at(values: npt.NDArray[np.float32], index: int | None) -> float:
@@ -583,6 +605,7 @@ class LookPage(QWidget):
         self.setLayout(column(splitter, margin=8))
         self.browser.chosen.connect(self._show_selected)
         self.browser.complained.connect(self.complained.emit)
+        self.overlay.prepared.refused.connect(self._refused)
         self.overlay.window_ms.entered.connect(lambda _: self._filter())
         self.overlay.order.entered.connect(lambda _: self._filter())
         self.overlay.channel.currentTextChanged.connect(lambda _: self._filter_other())
@@ -598,6 +621,7 @@ class LookPage(QWidget):
         self._stored.keep("filter window", self.overlay.window_ms.entered_value)
         self._stored.keep("filter order", self.overlay.order.entered_value)
         self.browser.close_down()
+        self.overlay.prepared.drop()
         self._traces.drop()
         self._table.drop()
         self._exporting.finish()

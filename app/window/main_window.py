@@ -25,7 +25,7 @@ from PySide6.QtWidgets import (
 from dragrig.config import DragrigError
 from dragrig.end_signals import rig_open
 from dragrig.engine_host import (
-    SILENCE_TIMEOUT_S,
+    SILENCE_LIMITS,
     Answer,
     CalibrationMeasured,
     CalibrationStored,
@@ -40,6 +40,7 @@ from dragrig.engine_host import (
     ResetGuard,
     RigSelection,
     SessionFinished,
+    SilenceLimits,
     StageMoved,
 )
 from dragrig.views import FurtherRuns, PlanForm, describe_rig
@@ -235,8 +236,8 @@ class MainWindow(QMainWindow):
         The rig, for as long as the window is open.
     lab
         Lab folder with plans and data.
-    silence_s
-        The engine stops the stage after this long without a sign of life from the window.
+    silence
+        How long the engine goes on without a sign of life from the window.
     """
 
     def __init__(
@@ -244,7 +245,7 @@ class MainWindow(QMainWindow):
         rig: RigSelection,
         lab: Path | None = None,
         stored: StoredSettings | None = None,
-        silence_s: float = SILENCE_TIMEOUT_S,
+        silence: SilenceLimits = SILENCE_LIMITS,
     ) -> None:
         super().__init__()
         self._collector = GuiThreadCollector(self)
@@ -253,7 +254,7 @@ class MainWindow(QMainWindow):
         self.description = describe_rig(rig)
         # What the banner says holds as long as the window is open, whatever the rig file says meanwhile.
         rig = self._rig = replace(rig, backend=self.description.backend)
-        self.engine = EngineLink(rig, self, silence_s)
+        self.engine = EngineLink(rig, self, silence)
         self.reset = button(
             "&Reset the guard", self._reset, "main", "Allow motion again once the cause is removed", "Ctrl+R"
         )

@@ -128,6 +128,31 @@ class TracePath:
         return x[kept], y[kept]
 
 
+class TraceCrossings:
+    """Finds where a channel first comes to a value, by the highest and lowest sample of each short piece.
+
+    Parameters
+    ----------
+    values
+        Shape `(N,)`; NaN for lost samples.
+    """
+
+    def __init__(self, values: npt.NDArray[np.floating]) -> None:
+        self._values = np.asarray(values, np.float32)
+        kept = _extremes(self._values, MAX_PATH_BLOCKS)
+        self._kept = kept[np.isfinite(self._values[kept])]
+
+    def first(self, value: float) -> int | None:
+        """Return the last sample before the channel first comes to a value, or None where it never does."""
+        changes = np.flatnonzero(np.diff(self._values[self._kept] >= value))
+        if not len(changes):
+            return None
+        # A piece may have come to it before its own two kept samples; the piece before has not.
+        begin, end = (self._kept[changes[0] - 1] if changes[0] else 0), self._kept[changes[0] + 1]
+        places = begin + np.flatnonzero(np.isfinite(self._values[begin : end + 1]))
+        return int(places[np.flatnonzero(np.diff(self._values[places] >= value))[0]])
+
+
 _PIECES_PER_COLUMN = 4
 
 

@@ -133,6 +133,16 @@ class Campaign:
         """The runs that are not marked as bad."""
         return tuple(run for run in self.runs if run.path not in self.marks)
 
+    @property
+    def next_order(self) -> int:
+        """Order of a further run: no order is given again, those in names of unreadable files and recordings included.
+
+        Such a file may be restored from a copy.
+        """
+        files = (*(path for path, _ in self.unreadable), *self.recordings)
+        named = (order for path in files if (order := schema.order_in_name(path)) is not None)
+        return max((*(run.header.order for run in self.runs), *named), default=-1) + 1
+
 
 def read_campaign(folder: Path) -> Campaign:
     """Read every run file of a folder, attributes only; raises `RunFileError` when there is no such folder."""

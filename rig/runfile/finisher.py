@@ -25,6 +25,7 @@ import h5py
 from dragrig.config import DragrigError, OutputError, RunFileError, errors
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import BusyError, brief_error, free_bytes, lock_run, remove_file
+from dragrig.rig.runfile.journal import is_without_samples
 from dragrig.rig.runfile.model import Attribute, RunEnding, RunStatus
 from dragrig.rig.runfile.reader import (
     as_run_file_error,
@@ -191,6 +192,8 @@ class RecoveryOutcome(StrEnum):
     """What became of a recording that a crash left."""
 
     FINISHED = "finished"
+    EMPTY = "empty"
+    """A power cut came before its first sample: there was nothing to finish, and what was left of it is removed."""
     IN_USE = "in use"
     LEFT = "left"
 
@@ -218,9 +221,9 @@ def left_recordings(place: Path) -> tuple[Path, ...]:
 def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) -> list[RecoveredRecording]:
     """Finish every recording in a folder, or the one at `place`, whose writer is not alive.
 
-    A run that ended before its file was finished keeps its status; one that was cut off becomes `recovered`. Nothing is
-    removed before its run file is whole, so that calling this again, or losing power meanwhile, does no harm. A
-    recording that cannot be read stays as it is. `progress` is called with each recording before it is finished.
+    A run that ended before its file was finished keeps its status; one that was cut off becomes `recovered`. Nothing
+    with samples is removed before its run file is whole, so that calling this again, or losing power meanwhile, does no
+    harm. A recording that cannot be read stays as it is. `progress` is called with each recording before that.
 
     Raises `RunFileError` when there is no such folder or file.
     """
@@ -232,8 +235,12 @@ def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) ->
     for recording in left_recordings(place):
         progress(recording)
         try:
-            path = finish(recording, after_crash=True)
-            result = RecoveredRecording(recording, RecoveryOutcome.FINISHED, path, read_info(path).samples)
+            if _removed_empty(recording):
+                message = f"{recording}: the power went before a sample of it was taken; its empty journal is removed"
+                result = RecoveredRecording(recording, RecoveryOutcome.EMPTY, message=message)
+            else:
+                path = finish(recording, after_crash=True)
+                result = RecoveredRecording(recording, RecoveryOutcome.FINISHED, path, read_info(path).samples)
         except BusyError as error:
             result = RecoveredRecording(recording, RecoveryOutcome.IN_USE, message=str(error))
         except (DragrigError, OSError) as error:
@@ -243,6 +250,17 @@ def recover(place: Path, progress: Callable[[Path], object] = lambda _: None) ->
     if place.is_dir():
         _remove_leftovers(place)
     return recovered
+
+
+def _removed_empty(recording: Path) -> bool:
+    """Remove a journal that holds nothing of a recording that never got its name; return whether there was one."""
+    journal = schema.journal_path(recording)
+    with lock_run(recording):
+        # A recording gets its name once the first frame of its journal is synced, and samples after that.
+        if recording.exists() or not is_without_samples(journal):
+            return False
+        remove_file(journal)
+    return True
 
 
 def _remove_leftovers(folder: Path) -> None:

@@ -30,6 +30,10 @@ MIN_HEAP_BYTES = 4096
 MAX_TEXT_BYTES = 1 << 24
 MAX_SEARCHED_BYTES = 1 << 28
 """Text stands near the front; of larger files only this much is searched."""
+MAX_SEARCHED_FOR_HEAPS_BYTES = 1 << 34
+"""A file is searched once for each of its heaps; a run file has a handful."""
+MAX_DEPTH, MAX_LINKS = 32, 10_000
+"""Of the groups of a file, and of all that is in them; a run file has three levels and some fifty names."""
 
 _TEXT_TYPES = (
     (b"\x10\0\0\0\x10\0\0\0\x01\0\0\0\0\0\x08\0", 16),
@@ -57,7 +61,11 @@ def find_damaged_text(path: Path) -> int | None:
             return None
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view:
             heap = view.find(HEAP_SIGNATURE, 0, MAX_SEARCHED_BYTES)
+            heaps_left = MAX_SEARCHED_FOR_HEAPS_BYTES // min(len(view), MAX_SEARCHED_BYTES)
             while heap >= 0:
+                heaps_left -= 1
+                if heaps_left < 0:
+                    return heap
                 sizes = _object_sizes(view, heap)
                 if sizes is None:
                     return heap
@@ -166,6 +174,21 @@ class UnfinishedFile:
         view[: len(front)] = front
         self._position += len(view)
         return len(view)
+
+
+def find_excess(file: "h5py.File", max_links: int = MAX_LINKS) -> str | None:
+    """Say where groups are nested too deep or hold too much to be gone through, or return None."""
+    links = 0
+
+    def excess(name: bytes) -> str | None:
+        nonlocal links
+        links += 1
+        if name.count(b"/") >= MAX_DEPTH:
+            return f"groups are nested more than {MAX_DEPTH} deep in it"
+        return f"its groups hold more than {max_links} names" if links > max_links else None
+
+    found: str | None = file.id.links.visit(excess)
+    return found
 
 
 class ForeignStorageError(Exception):

@@ -23,6 +23,8 @@ from dragrig.rig.runfile import schema
 
 _HEAD = struct.Struct("<4sIQI")
 _MAGIC = b"DRJ1"
+MAX_FIRST_FRAME_BYTES = 1 << 20
+"""More than a recording without samples ever has."""
 MAX_BODY_BYTES = 1 << 30
 """More than a frame ever holds: the ring passes on at most `RING_SAMPLES` samples at once."""
 
@@ -89,6 +91,19 @@ def read_frames(path: Path) -> Iterator[tuple[FrameKind, bytes]]:
         while (frame := _read_frame(file, checksum)) is not None:
             kind, body, checksum = frame
             yield kind, body
+
+
+def is_without_samples(path: Path) -> bool:
+    """Tell whether a power cut came before a journal's first frame was on the disk, so that nothing follows it.
+
+    Raises `OSError` when the file cannot be read.
+    """
+    if any(True for _ in read_frames(path)):
+        return False
+    with path.open("rb") as file:
+        content = file.read(MAX_FIRST_FRAME_BYTES)
+        # A journal's length may be on the disk before its content: it reads as zeros.
+        return content.find(_MAGIC, 1) < 0 and not any(any(piece) for piece in iter(lambda: file.read(1 << 20), b""))
 
 
 def _read_frame(file: BinaryIO, before: int) -> tuple[FrameKind, bytes, int] | None:

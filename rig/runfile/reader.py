@@ -23,6 +23,7 @@ from dragrig.rig.runfile.hdf5 import (
     ForeignStorageError,
     UnfinishedFile,
     find_damaged_text,
+    find_excess,
     find_oversized_text,
     is_open_for_writing,
     refuse_foreign_storage,
@@ -517,6 +518,9 @@ def open_run(path: Path) -> Iterator[h5py.File]:
             else:
                 file = h5py.File(path, "r", locking="best-effort")
             stack.enter_context(file)
+            with as_run_file_error(path):
+                if (excess := find_excess(file)) is not None:
+                    raise LayoutError(excess)
             refuse_foreign_storage(file)
             with as_run_file_error(path):
                 if (offset := find_oversized_text(file, path)) is not None:

@@ -161,6 +161,7 @@ FILTER_EVENT = "filter"
 
 
 _KIND_PATTERN = re.compile(r"[a-z][a-z0-9_-]*")
+_RUN_NAME = re.compile(rf"\d{{8}}-\d{{6}}-{_KIND_PATTERN.pattern}-(?P<order>\d{{3,6}})\.")
 
 
 def event_dtype() -> "np.dtype[np.void]":
@@ -185,6 +186,12 @@ def run_file_name(start_time: datetime, kind: str, order: int) -> str:
     if not _KIND_PATTERN.fullmatch(kind):
         raise OutputError(f"the kind {kind!r} cannot name a file; use small letters, digits, - and _")
     return f"{start_time:%Y%m%d-%H%M%S}-{kind}-{order:03d}{FINISHED_SUFFIX}"
+
+
+def order_in_name(path: Path) -> int | None:
+    """Return the order of a run that its file's name states; None for a name that somebody else gave."""
+    stated = _RUN_NAME.match(path.name)
+    return None if stated is None else int(stated.group("order"))
 
 
 def is_recording(path: Path) -> bool:
