@@ -239,7 +239,7 @@ class RunChecks:
             warnings.append(f"{self._lost} samples were lost")
         if self._clipped:
             warnings.append(f"{self._clipped} samples are at the end of the sensor's range")
-        if self._rest.noise > self._accuracy_mN:
+        if not self._rest.noise <= self._accuracy_mN:
             warnings.append(
                 f"noise at rest is {self._rest.noise:.1f} mN, over the sensor's accuracy of {self._accuracy_mN:g} mN"
             )

@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from math import nan
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from hypothesis import strategies as st
 from simulated import NEVER, stroke
 
 from dragrig.config.errors import DeviceError
+from dragrig.config.rig import DriveSettings
 from dragrig.rig.devices import TravelEnd, TripCause
-from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Request
+from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Reply, Request
+from dragrig.rig.hardware.dialects.nikki import NikkiDialect
 from dragrig.rig.hardware.drive.monitor import Monitor
 from dragrig.rig.hardware.drive.position_mode import split_into_strokes
 from dragrig.rig.hardware.sync import FirstSample
@@ -198,6 +201,23 @@ def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float
         rig.stage.move(stroke(travel_mm=1.0))
         until(lambda: stands(rig))
         assert rig.stage.fault is None
+
+
+def test_a_position_that_is_no_number_is_none() -> None:
+    class Unsure(NikkiDialect):
+        """A dialect whose drive may say that it does not know where it is."""
+
+        def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply:
+            reply = super().decode(request, replies, drive)
+            return Reply(nan) if request.command is Command.POSITION else reply
+
+    with driven() as rig:
+        rig.ready()
+        rig.link.dialect = Unsure()
+        with pytest.raises(DeviceError, match="answered without a position"):
+            rig.stage.state()
+        with pytest.raises(DeviceError, match="answered without a position"):
+            rig.stage.move(stroke())
 
 
 @pytest.mark.parametrize("kind", PORTS)

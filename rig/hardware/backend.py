@@ -285,9 +285,9 @@ def _check_force(rig: RigSettings, scaling: Scaling, limits: NoiseLimits, readin
     problem = ""
     if reading.fault is not None:
         problem = reading.fault.message
-    elif noise > accuracy:
+    elif not noise <= accuracy:
         problem = f"noisier than its accuracy of {accuracy:g} mN; check shield and ground"
-    elif abs(zero) > _MAX_ZERO_FRACTION * (high - low) / 2:
+    elif not abs(zero) <= _MAX_ZERO_FRACTION * (high - low) / 2:
         problem = "far from zero; is something hanging on it, or was it overloaded?"
     detail = f"zero {zero:.1f} mN, noise {noise:.2f} mN ({reading.force_V:.4f} V)"
     if problem:

@@ -221,6 +221,7 @@ class DriveDouble:
             return refused
         if self._parameters[Parameter.HOMING_SPEED_MM_S] <= 0:
             return Refusal.BAD_VALUE
+        direction = -direction if self.bench.faults.active.homing_reversed else direction
         self._homed, self._homing, self._seeks_switch = False, True, True
         stage = self.bench.rig.stage
         limit_mm = stage.lowest_mm if direction < 0 else stage.highest_mm

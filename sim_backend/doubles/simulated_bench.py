@@ -284,6 +284,8 @@ class ActiveFaults:
     """Delay of the drive's replies, in wall time."""
     drive_starts_late_s: float = 0.0
     """Time from the drive's acknowledgement of a stroke to its start."""
+    homing_reversed: bool = False
+    """The drive homes over the other limit switch, whatever it is told."""
     drive_garbled: bool = False
     """The drive's replies arrive with wrong bytes."""
     drive_silent: bool = False

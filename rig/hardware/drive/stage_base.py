@@ -7,6 +7,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from math import isfinite
 from threading import Event as Signal
 
 from dragrig.config import DeviceError, RigSettings
@@ -188,9 +189,9 @@ class DriveTracker:
             return self._trip(status)
 
     def position_mm(self) -> float:
-        """Request the position; raises `DeviceError` when the drive does not answer."""
+        """Request the position; raises `DeviceError` when the drive does not answer, or with no number."""
         value = self._link.exchange(Request(Command.POSITION)).value
-        if value is None:
+        if value is None or not isfinite(value):
             raise DeviceError(
                 f"the drive on {self._link.port} answered without a position: check hardware.drive.dialect."
             )
