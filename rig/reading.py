@@ -224,8 +224,8 @@ class RunChecks:
         if travel_mm is not None:
             self._mismatch = (travel_mm - drive_travel_mm, bound_mm)
 
-    def report(self) -> CheckReport:
-        """Return the results so far."""
+    def report(self, late_replies: int = 0) -> CheckReport:
+        """Return the results so far, with how often the drive answered late."""
         values: dict[str, Attribute] = {
             "lost_samples": self._lost,
             "clipped_samples": self._clipped,
@@ -242,6 +242,12 @@ class RunChecks:
         if not self._rest.noise <= self._accuracy_mN:
             warnings.append(
                 f"noise at rest is {self._rest.noise:.1f} mN, over the sensor's accuracy of {self._accuracy_mN:g} mN"
+            )
+        if late_replies:
+            values["late_replies"] = late_replies
+            warnings.append(
+                f"{late_replies} repl{'y' if late_replies == 1 else 'ies'} of the drive came late "
+                "(hardware.drive.reply_s): this computer is busy; end other programs before a stop comes late"
             )
         encoder_fault = self._report_travel(values)
         if encoder_fault:

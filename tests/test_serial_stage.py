@@ -465,6 +465,19 @@ def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:
         assert rig.drive.status.halt is Halt.TARGET
 
 
+@pytest.mark.parametrize("dialect", [{}, {"dialect": "modbus"}])
+def test_a_motion_goes_on_though_load_makes_replies_late(dialect: dict[str, object]) -> None:
+    with driven(reply_s=0.1, silence_s=2.0, **dialect) as rig:
+        rig.ready()
+        rig.bench.faults.inject(drive_reply_load_s=0.15 if dialect else 0.8)
+        rig.stage.move(stroke(travel_mm=60.0, speed_mm_s=20.0))
+        until(lambda: is_under_way(rig))
+        until(lambda: stands(rig))
+        assert rig.stage.fault is None
+        assert rig.drive.status.halt is Halt.TARGET
+        assert rig.stage.late_replies > 0
+
+
 def test_homing_does_not_wait_for_ever_on_a_drive_that_says_it_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     with driven(pace=20.0, silence_s=0.5) as rig:
         rig.stage.enable()

@@ -315,7 +315,8 @@ def check_drive(stage: Stage, link: DriveLink, rig: RigSettings) -> Iterator[Rig
     """Request the drive's state, and write its limits and read them back."""
     state = stage.state()
     homed = f"homed, at {state.position_mm:g} mm" if state.homed else "not homed yet"
-    answers = f"answers on {link.port} within {1000 * link.round_trip_s:.1f} ms; {homed}"
+    late = f", {link.late_replies} times only after hardware.drive.reply_s" if link.late_replies else ""
+    answers = f"answers on {link.port} within {1000 * link.round_trip_s:.1f} ms{late}; {homed}"
     yield RigCheck("drive", state.fault is None, answers if state.fault is None else state.fault.message)
     limits, drive = stage.limits, rig.hardware.drive
     try:

@@ -282,6 +282,8 @@ class ActiveFaults:
     """Text or code of an alarm that the drive raises; empty for none."""
     drive_reply_late_s: float = 0.0
     """Delay of the drive's replies, in wall time."""
+    drive_reply_load_s: float = 0.0
+    """Longest further delay of a reply by the load of a busy computer, in wall time: each is drawn, most are short."""
     drive_starts_late_s: float = 0.0
     """Time from the drive's acknowledgement of a stroke to its start."""
     homing_reversed: bool = False
