@@ -30,8 +30,8 @@ _MOVED_SHARE = 0.5
 """Share of its command's step that a stage moves at least where the force has to resist."""
 _NOISE_WINDOW_S = 0.1
 """Noise is judged over this time, whole periods of the mains' hum, beside a parabola …"""
-_NOISE_DELAY_S = 0.1
-"""… and this long after a stop, when the stage no longer rings."""
+_NOISE_DELAY_S = 0.14
+"""… and this long after a stop, when the stage no longer rings, nor the wall's fast branch bends the force."""
 _NOISE_GROWTH, _LEAST_NOISE_SHARE = 2.0, 0.5
 """Noise may be so many times that before the motion, and this share of the sensor's accuracy in any case."""
 _FOLLOWING_FORCE, _LEAST_STEP = 5.0, 0.2
@@ -212,7 +212,7 @@ class RunChecks:
             delay_s = _NOISE_DELAY_S + self._start_delay.delay_s
             self._noise_after.add(self._settled.force_of(reading, delay_s))
             if self._stops is not None and self._rest.count:
-                self._stops.add(reading, self._rest.mean)
+                self._stops.add(reading, self._rest.mean, self._start_delay.delay_s)
             self._following_error_mm = max(self._following_error_mm, extremes.following_error_mm)
             self._start_delay.add(reading)
         self._standstill.add(reading)
@@ -412,23 +412,26 @@ class _StopResponse:
         self._samples = max(round(_NOISE_WINDOW_S * rate_hz), _PARABOLA_TERMS + 2)
         self._before: FloatArray = np.zeros(0)
         self._after: FloatArray = np.zeros(0)
-        self._braking, self._moved = 0, False
+        self._rate_hz, self._braking, self._late, self._moved = rate_hz, 0, 0, False
         self.unfollowed = 0
         """Number of stops that the force did not follow."""
 
-    def add(self, reading: Reading, rest_mN: float) -> None:
-        """Take the next reading, and the mean force at rest before the motion."""
+    def add(self, reading: Reading, rest_mN: float, late_s: float) -> None:
+        """Take the next reading, the mean force at rest before the motion, and how much later the stage moves."""
         changes = np.flatnonzero(np.diff(reading.phase)) + 1
         forces = np.split(reading.channels["force"].astype(np.float64), changes)
         for phase, force in zip(reading.phase[[0, *changes]].tolist(), forces, strict=True):
             if phase == _HOLD and self._moved:
-                self._after = np.concatenate((self._after, force))
+                # A stage that set out late comes to its stop as late.
+                going_on = force[: max(round(late_s * self._rate_hz) - self._late, 0)]
+                self._late += len(going_on)
+                self._after = np.concatenate((self._after, force[len(going_on) :]))
                 if len(self._after) >= self._samples:
                     self._judge(rest_mN)
             elif phase == _BRAKING:
                 self._braking += len(force)
             else:
-                self._braking = 0
+                self._braking = self._late = 0
                 self._moved |= phase not in {_REST, _HOLD}
                 self._before = np.concatenate((self._before, force))[-2 * self._samples :]
                 self._after = self._after[:0]
@@ -439,7 +442,7 @@ class _StopResponse:
         if len(before) < 2 * size:
             return
         earlier_mN, later_mN = float(before[:size].mean()), float(before[size:].mean())
-        ahead = 1.0 + self._braking / size
+        ahead = 1.0 + (self._braking + self._late) / size
         step_mN = float(after.mean()) - later_mN - ahead * (later_mN - earlier_mN)
         error_mN = self._noise.of(after) * sqrt((1.0 + (1.0 + ahead) ** 2 + ahead**2) / size)
         bound_mN = max(_LEAST_STEP * self._accuracy_mN, _RESPONSE_STANDARD_ERRORS * error_mN)
