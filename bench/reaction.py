@@ -43,7 +43,7 @@ ACQUISITION = Acquisition(
     order=0,
     kind="drag",
     profile=MotionProfile.from_pieces(
-        (stationary_piece(0.1, Phase.REST), *trapezoid(60.0, SPEED_MM_S, 1000.0), stationary_piece(0.1, Phase.HOLD))
+        (stationary_piece(0.2, Phase.REST), *trapezoid(60.0, SPEED_MM_S, 1000.0), stationary_piece(0.3, Phase.HOLD))
     ),
     capsule=Capsule(name="smooth", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.1),
     specimen=Specimen(name="none"),

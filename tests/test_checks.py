@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from dragrig.analysis.measures import table_row
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
@@ -99,23 +100,29 @@ def test_a_wall_that_relaxes_is_not_taken_for_noise_that_began(strain: float, ho
         assert relaxing(seed, strain, hold_s=hold_s, white_mN=0.3, relaxes_from_s=None).warnings == ()
 
 
-def strokes_with_cable_pulled(at_s: float, hum_mN: float = 0.0, drift_mN_s: float = 0.0) -> CheckReport:
+def strokes_with_cable_pulled(
+    at_s: float, hum_mN: float = 0.0, drift_mN_s: float = 0.0, late_s: float = 0.0
+) -> CheckReport:
     """Three strokes against a dry friction, whose sensor's cable comes off at a time."""
     strokes = tuple(Move(travel_mm=sign * 20.0, speed_mm_s=20.0, pause_s=0.5) for sign in (1, -1, 1))
     profile = MotionProtocol(strokes=strokes).profile(SPECIMEN)
     time = np.arange(profile.samples(RATE)) / RATE
     off = time >= at_s
     noise = np.random.default_rng(4).normal(0, 1.0, len(time))
-    friction = 60.0 * np.sign(np.round(profile.velocity(time), 6))
+    friction = 60.0 * np.sign(np.round(profile.velocity(np.maximum(time - late_s, 0.0)), 6))
     floating = 350.0 + drift_mN_s * (time - 1.0) + hum_mN * np.sin(2 * np.pi * 50.0 * time)
     force = np.where(off, floating, friction) + noise
-    return report(profile, force.astype(np.float32), contact=Contact.SLIDING)
+    return report(profile, force.astype(np.float32), contact=Contact.SLIDING, late_s=late_s)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.05, 0.2])
+def test_a_stage_that_comes_late_to_its_stops_is_followed_too(late_s: float) -> None:
+    assert strokes_with_cable_pulled(np.inf, late_s=late_s).warnings == ()
 
 
 @pytest.mark.parametrize("at_s", [1.5, 2.6, 4.5])
 @pytest.mark.parametrize("drift_mN_s", [0.0, 30.0, -30.0])
 def test_a_force_that_follows_the_stops_of_the_stage_no_more_is_said(at_s: float, drift_mN_s: float) -> None:
-    assert strokes_with_cable_pulled(np.inf).warnings == ()
     seen = strokes_with_cable_pulled(at_s, drift_mN_s=drift_mN_s)
     assert seen.values["force_response"] == "none to a stop"
     (warning,) = seen.warnings
@@ -154,6 +161,15 @@ def test_a_capsule_that_slips_is_reported_with_its_time(at_s: float, drop: float
 def test_a_wall_that_relaxes_is_not_taken_for_slip(strain: float) -> None:
     for seed in range(10):
         assert relaxing(seed, strain).values["slip_time_s"] == -1.0
+
+
+@pytest.mark.parametrize("plan", ["first", "drag-sweep"])
+def test_the_shipped_plans_on_the_simulated_rig_are_marked_by_nothing(plan: str) -> None:
+    import dragrig
+
+    runs = dragrig.simulate(plan, assignments=["rig.data.root='.'"])
+    assert {table_row(run).checks for run in runs} == {"ok"}
+    assert all("noise_after_mN" in run.info.checks for run in runs)
 
 
 def test_the_simulated_walls_relaxation_is_not_taken_for_slip() -> None:
