@@ -395,7 +395,11 @@ def _capsule_label(info: RunInfo) -> str:
     return f"{diameter:g} × {length:g} mm" + ("" if mass is None else f", {mass:g} g")
 
 
-FORCE_RESPONSE_FINDINGS = {"none": "force dead", "along the motion": "force inverted"}
+FORCE_RESPONSE_FINDINGS = {
+    "none": "force dead",
+    "along the motion": "force inverted",
+    "none to a stop": "force does not follow",
+}
 """What a run's `force_response` says, where the force is not as it has to be."""
 
 
@@ -411,6 +415,9 @@ def _check_summary(info: RunInfo) -> str:
         findings.append(f"encoder {off_mm:+.2f} mm off")
     if (response := checks.get("force_response")) in FORCE_RESPONSE_FINDINGS:
         findings.append(FORCE_RESPONSE_FINDINGS[str(response)])
+    noise_mN, quiet_mN = (attribute_number(checks, f"noise_after_{key}") for key in ("mN", "allowed_mN"))
+    if noise_mN is not None and quiet_mN is not None and noise_mN > quiet_mN:
+        findings.append(f"noise of {noise_mN:.1f} mN began")
     slip_s = attribute_number(checks, "slip_time_s")
     if slip_s is not None and slip_s >= 0:
         findings.append(f"slip at {slip_s:.1f} s")

@@ -51,7 +51,7 @@ ACQUISITION = Acquisition(
     order=0,
     kind="drag",
     profile=MotionProfile.from_pieces(
-        (stationary_piece(0.1, Phase.REST), *trapezoid(60.0, SPEED_MM_S, 1000.0), stationary_piece(0.1, Phase.HOLD))
+        (stationary_piece(0.2, Phase.REST), *trapezoid(60.0, SPEED_MM_S, 1000.0), stationary_piece(0.3, Phase.HOLD))
     ),
     capsule=Capsule(name="smooth", surface="smooth", diameter_mm=12.9, length_mm=15.2, mass_g=50.1),
     specimen=Specimen(name="none"),
@@ -96,6 +96,8 @@ SIGNALS: Mapping[str, Mapping[str, float | str]] = {
     "amplifier saturated at 5 V, `rail_V = 5`": {"force_rail_V": 5.0, "force_added_mN": 7000.0},
     "force cable pulled, pull-up": {"sensor_open": True},
     "force cable pulled, pull-down": {"sensor_open": True},
+    "force cable pulled, floating at 350 mN": {"force_floats_mN": 350.0},
+    "force cable pulled, floating with 35 mN of hum": {"force_floats_mN": 350.0, "force_floats_hum_mN": 50.0},
     "force sensor's wires swapped": {"force_inverted": True},
     "tone of 200 mN at 16 kHz": {"force_tone_mN": 200.0, "force_tone_hz": 16_000.0},
     "100 counts lost": {"encoder_added_counts": -100},
@@ -179,7 +181,7 @@ def struck_in_motion(rig: RigSettings, faults: Mapping[str, float | str], wait_s
     (outcome,) = outcomes
     if outcome.reason:
         return Found(f"trip ({outcome.reason.partition(':')[0]})", stood_s - struck_s, stood_mm - struck_mm)
-    marks = ", ".join(re.split(r" by |,| when ", text)[0] for text in outcome.checks.warnings)
+    marks = ", ".join(re.split(r" by |[,:]| when ", text)[0] for text in outcome.checks.warnings)
     return Found(f"mark ({marks})" if marks else "-", float("nan"), float("nan"))
 
 

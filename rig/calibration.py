@@ -54,7 +54,7 @@ def fit_force(loads_mN: Sequence[float], volts: Sequence[float]) -> CalibrationL
         raise SettingsError("the readings do not change with the load: is the sensor connected, and the load on it?")
     (gain, zero), covariance = np.polyfit(reading, force, 1, cov=True)
     gain_error, zero_error = np.sqrt(np.diag(covariance))
-    if gain_error > _MAX_RELATIVE_GAIN_ERROR * abs(gain):
+    if not gain_error <= _MAX_RELATIVE_GAIN_ERROR * abs(gain):
         raise SettingsError(
             f"the readings do not follow the loads (gain {gain:.4g} ± {gain_error:.2g} mN/V): is each load on the "
             "sensor, and does it hang still?"
@@ -85,7 +85,7 @@ def fit_encoder(travels_mm: Sequence[float], counts: Sequence[float]) -> Calibra
     residuals = travel - gain * counted
     residual = sqrt(float(residuals @ residuals) / (len(travel) - 1)) if len(travel) > 1 else 0.0
     gain_error = residual / sqrt(sum_of_squares)
-    if gain <= 0 or gain_error > _MAX_RELATIVE_GAIN_ERROR * gain:
+    if not (gain > 0 and gain_error <= _MAX_RELATIVE_GAIN_ERROR * gain):
         raise SettingsError(
             f"the counts do not follow the travel ({gain:.4g} ± {gain_error:.2g} mm per count): does the stage "
             "move all of it, and does the encoder count up where the stage moves up (hardware.card.encoder.reversed)?"

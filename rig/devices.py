@@ -266,6 +266,15 @@ class SupportsMotionTrial(Protocol):
         """Move by a millimetre and compare, if it is due; raises `DeviceError` when the three do not agree."""
 
 
+@runtime_checkable
+class CountsLateReplies(Protocol):
+    """A stage that tells how often its drive answered late."""
+
+    @property
+    def late_replies(self) -> int:
+        """How many replies came late so far, and were good all the same; must not block."""
+
+
 class Sampler(Protocol):
     """Hardware-timed acquisition of force, position and further channels."""
 

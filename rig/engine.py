@@ -34,7 +34,7 @@ from dragrig.config import (
     TrippedError,
     reason_of,
 )
-from dragrig.rig.devices import Acquisition, Backend, Block, Trip, TripCause
+from dragrig.rig.devices import Acquisition, Backend, Block, CountsLateReplies, Trip, TripCause
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import AnyFloatArray, Phase, PhaseArray
 from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
@@ -118,7 +118,7 @@ class RunningAcquisition:
             1e-3 * rig.encoder.resolution_um,
         )
         self._guard_settings = rig.guard
-        self._drive_from_mm = nan
+        self._drive_from_mm, self._late_replies_before = nan, 0
         self._expected = acquisition.profile.samples(self._rate_hz)
         self._began_s = self._clock.monotonic()
         self._settle_until_s = self._braking_from_s = 0.0
@@ -139,6 +139,7 @@ class RunningAcquisition:
 
         A stop after arming drops the motion; arming forgets one before it, which has set `cancel`.
         """
+        self._late_replies_before = self._late_replies()
         self._drive_from_mm = self._stage.state().drive_mm
         self._sampler.arm(self._acquisition)
         if cancel.is_set():
@@ -248,14 +249,18 @@ class RunningAcquisition:
                 low_mm, high_mm = min(low_mm, extremes.min_position_mm), max(high_mm, extremes.max_position_mm)
                 with suppress(RecordingError):
                     self._take(block, reading, extremes)
-            self._explain_silence(high_mm - low_mm)
+            self._explain_standing(high_mm - low_mm)
 
-    def _explain_silence(self, counted_mm: float) -> None:
-        if not self._guard.silent_from_rest:
+    def _explain_standing(self, counted_mm: float) -> None:
+        """Give the reason of a stage that stands although it was to move, which not every thread sees at once."""
+        if not self._guard.may_be_stopped:
             # The drive is not asked without need: one that does not answer would keep the run from its end.
             return
-        drive_travel_mm = abs(self._stage.state().drive_mm - self._drive_from_mm)
-        if trip := self._guard.explain_silence(counted_mm, drive_travel_mm):
+        drive_mm = nan
+        with suppress(DeviceError):
+            drive_mm = self._stage.state().drive_mm
+        trip = self._guard.explain_standing(self._fault())
+        if trip or (trip := self._guard.explain_silence(counted_mm, abs(drive_mm - self._drive_from_mm))):
             self._reason = f"{trip.cause}: {trip.message}"
             self._note("trip", self._reason, self._braking_from_s)
 
@@ -267,7 +272,7 @@ class RunningAcquisition:
             attempt(lambda: self._note("stopped", f"{travel_mm:.2f} mm after the stop, at {self._position_mm:.2f} mm"))
         if failures and self._status is RunStatus.COMPLETE:
             self._status = RunStatus.FAILED
-        report = self._checks.report()
+        report = self._checks.report(self._late_replies() - self._late_replies_before)
         paths: list[Path] = []
         if (sink := self._sink) is not None:
             failures.append(attempt(self._annotate_uncertainty))
@@ -281,6 +286,9 @@ class RunningAcquisition:
 
     def _all_reasons(self, failures: list[str]) -> str:
         return "; ".join(part for part in (self._reason, *failures) if part)
+
+    def _late_replies(self) -> int:
+        return self._stage.late_replies if isinstance(self._stage, CountsLateReplies) else 0
 
     def _fault(self) -> Trip | None:
         try:

@@ -21,6 +21,8 @@ _MAX_DITHER_COUNTS = 1.5
 _MAX_JUMP_COUNTS = 3
 _MAX_ACCELERATION_MM_S2 = 5000.0
 """More than any motion's."""
+_CAUSES_OF_STANDING = {TripCause.ENCODER_SILENT, TripCause.FOLLOWING_ERROR, TripCause.NO_MOTION}
+"""What a stage looks like that something else has stopped."""
 LIMIT_SWITCH_CAUSES = {
     TravelEnd.LOW: TripCause.LIMIT_SWITCH_LOW,
     TravelEnd.HIGH: TripCause.LIMIT_SWITCH_HIGH,
@@ -228,6 +230,21 @@ class Guard:
             f"neither drive nor encoder moved {self._unmoved}; the drive begins too late, or the stage is blocked",
         )
         return self._trip
+
+    @property
+    def may_be_stopped(self) -> bool:
+        """Whether it is latched on what an emergency stop looks like in the samples."""
+        return self._trip is not None and self._trip.cause in _CAUSES_OF_STANDING
+
+    def explain_standing(self, fault: Trip | None) -> Trip | None:
+        """Take an emergency stop in place of its effects, which the samples may show first.
+
+        Returns the trip that takes the place of the one that it is latched on; None where that stays.
+        """
+        if not self.may_be_stopped or fault is None or fault.cause is not TripCause.EMERGENCY_STOP:
+            return None
+        self._trip = fault
+        return fault
 
     def latch(self, trip: Trip) -> Trip | None:
         """Trip on a condition that no sample shows; return the trip, None when it was latched already."""

@@ -5,7 +5,7 @@ Checks are accumulated block by block, so that they need no memory of the run an
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import sqrt
+from math import isnan, nan, sqrt
 from statistics import median
 
 import numpy as np
@@ -28,12 +28,22 @@ _INVERTED_SHARE = 0.25
 """Share of the force's largest change that must push along the motion, on average, in an inverted force."""
 _MOVED_SHARE = 0.5
 """Share of its command's step that a stage moves at least where the force has to resist."""
-_NO_RESPONSE, _INVERTED = "none", "along the motion"
+_NOISE_WINDOW_S = 0.1
+"""Noise is judged over this time, whole periods of the mains' hum, beside a parabola …"""
+_NOISE_DELAY_S = 0.14
+"""… and this long after a stop, when the stage no longer rings, nor the wall's fast branch bends the force."""
+_NOISE_GROWTH, _LEAST_NOISE_SHARE = 2.0, 0.5
+"""Noise may be so many times that before the motion, and this share of the sensor's accuracy in any case."""
+_FOLLOWING_FORCE, _LEAST_STEP = 5.0, 0.2
+"""A force of so many of the sensor's accuracies has to change by this share of one when the stage stops."""
+_NO_RESPONSE, _INVERTED, _NOT_FOLLOWING = "none", "along the motion", "none to a stop"
 _RESPONSE_WARNINGS = {
     _NO_RESPONSE: "the force did not change when the stage moved: is the sensor alive, and does the capsule touch?",
     _INVERTED: "the force acts along the motion, not against it: check the calibration's sign, or the sensor's wires",
+    _NOT_FOLLOWING: "the force did not change when the stage stopped: was the sensor's cable pulled during the run?",
 }
-_REST, _HOLD = int(Phase.REST), int(Phase.HOLD)
+_PARABOLA_TERMS = 3
+_REST, _BRAKING, _HOLD = int(Phase.REST), int(Phase.DECELERATE), int(Phase.HOLD)
 _SLIP_DELAY_S = 0.3
 """Slip is looked for from this time after the ramp on: by then the fast branch has relaxed."""
 _SLIP_BIN_S = 0.1
@@ -168,6 +178,9 @@ class RunChecks:
         self._count_mm = count_mm
         self._mismatch: tuple[float, float] | None = None
         self._rest = _RestStatistics()
+        self._noise_before, self._noise_after = _Noise(rate_hz), _Noise(rate_hz)
+        self._settled = _SettledHold()
+        self._stops = None if contact is Contact.NONE else _StopResponse(rate_hz, accuracy_mN)
         self._clipped = 0
         self._lost = 0
         self._following_error_mm = 0.0
@@ -192,8 +205,14 @@ class RunChecks:
         if extremes.max_force_mN >= high_mN or extremes.min_force_mN <= low_mN:
             self._clipped += int(np.count_nonzero((raw_force >= high_mN) | (raw_force <= low_mN)))
         if reading.phase[0] == _REST:
-            self._rest.add(reading.channels["force"][reading.phase == _REST])
+            at_rest = reading.channels["force"][reading.phase == _REST]
+            self._rest.add(at_rest)
+            self._noise_before.add(at_rest)
         if commanded:
+            delay_s = _NOISE_DELAY_S + self._start_delay.delay_s
+            self._noise_after.add(self._settled.force_of(reading, delay_s))
+            if self._stops is not None and self._rest.count:
+                self._stops.add(reading, self._rest.mean, self._start_delay.delay_s)
             self._following_error_mm = max(self._following_error_mm, extremes.following_error_mm)
             self._start_delay.add(reading)
         self._standstill.add(reading)
@@ -224,8 +243,8 @@ class RunChecks:
         if travel_mm is not None:
             self._mismatch = (travel_mm - drive_travel_mm, bound_mm)
 
-    def report(self) -> CheckReport:
-        """Return the results so far."""
+    def report(self, late_replies: int = 0) -> CheckReport:
+        """Return the results so far, with how often the drive answered late."""
         values: dict[str, Attribute] = {
             "lost_samples": self._lost,
             "clipped_samples": self._clipped,
@@ -239,21 +258,45 @@ class RunChecks:
             warnings.append(f"{self._lost} samples were lost")
         if self._clipped:
             warnings.append(f"{self._clipped} samples are at the end of the sensor's range")
-        if self._rest.noise > self._accuracy_mN:
-            warnings.append(
-                f"noise at rest is {self._rest.noise:.1f} mN, over the sensor's accuracy of {self._accuracy_mN:g} mN"
-            )
+        warnings += self._report_noise(values)
+        warnings += _report_late(late_replies, values)
         encoder_fault = self._report_travel(values)
         if encoder_fault:
             warnings.append(encoder_fault)
-        if self._response is not None and (response := self._response.verdict(self._rest)):
-            values["force_response"] = response
-            warnings += [text for verdict, text in _RESPONSE_WARNINGS.items() if verdict == response]
+        warnings += self._report_response(values)
         if self._slip is not None:
             values["slip_time_s"] = self._slip.time_s
             if self._slip.time_s >= 0:
                 warnings.append(f"the capsule seems to have slipped at {self._slip.time_s:.1f} s")
         return CheckReport(values, tuple(warnings), encoder_fault)
+
+    def _report_response(self, values: dict[str, Attribute]) -> list[str]:
+        """Add what the force did while the stage moved and stopped; return the warning that is due for it."""
+        response = "" if self._response is None else self._response.verdict(self._rest)
+        if response and response != _NO_RESPONSE and self._stops is not None and self._stops.unfollowed:
+            response = _NOT_FOLLOWING
+        values |= {"force_response": response} if response else {}
+        return [text for verdict, text in _RESPONSE_WARNINGS.items() if verdict == response]
+
+    def _report_noise(self, values: dict[str, Attribute]) -> list[str]:
+        """Add the noise before and after the motion; return the warnings that are due for it, or for its growth."""
+        before_mN, after_mN = self._noise_before.noise, self._noise_after.noise
+        noise_mN, warnings = max(self._rest.noise, before_mN or 0.0), []
+        if not noise_mN <= self._accuracy_mN:
+            warnings.append(
+                f"noise at rest is {noise_mN:.1f} mN, over the sensor's accuracy of {self._accuracy_mN:g} mN"
+            )
+        if before_mN is None or after_mN is None:
+            return warnings
+        least_mN = max(_LEAST_NOISE_SHARE * self._accuracy_mN, 1.5 * before_mN)
+        allowed_mN = max(min(_NOISE_GROWTH * before_mN, self._accuracy_mN), least_mN)
+        values |= {"noise_before_mN": before_mN, "noise_after_mN": after_mN, "noise_after_allowed_mN": allowed_mN}
+        if not after_mN <= allowed_mN:
+            warnings.append(
+                f"noise or hum began within the run: {after_mN:.1f} mN at rest after the motion, {before_mN:.1f} mN "
+                "before it; check the force sensor's cable and shield, and what was switched on"
+            )
+        return warnings
 
     def _report_travel(self, values: dict[str, Attribute]) -> str:
         """Add by how much encoder and drive differ; return the warning that is due for it, else nothing."""
@@ -267,6 +310,17 @@ class RunChecks:
             f"encoder and drive differ by {off_mm:+.3f} mm after the motion, and may by {bound_mm:.3f} mm: counts "
             "were lost or came twice, or the resolution is wrong"
         )
+
+
+def _report_late(late_replies: int, values: dict[str, Attribute]) -> list[str]:
+    """Add how often the drive answered late, if it did; return the warning that is due for it."""
+    if not late_replies:
+        return []
+    values["late_replies"] = late_replies
+    return [
+        f"{late_replies} repl{'y' if late_replies == 1 else 'ies'} of the drive came late (hardware.drive.reply_s): "
+        "this computer is busy; end other programs before a stop comes late"
+    ]
 
 
 class _RestStatistics:
@@ -293,6 +347,107 @@ class _RestStatistics:
     @property
     def noise(self) -> float:
         return sqrt(self._squares / self._steps / 2) if self._steps else 0.0
+
+
+class _Noise:
+    """Noise within a tenth of a second, hum included, beside a parabola that takes what relaxes or drifts.
+
+    The median over such windows, so that a single jerk is none.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        self._samples = max(round(_NOISE_WINDOW_S * rate_hz), _PARABOLA_TERMS + 2)
+        self._basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, self._samples), _PARABOLA_TERMS))[0]
+        self._pending: FloatArray = np.zeros(0)
+        self._windows_mN: list[float] = []
+
+    @property
+    def noise(self) -> float | None:
+        """Standard deviation [mN]; None before the first window."""
+        return median(self._windows_mN) if self._windows_mN else None
+
+    def add(self, values: AnyFloatArray) -> None:
+        """Take the next values of one standstill after another, shape `(n,)`."""
+        if not len(values):
+            return
+        joined = np.concatenate((self._pending, values.astype(np.float64)))
+        whole = len(joined) // self._samples * self._samples
+        self._pending = joined[whole:]
+        for window in joined[:whole].reshape(-1, self._samples):
+            self._windows_mN.append(self.of(window))
+
+    def of(self, window: FloatArray) -> float:
+        """Return the noise of one window."""
+        beside = window - self._basis @ (window @ self._basis)
+        return sqrt(float(np.einsum("i,i", beside, beside)) / (len(window) - _PARABOLA_TERMS))
+
+
+class _SettledHold:
+    """The force of the standstills after motions, from some time after each stop on."""
+
+    def __init__(self) -> None:
+        self._begins_s = nan
+
+    def force_of(self, reading: Reading, delay_s: float) -> FloatArray:
+        """Return what of a reading's force is so much later than a stop, shape `(n,)`; it may be none."""
+        holding = reading.phase == _HOLD
+        if not holding.any():
+            self._begins_s = nan
+            return np.zeros(0)
+        if isnan(self._begins_s) or not holding[0]:
+            self._begins_s = float(reading.time[holding.argmax()])
+        settled = holding & (reading.time >= self._begins_s + delay_s)
+        return np.asarray(reading.channels["force"][settled], np.float64)
+
+
+class _StopResponse:
+    """Whether the force changes at each stop, as friction does, beside what it drifts anyway.
+
+    Compared are the means over a tenth of a second: two before the stage brakes, of which the second goes on from the
+    first, and one after it stands.
+    """
+
+    def __init__(self, rate_hz: float, accuracy_mN: float) -> None:
+        self._accuracy_mN, self._noise = accuracy_mN, _Noise(rate_hz)
+        self._samples = max(round(_NOISE_WINDOW_S * rate_hz), _PARABOLA_TERMS + 2)
+        self._before: FloatArray = np.zeros(0)
+        self._after: FloatArray = np.zeros(0)
+        self._rate_hz, self._braking, self._late, self._moved = rate_hz, 0, 0, False
+        self.unfollowed = 0
+        """Number of stops that the force did not follow."""
+
+    def add(self, reading: Reading, rest_mN: float, late_s: float) -> None:
+        """Take the next reading, the mean force at rest before the motion, and how much later the stage moves."""
+        changes = np.flatnonzero(np.diff(reading.phase)) + 1
+        forces = np.split(reading.channels["force"].astype(np.float64), changes)
+        for phase, force in zip(reading.phase[[0, *changes]].tolist(), forces, strict=True):
+            if phase == _HOLD and self._moved:
+                # A stage that set out late comes to its stop as late.
+                going_on = force[: max(round(late_s * self._rate_hz) - self._late, 0)]
+                self._late += len(going_on)
+                self._after = np.concatenate((self._after, force[len(going_on) :]))
+                if len(self._after) >= self._samples:
+                    self._judge(rest_mN)
+            elif phase == _BRAKING:
+                self._braking += len(force)
+            else:
+                self._braking = self._late = 0
+                self._moved |= phase not in {_REST, _HOLD}
+                self._before = np.concatenate((self._before, force))[-2 * self._samples :]
+                self._after = self._after[:0]
+
+    def _judge(self, rest_mN: float) -> None:
+        size, before = self._samples, self._before
+        after, self._after, self._moved = self._after[:size], self._after[:0], False
+        if len(before) < 2 * size:
+            return
+        earlier_mN, later_mN = float(before[:size].mean()), float(before[size:].mean())
+        ahead = 1.0 + (self._braking + self._late) / size
+        step_mN = float(after.mean()) - later_mN - ahead * (later_mN - earlier_mN)
+        error_mN = self._noise.of(after) * sqrt((1.0 + (1.0 + ahead) ** 2 + ahead**2) / size)
+        bound_mN = max(_LEAST_STEP * self._accuracy_mN, _RESPONSE_STANDARD_ERRORS * error_mN)
+        if abs(later_mN - rest_mN) >= _FOLLOWING_FORCE * self._accuracy_mN and abs(step_mN) < bound_mN:
+            self.unfollowed += 1
 
 
 class _StartDelay:

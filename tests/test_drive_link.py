@@ -66,6 +66,59 @@ def test_a_late_reply_answers_no_later_request(kind: type[DrivePort], spoken: di
             assert link.exchange(Request(Command.READ, Parameter.SPEED_MM_S)).value == pytest.approx(9.0)
 
 
+@pytest.mark.parametrize(("late_s", "spoken"), [(0.9, {}), (0.35, MODBUS)])
+def test_replies_that_come_late_are_waited_for_within_the_silence_of_the_drive(
+    late_s: float, spoken: dict[str, object]
+) -> None:
+    with linked(reply_s=0.2, silence_s=2.0, **spoken) as (drive, link):
+        link.set(Parameter.SPEED_MM_S, 9.0)
+        link.exchange(Request(Command.ENABLE))
+        assert link.late_replies == 0
+        drive.bench.faults.inject(drive_reply_late_s=late_s)
+        for _ in range(3):
+            assert link.exchange(Request(Command.READ, Parameter.SPEED_MM_S)).value == pytest.approx(9.0)
+        with pytest.raises(RefusedError):
+            link.exchange(GO)
+        assert drive.requests.count(GO) == 1
+        # A request of several frames has as many replies.
+        assert link.late_replies >= 4
+
+
+def test_a_stop_does_not_wait_for_the_late_reply_to_a_move() -> None:
+    with linked(reply_s=0.2, silence_s=5.0) as (drive, link):
+        drive.bench.faults.inject(drive_silent=True)
+        planned, errors = link.stop_count, list[DeviceError]()
+
+        def go() -> None:
+            try:
+                link.exchange(GO, planned)
+            except DeviceError as error:
+                errors.append(error)
+
+        sender = threading.Thread(target=go)
+        sender.start()
+        until(lambda: GO in drive.requests)
+        link.stop()
+        assert until(lambda: STOP in drive.requests) < 2.0
+        drive.bench.faults.clear()
+        sender.join()
+
+
+def test_a_lost_link_is_no_late_reply_and_known_before_the_drive_stops_by_itself() -> None:
+    with linked(reply_s=0.2, silence_s=1.0) as (drive, link):
+        link.exchange(STATUS)
+        drive.bench.faults.inject(drive_silent=True)
+        began_s = time.monotonic()
+        with pytest.raises(NoReplyError):
+            link.exchange(STATUS)
+        assert time.monotonic() - began_s >= 0.8
+        assert link.unheard_s >= 0.8
+        until(lambda: link.unheard_s > 1.0)
+        drive.bench.faults.clear()
+        link.exchange(STATUS)
+        assert link.late_replies == 0
+
+
 def test_a_stop_goes_out_at_once_although_no_reply_can_be_told_from_a_late_one() -> None:
     with linked(reply_s=REPLY_S, **COPLEY) as (drive, link):
         drive.bench.faults.inject(drive_silent=True)

@@ -1,6 +1,7 @@
 """Faults of the card and of what is wired to it, in motion: real nidaqmx over gRPC before the card's double."""
 
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from ctypes.util import find_library
 from datetime import datetime
@@ -158,6 +159,18 @@ def test_what_only_a_whole_run_shows_is_marked_in_its_file_and_in_the_table(
     assert (ended.status, ended.exit_code) == (RunStatus.COMPLETE, 0), ended.message
     assert only_run(ended.folder).info.checks[check[0]] == check[1]
     assert finding in set(api.table(ended.folder)["checks"])
+
+
+def test_a_cable_that_floats_from_mid_stroke_on_is_marked_in_file_and_table(faulty_rig: Bench) -> None:
+    running = begin(faulty_rig)
+    running.inject(force_floats_mN=350.0, force_floats_hum_mN=50.0)
+    ended = running.end()
+    assert (ended.status, ended.exit_code) == (RunStatus.COMPLETE, 0), ended.message
+    checks = only_run(ended.folder).info.checks
+    assert float(checks["noise_after_mN"]) == pytest.approx(35.0, rel=0.1)
+    assert checks["force_response"] == "none to a stop"
+    (told,) = set(api.table(ended.folder)["checks"])
+    assert re.fullmatch(r"force does not follow, noise of 3\d\.\d mN began", told)
 
 
 @pytest.mark.parametrize("late_s", [0.03, 0.06])

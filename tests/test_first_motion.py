@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import nan
 
 import pytest
 from driving import until
@@ -21,7 +20,7 @@ from dragrig.rig.manual import ManualControl
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.card.tasks import INDEX_HYSTERESIS_COUNTS
-from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM, FaultInjector
 
 FAULTS = [
     ({"encoder_swapped": True}, "A and B of the encoder are swapped.*PFI8 and PFI10"),
@@ -50,6 +49,23 @@ def position_rig(rig: RigSettings = RIG) -> Iterator[DoubleBackend]:
     finally:
         backend.bench.faults.clear()
         backend.close()
+
+
+def homing(direction: str, rig: RigSettings = RIG) -> RigSettings:
+    drive = rig.hardware.drive.model_copy(update={"homing_direction": direction})
+    return rig.model_copy(update={"hardware": rig.hardware.model_copy(update={"drive": drive})})
+
+
+def place_beside_switch(backend: DoubleBackend, direction: str, distance_mm: float) -> float:
+    """Place the stage at a distance inside of its homing switch; negative: beyond. Return the place."""
+    stage = RIG.stage
+    low = direction == "low"
+    at_mm = stage.lowest_mm - SWITCH_OFFSET_MM if low else stage.highest_mm + SWITCH_OFFSET_MM
+    at_mm += distance_mm if low else -distance_mm
+    backend.bench.place(at_mm)
+    if distance_mm <= 0:
+        backend.stage.override_limit(TravelEnd(direction))  # type: ignore[attr-defined]
+    return at_mm
 
 
 def wrong(backend: DoubleBackend | VoltageRig, faults: dict[str, object], message: str) -> None:
@@ -81,6 +97,63 @@ def test_a_voltage_the_wrong_way_round_moves_by_a_millimetre(faults: dict[str, o
         backend.stage.disable()
         backend.ready()
         assert backend.bench.position_mm() == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("direction", ["low", "high"])
+@pytest.mark.parametrize("from_switch_mm", [9.0, 0.4, 0.0])
+def test_a_drive_that_homes_the_wrong_way_is_stopped_within_millimetres(direction: str, from_switch_mm: float) -> None:
+    with position_rig(homing(direction)) as backend:
+        bench, stage = backend.bench, backend.stage
+        begin_mm = place_beside_switch(backend, direction, from_switch_mm)
+        bench.faults.inject(homing_reversed=True)
+        stage.enable()
+        with pytest.raises(DeviceError, match=f"the drive homes the wrong way.*homing_direction is '{direction}'"):
+            stage.home()
+        until(lambda: not bench.moving)
+        # From the switch itself either way may be right, until a pulse has led off it.
+        assert abs(bench.position_mm() - begin_mm) <= MAX_TRAVEL_MM * (1 if from_switch_mm else 2)
+        with pytest.raises(DeviceError, match="home it"):
+            stage.move(stroke(travel_mm=5.0))
+
+
+def test_a_drive_that_was_homed_and_is_set_otherwise_since_does_not_run_to_the_far_end() -> None:
+    with position_rig() as backend:
+        bench = backend.bench
+        backend.stage.enable()
+        backend.stage.home()
+        bench.place(20.0)
+        bench.faults.inject(homing_reversed=True)
+        with pytest.raises(DeviceError, match="homes the wrong way"):
+            backend.stage.home()
+        until(lambda: not bench.moving)
+        assert abs(bench.position_mm() - 20.0) <= 2 * MAX_TRAVEL_MM
+
+
+@pytest.mark.parametrize("direction", ["low", "high"])
+@pytest.mark.parametrize("from_switch_mm", [0.6, 0.05, 0.0, -0.5])
+def test_homing_that_begins_beside_or_on_its_switch_is_no_wrong_way(direction: str, from_switch_mm: float) -> None:
+    with position_rig(homing(direction)) as backend:
+        place_beside_switch(backend, direction, from_switch_mm)
+        backend.stage.enable()
+        backend.stage.home()
+        assert backend.stage.state().homed
+        assert backend.stage.fault is None
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_homing_by_voltage_to_the_upper_end_knows_its_direction(swapped: bool) -> None:
+    with voltage_rig(homing("high", velocity_rig())) as backend:
+        backend.bench.place(50.0)
+        backend.bench.faults.inject(velocity_swapped=swapped)
+        backend.stage.enable()
+        if swapped:
+            with pytest.raises(DeviceError, match=r"polarity is wrong: told to move by \+1.000 mm"):
+                backend.stage.home()
+            backend.await_standstill()
+            assert abs(backend.bench.position_mm() - 50.0) <= MAX_TRAVEL_MM
+        else:
+            backend.stage.prove_motion()
+            assert backend.bench.position_mm() == pytest.approx(51.0, abs=0.1)
 
 
 def test_a_stage_that_is_homed_is_proved_where_it_stands_and_left_there() -> None:
@@ -154,10 +227,11 @@ def test_a_stop_during_the_pulse_ends_it_and_proves_nothing() -> None:
     ("pulse", "word"),
     [
         (Pulse(1.0, 1.0, 1.0), ""),
-        (Pulse(nan, -0.97, -0.99), ""),
+        (Pulse(None, -0.97, -0.99), ""),
         (Pulse(1.0, 0.02, 1.0), "reports no motion"),
         (Pulse(-1.0, 1.0, 1.0), "turn round its direction"),
-        (Pulse(nan, 1.0, 1.24), "factor of 1.2"),
+        (Pulse(None, 1.0, 1.24), "factor of 1.2"),
+        (Pulse(None, 1.08, 1.08, homes_astray=True), "homes the wrong way"),
     ],
 )
 def test_a_pulse_says_what_is_wrong(pulse: Pulse, word: str) -> None:

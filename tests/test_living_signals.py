@@ -172,6 +172,39 @@ def test_what_only_the_whole_run_shows_marks_it(rig: Rig, fault: dict[str, float
     assert re.search(warning, text), text
 
 
+@pytest.mark.parametrize(
+    ("floats", "warnings"),
+    [
+        (
+            {"force_floats_hum_mN": 50.0},
+            ["noise or hum began within the run: 3", "did not change when the stage stopped"],
+        ),
+        ({"force_floats_hum_mN": 6.0}, ["noise or hum began within the run: 4"]),
+        ({"force_floats_drift_mN_s": 40.0}, ["did not change when the stage stopped"]),
+        ({}, ["did not change when the stage stopped"]),
+    ],
+)
+@pytest.mark.parametrize("rate_hz", [1000.0, 5000.0])
+def test_a_cable_that_is_pulled_in_mid_stroke_marks_the_run(
+    floats: dict[str, float], warnings: list[str], rate_hz: float
+) -> None:
+    with rig_with(wired(sampling={"rate_hz": rate_hz})) as made:
+        outcome = made.run(force_floats_mN=350.0, **floats)
+    assert outcome.status is RunStatus.COMPLETE
+    for part in warnings:
+        assert any(part in warning for warning in outcome.checks.warnings), outcome.checks
+
+
+@pytest.mark.parametrize("added", [{"force_tone_mN": 6.0, "force_tone_hz": 50.0}])
+def test_hum_that_begins_within_a_run_is_told_from_hum_before_it(rig: Rig, added: dict[str, float]) -> None:
+    outcome = rig.run(**added)
+    (warning,) = outcome.checks.warnings
+    assert "noise or hum began within the run" in warning
+    rig.backend.stage.home()
+    steady = rig.run()
+    assert not [warning for warning in steady.checks.warnings if "began" in warning]
+
+
 def test_in_velocity_mode_the_drives_own_position_tells_what_the_card_lost() -> None:
     settings = velocity_rig()
     with voltage_rig(settings) as backend:

@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import replace
+from math import nan
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from hypothesis import strategies as st
 from simulated import NEVER, stroke
 
 from dragrig.config.errors import DeviceError
+from dragrig.config.rig import DriveSettings
 from dragrig.rig.devices import TravelEnd, TripCause
-from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Request
+from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Reply, Request
+from dragrig.rig.hardware.dialects.nikki import NikkiDialect
 from dragrig.rig.hardware.drive.monitor import Monitor
 from dragrig.rig.hardware.drive.position_mode import split_into_strokes
 from dragrig.rig.hardware.sync import FirstSample
@@ -198,6 +201,23 @@ def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float
         rig.stage.move(stroke(travel_mm=1.0))
         until(lambda: stands(rig))
         assert rig.stage.fault is None
+
+
+def test_a_position_that_is_no_number_is_none() -> None:
+    class Unsure(NikkiDialect):
+        """A dialect whose drive may say that it does not know where it is."""
+
+        def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply:
+            reply = super().decode(request, replies, drive)
+            return Reply(nan) if request.command is Command.POSITION else reply
+
+    with driven() as rig:
+        rig.ready()
+        rig.link.dialect = Unsure()
+        with pytest.raises(DeviceError, match="answered without a position"):
+            rig.stage.state()
+        with pytest.raises(DeviceError, match="answered without a position"):
+            rig.stage.move(stroke())
 
 
 @pytest.mark.parametrize("kind", PORTS)
@@ -443,6 +463,19 @@ def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:
         until(lambda: stands(rig))
         assert rig.stage.fault is None
         assert rig.drive.status.halt is Halt.TARGET
+
+
+@pytest.mark.parametrize("dialect", [{}, {"dialect": "modbus"}])
+def test_a_motion_goes_on_though_load_makes_replies_late(dialect: dict[str, object]) -> None:
+    with driven(reply_s=0.1, silence_s=2.0, **dialect) as rig:
+        rig.ready()
+        rig.bench.faults.inject(drive_reply_load_s=0.15 if dialect else 0.8)
+        rig.stage.move(stroke(travel_mm=60.0, speed_mm_s=20.0))
+        until(lambda: is_under_way(rig))
+        until(lambda: stands(rig))
+        assert rig.stage.fault is None
+        assert rig.drive.status.halt is Halt.TARGET
+        assert rig.stage.late_replies > 0
 
 
 def test_homing_does_not_wait_for_ever_on_a_drive_that_says_it_moves(monkeypatch: pytest.MonkeyPatch) -> None:

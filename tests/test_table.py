@@ -173,6 +173,9 @@ def test_checks_are_told_in_words() -> None:
     }
     told = table_row(replace(run, info=replace(run.info, checks=signals))).checks
     assert told == "encoder +0.40 mm off, force inverted"
+    pulled = {**checks, "noise_after_mN": 35.0, "noise_after_allowed_mN": 3.0, "force_response": "none to a stop"}
+    told = table_row(replace(run, info=replace(run.info, checks={**pulled, "lost_samples": 0}))).checks
+    assert told == "force does not follow, noise of 35.0 mN began"
     sound = {**signals, "encoder_mismatch_mm": 0.05, "force_response": "resists the motion"}
     assert table_row(replace(run, info=replace(run.info, checks=sound))).checks == "ok"
 

@@ -297,9 +297,9 @@ def _check_force(rig: RigSettings, scaling: Scaling, limits: NoiseLimits, readin
     problem = ""
     if reading.fault is not None:
         problem = reading.fault.message
-    elif noise > accuracy:
+    elif not noise <= accuracy:
         problem = f"noisier than its accuracy of {accuracy:g} mN; check shield and ground"
-    elif abs(zero) > _MAX_ZERO_FRACTION * (high - low) / 2:
+    elif not abs(zero) <= _MAX_ZERO_FRACTION * (high - low) / 2:
         problem = "far from zero; is something hanging on it, or was it overloaded?"
     detail = f"zero {zero:.1f} mN, noise {noise:.2f} mN ({reading.force_V:.4f} V)"
     if problem:
@@ -327,7 +327,8 @@ def check_drive(stage: Stage, link: DriveLink, rig: RigSettings) -> Iterator[Rig
     """Request the drive's state, and write its limits and read them back."""
     state = stage.state()
     homed = f"homed, at {state.position_mm:g} mm" if state.homed else "not homed yet"
-    answers = f"answers on {link.port} within {1000 * link.round_trip_s:.1f} ms; {homed}"
+    late = f", {link.late_replies} times only after hardware.drive.reply_s" if link.late_replies else ""
+    answers = f"answers on {link.port} within {1000 * link.round_trip_s:.1f} ms{late}; {homed}"
     yield RigCheck("drive", state.fault is None, answers if state.fault is None else state.fault.message)
     limits, drive = stage.limits, rig.hardware.drive
     try:

@@ -12,6 +12,8 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Self
 
+import numpy as np
+
 from dragrig.rig import Phase, stationary_piece, trapezoid
 from dragrig.rig.hardware.dialects import (
     Command,
@@ -72,6 +74,7 @@ class DriveDouble:
         self._direction = 0.0
         self._homing = self._seeks_switch = False
         self._requests: deque[Request] = deque(maxlen=1000)
+        self._load = np.random.default_rng(bench.rig.simulated.seed)
 
     def __enter__(self) -> Self:
         self._watcher.start()
@@ -107,6 +110,11 @@ class DriveDouble:
         """Carry out a frame and return the reply; nothing for a damaged frame or another station's."""
         with self._lock:
             return self._side.answer(frame, self.act)
+
+    def reply_due_s(self) -> float:
+        """Return the reading of `time.monotonic` at which a reply that is made now reaches the program."""
+        faults = self.bench.faults.active
+        return time.monotonic() + faults.drive_reply_late_s + faults.drive_reply_load_s * self._load.random() ** 2
 
     def act(self, request: Request) -> Reply:
         """Carry out a request, which feeds the silence timeout."""
@@ -221,6 +229,7 @@ class DriveDouble:
             return refused
         if self._parameters[Parameter.HOMING_SPEED_MM_S] <= 0:
             return Refusal.BAD_VALUE
+        direction = -direction if self.bench.faults.active.homing_reversed else direction
         self._homed, self._homing, self._seeks_switch = False, True, True
         stage = self.bench.rig.stage
         limit_mm = stage.lowest_mm if direction < 0 else stage.highest_mm

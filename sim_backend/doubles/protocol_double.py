@@ -104,6 +104,6 @@ class Serial:
         if faults.drive_garbled:
             middle = len(reply) // 2
             reply = reply[:middle] + bytes([reply[middle] ^ 0x15]) + reply[middle + 1 :]
-        due_s = time.monotonic() + faults.drive_reply_late_s
+        due_s = drive.reply_due_s()
         # A serial line keeps the order of replies.
         self._replies.append((max(due_s, self._replies[-1][0]) if self._replies else due_s, reply))

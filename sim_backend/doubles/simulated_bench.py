@@ -281,8 +281,12 @@ class ActiveFaults:
     """Text or code of an alarm that the drive raises; empty for none."""
     drive_reply_late_s: float = 0.0
     """Delay of the drive's replies, in wall time."""
+    drive_reply_load_s: float = 0.0
+    """Longest further delay of a reply by the load of a busy computer, in wall time: each is drawn, most are short."""
     drive_starts_late_s: float = 0.0
     """Time from the drive's acknowledgement of a stroke to its start."""
+    homing_reversed: bool = False
+    """The drive homes over the other limit switch, whatever it is told."""
     drive_garbled: bool = False
     """The drive's replies arrive with wrong bytes."""
     drive_silent: bool = False
@@ -297,6 +301,12 @@ class ActiveFaults:
     """Force on the sensor in addition to the specimen's."""
     sensor_open: bool = False
     """The force sensor's cable is pulled: the input is where its pull-up or pull-down holds it."""
+    force_floats_mN: float = 0.0
+    force_floats_hum_mN: float = 0.0
+    force_floats_drift_mN_s: float = 0.0
+    """`force_floats_mN`, `force_floats_hum_mN`, `force_floats_drift_mN_s`: the force sensor's cable is pulled, and its
+    input floats: what it shows first, 0 for no such fault, the amplitude of its 50 Hz hum, and its drift from then on.
+    """
     force_dead: bool = False
     """The force sensor's amplifier gives 0 V, whatever happens; the converter adds its own noise."""
     force_frozen: bool = False
@@ -399,6 +409,7 @@ _EXTRA_BUFFER_S = 2.0
 _LOOKAHEAD_S = 0.25
 _SAMPLE_TOLERANCE = 1e-6
 _FLOATING_V = 1.3
+_MAINS_HZ = 50.0
 CONVERTER_NOISE = 0.8 * 2.0**-15
 """The PCI-6229's own noise (standard deviation), as a share of an input's range: 244 µV at ±10 V (specifications)."""
 
@@ -531,6 +542,7 @@ class _Sampling:
     computed: int = 0
     last_count: float = 0.0
     lost_counts: float = 0.0
+    floats_since_s: float = math.inf
     chunks: list[tuple[int, dict[str, FloatArray]]] = field(default_factory=list)
 
 
@@ -800,6 +812,11 @@ class SimulatedBench:
             volts = np.zeros_like(volts)
         if faults.sensor_open:
             volts = np.full_like(volts, self._unplugged_V())
+        if faults.force_floats_mN:
+            since_s = sampling.floats_since_s = min(sampling.floats_since_s, float(time_s[0]))
+            hum_mN = faults.force_floats_hum_mN * np.sin(2 * np.pi * _MAINS_HZ * time_s)
+            floats_mN = faults.force_floats_mN + faults.force_floats_drift_mN_s * (time_s - since_s) + hum_mN
+            volts = floats_mN / wiring.per_V + wiring.zero_V
         volts = volts + _converter_noise(sampling, wiring.range_V, len(volts))
         if faults.force_frozen:
             volts[:] = volts[0] if before is None else before["force_V"][-1]

@@ -3,6 +3,9 @@
 The port is opened with pyserial; a pulled cable raises errors of several kinds, which are all caught here. A reply that
 comes too late must not be taken for the next one's: where replies do not repeat the request, the link is silent after a
 missing one until nothing more comes.
+
+A busy computer hands a reply over late. It is awaited, and the request put again halfway, for nearly as long as the
+drive goes on without hearing one; then the link counts as lost, in time for a stop before the drive's own.
 """
 
 import itertools
@@ -111,10 +114,13 @@ class DriveLink:
         self._closed = False
         self._round_trips_s: deque[float] = deque(maxlen=_ROUND_TRIPS_KEPT)
         self._unheard_since_s: float | None = None
+        self._late_replies = 0
         # A counter and a SimpleQueue may be used by a signal handler that interrupts their own user; an Event may not.
         self._counter = itertools.count(1)
         # Replies of an earlier program's requests may still come.
-        self._out_of_step = Lack.REPEATED_COMMAND in dialect.lacks
+        self._out_of_step = untold = Lack.REPEATED_COMMAND in dialect.lacks
+        # What is left is for a stop, and for the quiet line between two tries.
+        self._patience_s = settings.silence_s - (2 if untold else 1) * settings.reply_s
         self._used_s = 0.0
         # A request whose last frame alone is still to be sent, and the replies to the others.
         self._prepared: tuple[Request, tuple[bytes, ...]] | None = None
@@ -133,6 +139,11 @@ class DriveLink:
     def round_trip_s(self) -> float:
         """Median of the latest times between a request and its reply, in wall time; 0 before the first."""
         return median(self._round_trips_s) if self._round_trips_s else 0.0
+
+    @property
+    def late_replies(self) -> int:
+        """How many replies came after `hardware.drive.reply_s`, and were good all the same. Never blocks."""
+        return self._late_replies
 
     @property
     def unheard_s(self) -> float:
@@ -176,24 +187,31 @@ class DriveLink:
         CancelledByStopError
             When a stop came first.
         NoReplyError
-            When no readable and matching reply came; a request is sent once more, unless it must not be repeated.
+            When no readable and matching reply came in the drive's silence timeout, less a reply's time: halfway the
+            request is sent once more, unless it must not be repeated.
         DeviceError
             When the port fails.
         """
         with self._lock:
             repeated = False
             while True:
-                self._send_stop_if_due()
-                if planned_at is not None and planned_at != self._stop_count:
-                    raise CancelledByStopError(f"'{request.command}' was dropped, because the stage was stopped first.")
                 try:
-                    return self._exchange_once(request)
+                    self._send_stop_if_due()
+                    if planned_at is not None and planned_at != self._stop_count:
+                        raise CancelledByStopError(
+                            f"'{request.command}' was dropped, because the stage was stopped first."
+                        )
+                    reply = self._exchange_once(request)
                 except _StopFirstError:
                     continue
                 except NoReplyError:
                     if repeated or not request.repeatable:
                         raise
                     repeated = True
+                else:
+                    # The reply to the other try may still come, and would be out of date.
+                    self._out_of_step = self._out_of_step or repeated
+                    return reply
 
     def prepare(self, request: Request, planned_at: int) -> None:
         """Send all frames of a request but the last, so that its `exchange`, if it is the next, is short.
@@ -332,10 +350,12 @@ class DriveLink:
         # A reply that came too late for its own request would be taken for the reply to this one.
         self._serial.reset_input_buffer()
         self._write(frame)
-        began_s = time.perf_counter()
+        began_s, wait_s = time.perf_counter(), self._wait_s(request)
         received, count, problem, timed_out = b"", 0, "no whole frame among them", False
         while not timed_out:
-            timed_out = time.perf_counter() - began_s >= self._settings.reply_s
+            waited_s = time.perf_counter() - began_s
+            stop_is_due = request != _STOP and self._stop_count != self._acknowledged_stops
+            timed_out = waited_s >= (self._settings.reply_s if stop_is_due else wait_s)
             arrived = self._read_available() if timed_out else self._serial.read(max(self._serial.in_waiting, 1))
             received, count = received + arrived, count + len(arrived)
             while length := self.dialect.frame_length(received):
@@ -345,13 +365,23 @@ class DriveLink:
                 except FrameError as error:
                     problem = str(error)
                     continue
-                self._unheard_since_s = None
-                self._used_s = time.perf_counter()
+                self._note_heard()
                 return (*replies, frame), reply
         raise NoReplyError(
-            f"the drive on {self.port} did not answer '{request.command}' within {self._settings.reply_s:g} s "
+            f"the drive on {self.port} did not answer '{request.command}' within {self.unheard_s:.2g} s "
             f"({self._describe_failure(count, problem)}"
         )
+
+    def _wait_s(self, request: Request) -> float:
+        """Return for how long the reply to one frame is awaited."""
+        patience_s = self._patience_s if self.unheard_s < self._patience_s else 0.0
+        return max(patience_s / (2 if request.repeatable else 1), self._settings.reply_s)
+
+    def _note_heard(self) -> None:
+        # What comes after the drive's own silence timeout ends a lost link, and is no late reply.
+        self._late_replies += self._settings.reply_s < self.unheard_s <= self._settings.silence_s
+        self._unheard_since_s = None
+        self._used_s = time.perf_counter()
 
     def _describe_failure(self, count: int, problem: str) -> str:
         """Return what came in place of a reply, and what to check in which order."""

@@ -6,7 +6,8 @@ program no longer reads its data (`Watchdog`), or when what it reads is stale, s
 blind guard keeps the stage moving.
 
 A drive that answers nothing for `silence_s` may have a silence timeout or not: then the heartbeat ends and the enable
-line is cleared. What decides that is a thread of its own, because the one that polls waits for the serial line.
+line is cleared. What decides that is a thread of its own, because the one that polls waits for the serial line; it also
+looks at the switches while the other waits.
 """
 
 import threading
@@ -96,6 +97,8 @@ class Monitor:
         self._link, self._lines = devices.link, devices.lines
         self._sync, self._watchdog = devices.sync, devices.watchdog
         self._silence_s = devices.settings.hardware.drive.silence_s
+        # A poll may first wait for another thread's request, which is repeated for nearly as long.
+        self._unpolled_s = 2 * self._silence_s
         self._beat_s = devices.settings.hardware.card.lines.heartbeat_s
         self._relay_s = _RELAY_BEATS * self._beat_s
         # How long the watchdog may go unfed while a sampled motion is in progress.
@@ -158,9 +161,14 @@ class Monitor:
         self._drive_on = on
 
     def latch(self, trip: Trip) -> None:
-        """Latch a fault until `clear`, and stop what moves; the first one is kept."""
-        self._latched = self._latched or trip
+        """Latch a fault until `clear`, and stop what moves; the first one is kept.
+
+        An emergency stop is what it then is, whatever it looked like to the thread that saw its effects first.
+        """
+        first, self._latched = self._latched is None, self._latched or trip
         self._report(self._latched, moved=self._sync.moving)
+        if first and (pressed := self._poll_switches()) and pressed.cause is TripCause.EMERGENCY_STOP:
+            self._fault = self._latched = pressed
 
     def clear(self) -> None:
         """Drop what was latched; what is still wrong comes back at the next poll."""
@@ -226,8 +234,10 @@ class Monitor:
         if blind is not None:
             self.latch(blind)
         now_s = time.monotonic()
+        if now_s - self._polled_s > self._interval_s:
+            self._look_at_switches()
         self._release_power_if_late(now_s)
-        unheard = max(self._link.unheard_s, now_s - self._polled_s) > self._silence_s
+        unheard = self._link.unheard_s > self._silence_s or now_s - self._polled_s > self._unpolled_s
         if not unheard:
             self._unheard_seen_s = None
             self._power_released = self._power_released and self._drive_on
@@ -240,6 +250,11 @@ class Monitor:
         if not (blind or unheard or self._power_released or self._withholds_beats):
             self._beat(now_s)
         self._ended.wait(min(_MAX_POWER_CHECK_S, self._beat_s / 2))
+
+    def _look_at_switches(self) -> None:
+        moved = self._sync.moving
+        if (pressed := self._poll_switches()) is not None:
+            self._report(self._latched or pressed, moved=moved)
 
     def _release_power_if_late(self, now_s: float) -> None:
         late_s = now_s - self._beaten_s

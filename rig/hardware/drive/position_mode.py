@@ -7,8 +7,8 @@ must observe by itself (thrust limit, soft limits, silence timeout) is written t
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from math import nan
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from threading import Event as Signal
 
 from dragrig.config import DeviceError, reason_of
@@ -35,8 +35,10 @@ from dragrig.rig.hardware.drive.trial import (
     PULSE_ACCELERATION_MM_S2,
     PULSE_MM,
     PULSE_SPEED_MM_S,
+    HomingWay,
     PositionReader,
     Pulse,
+    homing_remedy,
 )
 
 _STANDSTILL_MM_S = 1e-6
@@ -261,7 +263,7 @@ class _PulseMovement(Movement):
 
 _PULSE_TIMEOUT_S = 1.0
 _PULSE_POLL_S = 0.005
-_HOMING_POLL_S = 0.1
+_HOMING_POLL_S = 0.02
 _SILENCE_MARGIN_S = 0.2
 """For a drive without a silence timeout, whose enable line is cleared within 0.1 s after it."""
 _STANDSTILL_TIMEOUT_S = 1.0
@@ -377,18 +379,17 @@ class PositionModeStage(MonitoredStage):
         finally:
             counter.close()
 
-    def _measured(self, counter: PositionReader, pulse: Callable[[float, int], float], planned_at: int) -> Pulse:
+    def _measured(self, counter: PositionReader, pulse: Callable[[float, int], Pulse], planned_at: int) -> Pulse:
         comes_back = self._is_homed and self._override is None
         counter.begin(0.0)
         begin_mm = self._position_mm()
-        commanded_mm = pulse(begin_mm, planned_at)
-        measured = Pulse(commanded_mm, self._position_mm() - begin_mm, counter.read())
+        measured = replace(pulse(begin_mm, planned_at), counted_mm=counter.read())
         if comes_back and self._stop_count == planned_at and self.fault is None:
             self._go(begin_mm, planned_at)
         return measured
 
-    def _pulse_to(self, begin_mm: float, planned_at: int) -> float:
-        """Move by a pulse away from an overridden switch, or to where there is room; return its travel [mm]."""
+    def _pulse_to(self, begin_mm: float, planned_at: int) -> Pulse:
+        """Move by a pulse away from an overridden switch, or to where there is room; return it, not counted yet."""
         limits = limits_with_override(self._limits, self._override, begin_mm)
         upward = self._override is TravelEnd.LOW or (
             self._override is None and begin_mm + PULSE_MM <= limits.highest_mm
@@ -398,7 +399,7 @@ class PositionModeStage(MonitoredStage):
         self._link.set(Parameter.SPEED_MM_S, min(PULSE_SPEED_MM_S, limits.speed_mm_s))
         self._link.set(Parameter.ACCELERATION_MM_S2, min(PULSE_ACCELERATION_MM_S2, limits.acceleration_mm_s2))
         self._go(begin_mm + travel_mm, planned_at)
-        return travel_mm
+        return Pulse(travel_mm, self._position_mm() - begin_mm, 0.0)
 
     def _go(self, target_mm: float, planned_at: int) -> None:
         try:
@@ -415,10 +416,15 @@ class PositionModeStage(MonitoredStage):
             movement.mark_started()
             movement.mark_complete()
 
-    def _pulse_homing(self, begin_mm: float, planned_at: int) -> float:
-        """Begin to home and stop after a pulse's travel: a drive that is not homed may take no other command."""
+    def _pulse_homing(self, begin_mm: float, planned_at: int) -> Pulse:
+        """Begin to home and stop after a pulse's travel: a drive that is not homed may take no other command.
+
+        From its switch it goes on until that is released, so that the homing after it begins beside the switch.
+        """
         side = TravelEnd(self._drive.homing_direction)
         self._link.set(Parameter.HOMING_SPEED_MM_S, min(PULSE_SPEED_MM_S, self._drive.homing_speed_mm_s))
+        on_switch, position_mm = self._is_on_switch(side), begin_mm
+        way = HomingWay(side, begin_mm, on_switch=on_switch)
         movement = _PulseMovement(self._link, planned_at)
         self._monitor.tolerate(LIMIT_SWITCH_CAUSES[side])
         self._tracker.begin(movement)
@@ -426,10 +432,12 @@ class PositionModeStage(MonitoredStage):
             self._link.exchange(Request(Command.HOME, value=-1.0 if side is TravelEnd.LOW else 1.0), planned_at)
             movement.mark_started()
             until_s = time.monotonic() + _PULSE_TIMEOUT_S
-            while abs(self._position_mm() - begin_mm) < PULSE_MM and time.monotonic() < until_s:
+            while (abs(position_mm - begin_mm) < PULSE_MM or on_switch) and time.monotonic() < until_s:
                 if movement.is_stopped or self.fault is not None:
                     break
                 time.sleep(_PULSE_POLL_S)
+                on_switch, position_mm = self._is_on_switch(side), self._position_mm()
+                way.add(position_mm, on_switch=on_switch)
             self._link.exchange(Request(Command.STOP))
         except DeviceError:
             self._link.stop()
@@ -438,11 +446,16 @@ class PositionModeStage(MonitoredStage):
             movement.mark_started()
             movement.mark_complete()
             self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S)
-        return nan
+        return Pulse(None, self._position_mm() - begin_mm, 0.0, way.is_wrong())
+
+    def _is_on_switch(self, side: TravelEnd) -> bool:
+        switches = self._lines.read_switches()
+        return switches.limit_low if side is TravelEnd.LOW else switches.limit_high
 
     def _find_index(self, side: TravelEnd, planned_at: int) -> None:
         speed_mm_s, key = self._drive.homing_speed_mm_s, "hardware.drive.homing_speed_mm_s"
         self._link.set_and_verify(Parameter.HOMING_SPEED_MM_S, speed_mm_s, key)
+        way = HomingWay(side, self._position_mm(), on_switch=self._is_on_switch(side))
         movement = Movement(self._link, planned_at)
         self._monitor.tolerate(LIMIT_SWITCH_CAUSES[side])
         self._tracker.begin(movement)
@@ -455,25 +468,30 @@ class PositionModeStage(MonitoredStage):
             # Whether or not it answered, it may move from here on.
             movement.mark_started()
             movement.mark_complete()
-            self._await_homed()
+            self._await_homed(side, way)
         self._refuse_fault()
+        if way.is_wrong(PULSE_MM):
+            raise DeviceError(f"the drive homes the wrong way, and was stopped: {homing_remedy(self._settings)}.")
         if movement.is_stopped or not self._is_homed:
             raise DeviceError("homing ended before the index pulse was found: clear the way, then home again.")
 
-    def _await_homed(self) -> None:
+    def _await_homed(self, side: TravelEnd, way: HomingWay) -> None:
         travel_mm = self._limits.highest_mm - self._limits.lowest_mm + _HOMING_OVERTRAVEL_MM
         # Onto the switch and back.
         until_s = self._clock.monotonic() + 2 * travel_mm / self._drive.homing_speed_mm_s
         while not self._await_standstill(_HOMING_POLL_S):
-            if self._clock.monotonic() > until_s:
+            # What a drive that does not answer means for the motion is the monitor's to say.
+            with suppress(DeviceError):
+                way.add(self._position_mm(), on_switch=self._is_on_switch(side))
+            if way.is_wrong(PULSE_MM) or self._clock.monotonic() > until_s:
                 break
         else:
             return
         self._link.stop()
         if not self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S):
             raise DeviceError(
-                "the drive reports that it still moves, although homing has timed out and a stop was sent: switch its "
-                "power off by hand, and inspect the rig."
+                "the drive reports that it still moves, although homing was ended by a stop: switch its power off by "
+                "hand, and inspect the rig."
             )
 
     def _follow(self, profile: MotionProfile, origin_mm: float, limits: StageLimits, planned_at: int) -> None:

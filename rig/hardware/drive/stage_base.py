@@ -8,6 +8,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from math import isfinite
 from threading import Event as Signal
 
 from dragrig.config import DeviceError, RigSettings
@@ -25,7 +26,7 @@ from dragrig.rig import (
     stage_limits,
 )
 from dragrig.rig.hardware.dialects import Command, Halt, Lack, Parameter, Refusal, Request, Status
-from dragrig.rig.hardware.drive.link import DriveLink, NoReplyError, RefusedError
+from dragrig.rig.hardware.drive.link import DriveLink, RefusedError
 from dragrig.rig.hardware.drive.monitor import Monitor, StageDevices
 from dragrig.rig.hardware.drive.trial import Pulse
 
@@ -121,8 +122,6 @@ class DriveTracker:
     def __init__(self, devices: StageDevices, self_stop_s: float, on_over: Callable[[], None]) -> None:
         self._link, self._sync, self._on_over = devices.link, devices.sync, on_over
         self._self_stop_s = self_stop_s
-        # For so long a drive that does not answer counts as last reported: a busy computer is no fault.
-        self._reply_grace_s = devices.settings.hardware.drive.silence_s / 2
         self._lock = threading.RLock()
         self._movement: Movement | None = None
         self._stop_trip: Trip | None = None
@@ -166,19 +165,16 @@ class DriveTracker:
     def poll(self) -> Trip | None:
         """Request the drive's status and return what forbids motion.
 
-        Raises `DeviceError` when it has not answered for half its silence timeout, or its port fails. After
-        `self_stop_s` without an answer it counts as standing.
+        Raises `DeviceError` when it does not answer, or its port fails. After `self_stop_s` without an answer it counts
+        as standing.
         """
         requested_s = time.monotonic()
         try:
             status = self._request_status()
-        except DeviceError as error:
+        except DeviceError:
             with self._lock:
-                unanswered_s = time.monotonic() - self._answered_s
-                if unanswered_s > self._self_stop_s:
+                if time.monotonic() - self._answered_s > self._self_stop_s:
                     self._end_movement()
-                if isinstance(error, NoReplyError) and unanswered_s < self._reply_grace_s:
-                    return self._trip(self.status)
             raise
         with self._lock:
             self._answered_s, self.status = requested_s, status
@@ -189,9 +185,9 @@ class DriveTracker:
             return self._trip(status)
 
     def position_mm(self) -> float:
-        """Request the position; raises `DeviceError` when the drive does not answer."""
+        """Request the position; raises `DeviceError` when the drive does not answer, or with no number."""
         value = self._link.exchange(Request(Command.POSITION)).value
-        if value is None:
+        if value is None or not isfinite(value):
             raise DeviceError(
                 f"the drive on {self._link.port} answered without a position: check hardware.drive.dialect."
             )
@@ -279,6 +275,11 @@ class MonitoredStage(ABC):
     def fault(self) -> Trip | None:
         """What drive and switches reported at the last poll; what was latched stays until `disable`."""
         return self._monitor.fault
+
+    @property
+    def late_replies(self) -> int:
+        """How many replies of the drive came late so far, and were good all the same."""
+        return self._link.late_replies
 
     @property
     @abstractmethod

@@ -5,10 +5,11 @@ words which wire it is. The drive's own position tells a wrong polarity from an 
 """
 
 from dataclasses import dataclass
-from math import isnan, nan
+from math import nan
 from typing import Protocol
 
 from dragrig.config import RigSettings
+from dragrig.rig import TravelEnd
 
 PULSE_MM = 1.0
 PULSE_SPEED_MM_S = 5.0
@@ -37,12 +38,14 @@ class PositionReader(Protocol):
 class Pulse:
     """What a pulse was to be, and what became of it; signed travels from standstill to standstill [mm]."""
 
-    commanded_mm: float
-    """NaN where the drive chose travel and direction."""
+    commanded_mm: float | None
+    """None where the drive homed by itself, and chose the travel."""
     driven_mm: float
     """By the drive's own position."""
     counted_mm: float
     """By the encoder at the card."""
+    homes_astray: bool = False
+    """Whether a drive that was to home by itself went the wrong way."""
 
     def problem(self, rig: RigSettings) -> str:
         """Say what is wired or set wrongly, without a full stop; empty when command, drive and encoder agree."""
@@ -52,7 +55,7 @@ class Pulse:
         drive_moved = abs(self.driven_mm) >= _MIN_DRIVEN_MM
         counted = abs(self.counted_mm) >= _MIN_COUNTS * resolution_um / 1000.0
         ratio = self.counted_mm / self.driven_mm if drive_moved else nan
-        scale = self.driven_mm / self.commanded_mm
+        scale = self.driven_mm / self.commanded_mm if self.commanded_mm is not None else 1.0
         polarity = f"exchange the two wires of {velocity.channel}" if by_voltage else "turn round its direction"
         source = f"the wires of {velocity.channel}, " if by_voltage else ""
         findings = (
@@ -82,6 +85,11 @@ class Pulse:
                 f"{polarity}, or reverse it in the drive",
             ),
             (
+                self.homes_astray,
+                "the drive homes the wrong way",
+                homing_remedy(rig),
+            ),
+            (
                 abs(ratio - 1) > _MAX_RESOLUTION_ERROR,
                 f"the encoder's resolution is wrong by a factor of {ratio:.2g}",
                 f"encoder.resolution_um should be about {resolution_um / (ratio or nan):.2g} instead of "
@@ -97,5 +105,43 @@ class Pulse:
         return next((f"{what}: {self._seen()}; {remedy}" for is_so, what, remedy in findings if is_so), "")
 
     def _seen(self) -> str:
-        told = "" if isnan(self.commanded_mm) else f"told to move by {self.commanded_mm:+.3f} mm, "
+        told = "" if self.commanded_mm is None else f"told to move by {self.commanded_mm:+.3f} mm, "
         return f"{told}the drive moved by {self.driven_mm:+.3f} mm and the encoder counted {self.counted_mm:+.3f} mm"
+
+
+def homing_remedy(rig: RigSettings) -> str:
+    """Say what to do about a drive that homes the wrong way."""
+    return (
+        f"hardware.drive.homing_direction is '{rig.hardware.drive.homing_direction}': set homing method and sense of "
+        "motion in the drive to it, or the setting to the drive"
+    )
+
+
+class HomingWay:
+    """Follows a drive that homes by itself: it goes towards its switch first, and away only from there.
+
+    Which way it goes is up to its own settings, for not every dialect can tell it the side.
+
+    Parameters
+    ----------
+    side
+        The switch that homing is to find first.
+    begin_mm
+        Where it begins, by the drive's own position.
+    on_switch
+        Whether it begins on that switch, from which it may go away at once.
+    """
+
+    def __init__(self, side: TravelEnd, begin_mm: float, *, on_switch: bool) -> None:
+        self._begin_mm, self._sense = begin_mm, 1.0 if side is TravelEnd.LOW else -1.0
+        self._is_right, self._away_mm = on_switch, 0.0
+
+    def add(self, position_mm: float, *, on_switch: bool) -> None:
+        """Take where it is now, and whether it is on that switch."""
+        away_mm = self._sense * (position_mm - self._begin_mm)
+        self._is_right = self._is_right or on_switch or away_mm <= -_MIN_DRIVEN_MM
+        self._away_mm = 0.0 if self._is_right else away_mm
+
+    def is_wrong(self, bound_mm: float = _MIN_DRIVEN_MM) -> bool:
+        """Whether it went further the other way than `bound_mm`."""
+        return not self._away_mm <= bound_mm
