@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -124,6 +125,17 @@ def test_a_silent_client_counts_as_dead(tmp_path: Path) -> None:
     assert "silent" in run.info.reason
     require_whole(run)
     require_standing(run)
+
+
+def test_a_hold_within_a_run_is_no_motion_that_silence_would_end(tmp_path: Path) -> None:
+    with listening(silence=SilenceLimits(2.0, PATIENCE_S)) as heard:
+        held = plan(20.0, 10.0, hold_s=8.0)
+        heard.client.ask(StartSession(SessionJob(1, held, pace="real", out=tmp_path / "c")))
+        heard.until_samples(1500)
+        time.sleep(4.0)
+        ended = heard.until(SessionFinished)
+    assert isinstance(ended, SessionFinished)
+    assert (ended.status, ended.reason) == (RunStatus.COMPLETE, "")
 
 
 def test_a_session_reports_its_runs_and_its_end(tmp_path: Path, heard: Listener) -> None:

@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from dragrig.views import FORMATS, ShownTrace, completed, shown_trace
 from dragrig.window import prepared_traces
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import LookPage
-from dragrig.window.widgets import DrawnFigure, StoredSettings, top_items
+from dragrig.window.widgets import DrawnFigure, StoredSettings, fill_table, table, top_items
 
 
 @pytest.fixture(scope="module")
@@ -396,3 +397,15 @@ def test_the_next_experiment_is_handed_on_as_a_plan(diagnose: DiagnosePage) -> N
     diagnose.next_experiment.connect(lambda _, form: handed.append(form.plan.steps[0].parameters["speed_mm_s"]))
     press(diagnose.results.next)
     assert handed == [2.0]
+
+
+def test_a_long_table_that_is_filled_again_does_not_hold_the_window_up(qapp: QApplication) -> None:
+    long = table([f"column {number}" for number in range(12)])
+    long.show()
+    begun_s = time.thread_time()
+    for _ in range(2):
+        fill_table(long, [[f"text {row} {number}" for number in range(12)] for row in range(300)])
+        qapp.processEvents()
+    assert time.thread_time() - begun_s < 1.0
+    assert long.columnWidth(0) > long.fontMetrics().horizontalAdvance("text 299 0")
+    long.close()

@@ -497,6 +497,9 @@ def table(header: Sequence[str]) -> QTableWidget:
 
 def fill_table(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: bool = True) -> None:
     """Fill a table with text; numbers are aligned right, except in the last column or without `numbers`."""
+    columns = target.horizontalHeader()
+    # Else each text would have its whole column measured again: minutes for some hundred rows.
+    columns.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
     target.setRowCount(len(rows))
     for row_index, cells in enumerate(rows):
         for index, text in enumerate(map(printable, cells)):
@@ -506,6 +509,7 @@ def fill_table(target: QTableWidget, rows: Sequence[Sequence[str]], *, numbers: 
             if numbers and index < len(cells) - 1 and _NUMBER_TEXT.fullmatch(text):
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
             target.setItem(row_index, index, item)
+    columns.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
 
 
 def current_item(tree: QTreeWidget) -> QTreeWidgetItem | None:
