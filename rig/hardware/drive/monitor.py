@@ -26,6 +26,8 @@ _MAX_POWER_CHECK_S = 0.01
 _UNHEARD_GRACE_S = 0.03
 """After a computer stood still, the thread that polls has so long to take the replies that came meanwhile."""
 _POLLS_PER_SILENCE = 4
+_LATE_POLLS = 2
+"""A poll that is so many times later than it should be waits for the serial line."""
 _RELAY_BEATS = 2.5
 """A relay opens when it sees no edge for three beats. A beat that comes so late would close it again, and give power
 back to a drive that may still be told to move: by the voltage that the card holds, or by a target of its own."""
@@ -234,7 +236,7 @@ class Monitor:
         if blind is not None:
             self.latch(blind)
         now_s = time.monotonic()
-        if now_s - self._polled_s > self._interval_s:
+        if now_s - self._polled_s > _LATE_POLLS * self._interval_s:
             self._look_at_switches()
         self._release_power_if_late(now_s)
         unheard = self._link.unheard_s > self._silence_s or now_s - self._polled_s > self._unpolled_s
