@@ -66,8 +66,8 @@ def test_a_run_through_late_replies_is_complete_and_says_how_many() -> None:
         outcome = run(backend, settings)
     assert (quiet.status, outcome.status, outcome.reason) == (RunStatus.COMPLETE, RunStatus.COMPLETE, "")
     late = outcome.checks.values["late_replies"]
-    (warning,) = outcome.checks.warnings
-    assert warning.startswith(f"{late} repl")
+    # A reply that tells of a stroke late may shift the next one's start, which other checks may say.
+    assert any(warning.startswith(f"{late} repl") for warning in outcome.checks.warnings)
     assert "late_replies" not in quiet.checks.values or int(quiet.checks.values["late_replies"]) < int(late)
 
 
