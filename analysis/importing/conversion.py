@@ -302,12 +302,17 @@ def _extra_channels(
             told.append(
                 f"column {column.name!r:.60} holds {column.bad.text!r:.40} in {table.place(column.bad.row)}: missing"
             )
-        if np.nanmax(np.abs(column.values)) > MAX_EXACT_INTEGER:
+        values = np.where(np.isinf(column.values), np.nan, column.values)
+        units, largest = stated_units.get(id(column), column.units), float(np.nanmax(np.abs(values), initial=0.0))
+        if largest > MAX_TRACE_MAGNITUDES.get(units, np.inf):
+            told.append(f"column {column.name!r:.60} holds {largest:g}, too much for {units}: stored without a unit")
+            units = ""
+        if largest > MAX_EXACT_INTEGER:
             told.append(f"column {column.name!r:.60} holds integers above 2^53, which are rounded")
         name = re.sub(r"[^\w.-]+", "_", column.label).strip("_.") or "column"
         while name in RESERVED_NAMES or name in extra:
             name += "_as_read"
-        extra[name] = replace(column, units=stated_units.get(id(column), column.units))
+        extra[name] = replace(column, values=values, units=units)
     return extra, told
 
 
@@ -355,7 +360,10 @@ def _on_grid(
             f"{table.path}: no column is mapped to time and no sample_rate_hz is given; map one, as in "
             f"time={table.columns[0].name!r}:s."
         )
-    return fit_sample_grid(table.path, stamps, settings.tolerance), values
+    source = _sources(table, settings)["time"]
+    unit = canonical_unit(source.unit or table.column(source.column).units)
+    unit_s = CONVERTIBLE_UNITS["s"].get(unit or "", 1.0)
+    return fit_sample_grid(table.path, stamps, settings.tolerance, unit_s), values
 
 
 def _position_and_command(
