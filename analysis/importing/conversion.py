@@ -178,6 +178,7 @@ def _time(table: ForeignTable, source: ColumnSource, settings: ImportSettings) -
     if column.begins_at is None and source.factor is None and np.isfinite(numbers).any():
         clock = epoch_clock(numbers, canonical_unit(stated) or stated)
         if clock is not None:
+            _require_measurable(table, column, clock.seconds, "s")
             return replace(clock, remarks=(*told, *clock.remarks))
     seconds = _map_column(table, "time", source, settings).scale.apply(numbers)
     if np.nanmax(np.abs(seconds), initial=0.0) > MAX_TRACE_MAGNITUDES["s"] and (clock := epoch_clock(numbers, "")):

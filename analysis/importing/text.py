@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -175,7 +176,14 @@ class _Fit:
             self._in_table[grid.lines[grid.is_row]] = True
             found += self._blocks(grid)
         found.sort(key=lambda table: table.lines[0] if table.lines else 0)
-        return tuple(found)
+        if len(found) == 1:
+            return tuple(found)
+        titles = Counter(table.name for table in found)
+        names = (name if name and titles[name] == 1 else "" for name in (table.name for table in found))
+        return tuple(
+            replace(table, name=name or f"block {number}")
+            for number, (table, name) in enumerate(zip(found, names, strict=True), start=1)
+        )
 
     def _grid(self, *, first: bool) -> _Grid | None:
         """Parse the lines of the width that most rows have; None without rows, or too few after the first table."""
@@ -219,7 +227,7 @@ class _Fit:
             )
         start = self._settings.header_lines or 0
         heading, header_begin = _Heading(), 0
-        for number, (begin, end) in enumerate(zip(cuts, [*cuts[1:], len(rows)], strict=True), start=1):
+        for begin, end in pairwise((*cuts, len(rows))):
             if end - begin < MIN_FURTHER_ROWS and len(rows) > 2 * (end - begin):
                 continue
             preamble = tuple(self._lines.texts[header_begin : max(int(rows[begin]), start)])
@@ -235,7 +243,6 @@ class _Fit:
                 columns,
                 lines=range(numbers[0], numbers[-1] + 1) if gapless else numbers,
                 preamble=preamble,
-                name=f"block {number}" if len(cuts) > 1 else "",
                 remarks=(*self._told(inside), *self._told_comments(rows[begin:end]), *remarks_on_marks(marks)),
             )
             header_begin = int(rows[end - 1]) + 1
@@ -339,8 +346,10 @@ def _parsed(path: Path, lines: Sequence[str], delimiter: str, width: int) -> "tu
             arrow_csv.ParseOptions(delimiter=delimiter, ignore_empty_lines=False),
             arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False),
         )
-    except pa.ArrowInvalid as error:
-        raise ImportDataError(f"{path}: holds quotes that do not match; remove them.") from error
+    except pa.ArrowInvalid:
+        table = None
+    if table is None or len(table) != len(lines):
+        raise ImportDataError(f"{path}: holds quotes that do not match; remove them.")
     return tuple(pc.utf8_trim_whitespace(column.combine_chunks()) for column in table.columns)
 
 
@@ -473,6 +482,6 @@ def _side_by_side(table: ForeignTable, names: Sequence[str], delimiter: str) -> 
             titles = above if len(set(above)) == len(starts) else titles
         for start, title in zip(starts, titles, strict=True):
             columns = table.columns[start : start + width]
-            yield replace(table, columns=columns, name=f"{table.name}, {title}" if table.name else title)
+            yield replace(table, columns=columns, name=title)
         return
     yield table
