@@ -22,6 +22,8 @@ RESERVED_NAMES = frozenset({*TARGET_UNITS, "phase"})
 SIGNAL_CHANNELS = ("force", "motor_force")
 COUNTED_QUANTITIES = ("position", "command")
 """Quantities of counters, which may wrap."""
+MAX_SAMPLES_PER_ROW = 1000.0
+"""More are not resampled: a stamp is wrong, or the unit of the time."""
 MAX_EXACT_INTEGER = 2.0**53
 
 SPEED_WINDOW_S = 0.05
@@ -353,6 +355,13 @@ def _on_grid(
 ) -> tuple[SampleGrid, dict[str, FloatArray]]:
     stated_hz = settings.sample_rate_hz or (table.sample_rate_hz if stamps is None else None)
     if settings.resample_hz is not None and stamps is not None:
+        samples = float(stamps[-1] - stamps[0]) * settings.resample_hz
+        if samples > MAX_SAMPLES_PER_ROW * len(stamps):
+            row = int(np.argmax(np.diff(stamps))) + 1
+            raise ImportDataError(
+                f"{table.path}: {settings.resample_hz:g} Hz would make {samples:.3g} samples of {len(stamps)} rows; state "
+                f"a lower rate, or correct the time at {table.place(int(places[row]))}."
+            )
         return resample(stamps, values, settings.resample_hz)
     if stated_hz is not None:
         return counted_grid(table.path, stamps, places, stated_hz), values

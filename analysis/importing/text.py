@@ -433,10 +433,16 @@ def _heading_cells(line: str, delimiter: str, width: int) -> list[str]:
         cells.pop()
     missing = width - len(cells)
     is_short = missing == 1 and delimiter != " " and width > 2
-    is_row = any(_IS_VALUE.match(cell) and cell[:1].isdigit() for cell in cells) or all(map(_HAS_NO_VALUE.match, cells))
+    is_row = any(map(_is_measured, cells)) or all(map(_HAS_NO_VALUE.match, cells))
     if (missing and not is_short) or is_row:
         return []
     return cells
+
+
+def _is_measured(cell: str) -> bool:
+    """Whether a cell begins with a digit and looks like a value, and is no name such as `1st`."""
+    word = re.fullmatch(r"\d+([A-Za-z]{2,})", cell)
+    return cell[:1].isdigit() and bool(_IS_VALUE.match(cell)) and (word is None or canonical_unit(word[1]) is not None)
 
 
 def _are_units(cells: Sequence[str]) -> bool:
