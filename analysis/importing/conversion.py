@@ -359,8 +359,8 @@ def _on_grid(
         if samples > MAX_SAMPLES_PER_ROW * len(stamps):
             row = int(np.argmax(np.diff(stamps))) + 1
             raise ImportDataError(
-                f"{table.path}: {settings.resample_hz:g} Hz would make {samples:.3g} samples of {len(stamps)} rows; state "
-                f"a lower rate, or correct the time at {table.place(int(places[row]))}."
+                f"{table.path}: {settings.resample_hz:g} Hz would make {samples:.3g} samples of {len(stamps)} rows; "
+                f"state a lower rate, or correct the time at {table.place(int(places[row]))}."
             )
         return resample(stamps, values, settings.resample_hz)
     if stated_hz is not None:
