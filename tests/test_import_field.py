@@ -533,8 +533,8 @@ def test_zeros_behind_a_text_are_no_part_of_it(tmp_path: Path) -> None:
 
 def test_a_quote_that_joins_lines_is_refused(tmp_path: Path) -> None:
     table = lines()
-    table[7] = table[7].replace(";", ';"', 1)
-    table[99] += '"'
+    table[7] = f'"{table[7]}'
+    table[60] = table[60].replace(";", '";', 1)
     with pytest.raises(ImportDataError, match="quotes that do not match"):
         read(tmp_path, table)
 
@@ -544,12 +544,16 @@ def test_a_stamp_far_from_the_others_is_not_filled_up_to(tmp_path: Path) -> None
         read(tmp_path, with_row(120, "9000000;0.079;2.38"), resample_hz=10)
 
 
-def test_ordinals_are_names(tmp_path: Path) -> None:
-    force_of(["1st;2nd;3rd", *lines(head="")], tmp_path, {"time": "1st:s", "force": "2nd:N", "position": "3rd:mm"})
+def test_an_ordinal_is_a_name(tmp_path: Path) -> None:
+    force_of(["1st;Force;Position", *lines(head="")], tmp_path, {**STATED, "time": "1st:s"})
 
 
 def test_channels_in_nodes_of_their_own_are_a_table(tmp_path: Path) -> None:
-    data = {"t": [k / 100 for k in range(120)], "F": [value / 1000 for value in FORCE], "x": [k / 50 for k in range(120)]}
+    data = {
+        "t": [k / 100 for k in range(120)],
+        "F": [value / 1000 for value in FORCE],
+        "x": [k / 50 for k in range(120)],
+    }
     columns = {"time": "t:s", "force": "F:N", "position": "x:mm"}
     units = {"t": "s", "F": "N", "x": "mm"}
     listed = [{"name": name, "unit": units[name], "data": cells} for name, cells in data.items()]
