@@ -1,5 +1,6 @@
 """Text and workbooks as people have them: each file of the field, and siblings of its kind."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -207,6 +208,7 @@ def stamps_of(form: str) -> list[str]:
         ("2026-05-04T09:15:{}Z", BEGIN),
         ("2026-05-04 11:15:{}+02:00", BEGIN),
         ("2026/05/04 09:15:{}", BEGIN),
+        ("2026-05-04 09:15:{} UTC", BEGIN),
         ("04.05.26 09:15:{}", BEGIN),
         ("4.5.2026 9:15:{}", BEGIN),
         ("04-May-2026 09:15:{}", BEGIN),
@@ -274,7 +276,7 @@ def test_an_elapsed_time_is_no_date_and_days_need_their_unit(tmp_path: Path) -> 
         read(tmp_path, milliseconds, {**BY_NAME, "time": "t:s"})
 
 
-@given(bits=st.sampled_from([16, 32]), start=st.integers(0, 2**32), step=st.integers(1, 300), signed=st.booleans())
+@given(bits=st.sampled_from([16, 24, 32]), start=st.integers(0, 2**32), step=st.integers(1, 300), signed=st.booleans())
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_counter_goes_on_over_its_wraps(tmp_path: Path, bits: int, start: int, step: int, signed: bool) -> None:
     from dragrig.analysis.importing.clocks import unwrapped
@@ -405,3 +407,157 @@ def test_rows_without_a_number_keep_their_place_at_a_stated_rate(tmp_path: Path)
 def test_one_run_is_asked_for_where_a_file_holds_several(tmp_path: Path) -> None:
     with pytest.raises(ImportDataError, match=r"holds 2 runs .*'block 1', 'block 2'"):
         dragrig.import_run(FIELD / "15-blocks-two.txt", tmp_path, MACH)
+
+
+def force_of(
+    table: str | Sequence[str], tmp_path: Path, columns: Mapping[str, str] = BY_NAME, **options: object
+) -> Run:
+    """Import a table of the usual trace, and check that it is this, but for the samples of a gap."""
+    (run,) = read(tmp_path, table, columns, **options)
+    places = np.rint(run.trace.time * 100).astype(int)
+    np.testing.assert_allclose(run.trace.force, np.array(FORCE)[places], rtol=1e-9)
+    np.testing.assert_allclose(run.trace.position, places / 50, atol=1e-9)
+    return run
+
+
+def with_row(place: int, row: str) -> list[str]:
+    table = lines()
+    table[place] = row
+    return table
+
+
+@pytest.mark.parametrize(
+    ("table", "samples"),
+    [
+        (with_row(41, "---;---;---"), 119),
+        (with_row(41, "0.40;inf;0.80"), 119),
+        (with_row(41, "0.40;9.90E+37;0.80"), 119),
+        (with_row(41, "0.40;0.06;0.80;touched, 2 mm"), 120),
+        ([*lines(), "", "Peak [N];At [s];At [mm]", "0.079;1.19;2.38"], 120),
+        (["MTS793|MPT|ENU|1|2|.|/|:|1|0|0|A", "", *lines(mark="\t")], 120),
+        (["Time;Force;Position", "----;-----;--------", "s;N;mm", *lines(head="")], 120),
+        ([line if k else "Time [s];Force [N];Position [mm]" for k, line in enumerate(
+            line.replace(".", ",", 1) for line in lines())], 120),
+        ([f"{line};inf" if k == 9 else f"{line};Aux" if not k else f"{line};1" for k, line in enumerate(lines())], 120),
+        ([f"{line};Unix [s]" if not k else f"{line};{1_777_886_100 + k}" for k, line in enumerate(lines())], 120),
+        ([f"{'Source;CH1' if k == 5 else 'Length;2' if k < 20 else ';'};;{row}" for k, row in enumerate(lines())], 120),
+    ],
+    ids=["row-of-marks", "infinite", "scpi-overload", "comment-behind", "results-below", "other-mark-above", "ruled",
+         "mark-by-column", "infinite-beside", "unix-beside", "preamble-beside"],
+)  # fmt: skip
+def test_siblings_of_the_field_are_the_trace_that_they_hold(tmp_path: Path, table: list[str], samples: int) -> None:
+    numbered = {"time": "4:s", "force": "5:N", "position": "6:mm"}
+    columns = {"time": "1:s", "force": "2:N", "position": "3:mm"} if len(table[-1].split(";")) != 6 else numbered
+    assert len(force_of(table, tmp_path, columns, missing="gap").trace.force) == samples
+
+
+@pytest.mark.parametrize(
+    ("table", "remark"),
+    [
+        (with_row(41, "0.40;0.06;0.80;touched, 2 mm"), "1 rows end with text: line 42 'touched, 2 mm'"),
+        ([*lines(), "", "Peak [N];At [s];At [mm]", "0.079;1.19;2.38"], "'0.079;1.19;2.38'"),
+        ([f"{line};Unix [s]" if not k else f"{line};{1_777_886_100 + k}" for k, line in enumerate(lines())],
+         "too much for s: stored without a unit"),
+    ],
+)  # fmt: skip
+def test_what_stands_beside_and_below_rows_is_told(tmp_path: Path, table: list[str], remark: str) -> None:
+    (run,) = read(tmp_path, table)
+    assert any(remark in event.message for event in run.events)
+
+
+def test_a_sign_behind_the_number_is_its_sign(tmp_path: Path) -> None:
+    table = ["Time [s];Force [N]", *(f"{k / 100:.2f};{FORCE[k] / 1000:.5f}-" for k in range(120))]
+    (run,) = read(tmp_path, table, {"time": "Time", "force": "Force:N"})
+    np.testing.assert_allclose(run.trace.force, -np.array(FORCE))
+
+
+@pytest.mark.parametrize("mark", [",", "."])
+def test_thousands_that_nothing_tells_from_decimals_are_asked_about(tmp_path: Path, mark: str) -> None:
+    table = ["Time [s];Force [mN]", *(f"{k};{1000 + k:,}".replace(",", mark) for k in range(60))]
+    columns = {"time": "Time", "force": "Force"}
+    with pytest.raises(ImportDataError, match="may be the decimal mark or part thousands, in 60 cells"):
+        read(tmp_path, table, columns)
+    assert read(tmp_path, table, columns, decimal=mark)[0].trace.force[-1] == pytest.approx(1.059)
+    assert read(tmp_path, table, columns, decimal=".,".replace(mark, ""))[0].trace.force[-1] == 1059
+
+
+@pytest.mark.parametrize(
+    ("stamps", "runs"),
+    [
+        ([f"{0.37 * (k >= 60) + k % 60 / 100:.2f}" for k in range(120)], [60, 60]),
+        ([f"{(k - 30 * (k >= 60)) / 100:.2f}" for k in range(120)], [60, 60]),
+        ([f"{(k + 3570) // 60 % 60:02}:{(k + 3570) % 60:02}" for k in range(120)], [120]),
+        ([f"09:15:{k // 100:02}:{k % 100 * 10:03}" for k in range(120)], [120]),
+        ([f"{k / 600:.4f} min" for k in range(120)], [120]),
+    ],
+)
+def test_clocks_begin_anew_anywhere_or_go_on(tmp_path: Path, stamps: list[str], runs: list[int]) -> None:
+    imported = read(tmp_path, lines(stamps), {**BY_NAME, "time": "1"})
+    assert [len(run.trace.force) for run in imported] == runs
+    rate_hz = imported[0].info.header.sample_rate_hz
+    assert min(abs(rate_hz / known - 1) for known in (1, 10, 100)) < 1e-9
+
+
+@pytest.mark.parametrize("last", ["0.50;0.079;2.38", "1.18;0.079;2.38"])
+def test_a_single_row_that_goes_back_is_no_recording(tmp_path: Path, last: str) -> None:
+    with pytest.raises(ImportDataError, match="time goes back at line 122"):
+        read(tmp_path, [*lines(), last])
+    falling = lines([f"{-k / 100:.2f}" for k in range(120)])
+    with pytest.raises(ImportDataError, match="time goes back at line 3"):
+        read(tmp_path, falling)
+
+
+def test_a_day_that_is_written_once_holds_for_the_rows_below_it(tmp_path: Path) -> None:
+    stamps = [f"{'2026-05-04' if k == 0 else ''};09:15:{k / 100:05.2f}" for k in range(120)]
+    run = force_of(lines(stamps, head="Date;Time;Force [N];Position [mm]"), tmp_path)
+    assert run.info.header.start_time == BEGIN
+
+
+def test_units_above_the_first_of_equal_headings_hold_for_all(tmp_path: Path) -> None:
+    block = ["Time;Force;Position", *lines(head="")]
+    runs = read(tmp_path, [block[0], "s;N;mm", *block[1:], *block])
+    assert [run.trace.force[-1] for run in runs] == [pytest.approx(FORCE[-1])] * 2
+
+
+def test_a_count_of_unix_time_with_a_hole_is_a_date(tmp_path: Path) -> None:
+    stamps = ["" if k == 40 else str(1_777_886_100_000 + 10 * k) for k in range(120)]
+    table = lines(stamps, head="t;Force [N];Position [mm]")
+    assert force_of(table, tmp_path, {**BY_NAME, "time": "t"}, missing="gap").info.header.start_time == BEGIN
+
+
+def test_zeros_behind_a_text_are_no_part_of_it(tmp_path: Path) -> None:
+    force_of("\n".join(lines()) + "\n" + "\0" * 512, tmp_path)
+    with pytest.raises(ImportDataError, match="line 3 holds a NUL byte"):
+        read(tmp_path, "\n".join(lines()).replace("0.01;", "0.01\0;", 1))
+
+
+def test_a_quote_that_joins_lines_is_refused(tmp_path: Path) -> None:
+    table = lines()
+    table[7] = f'"{table[7]}'
+    table[60] = table[60].replace(";", '";', 1)
+    with pytest.raises(ImportDataError, match="quotes that do not match"):
+        read(tmp_path, table)
+
+
+def test_a_stamp_far_from_the_others_is_not_filled_up_to(tmp_path: Path) -> None:
+    with pytest.raises(ImportDataError, match=r"would make 9e\+07 samples of 120 rows.*line 121"):
+        read(tmp_path, with_row(120, "9000000;0.079;2.38"), resample_hz=10)
+
+
+def test_an_ordinal_is_a_name(tmp_path: Path) -> None:
+    force_of(["1st;Force;Position", *lines(head="")], tmp_path, {**STATED, "time": "1st:s"})
+
+
+def test_channels_in_nodes_of_their_own_are_a_table(tmp_path: Path) -> None:
+    data = {
+        "t": [k / 100 for k in range(120)],
+        "F": [value / 1000 for value in FORCE],
+        "x": [k / 50 for k in range(120)],
+    }
+    columns = {"time": "t:s", "force": "F:N", "position": "x:mm"}
+    units = {"t": "s", "F": "N", "x": "mm"}
+    listed = [{"name": name, "unit": units[name], "data": cells} for name, cells in data.items()]
+    below = {"t": data["t"], "F": {"values": data["F"], "n": 1}, "x": {"values": data["x"], "n": 1}}
+    force_of(json.dumps({"channels": listed}), tmp_path, {name: column[0] for name, column in columns.items()})
+    (tmp_path / "runs").rename(tmp_path / "first")
+    force_of(json.dumps(below), tmp_path, columns)

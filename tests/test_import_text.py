@@ -181,8 +181,8 @@ def test_what_is_no_table_is_refused_in_one_sentence(
 
 
 def test_what_is_stated_is_taken_as_stated(tmp_path: Path) -> None:
-    stated = read(tmp_path, "a;b\n1.234;5\n2.345;6\n", decimal=",")
-    with pytest.raises(ImportDataError, match=r"holds '1\.234' instead of a number"):
+    stated = read(tmp_path, "a;b\n1.2345;5\n2.345;6\n", decimal=",")
+    with pytest.raises(ImportDataError, match=r"holds '1\.2345' instead of a number"):
         stated.numbers(stated.columns[0], whole=True)
     assert read(tmp_path, "1,5\n3,4\n", delimiter=";").columns[0].values.tolist() == [1.5, 3.4]
     latin = "Größe;F\n1;2\n3;4\n".encode("cp850")

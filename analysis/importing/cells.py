@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -78,13 +78,23 @@ def column_of_texts(name: str, units: str, texts: Sequence[str]) -> ForeignColum
     import pyarrow.compute as pc
 
     cells = pc.utf8_trim_whitespace(pa.array(texts, pa.string()))
-    return text_column(name, units, cells, number_marks(f"column {name!r}", [cells]))[0]
+    return text_column(name, units, cells, number_marks(f"column {name!r}", [cells])[0])[0]
 
 
-def number_marks(place: str, columns: "Sequence[pa.StringArray]", stated: str = "") -> NumberMarks:
-    """Find decimal mark and mark of thousands from all numbers of a table.
+def number_marks(
+    place: str, columns: "Sequence[pa.StringArray]", stated: str = "", parting: str = ","
+) -> tuple[NumberMarks, ...]:
+    """Find decimal mark and mark of thousands of each column, from all numbers of a table.
 
-    Raises `ImportDataError` where the numbers contradict each other, or leave it open.
+    Parameters
+    ----------
+    parting
+        Marks that may part thousands though nothing but whole numbers beside them says so.
+
+    Raises
+    ------
+    ImportDataError
+        Where the numbers of a column contradict each other, or leave it open.
     """
     import pyarrow.compute as pc
 
@@ -94,8 +104,19 @@ def number_marks(place: str, columns: "Sequence[pa.StringArray]", stated: str = 
         for column in columns:
             head += _mark_evidence(column.slice(0, HEAD_ROWS), ".")
         if head["decimal"]:
-            return NumberMarks()
-    counts = {mark: sum((_mark_evidence(column, mark) for column in columns), Counter()) for mark in ".,"}
+            return (NumberMarks(),) * len(columns)
+    evidence = [{mark: _mark_evidence(column, mark) for mark in ".,"} for column in columns]
+    counts = {mark: sum((seen[mark] for seen in evidence), Counter()) for mark in ".,"}
+    if not stated and counts["."]["decimal"] and counts[","]["decimal"]:
+        # Of a workbook's columns, one may be numbers and the next text.
+        return tuple(_marks(place, seen, "", {mark for mark in ".," if seen[mark]["open"]}) for seen in evidence)
+    beside = zip(columns, evidence, strict=True) if any(counts[mark]["open"] for mark in parting) else ()
+    whole = [seen for column, seen in beside if matches(column, r"^[-+]?\d+$").any()]
+    asked = {mark for mark in parting if any(not seen[mark] for seen in whole)}
+    return (_marks(place, counts, stated, asked),) * len(columns)
+
+
+def _marks(place: str, counts: Mapping[str, "Counter[str]"], stated: str, asked: Collection[str]) -> NumberMarks:
     point, comma = counts["."], counts[","]
     if not stated and point["decimal"] and comma["decimal"]:
         raise ImportDataError(
@@ -104,13 +125,20 @@ def number_marks(place: str, columns: "Sequence[pa.StringArray]", stated: str = 
         )
     for thousands, decimal in (",.", ".,"):
         seen = counts[thousands]
+        is_open = seen["open"] and not seen["decimal"] and not counts[decimal]["decimal"] and thousands in asked
         is_mixed = seen["open"] and seen["whole"] and not seen["decimal"] and stated != thousands
-        if is_mixed and not stated and seen["open"] < MIN_MARKED_CELLS:
+        if not stated and not seen["thousands"] and (seen["open"] < MIN_MARKED_CELLS if is_mixed else is_open):
             raise ImportDataError(
                 f"{place}: {thousands!r} may be the decimal mark or part thousands, in {seen['open']} cells; state the "
                 "decimal mark."
             )
-        if seen["thousands"] or is_mixed or (counts[decimal]["decimal"] and seen["open"] and not seen["decimal"]):
+        is_stated = stated == decimal and is_open
+        if (
+            seen["thousands"]
+            or is_mixed
+            or is_stated
+            or (counts[decimal]["decimal"] and seen["open"] and not seen["decimal"])
+        ):
             return NumberMarks(decimal, thousands)
     return NumberMarks(stated or ("," if comma["decimal"] or comma["open"] else "."))
 
@@ -136,10 +164,10 @@ def _mark_evidence(texts: "pa.StringArray", mark: str) -> "Counter[str]":
     return counts
 
 
-def remark_on_marks(marks: NumberMarks) -> tuple[str, ...]:
+def remarks_on_marks(marks: Sequence[NumberMarks]) -> tuple[str, ...]:
     """Tell that a mark was taken for one of thousands."""
-    name = {",": "commas", ".": "points"}.get(marks.thousands)
-    return (f"{name} part thousands: 1{marks.thousands}000 is a thousand",) if name else ()
+    seen = dict.fromkeys(known.thousands for known in marks if known.thousands)
+    return tuple(f"{'commas' if mark == ',' else 'points'} part thousands: 1{mark}000 is a thousand" for mark in seen)
 
 
 def text_column(
@@ -155,6 +183,8 @@ def text_column(
             return ForeignColumn(name, units, _numbers(texts, is_filled)), None
         except pa.ArrowInvalid:
             pass  # some cell is no plain number: the rules below say which
+    # Accounting programs write the sign behind the number.
+    texts = pc.replace_substring_regex(texts, r"^([\d.,]+) ?-$", r"-\1")
     t, d = re.escape(marks.thousands), re.escape(marks.decimal)
     whole = rf"\d{{1,3}}(?:{t}\d{{3}})+|\d+" if t else r"\d+"
     parted = "\\d{1,3}(?:['’\u00a0\u202f\u2009 ]\\d{3})+"
@@ -175,7 +205,9 @@ def text_column(
 def _unit_in_all(texts: "pa.StringArray") -> str:
     """Return the unit that stands behind the number in all cells; empty without any."""
     unit = re.sub(r"^.*[\d.,]\s*", "", texts[0].as_py())
-    is_unit = canonical_unit(unit) is not None and matches(texts, rf"\d[.,]?\s*{re.escape(unit)}$").all()
+    is_unit = (
+        unit.strip("-+") and canonical_unit(unit) is not None and matches(texts, rf"\d[.,]?\s*{re.escape(unit)}$").all()
+    )
     return unit if is_unit else ""
 
 

@@ -20,10 +20,12 @@ if TYPE_CHECKING:
 
 DAY_S = 86_400.0
 HOUR_S = 3_600.0
-COUNTER_BITS = (16, 32)
+COUNTER_BITS = (16, 24, 32)
 """Widths of counters that wrap within a recording: microseconds in 32 bits after 72 minutes."""
 MIN_COUNTER_SHARE = 0.75
 """Share of its range that a counter must have covered before a fall counts as wrapping."""
+MIN_STRETCH_ROWS = 3
+"""Rows that a clock which begins anew stays behind."""
 MIXED_FORMATS = (
     "%d.%m.%y %H:%M:%S", "%d.%m.%y %H:%M", "%m/%d/%y %H:%M:%S", "%d/%m/%y %H:%M:%S", "%m/%d/%y %I:%M:%S %p", "%d.%m.%y",
 )  # fmt: skip
@@ -85,7 +87,7 @@ def epoch_clock(values: FloatArray, unit: str) -> Clock | None:
     Parameters
     ----------
     values
-        Shape `(N,)`, rising, without NaN.
+        Shape `(N,)`, rising; NaN where there is none.
     unit
         Of the values; where it is not stated, the only unit in which they are a date of these decades. Days are then
         MATLAB's alone: a count of 46,000 may be anything.
@@ -95,7 +97,7 @@ def epoch_clock(values: FloatArray, unit: str) -> Clock | None:
     Clock or None
         Seconds since the first row; None for an elapsed time.
     """
-    first, last = float(values.min()), float(values.max())
+    first, last = float(np.nanmin(values)), float(np.nanmax(values))
     for epoch in _EPOCHS:
         for known in epoch.units:
             scale = _SECONDS[known]
@@ -104,8 +106,9 @@ def epoch_clock(values: FloatArray, unit: str) -> Clock | None:
                 continue
             # The last digit of a large count is coarse: ten microseconds in days since the year 0.
             decimals = floor(-log10(2 * float(np.spacing(last)) * scale))
-            seconds = np.round((values - values[0]) * scale, decimals)
-            moment = datetime.fromtimestamp(0, UTC) + timedelta(seconds=float(values[0]) * scale - epoch.zero_s)
+            begin = float(values[np.isfinite(values)][0])
+            seconds = np.round((values - begin) * scale, decimals)
+            moment = datetime.fromtimestamp(0, UTC) + timedelta(seconds=begin * scale - epoch.zero_s)
             rounded = moment.replace(microsecond=0) + timedelta(microseconds=round(moment.microsecond, -1))
             moment = rounded if epoch.is_local else moment
             begins = moment.replace(tzinfo=None).astimezone() if epoch.is_local else moment
@@ -114,7 +117,7 @@ def epoch_clock(values: FloatArray, unit: str) -> Clock | None:
 
 
 def unwrapped(values: FloatArray) -> tuple[FloatArray, str]:
-    """Continue a counter of 16 or 32 bits over its wraps.
+    """Continue a counter over its wraps.
 
     Returns
     -------
@@ -206,6 +209,8 @@ def read_clock(texts: "pa.StringArray") -> Clock | None:
     filled = texts.filter(pc.not_equal(texts, ""))
     if not len(filled) or not any(mark in filled[0].as_py() for mark in ":-/.P "):
         return None
+    # Data loggers part milliseconds as they part seconds.
+    texts = pc.replace_substring_regex(texts, r"(:\d\d)[: ](\d{3})$", r"\1.\2")
     if ":" in filled[0].as_py()[:3] and filled[0].as_py().upper().endswith("M"):
         return _of_half_days(texts)
     return _divided(texts) or _dated(texts)
@@ -222,9 +227,9 @@ def _of_half_days(texts: "pa.StringArray") -> Clock | None:
     return Clock(_over_midnight(clock.seconds + begin.total_seconds()), is_time_of_day=True)
 
 
-def _over_midnight(seconds: FloatArray) -> FloatArray:
-    """Let the clock go on where it begins anew after midnight."""
-    return seconds + DAY_S * np.cumsum(np.diff(seconds, prepend=seconds[:1]) < -DAY_S / 2)
+def _over_midnight(seconds: FloatArray, period_s: float = DAY_S, fall: float = 0.5) -> FloatArray:
+    """Let the clock go on where it falls by so much of its period: after midnight, or the full hour."""
+    return seconds + period_s * np.cumsum(np.diff(seconds, prepend=seconds[:1]) < -fall * period_s)
 
 
 def _divided(texts: "pa.StringArray") -> Clock | None:
@@ -240,7 +245,7 @@ def _divided(texts: "pa.StringArray") -> Clock | None:
         numbers = (pc.cast(pc.replace_substring(part, ",", "."), "float64") for part in fields)
         columns = (np.asarray(part.to_numpy(zero_copy_only=False), dtype=np.float64) for part in numbers)
         seconds = np.sum([column * scale for column, scale in zip(columns, scales, strict=True)], axis=0)
-        seconds = _over_midnight(seconds)
+        seconds = _over_midnight(seconds) if len(scales) == 3 else _over_midnight(seconds, HOUR_S, 0.95)
         remarks = () if len(scales) == 3 else (f"{texts[len(texts) - 1].as_py()} is read as minutes and seconds",)
         return Clock(seconds, is_time_of_day=len(scales) == 3, remarks=remarks)
     return None
@@ -253,6 +258,7 @@ def _dated(texts: "pa.StringArray") -> Clock | None:
     from pandas.tseries.api import guess_datetime_format
 
     plain = pc.replace_substring_regex(texts, r"(\d),(\d)", r"\1.\2")
+    plain = pc.replace_substring_regex(plain, r"\s*(UTC|GMT)$", "Z")
     for half in "ap":
         plain = pc.replace_substring_regex(plain, rf"(?i)\s*{half}\.?m\.?$", f" {half.upper()}M")
     cells = pd.Series(plain.to_pandas()).replace("", None)
@@ -266,7 +272,7 @@ def _dated(texts: "pa.StringArray") -> Clock | None:
     if iso is not None:
         return iso
     is_american = first.endswith("M")
-    orders = (True,) if "." in first[:3] else (False,) if is_american else (False, True)
+    orders = (True,) if "." in first[:3] else (False,) if is_american or first[:4].isdigit() else (False, True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # where only the other order is a date
         # pandas guesses no hour that it counts otherwise.
@@ -307,18 +313,24 @@ def joined(date: Clock, time: Clock) -> Clock:
     """Return the clock of a column of days and one of times of day."""
     midnight = date.begins_at.replace(tzinfo=None) if date.begins_at is not None else None
     first = int(np.isfinite(time.seconds).argmax())
-    seconds = date.seconds + np.mod(time.seconds, DAY_S)
+    # A day may be written once, for all rows below it.
+    latest = np.maximum.accumulate(np.where(np.isfinite(date.seconds), np.arange(len(date.seconds)), 0))
+    seconds = date.seconds[latest] + np.mod(time.seconds, DAY_S)
     seconds = seconds - seconds[first]
     begin = None if midnight is None else (midnight + timedelta(seconds=float(time.seconds[first]))).astimezone()
     return Clock(seconds, begin, remarks=(*date.remarks, *time.remarks))
 
 
 def restarts(seconds: FloatArray) -> Sequence[slice]:
-    """Return the stretches of rows between which the clock begins anew: falls to where the stretch before it began."""
+    """Return the stretches of rows between which the clock begins anew.
+
+    It falls by more than a tenth of the stretch before, and is not back in a few rows, as after a late stamp.
+    """
     falls = np.flatnonzero(np.diff(seconds) < 0) + 1
     begins = [0]
     for row in falls.tolist():
-        stretch = seconds[begins[-1] : row]
-        if seconds[row] <= stretch[0] + (stretch[-1] - stretch[0]) / 10:
+        first, last = seconds[begins[-1]], seconds[row - 1]
+        next_rows = seconds[row : row + MIN_STRETCH_ROWS]
+        if len(next_rows) == MIN_STRETCH_ROWS and first < last and next_rows.max() < last - (last - first) / 10:
             begins.append(row)
     return [slice(begin, end) for begin, end in zip(begins, [*begins[1:], len(seconds)], strict=True)]

@@ -1,7 +1,8 @@
 """Tables in containers of named arrays: NumPy, Parquet, Arrow and JSON files, and what all containers have in common.
 
-A container is a tree of named arrays. Arrays of one length under one node are a table; a matrix of another length is a
-table of its own; structs and cells in a list are numbered nodes. All else is named in the remarks.
+A container is a tree of named arrays. Arrays of one length under one node are a table, and so are channels, nodes of an
+array each; a matrix of another length is a table of its own; structs and cells in a list are numbered nodes. All else
+is named in the remarks.
 """
 
 import json
@@ -121,6 +122,7 @@ def _collect(found: Found, path: Path, place: str, node: Node) -> None:
                 found.remarks.append(f"{full!r} {why}" if full else f"the file {why}")
             case _:
                 found.values.append(f"{full!r}"[1:-1] + f" = {value!r:.40}")
+    nodes = [(full, child) for full, child in nodes if not _add_channel(columns, full.removeprefix(f"{place}."), child)]
     for name, matrix in matrices:
         rows = next((size for size in matrix.shape if size in columns), max(matrix.shape))
         upright = matrix if matrix.shape[0] == rows else matrix.T
@@ -135,6 +137,20 @@ def _collect(found: Found, path: Path, place: str, node: Node) -> None:
         found.tables.append(ForeignTable(path, tuple(group), name=own))
     for full, child in nodes:
         _collect(found, path, full, child)
+
+
+def _add_channel(columns: dict[int, list[ForeignColumn]], name: str, node: Node) -> bool:
+    """Add a node of one array if it is a channel: states its unit, or is as long as others; return whether it is."""
+    stated = {key.casefold(): value for key, value in node.items()}
+    arrays = [value for value in node.values() if not isinstance(value, _SINGLE)]
+    if len(arrays) != 1 or not isinstance(arrays[0], np.ndarray | list) or np.ndim(arrays[0]) != 1:
+        return False
+    units = str(stated.get("unit", stated.get("units", "")))
+    if not units and len(arrays[0]) not in columns:
+        return False
+    own_name = str(stated.get("name", stated.get("label", "")) or name)
+    columns.setdefault(len(arrays[0]), []).append(array_column(own_name, arrays[0], units))
+    return True
 
 
 def _below(place: str, name: str) -> str:

@@ -22,6 +22,8 @@ RESERVED_NAMES = frozenset({*TARGET_UNITS, "phase"})
 SIGNAL_CHANNELS = ("force", "motor_force")
 COUNTED_QUANTITIES = ("position", "command")
 """Quantities of counters, which may wrap."""
+MAX_SAMPLES_PER_ROW = 1000.0
+"""More are not resampled: a stamp is wrong, or the unit of the time."""
 MAX_EXACT_INTEGER = 2.0**53
 
 SPEED_WINDOW_S = 0.05
@@ -178,6 +180,7 @@ def _time(table: ForeignTable, source: ColumnSource, settings: ImportSettings) -
     if column.begins_at is None and source.factor is None and np.isfinite(numbers).any():
         clock = epoch_clock(numbers, canonical_unit(stated) or stated)
         if clock is not None:
+            _require_measurable(table, column, clock.seconds, "s")
             return replace(clock, remarks=(*told, *clock.remarks))
     seconds = _map_column(table, "time", source, settings).scale.apply(numbers)
     if np.nanmax(np.abs(seconds), initial=0.0) > MAX_TRACE_MAGNITUDES["s"] and (clock := epoch_clock(numbers, "")):
@@ -302,12 +305,17 @@ def _extra_channels(
             told.append(
                 f"column {column.name!r:.60} holds {column.bad.text!r:.40} in {table.place(column.bad.row)}: missing"
             )
-        if np.nanmax(np.abs(column.values)) > MAX_EXACT_INTEGER:
+        values = np.where(np.isinf(column.values), np.nan, column.values)
+        units, largest = stated_units.get(id(column), column.units), float(np.nanmax(np.abs(values), initial=0.0))
+        if largest > MAX_TRACE_MAGNITUDES.get(units, np.inf):
+            told.append(f"column {column.name!r:.60} holds {largest:g}, too much for {units}: stored without a unit")
+            units = ""
+        if largest > MAX_EXACT_INTEGER:
             told.append(f"column {column.name!r:.60} holds integers above 2^53, which are rounded")
         name = re.sub(r"[^\w.-]+", "_", column.label).strip("_.") or "column"
         while name in RESERVED_NAMES or name in extra:
             name += "_as_read"
-        extra[name] = replace(column, units=stated_units.get(id(column), column.units))
+        extra[name] = replace(column, values=values, units=units)
     return extra, told
 
 
@@ -347,6 +355,13 @@ def _on_grid(
 ) -> tuple[SampleGrid, dict[str, FloatArray]]:
     stated_hz = settings.sample_rate_hz or (table.sample_rate_hz if stamps is None else None)
     if settings.resample_hz is not None and stamps is not None:
+        samples = float(stamps[-1] - stamps[0]) * settings.resample_hz
+        if samples > MAX_SAMPLES_PER_ROW * len(stamps):
+            row = int(np.argmax(np.diff(stamps))) + 1
+            raise ImportDataError(
+                f"{table.path}: {settings.resample_hz:g} Hz would make {samples:.3g} samples of {len(stamps)} rows; "
+                f"state a lower rate, or correct the time at {table.place(int(places[row]))}."
+            )
         return resample(stamps, values, settings.resample_hz)
     if stated_hz is not None:
         return counted_grid(table.path, stamps, places, stated_hz), values
@@ -355,7 +370,10 @@ def _on_grid(
             f"{table.path}: no column is mapped to time and no sample_rate_hz is given; map one, as in "
             f"time={table.columns[0].name!r}:s."
         )
-    return fit_sample_grid(table.path, stamps, settings.tolerance), values
+    source = _sources(table, settings)["time"]
+    unit = canonical_unit(source.unit or table.column(source.column).units)
+    unit_s = CONVERTIBLE_UNITS["s"].get(unit or "", 1.0)
+    return fit_sample_grid(table.path, stamps, settings.tolerance, unit_s), values
 
 
 def _position_and_command(

@@ -11,6 +11,9 @@ from dragrig.analysis.importing.units import split_unit
 from dragrig.config import ImportDataError, suggestion
 from dragrig.rig import FloatArray
 
+SCPI_OVERLOAD = (9.9e37, 9.92e37)
+"""Range of what instruments send for infinity and for no number (SCPI-99, 7.2)."""
+
 
 @dataclass(frozen=True, slots=True)
 class InvalidCell:
@@ -107,7 +110,7 @@ class ForeignTable:
             raise ImportDataError(f"{self.path}: {name!r} could be {places}; give the full name, or the number.")
         if name.isdecimal() and 1 <= int(name) <= len(self.columns):
             return self.columns[int(name) - 1]
-        unread = re.compile(rf"'(.+\.)?{re.escape(name)}' ")
+        unread = re.compile(rf"^(table )?'(.+\.)?{re.escape(name)}' ")
         if told := next(filter(unread.match, self.remarks), None):
             raise ImportDataError(f"{self.path}: {told}.")
         names = [column.name for column in self.columns]
@@ -138,10 +141,12 @@ class ForeignTable:
             When a cell holds text, or `whole` and a value is missing.
         """
         self.require_numbers(column, throughout=whole)
-        finite = np.isfinite(column.values)
+        low, high = SCPI_OVERLOAD
+        size = np.abs(column.values)
+        finite = np.isfinite(size) & ~((low <= size) & (size < high))
         if whole and not finite.all():
             raise ImportDataError(
-                f"{self.path}: {self.place(int(finite.argmin()))}, column {column.name!r} has no number (empty, NaN or "
-                "infinite); leave such rows out, so that they become a gap (--missing gap)."
+                f"{self.path}: {self.place(int(finite.argmin()))}, column {column.name!r} has no number (empty, NaN, "
+                "infinite or overload); leave such rows out, so that they become a gap (--missing gap)."
             )
-        return column.values
+        return column.values if finite.all() else np.where(finite, column.values, np.nan)

@@ -84,8 +84,10 @@ def text_of(path: Path, encoding: str = "") -> str:
             f"{path}: line {line} is not text in the encoding {encoding}; state the right one, such as cp1252 or "
             "utf-16."
         ) from error
+    text = text.rstrip("\0")  # a logger without power leaves them
     if "\0" in text:
-        raise ImportDataError(f"{path}: is binary, not text; MAT, Parquet and TDMS files are recognised by ending.")
+        line = text[: text.index("\0")].count("\n") + 1
+        raise ImportDataError(f"{path}: line {line} holds a NUL byte, which is no text; remove it, or export anew.")
     return text.removeprefix("\ufeff")
 
 

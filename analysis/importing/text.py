@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ from dragrig.analysis.importing.cells import (
     arrow_mask,
     matches,
     number_marks,
-    remark_on_marks,
+    remarks_on_marks,
     text_column,
 )
 from dragrig.analysis.importing.clocks import Clock, joined
@@ -67,7 +68,7 @@ _BREAK = "\x1e"
 class _Lines:
     """Lines of a file, and the number of each, counted from 1."""
 
-    texts: Sequence[str]
+    texts: list[str]
     numbers: Sequence[int]
 
     @classmethod
@@ -125,15 +126,18 @@ def split_cells(line: str, delimiter: str) -> list[str]:
 
 
 def _found_delimiter(lines: Sequence[str]) -> str:
-    """Return the delimiter that gives the most columns of values, then the largest share of such columns."""
+    """Return the delimiter that gives the most columns of values in the most rows, then the largest share of them."""
     sample = _sample(lines)
     shapes = {mark: _shape(sample, mark) for mark in DELIMITERS}
 
-    def fit(mark: str) -> tuple[int, bool, float]:
-        width, numeric = shapes[mark]
+    most = max((rows for _, numeric, rows in shapes.values() if len(numeric) > 1), default=0)
+
+    def fit(mark: str) -> tuple[bool, int, bool, float]:
+        width, numeric, rows = shapes[mark]
         # Tabs hold empty cells, which white space would swallow, unless it parts the numbers within them.
         whole = mark != " " and not any(_PARTED.search(cell) for line in sample for cell in split_cells(line, mark))
-        return len(numeric), whole, len(numeric) / max(width, 1)
+        # Columns that only a few lines have are those of a preamble.
+        return 10 * rows > most, len(numeric), whole, len(numeric) / max(width, 1)
 
     best = max(DELIMITERS, key=fit)
     return best if shapes[best][1] else ""
@@ -144,15 +148,15 @@ def _sample(lines: Sequence[str]) -> list[str]:
     return [line for line in spread if line.strip() and not _COMMENT.match(line)]
 
 
-def _shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int, ...]]:
-    """Return the most common number of cells per line, and the columns that are mostly values."""
+def _shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int, ...], int]:
+    """Return the most common number of cells per line, the columns that are mostly values, and the number of lines."""
     rows = [row for row in (split_cells(line, delimiter) for line in sample) if any(map(_SINGLE.fullmatch, row))]
     if not rows:
-        return 0, ()
-    width = Counter(map(len, rows)).most_common(1)[0][0]
+        return 0, (), 0
+    (width, count), *_ = Counter(map(len, rows)).most_common(1)
     cells_by_column = zip(*(row for row in rows if len(row) == width), strict=True)
     surplus = (sum(1 if _SINGLE.fullmatch(cell) else -1 for cell in cells if cell) for cells in cells_by_column)
-    return width, tuple(column for column, majority in enumerate(surplus) if majority > 0)
+    return width, tuple(column for column, majority in enumerate(surplus) if majority > 0), count
 
 
 class _Fit:
@@ -161,6 +165,7 @@ class _Fit:
     def __init__(self, path: Path, lines: _Lines, delimiter: str, settings: ImportSettings) -> None:
         self._path, self._lines, self._delimiter, self._settings = path, lines, delimiter, settings
         self._widths = _widths(lines.texts, delimiter)
+        self._comments: dict[int, str] = {}
         self._in_table = np.zeros(len(lines.texts), dtype=np.bool_)
         self._in_table[: settings.header_lines or 0] = True
 
@@ -171,15 +176,24 @@ class _Fit:
             self._in_table[grid.lines[grid.is_row]] = True
             found += self._blocks(grid)
         found.sort(key=lambda table: table.lines[0] if table.lines else 0)
-        return tuple(found)
+        if len(found) == 1:
+            return tuple(found)
+        titles = Counter(table.name for table in found)
+        names = (name if name and titles[name] == 1 else "" for name in (table.name for table in found))
+        return tuple(
+            replace(table, name=name or f"block {number}")
+            for number, (table, name) in enumerate(zip(found, names, strict=True), start=1)
+        )
 
     def _grid(self, *, first: bool) -> _Grid | None:
         """Parse the lines of the width that most rows have; None without rows, or too few after the first table."""
         free = np.flatnonzero(~self._in_table & (self._widths > 0))
         sample = _sample([self._lines.texts[line] for line in free.tolist()])
-        width, numeric = _shape(sample, self._delimiter)
+        width, numeric, _ = _shape(sample, self._delimiter)
         if not numeric or not (first or (numeric[0] == 0 and len(numeric) > 1)):
             return None
+        for line in free[self._widths[free] == width + 1].tolist():
+            self._part_comment(line)
         lines = free[self._widths[free] == width]
         columns = _parsed(self._path, [self._lines.texts[line] for line in lines.tolist()], self._delimiter, width)
         is_row, value_columns = _rows_among(columns)
@@ -187,21 +201,39 @@ class _Fit:
             return None
         return _Grid(lines, columns, is_row, value_columns)
 
+    def _part_comment(self, line: int) -> None:
+        """Take text behind the last column out of a row, so that it is told."""
+        row, _, comment = self._lines.texts[line].rpartition(self._delimiter)
+        values = [cell for cell in split_cells(row, self._delimiter) if cell]
+        if self._delimiter != " " and values and all(map(_SINGLE.fullmatch, values)) and not _SINGLE.fullmatch(comment):
+            self._lines.texts[line] = row
+            self._comments[line] = comment.strip()
+            self._widths[line] -= 1
+
     def _blocks(self, grid: _Grid) -> Iterator[ForeignTable]:
         """Cut the rows where a heading stands between them, or a line that stood before the first of them as well."""
         rows = grid.lines[grid.is_row]
         all_cells = [column.filter(arrow_mask(grid.is_row)) for column in grid.columns]
         width = len(all_cells)
-        marks = number_marks(str(self._path), all_cells, self._settings.decimal)
+        parting = ",." if self._delimiter == ";" else ","
+        marks = number_marks(str(self._path), all_cells, self._settings.decimal, parting)
         cuts, left_out = self._cuts(rows, width)
+        if len(cuts) > 1 and len(rows) - cuts[-1] < MIN_FURTHER_ROWS:
+            # A table of results, as a preamble may hold one too.
+            left_out += range(rows[cuts[-1] - 1] + 1, rows[-1] + 1)
+            rows, left_out = (
+                rows[: cuts.pop()],
+                sorted(line for line in set(left_out) if self._lines.texts[line].strip()),
+            )
         start = self._settings.header_lines or 0
         heading, header_begin = _Heading(), 0
-        for number, (begin, end) in enumerate(zip(cuts, [*cuts[1:], len(rows)], strict=True), start=1):
+        for begin, end in pairwise((*cuts, len(rows))):
             if end - begin < MIN_FURTHER_ROWS and len(rows) > 2 * (end - begin):
                 continue
             preamble = tuple(self._lines.texts[header_begin : max(int(rows[begin]), start)])
             cells = [column.slice(begin, end - begin) for column in all_cells]
-            heading = self._placed(_heading(preamble, self._delimiter, width) or heading, cells)
+            found = _heading(preamble, self._delimiter, width) or heading
+            heading = self._placed(found if found.units or found.names != heading.names else heading, cells)
             inside = [line for line in left_out if rows[begin] < line <= (rows[end] if end < len(rows) else np.inf)]
             numbers = tuple(self._lines.numbers[line] for line in rows[begin:end])
             gapless = numbers[-1] - numbers[0] == len(numbers) - 1
@@ -211,8 +243,7 @@ class _Fit:
                 columns,
                 lines=range(numbers[0], numbers[-1] + 1) if gapless else numbers,
                 preamble=preamble,
-                name=f"block {number}" if len(cuts) > 1 else "",
-                remarks=(*self._told(inside), *remark_on_marks(marks)),
+                remarks=(*self._told(inside), *self._told_comments(rows[begin:end]), *remarks_on_marks(marks)),
             )
             header_begin = int(rows[end - 1]) + 1
             yield from _side_by_side(
@@ -276,6 +307,12 @@ class _Fit:
         quoted = ", ".join(repr(self._lines.texts[line].strip()[:60]) for line in left_out[:TOLD_LINES])
         yield f"{place} no rows and left out: {quoted}{', …' if len(left_out) > TOLD_LINES else ''}"
 
+    def _told_comments(self, rows: npt.NDArray[np.intp]) -> Iterator[str]:
+        lines = [row for row in rows.tolist() if row in self._comments] if self._comments else []
+        if lines:
+            said = (f"line {self._lines.numbers[line]} {self._comments[line]!r:.60}" for line in lines[:TOLD_LINES])
+            yield f"{len(lines)} rows end with text: {', '.join(said)}{', …' if len(lines) > TOLD_LINES else ''}"
+
 
 def _widths(lines: Sequence[str], delimiter: str) -> npt.NDArray[np.intp]:
     """Return the number of cells of each line; 0 for empty lines and comments."""
@@ -309,16 +346,18 @@ def _parsed(path: Path, lines: Sequence[str], delimiter: str, width: int) -> "tu
             arrow_csv.ParseOptions(delimiter=delimiter, ignore_empty_lines=False),
             arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False),
         )
-    except pa.ArrowInvalid as error:
-        raise ImportDataError(f"{path}: holds quotes that do not match; remove them.") from error
+    except pa.ArrowInvalid:
+        table = None
+    if table is None or len(table) != len(lines):
+        raise ImportDataError(f"{path}: holds quotes that do not match; remove them.")
     return tuple(pc.utf8_trim_whitespace(column.combine_chunks()) for column in table.columns)
 
 
 def _rows_among(columns: "Sequence[pa.StringArray]") -> tuple[Mask, tuple[int, ...]]:
     """Return which lines are rows, and the columns of values.
 
-    A row has a value, or a mark of a missing one, in the first column of values, and values in half of the others that
-    are filled.
+    A row has a value, or a mark of a missing one, in the first column that is mostly values, and values in half of the
+    others that are filled; among rows, it may have marks of missing values alone.
     """
     is_value = np.array([are_values(column) for column in columns])
     is_filled = np.array([are_filled(column) for column in columns])
@@ -327,10 +366,16 @@ def _rows_among(columns: "Sequence[pa.StringArray]") -> tuple[Mask, tuple[int, .
         return np.zeros(len(columns[0]), dtype=np.bool_), ()
     values = is_value[value_columns].sum(axis=0)
     filled = is_filled[value_columns].sum(axis=0)
-    first = value_columns[0]
+    in_column = is_value[value_columns].sum(axis=1)
+    first = value_columns[np.argmax(2 * in_column >= in_column.max())]
     in_first = is_value[first].copy()
     in_first[~is_value[first]] = matches(columns[first].filter(arrow_mask(~is_value[first])), NO_VALUE)
-    return in_first & (values > 0) & (2 * values >= filled), tuple(value_columns.tolist())
+    is_row = in_first & (values > 0) & (2 * values >= filled)
+    known = np.flatnonzero(is_row)
+    for line in np.flatnonzero(in_first & (values == 0) & (filled > 0)).tolist():
+        cells = (columns[column][line].as_py() for column in value_columns.tolist())
+        is_row[line] = known.size and known[0] < line < known[-1] and all(map(_HAS_NO_VALUE.match, cells))
+    return is_row, tuple(value_columns.tolist())
 
 
 def _skeleton(line: str) -> str:
@@ -339,7 +384,7 @@ def _skeleton(line: str) -> str:
 
 
 def _columns(
-    heading: _Heading, cells: "Sequence[pa.StringArray]", marks: NumberMarks
+    heading: _Heading, cells: "Sequence[pa.StringArray]", marks: Sequence[NumberMarks]
 ) -> tuple[tuple[ForeignColumn, ...], tuple[Clock | None, ...]]:
     """Return the columns of a table, and the clock that each is."""
     columns: list[ForeignColumn] = []
@@ -350,7 +395,9 @@ def _columns(
         if not name and number == len(cells) - 1 and not are_filled(texts).any():
             continue  # each line ends with a delimiter
         name = name or f"column {number + 1}"
-        column, clock = text_column(name, canonical_unit(unit) or unit or split_unit(name)[1] or "", texts, marks)
+        column, clock = text_column(
+            name, canonical_unit(unit) or unit or split_unit(name)[1] or "", texts, marks[number]
+        )
         columns.append(column)
         clocks.append(clock)
     return tuple(columns), tuple(clocks)
@@ -386,9 +433,16 @@ def _heading_cells(line: str, delimiter: str, width: int) -> list[str]:
         cells.pop()
     missing = width - len(cells)
     is_short = missing == 1 and delimiter != " " and width > 2
-    if (missing and not is_short) or any(_IS_VALUE.match(cell) and cell[:1].isdigit() for cell in cells):
+    is_row = any(map(_is_measured, cells)) or all(map(_HAS_NO_VALUE.match, cells))
+    if (missing and not is_short) or is_row:
         return []
     return cells
+
+
+def _is_measured(cell: str) -> bool:
+    """Whether a cell begins with a digit and looks like a value, and is no name such as `1st`."""
+    word = re.fullmatch(r"\d+([A-Za-z]{2,})", cell)
+    return cell[:1].isdigit() and bool(_IS_VALUE.match(cell)) and (word is None or canonical_unit(word[1]) is not None)
 
 
 def _are_units(cells: Sequence[str]) -> bool:
@@ -434,6 +488,6 @@ def _side_by_side(table: ForeignTable, names: Sequence[str], delimiter: str) -> 
             titles = above if len(set(above)) == len(starts) else titles
         for start, title in zip(starts, titles, strict=True):
             columns = table.columns[start : start + width]
-            yield replace(table, columns=columns, name=f"{table.name}, {title}" if table.name else title)
+            yield replace(table, columns=columns, name=title)
         return
     yield table

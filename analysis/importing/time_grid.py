@@ -76,7 +76,7 @@ def _lost_samples(index: npt.NDArray[np.int64], period: float) -> Iterator[RunEv
         yield RunEvent(float(index[row] + 1) * period, "gap", f"{count} samples lost, {count * period:.6g} s")
 
 
-def fit_sample_grid(path: Path, stamps: FloatArray, tolerance: float) -> SampleGrid:
+def fit_sample_grid(path: Path, stamps: FloatArray, tolerance: float, unit_s: float = 1.0) -> SampleGrid:
     """Find the even grid that time stamps lie on.
 
     Parameters
@@ -85,6 +85,8 @@ def fit_sample_grid(path: Path, stamps: FloatArray, tolerance: float) -> SampleG
         Seconds, never falling, shape `(N,)`.
     tolerance
         Allowed distance of a stamp from the grid, in periods; the last written digit is allowed for besides.
+    unit_s
+        Unit that the stamps were written in: of minutes the last digit is coarser than it looks in seconds.
 
     Raises
     ------
@@ -99,7 +101,7 @@ def fit_sample_grid(path: Path, stamps: FloatArray, tolerance: float) -> SampleG
             f"{path}: several rows have the time {stamps[row]:.9g} s; where the clock is coarser than the sampling, "
             "state sample_rate_hz, so that rows are counted."
         )
-    resolution = _time_resolution(stamps)
+    resolution = max(_time_resolution(stamps), unit_s * _time_resolution(stamps / unit_s))
     # The longest lag of `_sample_period` is at least a quarter of the rows, and both its ends are rounded.
     period = _round_period(_sample_period(stamps), 4 * resolution / len(stamps))
     place = (stamps - stamps[0]) / period
