@@ -67,12 +67,12 @@ from .identification.speed_dependence import r2_eq15 as r2_eq15
 from .identification.speed_dependence import squared_correlation as squared_correlation
 from .identification.steady_sliding import DragSetup as DragSetup
 from .identification.steady_sliding import steady_force_parts as steady_force_parts
+from .importing.import_settings import ColumnMap as ColumnMap
+from .importing.import_settings import ImportSettings as ImportSettings
+from .importing.import_settings import parse_map as parse_map
 from .importing.importer import ImportedRun as ImportedRun
 from .importing.importer import import_file as import_file
 from .importing.importer import import_runs as import_runs
-from .importing.settings import ColumnMap as ColumnMap
-from .importing.settings import ImportSettings as ImportSettings
-from .importing.settings import parse_map as parse_map
 from .linear_gaussian import FRICTION_VARIATION as FRICTION_VARIATION
 from .linear_gaussian import PARAMETER_BOUND as PARAMETER_BOUND
 from .linear_gaussian import STIFFNESS_VARIATION as STIFFNESS_VARIATION

@@ -17,8 +17,8 @@ from scipy.io import loadmat
 
 from dragrig.analysis.export import CsvStyle, ExportFormat, ExportSelection, export_run, write_export
 from dragrig.analysis.importing.exports import read_export
+from dragrig.analysis.importing.import_settings import ImportSettings, parse_map
 from dragrig.analysis.importing.importer import import_file, import_runs
-from dragrig.analysis.importing.settings import ImportSettings, parse_map
 from dragrig.analysis.savgol import SavgolSettings, filter_file
 from dragrig.config.errors import ImportDataError
 from dragrig.rig.runfile import Run, read_run

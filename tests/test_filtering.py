@@ -109,8 +109,8 @@ def test_a_window_that_does_not_fit_names_the_run() -> None:
 
 def test_naming_the_filter_loads_no_heavy_library() -> None:
     script = (
-        "import sys, dragrig.analysis as a, dragrig.analysis.importing as i\n"
-        "a.SavgolSettings, a.filter_run, a.measure, a.export_run, a.TableRow, a.SavgolStream, i.__all__\n"
+        "import sys, dragrig.analysis as a, dragrig.analysis.importing\n"
+        "a.SavgolSettings, a.filter_run, a.measure, a.export_run, a.TableRow, a.SavgolStream, a.__all__\n"
         "print([m for m in ('scipy', 'pandas', 'h5py', 'pyarrow', 'pydantic', 'nptdms') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

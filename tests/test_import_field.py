@@ -561,3 +561,17 @@ def test_channels_in_nodes_of_their_own_are_a_table(tmp_path: Path) -> None:
     force_of(json.dumps({"channels": listed}), tmp_path, {name: column[0] for name, column in columns.items()})
     (tmp_path / "runs").rename(tmp_path / "first")
     force_of(json.dumps(below), tmp_path, columns)
+
+
+def test_thousands_parted_by_blanks_do_not_part_the_columns_of_a_tab_table(tmp_path: Path) -> None:
+    rows = [f"{k / 100:.2f}\t{950 + k:,}\t{k}".replace(",", " ") for k in range(120)]
+    (run,) = read(
+        tmp_path, ["Time [s]\tForce [mN]\tPosition [mm]", *rows], {"time": "1", "force": "2", "position": "3"}
+    )
+    assert run.trace.force.tolist() == [950 + k for k in range(120)]
+
+
+def test_a_remark_that_comes_twice_among_the_rows_begins_no_table(tmp_path: Path) -> None:
+    table = lines()
+    runs = read(tmp_path, [*table[:40], "paused", *table[40:80], "paused", *table[80:]])
+    assert [len(run.trace.force) for run in runs] == [120]

@@ -13,8 +13,8 @@ from nptdms import ChannelObject, TdmsWriter
 from pyarrow import parquet
 from scipy.io import savemat
 
+from dragrig.analysis import ImportSettings, import_file, parse_map
 from dragrig.analysis.export import CsvStyle, ExportFormat, export_run
-from dragrig.analysis.importing import ImportSettings, import_file, parse_map
 from dragrig.analysis.importing.containers import read_numpy
 from dragrig.analysis.measures import table_row
 from dragrig.analysis.savgol import filter_file

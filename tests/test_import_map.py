@@ -5,7 +5,7 @@ import tomllib
 import pytest
 from pydantic import ValidationError
 
-from dragrig.analysis.importing.settings import ColumnSource, ImportSettings, parse_map
+from dragrig.analysis.importing.import_settings import ColumnSource, ImportSettings, parse_map
 from dragrig.analysis.importing.units import canonical_unit, split_unit, unit_scale
 from dragrig.config.errors import ImportDataError
 from dragrig.config.settings import to_toml

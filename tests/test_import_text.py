@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dragrig.analysis.importing.foreign import ForeignTable
+from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
-from dragrig.analysis.importing.settings import ImportSettings
 from dragrig.config.errors import ImportDataError
 
 FOREIGN = Path(__file__).parent / "data" / "foreign"

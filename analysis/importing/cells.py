@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dragrig.analysis import Mask
-from dragrig.analysis.importing.clocks import Clock, read_clock
+from dragrig.analysis.importing.clocks import RowTimes, read_clock
 from dragrig.analysis.importing.foreign import ForeignColumn, InvalidCell
 from dragrig.analysis.importing.units import canonical_unit
 from dragrig.config import ImportDataError
@@ -172,7 +172,7 @@ def remarks_on_marks(marks: Sequence[NumberMarks]) -> tuple[str, ...]:
 
 def text_column(
     name: str, units: str, texts: "pa.StringArray", marks: NumberMarks
-) -> tuple[ForeignColumn, Clock | None]:
+) -> tuple[ForeignColumn, RowTimes | None]:
     """Return a column of cells of text as numbers, with the first cell that is none; or as the clock that it is."""
     import pyarrow as pa
     import pyarrow.compute as pc

@@ -36,7 +36,7 @@ _MINUTES = r"^(?P<m>\d{1,4}):(?P<s>[0-5]?\d(?:[.,]\d*)?)$"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Clock:
+class RowTimes:
     """Times of the rows, shape `(N,)`, NaN where there is none."""
 
     seconds: FloatArray
@@ -81,7 +81,7 @@ _EPOCHS = (
 _SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "d": DAY_S}
 
 
-def epoch_clock(values: FloatArray, unit: str) -> Clock | None:
+def epoch_clock(values: FloatArray, unit: str) -> RowTimes | None:
     """Recognise a count since a fixed moment by its magnitude.
 
     Parameters
@@ -94,7 +94,7 @@ def epoch_clock(values: FloatArray, unit: str) -> Clock | None:
 
     Returns
     -------
-    Clock or None
+    RowTimes or None
         Seconds since the first row; None for an elapsed time.
     """
     first, last = float(np.nanmin(values)), float(np.nanmax(values))
@@ -112,7 +112,7 @@ def epoch_clock(values: FloatArray, unit: str) -> Clock | None:
             rounded = moment.replace(microsecond=0) + timedelta(microseconds=round(moment.microsecond, -1))
             moment = rounded if epoch.is_local else moment
             begins = moment.replace(tzinfo=None).astimezone() if epoch.is_local else moment
-            return Clock(seconds, begins, remarks=(f"time is {epoch.name} in {known}",))
+            return RowTimes(seconds, begins, remarks=(f"time is {epoch.name} in {known}",))
     return None
 
 
@@ -168,18 +168,18 @@ def moment_of(stamp: np.generic, zone: tzinfo | None = None) -> datetime | None:
         return None
 
 
-def _moments_clock(moments: npt.NDArray[np.generic], zone: tzinfo | None = None) -> Clock:
+def _moments_clock(moments: npt.NDArray[np.generic], zone: tzinfo | None = None) -> RowTimes:
     known = np.flatnonzero(~np.isnat(moments))
     if not known.size:
-        return Clock(np.full(len(moments), np.nan))
+        return RowTimes(np.full(len(moments), np.nan))
     first = moments[known[0]]
     seconds = np.asarray((moments - first) / np.timedelta64(1, "s"), dtype=np.float64)
     begin = moment_of(first, zone)
     if zone is not None:
-        return Clock(seconds, begin)
+        return RowTimes(seconds, begin)
     is_date = bool((moments[known] == moments[known].astype("datetime64[D]")).all())
     seconds, remarks = _over_changed_clocks(seconds, moments)
-    return Clock(seconds, begin, is_date=is_date, remarks=remarks)
+    return RowTimes(seconds, begin, is_date=is_date, remarks=remarks)
 
 
 def _over_changed_clocks(seconds: FloatArray, moments: npt.NDArray[np.generic]) -> tuple[FloatArray, tuple[str, ...]]:
@@ -202,7 +202,7 @@ def _over_changed_clocks(seconds: FloatArray, moments: npt.NDArray[np.generic]) 
     return seconds + shift, told
 
 
-def read_clock(texts: "pa.StringArray") -> Clock | None:
+def read_clock(texts: "pa.StringArray") -> RowTimes | None:
     """Read cells that are all empty or a date, a date with a time, a time of day or an elapsed time; else None."""
     import pyarrow.compute as pc
 
@@ -216,7 +216,7 @@ def read_clock(texts: "pa.StringArray") -> Clock | None:
     return _divided(texts) or _dated(texts)
 
 
-def _of_half_days(texts: "pa.StringArray") -> Clock | None:
+def _of_half_days(texts: "pa.StringArray") -> RowTimes | None:
     """Read times of day with AM and PM, as those of any day."""
     import pyarrow.compute as pc
 
@@ -224,7 +224,7 @@ def _of_half_days(texts: "pa.StringArray") -> Clock | None:
     if clock is None or clock.begins_at is None:
         return None
     begin = clock.begins_at.replace(tzinfo=None) - datetime(2000, 1, 1)  # noqa: DTZ001
-    return Clock(_over_midnight(clock.seconds + begin.total_seconds()), is_time_of_day=True)
+    return RowTimes(_over_midnight(clock.seconds + begin.total_seconds()), is_time_of_day=True)
 
 
 def _over_midnight(seconds: FloatArray, period_s: float = DAY_S, fall: float = 0.5) -> FloatArray:
@@ -232,7 +232,7 @@ def _over_midnight(seconds: FloatArray, period_s: float = DAY_S, fall: float = 0
     return seconds + period_s * np.cumsum(np.diff(seconds, prepend=seconds[:1]) < -fall * period_s)
 
 
-def _divided(texts: "pa.StringArray") -> Clock | None:
+def _divided(texts: "pa.StringArray") -> RowTimes | None:
     """Hours, minutes and seconds with colons between them."""
     import pyarrow.compute as pc
 
@@ -247,11 +247,11 @@ def _divided(texts: "pa.StringArray") -> Clock | None:
         seconds = np.sum([column * scale for column, scale in zip(columns, scales, strict=True)], axis=0)
         seconds = _over_midnight(seconds) if len(scales) == 3 else _over_midnight(seconds, HOUR_S, 0.95)
         remarks = () if len(scales) == 3 else (f"{texts[len(texts) - 1].as_py()} is read as minutes and seconds",)
-        return Clock(seconds, is_time_of_day=len(scales) == 3, remarks=remarks)
+        return RowTimes(seconds, is_time_of_day=len(scales) == 3, remarks=remarks)
     return None
 
 
-def _dated(texts: "pa.StringArray") -> Clock | None:
+def _dated(texts: "pa.StringArray") -> RowTimes | None:
     """Dates in any of the usual forms, by pandas; what the order of day and month leaves open is told."""
     import pandas as pd
     import pyarrow.compute as pc
@@ -267,7 +267,7 @@ def _dated(texts: "pa.StringArray") -> Clock | None:
     if first[:1] == "P" or "day" in first:
         lengths = pd.to_timedelta(cells, errors="coerce")
         seconds = np.asarray(lengths.dt.total_seconds().to_numpy(), dtype=np.float64)
-        return None if lengths[filled.index].isna().any() else Clock(seconds)
+        return None if lengths[filled.index].isna().any() else RowTimes(seconds)
     iso = _moments(cells, "ISO8601") if first[:4].isdigit() else None
     if iso is not None:
         return iso
@@ -291,7 +291,7 @@ def _dated(texts: "pa.StringArray") -> Clock | None:
     return chosen
 
 
-def _moments(cells: "pd.Series", known: str) -> Clock | None:
+def _moments(cells: "pd.Series", known: str) -> RowTimes | None:
     """Read dates by a format, whose fraction of a second and long month's name are optional."""
     import pandas as pd
 
@@ -309,7 +309,7 @@ def _moments(cells: "pd.Series", known: str) -> Clock | None:
     return _moments_clock(plain.to_numpy(dtype="datetime64[ns]"), UTC if with_zone else None)
 
 
-def joined(date: Clock, time: Clock) -> Clock:
+def joined(date: RowTimes, time: RowTimes) -> RowTimes:
     """Return the clock of a column of days and one of times of day."""
     midnight = date.begins_at.replace(tzinfo=None) if date.begins_at is not None else None
     first = int(np.isfinite(time.seconds).argmax())
@@ -318,7 +318,7 @@ def joined(date: Clock, time: Clock) -> Clock:
     seconds = date.seconds[latest] + np.mod(time.seconds, DAY_S)
     seconds = seconds - seconds[first]
     begin = None if midnight is None else (midnight + timedelta(seconds=float(time.seconds[first]))).astimezone()
-    return Clock(seconds, begin, remarks=(*date.remarks, *time.remarks))
+    return RowTimes(seconds, begin, remarks=(*date.remarks, *time.remarks))
 
 
 def restarts(seconds: FloatArray) -> Sequence[slice]:

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.analysis import SavgolSettings, gap_starts, mask_spans, smooth
-from dragrig.analysis.importing.clocks import Clock, epoch_clock, restarts, unwrapped
+from dragrig.analysis.importing.clocks import RowTimes, epoch_clock, restarts, unwrapped
 from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable
-from dragrig.analysis.importing.settings import ColumnSource, ImportSettings, guess_columns
+from dragrig.analysis.importing.import_settings import ColumnSource, ImportSettings, guess_columns
 from dragrig.analysis.importing.time_grid import SampleGrid, counted_grid, fit_sample_grid, import_event, resample
 from dragrig.analysis.importing.units import CONVERTIBLE_UNITS, TARGET_UNITS, UnitScale, canonical_unit, unit_scale
 from dragrig.config import AnalysisError, ImportDataError
@@ -171,7 +171,7 @@ def _sources(table: ForeignTable, settings: ImportSettings) -> Mapping[str, Colu
     return settings.columns.mapped() or guess_columns(table).mapped()
 
 
-def _time(table: ForeignTable, source: ColumnSource, settings: ImportSettings) -> Clock:
+def _time(table: ForeignTable, source: ColumnSource, settings: ImportSettings) -> RowTimes:
     """Return the time of the rows: of a column of dates, of a count since a fixed moment, or in a unit of time."""
     column = table.column(source.column)
     numbers, wrapped = unwrapped(table.numbers(column, whole=settings.missing == "refuse"))
@@ -188,7 +188,7 @@ def _time(table: ForeignTable, source: ColumnSource, settings: ImportSettings) -
             f"{table.path}: column {column.name!r} is not in {stated}: {clock.remarks[0]}; state that."
         )
     _require_measurable(table, column, seconds, "s")
-    return Clock(seconds, column.begins_at, remarks=told)
+    return RowTimes(seconds, column.begins_at, remarks=told)
 
 
 def _contradictions(table: ForeignTable, sources: Mapping[str, ColumnSource]) -> Iterator[str]:

@@ -23,8 +23,8 @@ from dragrig.analysis.importing.conversion import (
 )
 from dragrig.analysis.importing.exports import ExportedRun, read_export, restore_run
 from dragrig.analysis.importing.foreign import ForeignTable
+from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
-from dragrig.analysis.importing.settings import ImportSettings
 from dragrig.analysis.importing.time_grid import IMPORT_EVENT
 from dragrig.config import Capsule, Fixture, ImportDataError, OutputError, Specimen, find_settings, suggestion
 from dragrig.rig import (

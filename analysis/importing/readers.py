@@ -21,8 +21,8 @@ from dragrig.analysis.importing.file_kinds import (
     zipped_bytes,
 )
 from dragrig.analysis.importing.foreign import ForeignTable
+from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.matlab import read_mat, read_mat73
-from dragrig.analysis.importing.settings import ImportSettings
 from dragrig.analysis.importing.tdms import read_tdms
 from dragrig.analysis.importing.text import text_tables
 from dragrig.config import ImportDataError, suggestion

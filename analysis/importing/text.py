@@ -5,6 +5,7 @@ Between two stretches of rows stand either a few lines that are left out, with a
 table.
 """
 
+import csv
 import io
 import re
 from collections import Counter
@@ -30,10 +31,10 @@ from dragrig.analysis.importing.cells import (
     remarks_on_marks,
     text_column,
 )
-from dragrig.analysis.importing.clocks import Clock, joined
+from dragrig.analysis.importing.clocks import RowTimes, joined
 from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable
+from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.lvm import with_stated_waveform
-from dragrig.analysis.importing.settings import ImportSettings
 from dragrig.analysis.importing.units import canonical_unit, split_unit
 from dragrig.config import ImportDataError
 
@@ -57,6 +58,7 @@ _SINGLE = re.compile(
 )
 """A value that holds no delimiter: a number with either decimal mark, a date, a time."""
 _PARTED = re.compile(r"\d [-+.,]?\d")
+_BLANK_THOUSANDS = re.compile(r"[-+]?\d{1,3}( \d{3})+([.,]\d*)?")
 _COMMENT = re.compile(r"\s*(#|%|//)\s?")
 _QUOTED = re.compile(r'"[^"\n]*"')
 _BROKEN_CELL = re.compile(r'(?:^|(?<=[,;\t|]))"[^"]{0,200}\n[^"]{0,200}"(?=[,;\t|]|$)', re.MULTILINE)
@@ -89,7 +91,6 @@ class _Grid:
     lines: npt.NDArray[np.intp]
     columns: "tuple[pa.StringArray, ...]"
     is_row: Mask
-    value_columns: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +120,6 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     if delimiter == " ":
         return line.split()
     if '"' in line:
-        import csv
-
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
     return [cell.strip() for cell in line.split(delimiter)]
 
@@ -132,15 +131,21 @@ def _found_delimiter(lines: Sequence[str]) -> str:
 
     most = max((rows for _, numeric, rows in shapes.values() if len(numeric) > 1), default=0)
 
-    def fit(mark: str) -> tuple[bool, int, bool, float]:
+    def fit(mark: str) -> tuple[bool, bool, int, bool, float]:
         width, numeric, rows = shapes[mark]
         # Tabs hold empty cells, which white space would swallow, unless it parts the numbers within them.
-        whole = mark != " " and not any(_PARTED.search(cell) for line in sample for cell in split_cells(line, mark))
-        # Columns that only a few lines have are those of a preamble.
-        return 10 * rows > most, len(numeric), whole, len(numeric) / max(width, 1)
+        whole = mark != " " and not any(_is_parted(cell, mark) for line in sample for cell in split_cells(line, mark))
+        # Columns that only a few lines have are those of a preamble; tabs never part columns by chance.
+        is_tab = mark == "\t" and whole and len(numeric) > 1
+        return 10 * rows > most, is_tab, len(numeric), whole, len(numeric) / max(width, 1)
 
     best = max(DELIMITERS, key=fit)
     return best if shapes[best][1] else ""
+
+
+def _is_parted(cell: str, delimiter: str) -> bool:
+    """Whether a blank parts two numbers in a cell, and not thousands."""
+    return _PARTED.search(cell) is not None and not (delimiter in "\t;" and _BLANK_THOUSANDS.fullmatch(cell))
 
 
 def _sample(lines: Sequence[str]) -> list[str]:
@@ -196,10 +201,10 @@ class _Fit:
             self._part_comment(line)
         lines = free[self._widths[free] == width]
         columns = _parsed(self._path, [self._lines.texts[line] for line in lines.tolist()], self._delimiter, width)
-        is_row, value_columns = _rows_among(columns)
+        is_row = _rows_among(columns)
         if not is_row.sum() >= (1 if first else MIN_FURTHER_ROWS):
             return None
-        return _Grid(lines, columns, is_row, value_columns)
+        return _Grid(lines, columns, is_row)
 
     def _part_comment(self, line: int) -> None:
         """Take text behind the last column out of a row, so that it is told."""
@@ -225,30 +230,35 @@ class _Fit:
                 rows[: cuts.pop()],
                 sorted(line for line in set(left_out) if self._lines.texts[line].strip()),
             )
-        start = self._settings.header_lines or 0
-        heading, header_begin = _Heading(), 0
+        heading, behind = _Heading(), 0
         for begin, end in pairwise((*cuts, len(rows))):
             if end - begin < MIN_FURTHER_ROWS and len(rows) > 2 * (end - begin):
                 continue
-            preamble = tuple(self._lines.texts[header_begin : max(int(rows[begin]), start)])
+            preamble = tuple(self._lines.texts[behind : max(int(rows[begin]), self._settings.header_lines or 0)])
             cells = [column.slice(begin, end - begin) for column in all_cells]
             found = _heading(preamble, self._delimiter, width) or heading
             heading = self._placed(found if found.units or found.names != heading.names else heading, cells)
+            table, clocks = self._table(rows[begin:end], cells, heading, marks)
             inside = [line for line in left_out if rows[begin] < line <= (rows[end] if end < len(rows) else np.inf)]
-            numbers = tuple(self._lines.numbers[line] for line in rows[begin:end])
-            gapless = numbers[-1] - numbers[0] == len(numbers) - 1
-            columns, clocks = _columns(heading, cells, marks)
-            table = ForeignTable(
-                self._path,
-                columns,
-                lines=range(numbers[0], numbers[-1] + 1) if gapless else numbers,
-                preamble=preamble,
-                remarks=(*self._told(inside), *self._told_comments(rows[begin:end]), *remarks_on_marks(marks)),
-            )
-            header_begin = int(rows[end - 1]) + 1
-            yield from _side_by_side(
-                with_stated_waveform(_with_joined_clock(table, clocks)), heading.names, self._delimiter
-            )
+            remarks = (*self._told(inside), *table.remarks)
+            table = _with_joined_clock(replace(table, preamble=preamble, remarks=remarks), clocks)
+            yield from _side_by_side(with_stated_waveform(table), heading.names, self._delimiter)
+            behind = int(rows[end - 1]) + 1
+
+    def _table(
+        self,
+        rows: npt.NDArray[np.intp],
+        cells: "Sequence[pa.StringArray]",
+        heading: _Heading,
+        marks: Sequence[NumberMarks],
+    ) -> tuple[ForeignTable, tuple[RowTimes | None, ...]]:
+        """Return the table of some rows, and the clock that each of its columns is."""
+        numbers = tuple(self._lines.numbers[line] for line in rows.tolist())
+        is_gapless = numbers[-1] - numbers[0] == len(numbers) - 1
+        columns, clocks = _columns(heading, cells, marks)
+        lines = range(numbers[0], numbers[-1] + 1) if is_gapless else numbers
+        remarks = (*self._told_comments(rows), *remarks_on_marks(marks))
+        return ForeignTable(self._path, columns, lines=lines, remarks=remarks), clocks
 
     def _placed(self, heading: _Heading, cells: "Sequence[pa.StringArray]") -> _Heading:
         """Find the column without a name, where a heading has one name too few; raises `ImportDataError`."""
@@ -281,7 +291,6 @@ class _Fit:
                 cuts.append(place + 1)
             else:
                 left_out += between
-            seen |= marks
         left_out += [
             line for line in range(rows[-1] + 1, len(texts)) if texts[line].strip() and not self._in_table[line]
         ]
@@ -353,8 +362,8 @@ def _parsed(path: Path, lines: Sequence[str], delimiter: str, width: int) -> "tu
     return tuple(pc.utf8_trim_whitespace(column.combine_chunks()) for column in table.columns)
 
 
-def _rows_among(columns: "Sequence[pa.StringArray]") -> tuple[Mask, tuple[int, ...]]:
-    """Return which lines are rows, and the columns of values.
+def _rows_among(columns: "Sequence[pa.StringArray]") -> Mask:
+    """Return which lines are rows.
 
     A row has a value, or a mark of a missing one, in the first column that is mostly values, and values in half of the
     others that are filled; among rows, it may have marks of missing values alone.
@@ -363,7 +372,7 @@ def _rows_among(columns: "Sequence[pa.StringArray]") -> tuple[Mask, tuple[int, .
     is_filled = np.array([are_filled(column) for column in columns])
     value_columns = np.flatnonzero(2 * is_value.sum(axis=1) > (is_filled & is_value.any(axis=0)).sum(axis=1))
     if not value_columns.size:
-        return np.zeros(len(columns[0]), dtype=np.bool_), ()
+        return np.zeros(len(columns[0]), dtype=np.bool_)
     values = is_value[value_columns].sum(axis=0)
     filled = is_filled[value_columns].sum(axis=0)
     in_column = is_value[value_columns].sum(axis=1)
@@ -375,7 +384,7 @@ def _rows_among(columns: "Sequence[pa.StringArray]") -> tuple[Mask, tuple[int, .
     for line in np.flatnonzero(in_first & (values == 0) & (filled > 0)).tolist():
         cells = (columns[column][line].as_py() for column in value_columns.tolist())
         is_row[line] = known.size and known[0] < line < known[-1] and all(map(_HAS_NO_VALUE.match, cells))
-    return is_row, tuple(value_columns.tolist())
+    return np.asarray(is_row)
 
 
 def _skeleton(line: str) -> str:
@@ -385,10 +394,10 @@ def _skeleton(line: str) -> str:
 
 def _columns(
     heading: _Heading, cells: "Sequence[pa.StringArray]", marks: Sequence[NumberMarks]
-) -> tuple[tuple[ForeignColumn, ...], tuple[Clock | None, ...]]:
+) -> tuple[tuple[ForeignColumn, ...], tuple[RowTimes | None, ...]]:
     """Return the columns of a table, and the clock that each is."""
     columns: list[ForeignColumn] = []
-    clocks: list[Clock | None] = []
+    clocks: list[RowTimes | None] = []
     for number, texts in enumerate(cells):
         name = heading.names[number] if number < len(heading.names) else ""
         unit = heading.units[number] if number < len(heading.units) else ""
@@ -452,7 +461,7 @@ def _are_units(cells: Sequence[str]) -> bool:
     return bool(filled) and (bracketed or 2 * known >= len(filled))
 
 
-def _with_joined_clock(table: ForeignTable, clocks: Sequence[Clock | None]) -> ForeignTable:
+def _with_joined_clock(table: ForeignTable, clocks: Sequence[RowTimes | None]) -> ForeignTable:
     """Make a date and a time of day in columns of their own one clock."""
     dates = [number for number, clock in enumerate(clocks) if clock is not None and clock.is_date]
     times = [number for number, clock in enumerate(clocks) if clock is not None and clock.is_time_of_day]

@@ -58,7 +58,6 @@ from dragrig.present import (
     BLACK,
     BLUE,
     DOUBLE_COLUMN_MM,
-    GREEN,
     GREY,
     GRID,
     PALE,
@@ -147,7 +146,6 @@ QMenu {{ background: {PAPER}; border: 1px solid {PALE}; }}
 QMenu::item {{ padding: 6px 22px; }}
 QMenu::item:selected {{ background: {BLUE}; color: white; }}
 """
-FINE_COLOUR = GREEN
 
 
 def apply_style(application: QApplication) -> None:
