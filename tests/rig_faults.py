@@ -26,6 +26,7 @@ import dragrig as api
 from dragrig.campaign_session import Made
 from dragrig.config.errors import DragrigError
 from dragrig.config.settings import to_toml
+from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.hardware.drive.trial import PULSE_MM
 from dragrig.rig.operator import Answer, NullOperator, Prompt
@@ -99,6 +100,7 @@ class Person(NullOperator):
 
     def __init__(self) -> None:
         self.asked: list[str] = []
+        self.noted: list[str] = []
         self.samples = 0
         self.saw_motion = False
 
@@ -108,6 +110,9 @@ class Person(NullOperator):
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         self.samples, self.saw_motion = 0, False
+
+    def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
+        self.noted += outcome.checks.warnings
 
     def reads(self, reading: Reading) -> None:
         self.samples = reading.end_index

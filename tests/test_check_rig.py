@@ -157,7 +157,7 @@ def test_yes_does_not_stand_for_hands_at_the_double_either(
         (("--pace", "20"), "a number of times faster is for --double"),
         (("--pace", "fast", "--backend", "handed", "--double"), "that of a double is real"),
         (("--pace", "-3", "--backend", "handed", "--double"), "that of a double is real"),
-        (("--pace", "nan", "--backend", "handed", "--double"), "that of a double is real"),
+        (("--pace", "nan", "--backend", "handed", "--double"), "is neither fast, real, nor a number"),
         (("--pace", "slow"), "is neither fast, real, nor a number"),
     ],
 )

@@ -213,7 +213,7 @@ def test_the_model_tells_what_effects_add_at_steady_speed(capsys: pytest.Capture
     assert frame["total_mN"].to_numpy() == pytest.approx(
         frame[["f_e_mN", "f_v_mN", "f_c_mN", "effects_mN"]].sum(axis=1)
     )
-    assert main(["model", "--json", "--speeds", "1,30", "--effect", typed]) == 0
+    assert main(["model", "--json", "--speeds", "1;30", "--effect", typed]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["effects_mN"] for row in rows] == pytest.approx(frame["effects_mN"].tolist())
     assert "effects_mN" not in dragrig.model([1.0])

@@ -166,7 +166,11 @@ def test_a_cable_that_floats_from_mid_stroke_on_is_marked_in_file_and_table(faul
     running.inject(force_floats_mN=350.0, force_floats_hum_mN=50.0)
     ended = running.end()
     assert (ended.status, ended.exit_code) == (RunStatus.COMPLETE, 0), ended.message
-    checks = only_run(ended.folder).info.checks
+    run = only_run(ended.folder)
+    noted = "\n".join(running.person.noted)
+    for fault in ("force cable pulled, input floats", "force cable pulled, force goes on over a stop"):
+        assert sentence(fault).search(noted), noted
+    checks = run.info.checks
     assert float(checks["noise_after_mN"]) == pytest.approx(35.0, rel=0.1)
     assert checks["force_response"] == "none to a stop"
     (told,) = set(api.table(ended.folder)["checks"])
