@@ -1,4 +1,4 @@
-"""Cost of the streaming filter beside the offline one, and of text tables beside pandas.
+"""Cost of the streaming filter beside the offline one, of text tables beside pandas, and of an import.
 
 Run as `python bench/filtering.py`.
 """
@@ -6,11 +6,13 @@ Run as `python bench/filtering.py`.
 import tempfile
 import time
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from dragrig.analysis import ImportSettings, import_file, parse_map
 from dragrig.analysis.estimates import no_progress
 from dragrig.analysis.export import CsvStyle, ExportColumn, ExportContent, write_csv
 from dragrig.analysis.importing.readers import read_foreign
@@ -69,7 +71,21 @@ def tables(rows: int = 300_000) -> None:
     print(f"  read, dialect found out, in {read:.2f} s; pandas, told the dialect, in {pandas_read:.2f} s")
 
 
+def importing(rows: int = 1_000_000) -> None:
+    """Make a run file of a text table of three columns."""
+    time_s = np.arange(rows) / 1000
+    values = np.c_[time_s, 0.05 + 0.001 * np.random.default_rng(3).random(rows), time_s * 0.01]
+    settings = ImportSettings(columns=parse_map(["time=Time", "force=Force", "position=Position"]))
+    with tempfile.TemporaryDirectory() as folder:
+        table = Path(folder) / "table.csv"
+        np.savetxt(table, values, "%.5f", ";", header="Time [s];Force [N];Position [mm]", comments="")
+        numbers = count()
+        took = best(lambda: import_file(table, Path(folder) / f"{next(numbers)}.h5", settings))
+    print(f"CSV of {rows} rows imported in {took:.2f} s")
+
+
 if __name__ == "__main__":
+    importing()
     for sample_rate, span in ((500.0, 100.0), (10_000.0, 20.0), (250_000.0, 4.0)):
         streaming(sample_rate, span)
     tables()

@@ -98,13 +98,13 @@ def number_marks(
     """
     import pyarrow.compute as pc
 
-    if not stated and not any(pc.any(pc.match_substring(column, ",")).as_py() for column in columns):
-        # Only the first rows of a long file without any comma, if they say enough.
-        head = Counter[str]()
-        for column in columns:
-            head += _mark_evidence(column.slice(0, HEAD_ROWS), ".")
+    for decimal, other in (".,", ",."):
+        if stated or any(pc.any(pc.match_substring(column, other)).as_py() for column in columns):
+            continue
+        # Only the first rows of a long file that has one mark alone, if they say enough.
+        head = sum((_mark_evidence(column.slice(0, HEAD_ROWS), decimal) for column in columns), Counter())
         if head["decimal"]:
-            return (NumberMarks(),) * len(columns)
+            return (NumberMarks(decimal),) * len(columns)
     evidence = [{mark: _mark_evidence(column, mark) for mark in ".,"} for column in columns]
     counts = {mark: sum((seen[mark] for seen in evidence), Counter()) for mark in ".,"}
     if not stated and counts["."]["decimal"] and counts[","]["decimal"]:
@@ -132,13 +132,8 @@ def _marks(place: str, counts: Mapping[str, "Counter[str]"], stated: str, asked:
                 f"{place}: {thousands!r} may be the decimal mark or part thousands, in {seen['open']} cells; state the "
                 "decimal mark."
             )
-        is_stated = stated == decimal and is_open
-        if (
-            seen["thousands"]
-            or is_mixed
-            or is_stated
-            or (counts[decimal]["decimal"] and seen["open"] and not seen["decimal"])
-        ):
+        is_other = counts[decimal]["decimal"] and seen["open"] and not seen["decimal"]
+        if seen["thousands"] or is_mixed or is_other or (stated == decimal and is_open):
             return NumberMarks(decimal, thousands)
     return NumberMarks(stated or ("," if comma["decimal"] or comma["open"] else "."))
 
@@ -178,9 +173,10 @@ def text_column(
     import pyarrow.compute as pc
 
     is_filled = are_filled(texts)
-    if marks == NumberMarks():
+    if marks == NumberMarks() or (marks == NumberMarks(",") and not pc.any(pc.match_substring(texts, ".")).as_py()):
         try:
-            return ForeignColumn(name, units, _numbers(texts, is_filled)), None
+            plain = texts if marks.decimal == "." else pc.replace_substring(texts, ",", ".")
+            return ForeignColumn(name, units, _numbers(plain, is_filled)), None
         except pa.ArrowInvalid:
             pass  # some cell is no plain number: the rules below say which
     # Accounting programs write the sign behind the number.

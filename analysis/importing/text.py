@@ -51,7 +51,7 @@ TOLD_LINES = 3
 _IS_VALUE = re.compile(VALUE)
 _HAS_NO_VALUE = re.compile(NO_VALUE)
 _SINGLE = re.compile(
-    r"[-+]?(\d+\.?\d*|\d*[.,]\d+|\d{1,3}([.,'’\u00a0\u202f ]\d{3})+[.,]?\d*)(e[-+]?\d+)?( ?[a-zµμ°%]{1,4})?"
+    r"[-+]?(\d+\.?\d*|\d*[.,]\d+|\d{1,3}([.,'’\u00a0\u202f]\d{3})+[.,]?\d*)(e[-+]?\d+)?( ?[a-zµμ°%]{1,4})?"
     r"|[-+]?(nan|inf(inity)?)"
     r"|\d{1,4}[-/.][a-zäéûôç\d]{1,9}[-/.]\d{1,4}([t ][^,;|\t]*)?|\d{1,4}:\d\d[^,;|\t]*(,\d+)?",
     re.IGNORECASE,
@@ -71,26 +71,17 @@ class _Lines:
     """Lines of a file, and the number of each, counted from 1."""
 
     texts: list[str]
-    numbers: Sequence[int]
+    numbers: npt.NDArray[np.intp]
 
     @classmethod
     def of(cls, text: str) -> "_Lines":
         text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\u2212", "-")
         if '"' not in text or not _BROKEN_CELL.search(text):
             texts = text.split("\n")
-            return cls(texts, range(1, len(texts) + 1))
+            return cls(texts, np.arange(1, len(texts) + 1))
         broken = _BROKEN_CELL.sub(lambda cell: cell[0].replace("\n", _BREAK), text).split("\n")
         ends = np.cumsum([line.count(_BREAK) + 1 for line in broken])
-        return cls([line.replace(_BREAK, " ") for line in broken], ends.tolist())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
-    """Lines of one width, as columns of cells, and which of them are rows."""
-
-    lines: npt.NDArray[np.intp]
-    columns: "tuple[pa.StringArray, ...]"
-    is_row: Mask
+        return cls([line.replace(_BREAK, " ") for line in broken], ends)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,24 +119,20 @@ def _found_delimiter(lines: Sequence[str]) -> str:
     """Return the delimiter that gives the most columns of values in the most rows, then the largest share of them."""
     sample = _sample(lines)
     shapes = {mark: _shape(sample, mark) for mark in DELIMITERS}
-
     most = max((rows for _, numeric, rows in shapes.values() if len(numeric) > 1), default=0)
 
     def fit(mark: str) -> tuple[bool, bool, int, bool, float]:
         width, numeric, rows = shapes[mark]
         # Tabs hold empty cells, which white space would swallow, unless it parts the numbers within them.
-        whole = mark != " " and not any(_is_parted(cell, mark) for line in sample for cell in split_cells(line, mark))
+        whole = mark != " " and not any(
+            _PARTED.search(cell) and not _is_single(cell, mark) for line in sample for cell in split_cells(line, mark)
+        )
         # Columns that only a few lines have are those of a preamble; tabs never part columns by chance.
         is_tab = mark == "\t" and whole and len(numeric) > 1
         return 10 * rows > most, is_tab, len(numeric), whole, len(numeric) / max(width, 1)
 
     best = max(DELIMITERS, key=fit)
     return best if shapes[best][1] else ""
-
-
-def _is_parted(cell: str, delimiter: str) -> bool:
-    """Whether a blank parts two numbers in a cell, and not thousands."""
-    return _PARTED.search(cell) is not None and not (delimiter in "\t;" and _BLANK_THOUSANDS.fullmatch(cell))
 
 
 def _sample(lines: Sequence[str]) -> list[str]:
@@ -155,13 +142,19 @@ def _sample(lines: Sequence[str]) -> list[str]:
 
 def _shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int, ...], int]:
     """Return the most common number of cells per line, the columns that are mostly values, and the number of lines."""
-    rows = [row for row in (split_cells(line, delimiter) for line in sample) if any(map(_SINGLE.fullmatch, row))]
+    cells = (split_cells(line, delimiter) for line in sample)
+    rows = [row for row in cells if any(_is_single(cell, delimiter) for cell in row)]
     if not rows:
         return 0, (), 0
     (width, count), *_ = Counter(map(len, rows)).most_common(1)
     cells_by_column = zip(*(row for row in rows if len(row) == width), strict=True)
-    surplus = (sum(1 if _SINGLE.fullmatch(cell) else -1 for cell in cells if cell) for cells in cells_by_column)
+    surplus = (sum(1 if _is_single(cell, delimiter) else -1 for cell in cells if cell) for cells in cells_by_column)
     return width, tuple(column for column, majority in enumerate(surplus) if majority > 0), count
+
+
+def _is_single(cell: str, delimiter: str) -> bool:
+    """Whether a cell is one value; a blank parts thousands where blanks and decimal commas do not part columns."""
+    return bool(_SINGLE.fullmatch(cell) or (delimiter in "\t;|" and _BLANK_THOUSANDS.fullmatch(cell)))
 
 
 class _Fit:
@@ -177,34 +170,39 @@ class _Fit:
     def tables(self) -> tuple[ForeignTable, ...]:
         """Return all tables, in the order of the file."""
         found: list[ForeignTable] = []
-        while (grid := self._grid(first=not found)) is not None:
-            self._in_table[grid.lines[grid.is_row]] = True
-            found += self._blocks(grid)
+        while (rows := self._rows(first=not found)) is not None:
+            self._in_table[rows[0]] = True
+            found += self._blocks(*rows)
         found.sort(key=lambda table: table.lines[0] if table.lines else 0)
         if len(found) == 1:
             return tuple(found)
-        titles = Counter(table.name for table in found)
-        names = (name if name and titles[name] == 1 else "" for name in (table.name for table in found))
+        names = Counter(table.name for table in found if table.name)
         return tuple(
-            replace(table, name=name or f"block {number}")
-            for number, (table, name) in enumerate(zip(found, names, strict=True), start=1)
+            table if names[table.name] == 1 else replace(table, name=f"block {number}")
+            for number, table in enumerate(found, start=1)
         )
 
-    def _grid(self, *, first: bool) -> _Grid | None:
-        """Parse the lines of the width that most rows have; None without rows, or too few after the first table."""
+    def _rows(self, *, first: bool) -> "tuple[npt.NDArray[np.intp], Sequence[pa.StringArray]] | None":
+        """Return the lines of all rows as wide as most are, and their cells; None where too few are left."""
         free = np.flatnonzero(~self._in_table & (self._widths > 0))
-        sample = _sample([self._lines.texts[line] for line in free.tolist()])
+        sample = self._texts(free[:: max(1, len(free) // SAMPLED_LINES)])
         width, numeric, _ = _shape(sample, self._delimiter)
         if not numeric or not (first or (numeric[0] == 0 and len(numeric) > 1)):
             return None
         for line in free[self._widths[free] == width + 1].tolist():
             self._part_comment(line)
         lines = free[self._widths[free] == width]
-        columns = _parsed(self._path, [self._lines.texts[line] for line in lines.tolist()], self._delimiter, width)
+        columns = _parsed(self._path, self._texts(lines), self._delimiter, width)
         is_row = _rows_among(columns)
         if not is_row.sum() >= (1 if first else MIN_FURTHER_ROWS):
             return None
-        return _Grid(lines, columns, is_row)
+        return lines[is_row], [column.filter(arrow_mask(is_row)) for column in columns]
+
+    def _texts(self, lines: npt.NDArray[np.intp]) -> Sequence[str]:
+        begin, end = (int(lines[0]), int(lines[-1]) + 1) if lines.size else (0, 0)
+        if end - begin == len(lines):
+            return self._lines.texts[begin:end]
+        return [self._lines.texts[line] for line in lines.tolist()]
 
     def _part_comment(self, line: int) -> None:
         """Take text behind the last column out of a row, so that it is told."""
@@ -215,10 +213,8 @@ class _Fit:
             self._comments[line] = comment.strip()
             self._widths[line] -= 1
 
-    def _blocks(self, grid: _Grid) -> Iterator[ForeignTable]:
+    def _blocks(self, rows: npt.NDArray[np.intp], all_cells: "Sequence[pa.StringArray]") -> Iterator[ForeignTable]:
         """Cut the rows where a heading stands between them, or a line that stood before the first of them as well."""
-        rows = grid.lines[grid.is_row]
-        all_cells = [column.filter(arrow_mask(grid.is_row)) for column in grid.columns]
         width = len(all_cells)
         parting = ",." if self._delimiter == ";" else ","
         marks = number_marks(str(self._path), all_cells, self._settings.decimal, parting)
@@ -253,10 +249,10 @@ class _Fit:
         marks: Sequence[NumberMarks],
     ) -> tuple[ForeignTable, tuple[RowTimes | None, ...]]:
         """Return the table of some rows, and the clock that each of its columns is."""
-        numbers = tuple(self._lines.numbers[line] for line in rows.tolist())
+        numbers = self._lines.numbers[rows]
         is_gapless = numbers[-1] - numbers[0] == len(numbers) - 1
         columns, clocks = _columns(heading, cells, marks)
-        lines = range(numbers[0], numbers[-1] + 1) if is_gapless else numbers
+        lines = range(int(numbers[0]), int(numbers[-1]) + 1) if is_gapless else tuple(numbers.tolist())
         remarks = (*self._told_comments(rows), *remarks_on_marks(marks))
         return ForeignTable(self._path, columns, lines=lines, remarks=remarks), clocks
 
@@ -326,16 +322,16 @@ class _Fit:
 def _widths(lines: Sequence[str], delimiter: str) -> npt.NDArray[np.intp]:
     """Return the number of cells of each line; 0 for empty lines and comments."""
     if delimiter == " ":
-        counts = [len(line.split()) for line in lines]
+        widths = np.array([len(line.split()) for line in lines], dtype=np.intp)
     else:
-        counts = [
-            (line if '"' not in line else _QUOTED.sub("", line)).count(delimiter) + 1 if line.strip() else 0
-            for line in lines
-        ]
-    widths = np.array(counts, dtype=np.intp)
-    for number, line in enumerate(lines):
-        if line[:1] in "#%/ \t" and _COMMENT.match(line):
+        widths = np.array([line.count(delimiter) for line in lines], dtype=np.intp) + 1
+    unusual = [number for number, line in enumerate(lines) if line[:1] in "#%/ \t" or '"' in line]
+    for number in unusual:
+        line = lines[number]
+        if not line.strip() or _COMMENT.match(line):
             widths[number] = 0
+        elif '"' in line and delimiter != " ":
+            widths[number] = _QUOTED.sub("", line).count(delimiter) + 1
     return widths
 
 
