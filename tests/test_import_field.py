@@ -575,3 +575,9 @@ def test_a_remark_that_comes_twice_among_the_rows_begins_no_table(tmp_path: Path
     table = lines()
     runs = read(tmp_path, [*table[:40], "paused", *table[40:80], "paused", *table[80:]])
     assert [len(run.trace.force) for run in runs] == [120]
+
+
+def test_columns_that_have_numbers_in_no_common_row_are_refused(tmp_path: Path) -> None:
+    rows = [f"{k / 100};{'' if k % 2 else 1.5};{k if k % 2 else ''}" for k in range(50)]
+    with pytest.raises(ImportDataError, match="no row has a number in all mapped columns"):
+        read(tmp_path, ["Time [s];Force [N];Position [mm]", *rows], missing="gap")

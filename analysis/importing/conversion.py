@@ -107,19 +107,14 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
     table, blanks = _without_blank_ends(table, columns)
     time = _time(table, sources["time"], settings) if "time" in sources else None
     mapped = {name: _map_column(table, name, source, settings) for name, source in sources.items() if name != "time"}
-    values: dict[str, FloatArray] = {} if time is None else {"time": time.seconds}
-    told = [*table.remarks, *(() if time is None else time.remarks), *_contradictions(table, sources)]
+    values, counted = _mapped_values(table, mapped, settings)
+    values |= {} if time is None else {"time": time.seconds}
+    told = [*table.remarks, *(() if time is None else time.remarks), *_contradictions(table, sources), *counted]
     told += [f"column {column.name!r}: {remark}" for column in columns for remark in column.remarks]
-    if blanks:
-        told.append(f"{blanks} rows at begin or end lack a number and were left out")
-    for name, source in mapped.items():
-        numbers = table.numbers(source.column, whole=settings.missing == "refuse")
-        if name in COUNTED_QUANTITIES:
-            numbers, wrapped = unwrapped(numbers)
-            told += [wrapped] if wrapped else []
-        values[name] = source.scale.apply(numbers)
-        _require_measurable(table, source.column, values[name], TARGET_UNITS[name])
+    told += [f"{blanks} rows at begin or end lack a number and were left out"] if blanks else []
     complete = np.flatnonzero(np.all([np.isfinite(array) for array in values.values()], axis=0))
+    if not complete.size:
+        raise ImportDataError(f"{table.path}: no row has a number in all mapped columns; map others.")
     if len(complete) < table.rows:
         told.append(f"{table.rows - len(complete)} rows without a number were left out: a gap")
     used = [source.column for source in mapped.values() if not source.by_stated_factor]
@@ -132,20 +127,15 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
     stamps, rows = _select_rows(table, settings, all_stamps, complete)
     values = {name: array[rows] for name, array in values.items()}
     grid, values = _on_grid(table, settings, stamps, values, complete[rows])
-    events = [*map(import_event, (*told, *extra_told)), *grid.events]
-    events += [
-        import_event(f"{name} is {source} {TARGET_UNITS[name]}: a stated factor")
+    told += extra_told
+    told += [
+        f"{name} is {source} {TARGET_UNITS[name]}: a stated factor"
         for name, source in mapped.items()
         if source.by_stated_factor
     ]
     position, command, origin_mm, remarks = _position_and_command(values, grid, steady=settings.steady)
-    phase = detect_phases(position, grid.sample_rate_hz, gap_starts(grid.time, grid.sample_rate_hz))
-    if phase is None:
-        phase = np.full(len(position), int(Phase.STEADY), dtype=np.uint8)
-        remarks.append("no single move between standstills detected: all samples count as steady")
-    else:
-        remarks.append("phases detected from the position")
-    events += map(import_event, remarks)
+    phase, found = phases_of(position, grid.time, grid.sample_rate_hz)
+    events = (*map(import_event, (*told, *remarks, found)), *grid.events)
     channels = [
         RecordedChannel(name, TARGET_UNITS.get(name) or extra[name].units, "float64")
         for name in values
@@ -165,6 +155,31 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
         sources={name: str(source) for name, source in mapped.items()}
         | ({"time": repr(table.column(sources["time"].column).name)} if time is not None else {}),
     )
+
+
+def _mapped_values(
+    table: ForeignTable, mapped: Mapping[str, _MappedColumn], settings: ImportSettings
+) -> tuple[dict[str, FloatArray], list[str]]:
+    """Return the converted columns by quantity, and remarks on counters that wrapped."""
+    values: dict[str, FloatArray] = {}
+    told: list[str] = []
+    for name, source in mapped.items():
+        numbers = table.numbers(source.column, whole=settings.missing == "refuse")
+        if name in COUNTED_QUANTITIES:
+            numbers, wrapped = unwrapped(numbers)
+            told += [wrapped] if wrapped else []
+        values[name] = source.scale.apply(numbers)
+        _require_measurable(table, source.column, values[name], TARGET_UNITS[name])
+    return values, told
+
+
+def phases_of(position: FloatArray, time: FloatArray, sample_rate_hz: float) -> tuple[PhaseArray, str]:
+    """Return the phases that a position shows, or steady ones where it shows none, and the remark on that."""
+    phase = detect_phases(position, sample_rate_hz, gap_starts(time, sample_rate_hz))
+    if phase is not None:
+        return phase, "phases detected from the position"
+    none_found = "no single move between standstills detected: all samples count as steady"
+    return np.full(len(position), int(Phase.STEADY), dtype=np.uint8), none_found
 
 
 def _sources(table: ForeignTable, settings: ImportSettings) -> Mapping[str, ColumnSource]:
@@ -228,10 +243,7 @@ def _require_measurable(table: ForeignTable, column: ForeignColumn, values: Floa
 
 def _without_blank_ends(table: ForeignTable, columns: Sequence[ForeignColumn]) -> tuple[ForeignTable, int]:
     """Return the table without the rows at its begin and end in which a column lacks a number, and their count."""
-    complete = np.ones(table.rows, dtype=np.bool_)
-    for column in columns:
-        complete &= np.isfinite(column.values)
-    rows = np.flatnonzero(complete)
+    rows = np.flatnonzero(np.all([np.isfinite(column.values) for column in columns], axis=0))
     if not rows.size or len(rows) == table.rows:
         return table, 0
     kept = slice(int(rows[0]), int(rows[-1]) + 1)

@@ -19,15 +19,14 @@ from uuid import UUID, uuid5
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis import DELIMITERS, EXPORT_FORMAT_KEY, EXPORT_FORMAT_VERSION, EXPORT_PART_KEY, gap_starts
-from dragrig.analysis.importing.conversion import SIGNAL_CHANNELS, detect_phases
-from dragrig.analysis.importing.time_grid import IMPORT_EVENT
+from dragrig.analysis import DELIMITERS, EXPORT_FORMAT_KEY, EXPORT_FORMAT_VERSION, EXPORT_PART_KEY
+from dragrig.analysis.importing import file_kinds
+from dragrig.analysis.importing.conversion import SIGNAL_CHANNELS, phases_of
 from dragrig.analysis.importing.units import TARGET_UNITS
 from dragrig.config import ImportDataError
 from dragrig.rig import (
     AnyFloatArray,
     Attribute,
-    Phase,
     PhaseArray,
     RecordedChannel,
     RunEvent,
@@ -37,8 +36,6 @@ from dragrig.rig import (
 
 Array = npt.NDArray[np.generic]
 
-MAX_UNPACKED_BYTES = 2 << 30
-"""A file that unpacks to more is left to the readers of foreign files, which refuse it."""
 MAT_BEGIN_BYTES = 136
 """Of a version 5 MAT file's text, and of type and length of its first element."""
 FRAME = ("time", "command", "phase")
@@ -64,6 +61,7 @@ class RestoredRun:
 
     header: RunHeader
     columns: Mapping[str, AnyFloatArray | PhaseArray]
+    remarks: tuple[str, ...]
     events: tuple[RunEvent, ...]
     status: RunStatus
     reason: str
@@ -119,7 +117,7 @@ def _read_parquet(path: Path) -> ExportedRun | None:
 
     held = parquet.read_metadata(path)
     metadata = _metadata_of((held.schema.to_arrow_schema().metadata or {}).get(b"dragrig", b""))
-    if not metadata or 8 * held.num_rows * held.num_columns > MAX_UNPACKED_BYTES:
+    if not metadata or 8 * held.num_rows * held.num_columns > file_kinds.MAX_UNPACKED_BYTES:
         return None
     table = parquet.read_table(path)
     columns = {name: table.column(name).to_numpy() for name in _mapping(metadata["columns"])}
@@ -129,7 +127,7 @@ def _read_parquet(path: Path) -> ExportedRun | None:
 def _read_npz(path: Path) -> ExportedRun | None:
     with zipfile.ZipFile(path) as archive:
         sizes = [entry.file_size for entry in archive.infolist()]
-        if "metadata.npy" not in archive.namelist() or sum(sizes) > MAX_UNPACKED_BYTES:
+        if "metadata.npy" not in archive.namelist() or sum(sizes) > file_kinds.MAX_UNPACKED_BYTES:
             return None
     with np.load(path, allow_pickle=False) as held:
         metadata = _metadata_of(str(held["metadata"]))
@@ -144,7 +142,7 @@ def _read_mat(path: Path) -> ExportedRun | None:
         file.seek(MAT_BEGIN_BYTES)
         begin = zlib.decompressobj().decompress(file.read(4096), 256)
     # The struct `run` is the only element, and its length is that to which it unpacks.
-    if b"run" not in begin or struct.unpack("=I", begin[4:8])[0] > MAX_UNPACKED_BYTES:
+    if b"run" not in begin or struct.unpack("=I", begin[4:8])[0] > file_kinds.MAX_UNPACKED_BYTES:
         return None
     run = loadmat(path, variable_names=["run"])["run"][0, 0]
     metadata = _metadata_of(str(run["metadata_json"].item()))
@@ -229,7 +227,8 @@ def restore_run(exported: ExportedRun) -> RestoredRun:
         return RestoredRun(
             header=header,
             columns=part.columns,
-            events=(*(RunEvent(0.0, IMPORT_EVENT, remark) for remark in part.remarks), *events),
+            remarks=part.remarks,
+            events=events,
             status=RunStatus(str(metadata["status"])),
             reason=str(metadata["reason"]),
             end_time=datetime.fromisoformat(str(metadata["end_time"])) if metadata["end_time"] else None,
@@ -315,11 +314,8 @@ def _complete(
         columns["command"] = columns["position"]
         remarks.append("no command in the export: the position is used in its place")
     if "phase" not in columns:
-        position = np.asarray(columns["position"], dtype=np.float64)
-        phase = detect_phases(position, rate_hz, gap_starts(time, rate_hz))
-        columns["phase"] = np.full(len(time), int(Phase.STEADY), dtype=np.uint8) if phase is None else phase
-        none_found = "no single move between standstills detected: all samples count as steady"
-        remarks.append(none_found if phase is None else "phases detected from the position")
+        columns["phase"], found = phases_of(np.asarray(columns["position"], dtype=np.float64), time, rate_hz)
+        remarks.append(found)
     return remarks
 
 

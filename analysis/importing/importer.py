@@ -25,7 +25,7 @@ from dragrig.analysis.importing.exports import ExportedRun, read_export, restore
 from dragrig.analysis.importing.foreign import ForeignTable
 from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
-from dragrig.analysis.importing.time_grid import IMPORT_EVENT
+from dragrig.analysis.importing.time_grid import import_event
 from dragrig.config import Capsule, Fixture, ImportDataError, OutputError, Specimen, find_settings, suggestion
 from dragrig.rig import (
     PARAMETERS_OF_KIND,
@@ -163,15 +163,15 @@ def _run_header(
     undated: dict[str, Attribute] = {}
     if settings.start_time is None and measured.begins_at is None:
         unknown = "start time not known (--start-time states it): the file's date stands in its place, no session clock"
-        events = (RunEvent(0.0, IMPORT_EVENT, unknown), *events)
+        events = (import_event(unknown), *events)
         undated = {START_UNKNOWN_KEY: True}
     known = _stated_circumstances(settings, specimen)
     shown = _shown_protocol(settings.kind, measured, known.specimen)
     protocol = {**{key: value for key, value in shown.items() if key not in settings.protocol}, **settings.protocol}
     if derived := [f"{key} = {shown[key]:g}" for key in shown if isfinite(shown[key]) and key not in settings.protocol]:
-        events = (*events, RunEvent(0.0, IMPORT_EVENT, f"by the position: {', '.join(derived)}"))
+        events = (*events, import_event(f"by the position: {', '.join(derived)}"))
     if known.fixture is not settings.fixture:
-        events = (*events, RunEvent(0.0, IMPORT_EVENT, f"fixture {known.fixture}, as runs of this kind have"))
+        events = (*events, import_event(f"fixture {known.fixture}, as runs of this kind have"))
     entry: dict[str, Attribute] = {
         "software": f"dragrig {version('dragrig')}",
         "operator": settings.operator,
@@ -270,13 +270,11 @@ def _restore_export(exported: ExportedRun, target: Path, settings: ImportSetting
     from dragrig.rig import write_run
 
     run = restore_run(exported)
-    events = run.events
-    stated = set(settings.model_dump(exclude_defaults=True)) - {"order"}
-    if stated:
-        unused = (
-            f"not used, as an export comes back as it was: {', '.join(sorted(stated))}; map its columns to use them"
-        )
-        events = (RunEvent(0.0, IMPORT_EVENT, unused), *events)
+    remarks = run.remarks
+    if stated := ", ".join(sorted(set(settings.model_dump(exclude_defaults=True)) - {"order"})):
+        unused = f"not used, as an export comes back as it was: {stated}; map its columns to use them"
+        remarks = (unused, *remarks)
+    events = (*map(import_event, remarks), *run.events)
     written = write_run(
         _run_file_path(target, run.header), run.header, run.columns, events=events, status=run.status,
         reason=run.reason, end_time=run.end_time, checks=run.checks,

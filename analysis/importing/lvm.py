@@ -51,7 +51,6 @@ def _begin(stated: Mapping[str, tuple[str, ...]]) -> datetime | None:
     day, time = (next(iter(stated.get(key, ())), "") for key in ("Date", "Time"))
     whole, _, fraction = time.replace(",", ".").partition(".")
     try:
-        begin = datetime.fromisoformat(f"{day.replace('/', '-')}T{whole}.{f'{fraction:0<6.6}'}")
+        return datetime.fromisoformat(f"{day.replace('/', '-')}T{whole}.{f'{fraction:0<6.6}'}").astimezone()
     except ValueError:
         return None
-    return begin.astimezone()

@@ -49,13 +49,11 @@ def read_foreign(path: Path, settings: ImportSettings | None = None) -> tuple[Fo
             raise ImportDataError(f"{path}: there is no table {settings.table!r}; {hint}")
         return named
     largest = max(tables, key=lambda table: table.rows * len(table.columns))
-    if not largest.rows:
-        raise ImportDataError(f"{path}: holds columns without any rows; give a file with data.")
     alike = [table for table in tables if table.shape == largest.shape and table.rows >= MIN_TABLE_ROWS] or [largest]
-    unread = [table for table in tables if table not in alike]
     told = tuple(
         f"table {table.name!r} was not read ({len(table.columns)} columns, {table.rows} rows; --table names it)"
-        for table in unread
+        for table in tables
+        if table not in alike
     )
     return (replace(alike[0], remarks=(*alike[0].remarks, *told)), *alike[1:])
 

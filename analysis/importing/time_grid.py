@@ -18,7 +18,6 @@ from dragrig.analysis import Mask
 from dragrig.config import ImportDataError
 from dragrig.rig import FloatArray, RunEvent
 
-IMPORT_EVENT = "import"
 MAX_STRAY_SHARE = 0.05
 """Up to this share of rows off the grid, the message speaks of an even rate with strays."""
 MAX_GAP_SHARE = 0.01
@@ -44,10 +43,6 @@ class SampleGrid:
     def time(self) -> FloatArray:
         """Time since the first row [s]."""
         return np.asarray(self.index / self.sample_rate_hz, dtype=np.float64)
-
-
-class UnevenRowsError(ImportDataError):
-    """Time stamps that are not on an even grid."""
 
 
 def counted_grid(
@@ -90,14 +85,14 @@ def fit_sample_grid(path: Path, stamps: FloatArray, tolerance: float, unit_s: fl
 
     Raises
     ------
-    UnevenRowsError
+    ImportDataError
         When there is no such grid; the message says how the stamps are spaced and what can be done.
     """
     if len(stamps) < 2:
         raise ImportDataError(f"{path}: has {len(stamps)} row only, from which no sample rate follows; give more.")
     if not np.diff(stamps).all():
         row = int((np.diff(stamps) == 0).argmax())
-        raise UnevenRowsError(
+        raise ImportDataError(
             f"{path}: several rows have the time {stamps[row]:.9g} s; where the clock is coarser than the sampling, "
             "state sample_rate_hz, so that rows are counted."
         )
@@ -112,7 +107,7 @@ def fit_sample_grid(path: Path, stamps: FloatArray, tolerance: float, unit_s: fl
     stray[1:] |= np.diff(index) < 1
     gaps = np.flatnonzero(np.diff(index) > 1)
     if 0 < np.count_nonzero(stray) <= MAX_STRAY_SHARE * len(stamps):
-        raise UnevenRowsError(
+        raise ImportDataError(
             f"{path}: {np.count_nonzero(stray)} of {len(stamps)} rows are off an even rate of {1 / period:.9g} Hz, the "
             f"first at {stamps[stray][0]:.9g} s; state resample_hz to have rows interpolated where they are missing, "
             "or sample_rate_hz if they were sampled evenly and only stamped late."
@@ -155,7 +150,7 @@ def _round_period(period: float, uncertainty: float) -> float:
     return period
 
 
-def _uneven_error(path: Path, stamps: FloatArray) -> UnevenRowsError:
+def _uneven_error(path: Path, stamps: FloatArray) -> ImportDataError:
     steps = np.diff(stamps)
     part = max(1, len(steps) // 10)
     first, last = float(np.median(steps[:part])), float(np.median(steps[-part:]))
@@ -165,7 +160,7 @@ def _uneven_error(path: Path, stamps: FloatArray) -> UnevenRowsError:
     else:
         spacing = f"rows are {steps.min():.6g} to {steps.max():.6g} s apart (median {np.median(steps):.6g} s), unevenly"
         remedy = "state sample_rate_hz if the sampling was even and only its stamps are not, or "
-    return UnevenRowsError(f"{path}: {spacing}; {remedy}state resample_hz to have rows interpolated to an even rate.")
+    return ImportDataError(f"{path}: {spacing}; {remedy}state resample_hz to have rows interpolated to an even rate.")
 
 
 def resample(
@@ -242,4 +237,4 @@ def _resample_events(
 
 def import_event(message: str) -> RunEvent:
     """Return an event about how a file was read, at the begin of the run."""
-    return RunEvent(0.0, IMPORT_EVENT, message)
+    return RunEvent(0.0, "import", message)
