@@ -32,7 +32,8 @@ from dragrig.setup import create_lab
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 
-PROFILE = stroke(travel_mm=24.0, speed_mm_s=20.0, accel_mm_s2=500.0, rest_s=0.2, hold_s=0.25)
+# A hold that is long enough to be judged where a busy computer has the stage set out late.
+PROFILE = stroke(travel_mm=24.0, speed_mm_s=20.0, accel_mm_s2=500.0, rest_s=0.2, hold_s=0.5)
 
 
 def wired(
