@@ -581,3 +581,10 @@ def test_columns_that_have_numbers_in_no_common_row_are_refused(tmp_path: Path) 
     rows = [f"{k / 100};{'' if k % 2 else 1.5};{k if k % 2 else ''}" for k in range(50)]
     with pytest.raises(ImportDataError, match="no row has a number in all mapped columns"):
         read(tmp_path, ["Time [s];Force [N];Position [mm]", *rows], missing="gap")
+
+
+@pytest.mark.parametrize("day", ["14-05-2026", "14/05/2026", "14.05.2026", "2026-05-14"])
+def test_a_day_in_any_form_completes_the_times_beside_it(tmp_path: Path, day: str) -> None:
+    stamps = [f"{day};09:15:{k / 100:05.2f}" for k in range(120)]
+    (run,) = read(tmp_path, lines(stamps, head="Date;Time;Force [N];Position [mm]"))
+    assert run.info.header.start_time == BEGIN.replace(day=14)

@@ -68,6 +68,7 @@ class _Epoch:
     zero_s: float
     """What is subtracted for seconds since 1970."""
     is_local: bool = False
+    needs_unit: bool = False
 
 
 _UNIX_2000_S, _UNIX_2065_S = 946_684_800.0, 3_000_000_000.0
@@ -76,7 +77,7 @@ _EPOCHS = (
     # LabVIEW counts seconds since 1904-01-01 UTC; MATLAB days since the year 0, Excel since 1899-12-30, both local.
     _Epoch("LabVIEW time", ("s",), _UNIX_2000_S + 2_082_844_800.0, _UNIX_2065_S + 2_082_844_800.0, 2_082_844_800.0),
     _Epoch("MATLAB datenum", ("d",), 730_486 * DAY_S, 754_000 * DAY_S, 719_529 * DAY_S, is_local=True),
-    _Epoch("serial date of a spreadsheet", ("d",), 36_526 * DAY_S, 60_000 * DAY_S, 25_569 * DAY_S, is_local=True),
+    _Epoch("serial date of a spreadsheet", ("d",), 36_526 * DAY_S, 60_000 * DAY_S, 25_569 * DAY_S, True, True),
 )
 _SECONDS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "d": DAY_S}
 
@@ -101,8 +102,8 @@ def epoch_clock(values: FloatArray, unit: str) -> RowTimes | None:
     for epoch in _EPOCHS:
         for known in epoch.units:
             scale = _SECONDS[known]
-            named = unit == known or (not unit and epoch.zero_s != _EPOCHS[-1].zero_s)
-            if not named or not epoch.low <= first * scale <= last * scale < epoch.high:
+            is_possible = unit == known or not (unit or epoch.needs_unit)
+            if not is_possible or not epoch.low <= first * scale <= last * scale < epoch.high:
                 continue
             # The last digit of a large count is coarse: ten microseconds in days since the year 0.
             decimals = floor(-log10(2 * float(np.spacing(last)) * scale))
@@ -123,8 +124,7 @@ def unwrapped(values: FloatArray) -> tuple[FloatArray, str]:
     -------
     The values as they came, or continued, and then a remark.
     """
-    finite = values[np.isfinite(values)]
-    if len(finite) != len(values) or len(values) < 3 or not (values == np.rint(values)).all():
+    if len(values) < 3 or not (np.isfinite(values) & (values == np.rint(values))).all():
         return values, ""
     steps = np.diff(values)
     for bits in COUNTER_BITS:
@@ -296,7 +296,7 @@ def _moments(cells: "pd.Series", known: str) -> RowTimes | None:
     import pandas as pd
 
     is_filled = cells.notna()
-    with_zone = "%z" in known or bool(cells[is_filled].str.contains(r"(?:Z|[-+]\d\d:?\d\d)$").iloc[0])
+    with_zone = "%z" in known or bool(cells[is_filled].str.contains(r":.*(?:Z|[-+]\d\d:?\d\d)$").iloc[0])
     others = (known.replace("%S.%f", "%S"), known.replace("%S", "%S.%f"), known.replace("%B", "%b"))
     moments: pd.Series[pd.Timestamp] | None = None
     for form in (known, *others) if known != "ISO8601" else (known,):
