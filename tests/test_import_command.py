@@ -134,7 +134,7 @@ def test_blanks_in_a_first_row_are_left_out_and_told(importer: Importer, first: 
     (info,) = dragrig.campaign("c").runs
     assert info.samples == 49
     if first.startswith("0"):
-        assert any("1 rows at begin or end lack a number" in event.message for event in dragrig.load(info.path).events)
+        assert any("1 row without a number at begin" in event.message for event in dragrig.load(info.path).events)
 
 
 @pytest.mark.parametrize(

@@ -68,7 +68,7 @@ CASES = [
     Case("17-footer.xlsx", BY_NAME, {}, remark="line 203 is no rows"),
     Case("17-footer-comment.csv", BY_NAME, {}, remark="'# end of data'"),
     Case("17-comment-inside.csv", BY_NAME, {}, remark="'# operator: second stroke'"),
-    Case("18-missing-dashes.csv", BY_NAME, {"missing": "gap"}, remark="1 rows without a number", samples=199),
+    Case("18-missing-dashes.csv", BY_NAME, {"missing": "gap"}, remark="1 row without a number left", samples=199),
     Case("18-missing-ovld.csv", BY_NAME, {"missing": "gap"}, remark="1 samples lost", samples=199),
     Case("18-missing-blank.csv", BY_NAME, {"missing": "gap"}, remark="1 samples lost", samples=199),
     Case("19-date-de.csv", BY_NAME, {}, begin=BEGIN),
@@ -454,7 +454,7 @@ def test_siblings_of_the_field_are_the_trace_that_they_hold(tmp_path: Path, tabl
 @pytest.mark.parametrize(
     ("table", "remark"),
     [
-        (with_row(41, "0.40;0.06;0.80;touched, 2 mm"), "1 rows end with text: line 42 'touched, 2 mm'"),
+        (with_row(41, "0.40;0.06;0.80;touched, 2 mm"), "rows with text behind, 1: line 42 'touched, 2 mm'"),
         ([*lines(), "", "Peak [N];At [s];At [mm]", "0.079;1.19;2.38"], "'0.079;1.19;2.38'"),
         ([f"{line};Unix [s]" if not k else f"{line};{1_777_886_100 + k}" for k, line in enumerate(lines())],
          "too much for s: stored without a unit"),

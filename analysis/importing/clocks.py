@@ -138,7 +138,7 @@ def unwrapped(values: FloatArray) -> tuple[FloatArray, str]:
         # A wrap goes on at the pace of the counter; a clock that begins anew would have to do so by chance.
         if wraps.any() and ordinary < period / 8 and (after <= 3 * max(ordinary, 1.0)).all():
             turns = np.concatenate(([0.0], np.cumsum(-np.sign(steps) * wraps)))
-            return values + turns * period, f"a counter of {bits} bits that wraps {int(wraps.sum())} times is continued"
+            return values + turns * period, f"a counter of {bits} bits is continued over {int(wraps.sum())} of its ends"
     return values, ""
 
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis import SavgolSettings, gap_starts, mask_spans, smooth
+from dragrig.analysis import SavgolSettings, count_text, gap_starts, mask_spans, smooth
 from dragrig.analysis.importing.clocks import RowTimes, epoch_clock, restarts, unwrapped
 from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable
 from dragrig.analysis.importing.import_settings import ColumnSource, ImportSettings, guess_columns
@@ -88,7 +88,7 @@ def recordings(table: ForeignTable, settings: ImportSettings) -> tuple[ForeignTa
     stretches = restarts(stamps) if np.isfinite(stamps).all() else ()
     if len(stretches) < 2:
         return (table,)
-    told = f"the clock begins anew {len(stretches) - 1} times: a run for each of the {len(stretches)} stretches"
+    told = f"the clock begins anew: a run for each of the {len(stretches)} stretches"
     first, *further = (replace(whole.sliced(rows), remarks=(*table.remarks, told)) for rows in stretches)
     return (first, *(replace(stretch, begins_at=None) for stretch in further))
 
@@ -111,12 +111,12 @@ def convert_table(table: ForeignTable, settings: ImportSettings) -> ConvertedMea
     values |= {} if time is None else {"time": time.seconds}
     told = [*table.remarks, *(() if time is None else time.remarks), *_contradictions(table, sources), *counted]
     told += [f"column {column.name!r}: {remark}" for column in columns for remark in column.remarks]
-    told += [f"{blanks} rows at begin or end lack a number and were left out"] if blanks else []
+    told += [f"{count_text(blanks, 'row')} without a number at begin or end left out"] if blanks else []
     complete = np.flatnonzero(np.all([np.isfinite(array) for array in values.values()], axis=0))
     if not complete.size:
         raise ImportDataError(f"{table.path}: no row has a number in all mapped columns; map others.")
     if len(complete) < table.rows:
-        told.append(f"{table.rows - len(complete)} rows without a number were left out: a gap")
+        told.append(f"{count_text(table.rows - len(complete), 'row')} without a number left out: a gap")
     used = [source.column for source in mapped.values() if not source.by_stated_factor]
     used += [table.column(sources["time"].column)] if time is not None else []
     stated_units = {id(source.column): source.unit for source in mapped.values()}

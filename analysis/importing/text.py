@@ -316,7 +316,7 @@ class _Fit:
         lines = [row for row in rows.tolist() if row in self._comments] if self._comments else []
         if lines:
             said = (f"line {self._lines.numbers[line]} {self._comments[line]!r:.60}" for line in lines[:TOLD_LINES])
-            yield f"{len(lines)} rows end with text: {', '.join(said)}{', …' if len(lines) > TOLD_LINES else ''}"
+            yield f"rows with text behind, {len(lines)}: {', '.join(said)}{', …' if len(lines) > TOLD_LINES else ''}"
 
 
 def _widths(lines: Sequence[str], delimiter: str) -> npt.NDArray[np.intp]:
