@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from dragrig.analysis.importing.foreign import ForeignTable
@@ -191,6 +191,8 @@ def test_what_is_stated_is_taken_as_stated(tmp_path: Path) -> None:
 
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.binary(max_size=200), st.text('0123456789.,;\t \n-+eEnNaA"#µ', max_size=200).map(str.encode)))
+@example(b"1-1-1000")
+@example(b"31.12.9999 10:00:00;1\n31.12.9999 10:00:01;2\n")
 def test_no_bytes_bring_anything_but_a_table_or_a_sentence(tmp_path: Path, content: bytes) -> None:
     text = ""
     try:

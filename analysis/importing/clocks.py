@@ -301,7 +301,10 @@ def _moments(cells: "pd.Series", known: str) -> RowTimes | None:
     moments: pd.Series[pd.Timestamp] | None = None
     for form in (known, *others) if known != "ISO8601" else (known,):
         if form.count("%f") < 2 and (moments is None or moments[is_filled].isna().any()):
-            read = pd.to_datetime(cells, format=form, errors="coerce", utc=with_zone).dt.as_unit("ns")
+            try:
+                read = pd.to_datetime(cells, format=form, errors="coerce", utc=with_zone).dt.as_unit("ns")
+            except pd.errors.OutOfBoundsDatetime:
+                return None  # before 1677 or after 2262, and so no time of a measurement
             moments = read if moments is None else moments.fillna(read)
     if moments is None or moments[is_filled].isna().any():
         return None
