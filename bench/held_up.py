@@ -14,11 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
-from engine_clients import PATIENT, plan
 from PySide6.QtCore import QSettings, QTimer
-from runfiles import record
 
 import dragrig
 from dragrig.engine_host import RigSelection, SessionJob, StartSession
@@ -27,6 +25,8 @@ from dragrig.setup import create_lab
 from dragrig.views import FORMATS
 from dragrig.window.main_window import MainWindow, qt_application
 from dragrig.window.widgets import StoredSettings, choose_path, top_items
+from engine_clients import PATIENT, plan
+from runfiles import record
 
 POINTS = 10_000_000
 MOST_S = 0.3

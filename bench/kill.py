@@ -11,11 +11,10 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-from killed import STEPS, Loss, loss_of, run_victim
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from dragrig.rig.runfile import recover, verify
+from killed import STEPS, Loss, loss_of, run_victim
 
 BOUND_S = 0.25
 RATES_HZ = (1000.0, 50_000.0, 250_000.0)

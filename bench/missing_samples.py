@@ -33,10 +33,9 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from reaction import ACQUISITION, SPEED_MM_S
-from remote_doubles import RemoteDoubles
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
@@ -47,6 +46,7 @@ from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.backend import HardwareBackend, open_backend
 from dragrig.rig.reading import Reading
+from remote_doubles import RemoteDoubles
 
 BRAKING_S = 0.1
 """What the bar leaves for noticing, the stop's way to the drive, and braking."""

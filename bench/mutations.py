@@ -411,10 +411,9 @@ def run_case(draw: random.Random, folder: Path, seeds: Path) -> list[list[str]]:
 
 def make_seeds(seeds: Path) -> None:
     """Record what is broken: a campaign, single runs, a recording that was cut off, files of other software."""
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    from runfiles import blocks, header
-
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
     from dragrig.rig.runfile.recorder import Recorder
+    from runfiles import blocks, header
 
     few = ["--set", "rig.sampling.rate_hz=200", "--yes", "--quiet", "--set", "hold_s=0.5", "--set", "wait_s=0"]
     drag = ["run", "drag", *few, "--set", "travel_mm=10", "--set", "speed_mm_s=[10.0, 20.0]", "--note", "a note"]

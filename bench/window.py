@@ -24,9 +24,7 @@ import numpy as np
 from PySide6.QtCore import QEvent, QObject
 from PySide6.QtWidgets import QAbstractScrollArea
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-from runfiles import record
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from dragrig.engine_host.messages import LiveSamples
 from dragrig.rig.runfile import finish
@@ -36,6 +34,7 @@ from dragrig.window.look_page import TraceOverlay
 from dragrig.window.main_window import qt_application
 from dragrig.window.plots import TimePlot
 from dragrig.window.trace_pyramid import TracePyramid
+from runfiles import record
 
 FRAMES = 60
 WANTED_HZ = 30.0

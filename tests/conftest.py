@@ -25,10 +25,12 @@ if sys.dont_write_bytecode:
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ.setdefault("PYTEST_QT_API", "pyside6")
 
+from disks import is_root, mounted
 from windows import lacking
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
+
     from rig_faults import Bench
 
 # How long an example takes says how busy the machine is, so no example fails by its time.
@@ -43,14 +45,6 @@ def pytest_collection_finish() -> None:
     """Spare the garbage collector what stays till the end: all modules and all tests that were collected."""
     gc.collect()
     gc.freeze()
-
-
-def is_root() -> bool:
-    return hasattr(os, "geteuid") and os.geteuid() == 0
-
-
-def mounted(*options: str) -> bool:
-    return subprocess.run(["mount", *options], capture_output=True, check=False).returncode == 0
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import click
 import pytest
-from browsing import opened
 from playwright.sync_api import Browser
 
+from browsing import opened
 from dragrig.cli import main
 from dragrig.cli.commands import dragrig_group, gap_group
 from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.runfile import schema
+from places import ROOT
 
-ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import grimp
 
-ROOT = Path(__file__).parents[1]
+from places import ROOT
+
 ROOMS = {"app": "dragrig", "analysis": "dragrig.analysis", "sim_backend": "dragrig.sim_backend",
          "rig": "dragrig.rig", "config": "dragrig.config"}  # fmt: skip
 

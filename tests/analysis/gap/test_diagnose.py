@@ -1,0 +1,151 @@
+"""A diagnosis from run files to the answer: nothing, an effect, two, something that nobody knows, and the way back."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dragrig.analysis.gap import DiagnosisOptions
+from dragrig.analysis.gap.diagnose import diagnose
+from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.gap.run_data import choose_runs
+from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
+from dragrig.analysis.selection import RunSelection
+from dragrig.api.gap import save_amended_model
+from dragrig.config.friction_model import FrictionModelSettings, parse_effects
+from dragrig.present.diagnosis import diagnosis_json
+from hidden import hidden, simulated
+from places import CAMPAIGN
+
+NUMBERED = {path.name.split("-")[1].removesuffix(".h5"): path for path in sorted(CAMPAIGN.glob("*.h5"))}
+
+
+@pytest.fixture(scope="module")
+def stribeck(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
+    return hidden(tmp_path_factory.mktemp("stribeck"), 12, "stribeck")
+
+
+@pytest.fixture(scope="module")
+def diagnosis(stribeck: RunSelection) -> Diagnosis:
+    return diagnose(stribeck, MODEL)
+
+
+def probability(diagnosis: Diagnosis, hypothesis: str) -> float:
+    return sum(entry.probability for entry in diagnosis.ranking if entry.hypothesis == hypothesis)
+
+
+def test_a_campaign_without_a_gap_says_what_would_have_been_seen(tmp_path: Path) -> None:
+    nothing = diagnose(hidden(tmp_path, 11), MODEL)
+    assert nothing.verdict is Verdict.NO_GAP
+    assert (nothing.effects, nothing.model) == ((), None)
+    assert probability(nothing, "no_gap") > 0.5
+    assert 0.1 < nothing.detection_limit_mN < 10
+    assert set(nothing.where.location("channel").shares.values()) == {0.0}
+    assert nothing.shrink is not None
+    assert nothing.shrink.closed is None
+
+
+def test_an_effect_is_named_with_its_size_and_closes_the_gap(diagnosis: Diagnosis) -> None:
+    assert (diagnosis.verdict, diagnosis.effects) == (Verdict.EFFECT, ("stribeck",))
+    first = diagnosis.ranking[0]
+    assert (first.hypothesis, first.probability > 0.5) == ("stribeck", True)
+    assert sum(hypothesis.probability for hypothesis in diagnosis.ranking) == pytest.approx(1.0)
+    ratio = next(quantity for quantity in first.parameters if quantity.name == "ratio")
+    assert 0 < ratio.standard_error < 0.5 * ratio.value
+    assert diagnosis.where.location("channel").shares["force"] > 0.9
+    assert diagnosis.shrink is not None
+    assert diagnosis.shrink.closed is not None
+    assert diagnosis.shrink.closed > 0.9
+    assert diagnosis.shrink.gap_after_mN < 0.5 * diagnosis.shrink.gap_before_mN
+
+
+def test_without_the_right_effect_the_answer_is_less_sure(stribeck: RunSelection, diagnosis: Diagnosis) -> None:
+    case = diagnose(stribeck, MODEL, DiagnosisOptions(excluded=("stribeck",)))
+    assert "stribeck" not in {hypothesis.hypothesis for hypothesis in case.ranking}
+    if case.verdict is not Verdict.UNKNOWN:
+        assert set(case.effects) <= {"adhesion", "film_depletion", "wall_lift_off"}
+        assert case.ranking[0].probability < min(0.85, diagnosis.ranking[0].probability)
+        assert case.confusable_with or case.residual_unknown
+    assert case.unknown is not None
+    assert "drag" in case.unknown.location
+
+
+def test_what_no_effect_explains_is_unknown_and_has_a_place(tmp_path: Path) -> None:
+    diagnosis = diagnose(hidden(tmp_path, 18, "stick_slip"), MODEL)
+    assert (diagnosis.verdict, diagnosis.effects, diagnosis.model) == (Verdict.UNKNOWN, (), None)
+    assert diagnosis.unknown is not None
+    assert "force" in diagnosis.unknown.location
+    assert "drag" in diagnosis.unknown.location
+
+
+def test_a_table_that_shakes_slower_than_the_blocks_is_no_mere_noise(tmp_path: Path) -> None:
+    """Noise is measured at rest, where the table shakes too: it must not pass for noise of the sensor."""
+    shaken = diagnose(hidden(tmp_path, 29, "table_vibration"), MODEL)
+    assert shaken.verdict is Verdict.UNKNOWN
+    assert shaken.unknown is not None
+    assert "oscillation at about 3.5 Hz" in shaken.unknown.dependence
+    assert "at rest" in shaken.unknown.location
+    assert shaken.where.location("channel").shares["force"] > 0.9
+
+
+def test_a_wrong_encoder_is_found_in_the_position(tmp_path: Path) -> None:
+    diagnosis = diagnose(hidden(tmp_path, 14, "encoder_scale"), MODEL)
+    assert diagnosis.effects == ("encoder_scale",)
+    assert diagnosis.where.location("channel").shares["position"] > 0.9
+    assert diagnosis.model is not None
+    assert [effect.id for effect in diagnosis.model.effects] == ["encoder_scale"]
+
+
+def test_two_effects_are_both_named(tmp_path: Path) -> None:
+    diagnosis = diagnose(hidden(tmp_path, 20, "arm_compliance", "film_depletion"), MODEL)
+    assert diagnosis.verdict is Verdict.SEVERAL
+    assert set(diagnosis.effects) == {"arm_compliance", "film_depletion"}
+    assert diagnosis.ranking[0].hypothesis == "+".join(diagnosis.effects)
+
+
+def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis, tmp_path: Path) -> None:
+    from dragrig.config.settings import read_settings_file
+
+    path = save_amended_model(diagnosis, tmp_path / "amended.toml")
+    assert path is not None
+    amended = read_settings_file(FrictionModelSettings, path)
+    assert [effect.id for effect in amended.effects] == ["stribeck"]
+    rig = parse_effects(["encoder_scale", "servo_lag", "mains_hum"])
+    everything = amended.model_copy(update={"effects": (*amended.effects, *rig)})
+    runs = simulated(everything)
+    again = diagnose(runs, CapsuleModel(everything))
+    assert again.verdict is Verdict.NO_GAP
+    assert probability(again, "no_gap") > 0.9
+
+
+@pytest.mark.parametrize(
+    ("kinds", "message"),
+    [
+        (("relaxation",), {"No drag runs", "No Coulomb runs"}),
+        (("drag",), {"No relaxation runs", "No blank runs"}),
+        (("relaxation", "coulomb", "drag"), {"No blank runs"}),
+    ],
+)
+def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], message: set[str]) -> None:
+    runs = [experiment for experiment in choose_runs(CAMPAIGN).experiments if experiment.kind in kinds]
+    diagnosis = diagnose(choose_runs(experiment.run for experiment in runs), MODEL)
+    assert diagnosis.runs == len(runs)
+    for name in message:
+        assert any(sentence.startswith(name) for sentence in diagnosis.limitations)
+    assert json.loads(json.dumps(diagnosis_json(diagnosis)))["verdict"] == diagnosis.verdict
+
+
+@pytest.mark.parametrize("kind", sorted(NUMBERED))
+def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
+    experiment = next(experiment for experiment in choose_runs(CAMPAIGN).experiments if experiment.kind == kind)
+    diagnosis = diagnose(choose_runs([experiment.run]), MODEL)
+    assert (diagnosis.runs, diagnosis.held_out, diagnosis.shrink) == (1, (), None)
+    assert any("Too few runs to hold any out" in sentence for sentence in diagnosis.limitations)
+    assert sum(hypothesis.probability for hypothesis in diagnosis.ranking) == pytest.approx(1.0)
+    json.dumps(diagnosis_json(diagnosis))
+
+
+def test_the_same_runs_give_the_same_answer() -> None:
+    first, second = (dict(diagnosis_json(diagnose(choose_runs(CAMPAIGN), MODEL))) for _ in range(2))
+    assert first.pop("timings_s") != second.pop("timings_s")
+    assert json.dumps(first) == json.dumps(second)

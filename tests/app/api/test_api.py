@@ -1,0 +1,125 @@
+"""`import dragrig`: what people call from scripts and notebooks."""
+
+import doctest
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dragrig
+from dragrig.api import evaluate as evaluating
+from dragrig.api import measure as measuring
+from dragrig.config.errors import AnalysisError, OutputError, PlanError
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.rig.protocols.drag import DragProtocol
+from places import ROOT
+
+DRAG = DragProtocol(speed_mm_s=10, travel_mm=15, hold_s=0.5)
+
+
+@pytest.fixture(scope="module")
+def run() -> dragrig.Run:
+    (made,) = dragrig.simulate(DRAG)
+    return made
+
+
+def test_importing_loads_nothing_heavy_and_offers_everything() -> None:
+    code = (
+        "import sys, dragrig; heavy = [n for n in ('numpy', 'h5py', 'scipy', 'pandas', 'pydantic') if n in sys.modules]"
+        "; print(heavy, [name for name in dragrig.__all__ if not hasattr(dragrig, name)])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[] []"
+    with pytest.raises(AttributeError, match="attribute flter"):
+        getattr(dragrig, "flter")  # noqa: B009  # mypy knows that there is no such name
+
+
+@pytest.mark.parametrize("module", [measuring, evaluating], ids=lambda module: module.__name__)
+def test_the_examples_of_the_docstrings_run(module: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = doctest.testmod(module)
+    assert result.attempted > 4
+    assert result.failed == 0
+
+
+def test_memory_and_files_hold_the_same_samples(run: dragrig.Run, tmp_path: Path) -> None:
+    (filed,) = dragrig.simulate(DRAG, out=tmp_path / "c")
+    for name, values in run.trace.channels.items():
+        assert np.array_equal(filed.trace.channels[name], values), name
+    assert np.array_equal(filed.trace.time, run.trace.time)
+    assert filed.info.path.parent == tmp_path / "c"
+    assert dragrig.load(filed.info.path).info.header.run_id == filed.info.header.run_id
+    assert [entry.path for entry in dragrig.campaign(tmp_path / "c").good] == [filed.info.path]
+
+
+def test_a_model_in_memory_is_simulated_as_its_settings_are(run: dragrig.Run) -> None:
+    slippery = FrictionModelSettings(friction_coefficient=0.02)
+    (arguments,) = dragrig.simulate(DRAG, model=slippery)
+    (assigned,) = dragrig.simulate(DRAG, assignments=["model.friction_coefficient=0.02"])
+    assert np.array_equal(arguments.trace.force, assigned.trace.force)
+    assert not np.array_equal(arguments.trace.force, run.trace.force)
+
+
+def test_a_filter_leaves_a_run_in_memory_as_it_is_and_stores_in_a_file(run: dragrig.Run, tmp_path: Path) -> None:
+    smooth = dragrig.filter(run, window_s=0.1)
+    assert run.filtered is None
+    assert smooth.filtered is not None
+    (filed,) = dragrig.simulate(DRAG, out=tmp_path / "c")
+    dragrig.filter(filed.info.path, window_s=0.1)
+    stored = dragrig.load(filed.info.path).filtered
+    assert stored is not None
+    assert np.array_equal(stored.channels["force"], smooth.filtered.channels["force"], equal_nan=True)
+
+
+def test_a_table_of_runs_is_the_table_of_their_folder(run: dragrig.Run, tmp_path: Path) -> None:
+    dragrig.simulate(DRAG, out=tmp_path / "c")
+    numbers = ["speed_mm_s", "steady_force_mN", "steady_force_error_mN"]
+    assert np.array_equal(dragrig.table([run])[numbers], dragrig.table(tmp_path / "c")[numbers])
+
+
+def test_a_run_in_memory_can_be_exported_once(run: dragrig.Run, tmp_path: Path) -> None:
+    (written,) = dragrig.export(run, tmp_path / "drag.npz", format="npz")
+    with np.load(written) as stored:
+        force = next(stored[name] for name in stored.files if name.startswith("force"))
+    assert np.array_equal(force, run.trace.force)
+    with pytest.raises(OutputError, match="exists already"):
+        dragrig.export(run, tmp_path / "drag.npz", format="npz")
+
+
+def test_the_model_is_what_the_simulator_shows(run: dragrig.Run) -> None:
+    (row,) = dragrig.model([10.0]).to_dict("records")
+    total = row["f_e_mN"] + row["f_v_mN"] + row["f_c_mN"]
+    assert row["total_mN"] == pytest.approx(total)
+    steady = dragrig.table([run]).loc[0]
+    offset_sd, spread = 3.0, 0.05
+    assert abs(steady["steady_force_mN"] - total) < 4 * (offset_sd + spread * total)
+
+
+def test_invalid_arguments_are_errors_with_a_message(run: dragrig.Run, tmp_path: Path) -> None:
+    with pytest.raises(PlanError, match="outside the stage's travel"):
+        dragrig.simulate(DragProtocol(speed_mm_s=10, travel_mm=500))
+    with pytest.raises(AnalysisError, match="odd number"):
+        dragrig.filter(run, window_samples=10)
+    dragrig.simulate(DRAG, out=tmp_path / "c")
+    with pytest.raises(OutputError, match="holds runs already"):
+        dragrig.simulate(DRAG, out=tmp_path / "c")
+
+
+@pytest.mark.filterwarnings("ignore")  # of the notebook's own machinery
+def test_the_example_notebook_runs(tmp_path: Path) -> None:
+    import nbformat
+    from nbclient import NotebookClient
+
+    notebook = nbformat.read(ROOT / "docs" / "example.ipynb", as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(not cell.outputs and cell.execution_count is None for cell in code)
+    NotebookClient(
+        notebook, timeout=900, startup_timeout=900, resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
+    assert any("image/png" in output.get("data", {}) for cell in code for output in cell.outputs)
+    assert not any(
+        output.output_type == "stream" and output.name == "stderr" for cell in code for output in cell.outputs
+    )
+    assert list(tmp_path.iterdir()) == []

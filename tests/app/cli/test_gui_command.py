@@ -1,0 +1,75 @@
+"""`dragrig gui` where it cannot show a window, and the queue's arithmetic, which needs none."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dragrig.engine_host.messages import QueuedRun, RunFinished, RunStarted, SessionFinished, SessionJob, SessionStarted
+from dragrig.rig.runfile.model import RunStatus
+from windows import require_qt
+
+
+@pytest.mark.parametrize("missing", ["PySide6", "pyqtgraph"])
+def test_without_qt_the_error_says_what_to_install(missing: str, tmp_path: Path) -> None:
+    script = f"import sys; sys.modules[{missing!r}] = None; from dragrig.cli import main; sys.exit(main(['gui']))"
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "pip install 'dragrig[gui]'" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_folder_without_a_lab_is_refused(tmp_path: Path) -> None:
+    script = "import sys; from dragrig.cli import main; sys.exit(main(['gui', sys.argv[1]]))"
+    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "is no lab folder" in done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a screen is named by the environment on Linux alone")
+def test_without_a_screen_the_error_says_so(tmp_path: Path) -> None:
+    require_qt()
+    screens = {"DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"}
+    bare = {name: value for name, value in os.environ.items() if name not in screens}
+    command = [sys.executable, "-m", "dragrig", "gui"]
+    done = subprocess.run(command, cwd=tmp_path, env=bare, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "there is no screen here" in done.stderr
+
+
+def test_an_unsupported_pace_is_refused(tmp_path: Path) -> None:
+    require_qt()
+    command = [sys.executable, "-m", "dragrig", "gui", "--backend", "simulated", "--pace", "20"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "is fast or real" in done.stderr
+
+
+def test_a_queue_knows_its_progress_and_the_time_left() -> None:
+    require_qt()
+    from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
+
+    queue = SessionQueue()
+    runs = (QueuedRun(0, "drag", 10.0, 5.0), QueuedRun(1, "drag", 10.0, 5.0))
+    queue.add(QueuedSession(SessionJob(queue.next_number(), "drag"), "drag", 30.0, 2))
+    queue.add(QueuedSession(SessionJob(queue.next_number(), "blank"), "blank", 8.0, 1))
+    assert queue.left_s == 38.0
+    first = queue.entries[0]
+    first.stage = QueueState.RUNNING
+    queue.session_started(SessionStarted(1, runs, real_time=True))
+    assert (first.left_s, first.progress) == (30.0, 0.0)
+    queue.run_started(RunStarted(runs[0], 0))
+    first.elapsed_s = 2.0
+    assert first.left_s == 18.0
+    queue.run_finished(RunFinished(runs[0], 0, RunStatus.COMPLETE, "", 5000, ()))
+    assert (first.left_s, first.progress, first.over_count) == (15.0, 0.5, 1)
+    queue.run_started(RunStarted(runs[0], 1))
+    assert (first.left_s, first.over_count) == (20.0, 0)  # made again
+    queue.run_started(RunStarted(runs[1], 2))
+    assert (first.left_s, first.over_count) == (5.0, 1)  # whatever became of the one before
+    first.elapsed_s = 5.0
+    queue.session_finished(SessionFinished(1, RunStatus.TRIPPED, "force: too much"))
+    assert (first.stage, first.reason, queue.left_s) == (QueueState.TRIPPED, "force: too much", 8.0)
+    assert queue.next is queue.entries[1]

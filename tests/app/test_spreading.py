@@ -1,0 +1,163 @@
+"""Pieces of work side by side: the same results, nothing lost, nothing twice, whoever is killed."""
+
+import os
+import signal
+import sys
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from clusters import dask_cluster
+from dragrig import parallel as processes
+from dragrig.config.errors import SettingsError, WorkerError
+from dragrig.parallel import SerialExecutor, available_cores, open_executor, parallel_map
+from spreading_pieces import PATIENCE_S, deadly, failing, loaded, product, traced
+
+SEEDS = range(6)
+
+
+def kill_when_begun(folder: Path, answer: list[int], done_before: list[int]) -> threading.Thread:
+    """Kill the process that works on number 3 as soon as it does, and note what had been told by then."""
+
+    def wait_and_kill() -> None:
+        trace = folder / "3-begun-0"
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            if trace.exists() and (pid := trace.read_text("utf-8")):
+                done_before.extend(answer)
+                os.kill(int(pid), signal.SIGKILL)
+                return
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=wait_and_kill)
+    thread.start()
+    return thread
+
+
+def require_nothing_lost_or_twice(folder: Path, result: list[bytes], answer: list[int], once: list[int]) -> None:
+    assert result == [product(seed) for seed in SEEDS]
+    assert sorted(answer) == list(SEEDS)
+    assert len(list(folder.glob("3-begun-*"))) == 2
+    for seed in once:
+        assert [path.name for path in folder.glob(f"{seed}-ended-*")] == [f"{seed}-ended-0"]
+
+
+def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_workers() -> None:
+    with open_executor(1) as here:
+        assert isinstance(here, SerialExecutor)
+        alone = parallel_map(here, product, SEEDS)
+    with open_executor(2) as two:
+        assert parallel_map(two, product, SEEDS) == alone
+    assert alone == [product(seed) for seed in SEEDS]
+
+
+def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(tmp_path: Path) -> None:
+    answer: list[int] = []
+    killer = kill_when_begun(tmp_path, answer, [])
+    with open_executor(2) as two:
+        pieces = [(tmp_path, seed) for seed in SEEDS]
+        result = parallel_map(two, traced, pieces, lambda piece, _: answer.append(piece[1]))
+    killer.join()
+    require_nothing_lost_or_twice(tmp_path, result, answer, list(SEEDS))
+
+
+def test_a_process_killed_while_it_waits_is_replaced() -> None:
+    with open_executor(1, own_process=True) as entry:
+        [(pid, _)] = parallel_map(entry, loaded, ["dragrig"])
+        assert pid != os.getpid()
+        os.kill(pid, signal.SIGKILL)
+        [(second, _)] = parallel_map(entry, loaded, ["dragrig"])
+    assert second not in {pid, os.getpid()}
+
+
+def test_a_dead_pool_is_neither_shut_down_nor_let_go_in_its_own_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From Python 3.12 on that thread holds the pool's lock then, and would wait for it for ever."""
+    where: list[threading.Thread] = []
+
+    class Noted(ProcessPoolExecutor):
+        def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+            where.append(threading.current_thread())
+            super().shutdown(wait, cancel_futures=cancel_futures)
+
+        def __del__(self) -> None:
+            where.append(threading.current_thread())
+
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", Noted)
+    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as entry:
+        parallel_map(entry, deadly, [1])
+    assert set(where) == {threading.main_thread()}
+
+
+def test_a_piece_that_takes_every_process_along_is_given_up_in_words() -> None:
+    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as entry:
+        parallel_map(entry, deadly, [1])
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_a_piece_raises_comes_out(workers: int) -> None:
+    with pytest.raises(ValueError, match="not liked"), open_executor(workers) as some:
+        parallel_map(some, failing, range(3))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_what_was_done_before_a_failure_has_been_told(workers: int) -> None:
+    answer: list[tuple[int, int]] = []
+    with pytest.raises(ValueError, match="not liked"), open_executor(workers) as some:
+        parallel_map(some, failing, [0, 0, 0, 1], lambda piece, result: answer.append((piece, result)))
+    assert answer == [(0, 0)] * len(answer)
+    assert len(answer) >= 4 - workers
+
+
+def test_workers_are_the_cores_unless_told() -> None:
+    with open_executor(tasks=1) as entry:
+        assert isinstance(entry, SerialExecutor)
+    assert available_cores() >= 1
+    with pytest.raises(SettingsError, match="at least one worker"), open_executor(0):
+        pass
+    with pytest.raises(SettingsError, match="give one"), open_executor(2, "tcp://127.0.0.1:1"):
+        pass
+
+
+def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # On a busy machine its processes take long to start.
+    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 100)
+    answer, done_before = list[int](), list[int]()
+    with dask_cluster() as address:
+        killer = kill_when_begun(tmp_path, answer, done_before)
+        with open_executor(scheduler=address) as workers:
+            pieces = [(tmp_path, seed) for seed in SEEDS]
+            result = parallel_map(workers, traced, pieces, lambda piece, _: answer.append(piece[1]))
+        killer.join()
+    # What a worker had done but not yet handed over when it was killed is done anew by another.
+    require_nothing_lost_or_twice(tmp_path, result, answer, done_before)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "abc://x:1"])
+def test_a_scheduler_that_does_not_answer_is_told(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 1)
+    with pytest.raises(SettingsError, match="no Dask scheduler answers there"), open_executor(scheduler=address):
+        pass
+
+
+def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 5)
+    with (
+        dask_cluster(0) as address,
+        pytest.raises(SettingsError, match="has no workers"),
+        open_executor(scheduler=address),
+    ):
+        pass
+
+
+def test_dask_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(SettingsError, match=r"install dragrig\[dask\]"),
+        open_executor(scheduler="tcp://127.0.0.1:8786"),
+    ):
+        pass

@@ -1,0 +1,215 @@
+"""What a person does at the real rig, on the doubles of its devices: jogs, overrides, touching off, calibrating."""
+
+import ctypes
+import re
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import pytest
+
+from dragrig.config.errors import DeviceError, TrippedError
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
+from dragrig.rig.calibration import fit_encoder, fit_force
+from dragrig.rig.devices import BackendRequest, TravelEnd, TripCause
+from dragrig.rig.engine import Engine
+from dragrig.rig.guard import Guard
+from dragrig.rig.manual import ManualControl, measure_loads, measure_pushed_travel
+from dragrig.rig.operator import Answer, Prompt
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile.model import RunStatus
+from dragrig.sim_backend.doubles.backend import DoubleBackend
+from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+from driving import until
+from simulated import acquire, stroke
+
+# On a busy machine a start can be late, and so can samples and replies.
+RIG = RigSettings.model_validate(
+    {
+        "hardware": {"drive": {"homing_speed_mm_s": 50.0, "reply_s": 2.0, "silence_s": 5.0}, "hang_s": 2.0},
+        "guard": {"following_error_mm": 50.0, "encoder_silent_mm": 50.0, "stale_data_s": 5.0},
+    }
+)
+
+
+@dataclass
+class Bench:
+    """An open double, and a person who does what is asked of hands."""
+
+    backend: DoubleBackend
+    faults: FaultInjector
+    guard: Guard
+    engine: Engine
+    prompts: list[Prompt]
+
+    def __post_init__(self) -> None:
+        self.manual = ManualControl(self.backend, self.guard, self.engine, self)
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.prompts.append(prompt)
+        return Answer.DONE
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    faults = FaultInjector()
+    backend = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()), faults)
+    try:
+        guard = Guard(RIG.guard, 0.001)
+        yield Bench(backend, faults, guard, Engine(backend, RIG, guard), [])
+    finally:
+        backend.close()
+
+
+def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
+    manual = bench.manual
+    manual.reset()
+    manual.home()
+    assert manual.jog(10.0, 20.0) == pytest.approx(10.0, abs=0.01)
+    bench.faults.inject(limit_high_pressed=True)
+    with pytest.raises((TrippedError, DeviceError), match="upper limit switch"):
+        manual.jog(5.0)
+    with pytest.raises(TrippedError, match="upper limit switch"):
+        manual.reset()
+    begin = manual.position_mm
+    assert manual.jog(-1.0, override=TravelEnd.HIGH) == pytest.approx(begin - 1.0, abs=0.01)
+    assert manual.trip is not None
+    assert manual.trip.cause is TripCause.LIMIT_SWITCH_HIGH
+    bench.faults.inject(e_stop_pressed=True)
+    with pytest.raises(TrippedError, match="emergency stop"):
+        manual.jog(-1.0, override=TravelEnd.HIGH)
+    bench.faults.clear()
+    manual.reset()
+    manual.jog(-1.0)
+    checks = [prompt for prompt in bench.prompts if "Check the rig" in prompt.text or "origin" in prompt.text]
+    assert len(checks) >= 5
+    assert all(prompt.hands for prompt in checks)
+
+
+@pytest.mark.parametrize("late_s", [0.06, 0.4])
+def test_a_drive_that_starts_late_still_comes_to_the_end_of_its_motion(bench: Bench, late_s: float) -> None:
+    manual = bench.manual
+    manual.reset()
+    manual.home()
+    bench.faults.inject(drive_starts_late_s=late_s)
+    assert manual.jog(5.0) == pytest.approx(5.0, abs=0.01)
+    assert manual.jog(-2.0) == pytest.approx(3.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("late_s", "busy_s"), [(0.5, 0.0), (0.15, 0.1)], ids=["stopped before", "sets out meanwhile"])
+def test_a_drive_that_sets_out_too_late_is_not_called_a_silent_encoder(late_s: float, busy_s: float) -> None:
+    guard_settings = RIG.guard.model_copy(update={"encoder_silent_mm": 0.4})
+    backend = DoubleBackend(BackendRequest(RIG, FrictionModelSettings()), FaultInjector())
+    try:
+        guard = Guard(guard_settings, 0.001)
+        late = Bench(backend, backend.bench.faults, guard, Engine(backend, RIG, guard), [])
+        late.manual.reset()
+        late.manual.home()
+        late.faults.inject(drive_starts_late_s=late_s)
+        stop = backend.stage.stop
+
+        def stop_on_a_busy_computer() -> None:
+            time.sleep(busy_s)
+            stop()
+
+        backend.stage.stop = stop_on_a_busy_computer  # type: ignore[method-assign]
+        with pytest.raises(TrippedError, match=r"no motion: neither drive nor encoder moved for \d+ ms"):
+            late.manual.jog(20.0, 20.0)
+        assert late.manual.trip is not None
+        assert late.manual.trip.cause is TripCause.NO_MOTION
+    finally:
+        backend.close()
+
+
+def test_a_motion_that_is_not_over_long_after_its_time_is_stopped_and_said() -> None:
+    rig = RIG.model_copy(update={"guard": RIG.guard.model_copy(update={"stale_data_s": 1.0})})
+    faults = FaultInjector()
+    backend = DoubleBackend(BackendRequest(rig, FrictionModelSettings()), faults)
+    try:
+        guard = Guard(rig.guard, 0.001)
+        late = Bench(backend, faults, guard, Engine(backend, rig, guard), [])
+        late.manual.reset()
+        late.manual.home()
+        faults.inject(drive_starts_late_s=5.0)
+        with pytest.raises(DeviceError, match="had not made its motion 1 s after"):
+            late.manual.jog(5.0)
+        assert late.manual.position_mm < 1.0
+        assert not backend.stage.state().moving
+    finally:
+        backend.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="its C library has no usleep")
+def test_a_program_that_stood_still_for_longer_than_the_buffer_says_that_samples_are_lost() -> None:
+    card = RIG.hardware.card.model_copy(update={"buffer_s": 1.0})
+    hardware = RIG.hardware.model_copy(update={"card": card, "hang_s": 0.5})
+    # The driver's smallest buffer holds 100,000 samples.
+    sampling = RIG.sampling.model_copy(update={"rate_hz": 100_000.0})
+    rig = RIG.model_copy(update={"hardware": hardware, "sampling": sampling})
+    backend = DoubleBackend(BackendRequest(rig, FrictionModelSettings()))
+    stood_still: list[int] = []
+
+    def stand_still(reading: Reading) -> None:
+        if reading.channels["position"][-1] > 0.5 and not stood_still:
+            stood_still.append(reading.end_index)
+            ctypes.PyDLL(None).usleep(1_500_000)  # without letting any other thread run
+
+    try:
+        guard = Guard(rig.guard, 0.001)
+        late = Bench(backend, FaultInjector(), guard, Engine(backend, rig, guard), [])
+        late.manual.reset()
+        late.manual.home()
+        outcome = late.engine.acquire(acquire(stroke(travel_mm=10.0, speed_mm_s=5.0)), view=stand_still)
+    finally:
+        backend.close()
+    assert outcome.status is RunStatus.TRIPPED
+    lost = re.search(r"overrun: (\d+) samples from", outcome.reason)
+    assert lost is not None, outcome.reason
+    assert int(lost[1]) >= 30_000
+
+
+def test_a_person_touches_off(bench: Bench) -> None:
+    bench.manual.reset()
+    touch_off = bench.manual.touch_off(25.0, 2.0, 10.0, back_mm=1.0)
+    assert 0.0 <= touch_off.position_mm < 5.0
+    assert abs(touch_off.force_mN) >= 25.0
+    # The stage of the doubles moves in real time, and is late on a busy machine.
+    until(lambda: bench.manual.position_mm == pytest.approx(max(touch_off.position_mm - 1.0, 0.0), abs=0.02))
+
+
+def test_known_weights_give_back_what_the_sensor_is_wired_for(bench: Bench) -> None:
+    bench.manual.reset()
+    points = list(measure_loads(bench.backend, RIG, bench.manual, (0.0, 20.0, 50.0, 100.0), 2, 0.5))
+    line = fit_force([point.load_mN for point in points], [point.reading.force_V for point in points])
+    assert abs(line.gain - RIG.hardware.card.force.per_V) < 5 * line.gain_error + 1.0
+    assert line.residual < RIG.force_sensor.accuracy_mN
+    with pytest.raises(DeviceError, match="overloaded"):
+        list(measure_loads(bench.backend, RIG, bench.manual, (0.0, 2000.0), 1, 0.1))
+
+
+def test_a_known_push_gives_back_the_length_of_a_count(bench: Bench) -> None:
+    bench.manual.reset()
+    points = list(measure_pushed_travel(bench.backend, bench.manual, (20.0, -20.0, 20.0), 1.0))
+    line = fit_encoder([point.travel_mm for point in points], [point.counts for point in points])
+    assert line.gain == pytest.approx(1e-3 * RIG.encoder.resolution_um, rel=1e-3)
+
+
+def test_a_program_that_hangs_in_motion_is_stopped_and_told_why(bench: Bench) -> None:
+
+    bench.manual.reset()
+    bench.manual.make_ready()
+
+    def hang(reading: Reading) -> None:
+        if reading.end_index > 800 and not hung:
+            hung.append(bench.manual.position_mm)
+            until(lambda: not bench.backend.bench.moving)
+
+    hung: list[float] = []
+    outcome = bench.engine.acquire(acquire(stroke(100.0, 20.0, 400.0)), view=hang)
+    assert outcome.status == "tripped"
+    assert outcome.reason.startswith("watchdog: ")
+    assert hung[0] <= bench.manual.position_mm < 95.0
+    bench.manual.reset()
+    assert bench.manual.trip is None

@@ -1,0 +1,362 @@
+"""The recorder: whatever the blocks, the file is the same; what flows in is on disk soon; a full disk is said."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from disks import is_root, mounted
+from dragrig.config.errors import OutputError, RecordingError, RunFileError
+from dragrig.rig.engine import Store
+from dragrig.rig.runfile import FolderStore, Recorder, finish, read_info, read_run, recover, verify
+from dragrig.rig.runfile.finisher import finish_here
+from dragrig.rig.runfile.model import Run, RunEvent, RunStatus
+from dragrig.rig.runfile.recorder import SampleRing
+from places import SUPPORT
+from runfiles import START, arrays, blocks, header, record
+
+
+def trace_of(run: Run) -> dict[str, np.ndarray]:
+    trace = run.trace
+    return {"time": trace.time, "command": trace.command, "phase": trace.phase, **trace.channels}
+
+
+def same(run: Run, wanted: dict[str, np.ndarray]) -> None:
+    columns = trace_of(run)
+    assert columns.keys() == wanted.keys()
+    for name, values in wanted.items():
+        np.testing.assert_array_equal(columns[name], values, err_msg=name)
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(sizes=st.lists(st.integers(1, 9000), min_size=1, max_size=12), timed=st.booleans())
+def test_the_arrays_do_not_depend_on_the_blocks(tmp_path: Path, sizes: list[int], timed: bool) -> None:
+    path = tmp_path / "run.h5"
+    path.unlink(missing_ok=True)
+    with Recorder(path, header(), reserve_bytes=0) as recorder:
+        first = 0
+        for size in sizes:
+            block = arrays(first, size)
+            if not timed:
+                del block["time"]
+            recorder.offer(first, block)
+            first += size
+        left = recorder.close(RunStatus.COMPLETE, "as planned")
+    same(read_run(finish(left)), arrays(0, sum(sizes)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(capacity=st.integers(4, 40), sizes=st.lists(st.integers(0, 90), max_size=12))
+def test_the_ring_hands_over_every_sample_in_order(capacity: int, sizes: list[int]) -> None:
+    ring = SampleRing({"time": np.dtype("f8")}, capacity)
+    taken: list[float] = []
+
+    def take() -> None:
+        closed = False
+        while not closed:
+            closed = ring.wait(0.001)
+            for columns in ring.take():
+                taken.extend(columns["time"].tolist())  # type: ignore[arg-type]
+
+    taker = threading.Thread(target=take)
+    taker.start()
+    first = 0
+    for size in sizes:
+        assert ring.put({"time": np.arange(first, first + size, dtype=float)})
+        first += size
+    ring.close()
+    taker.join()
+    assert taken == list(range(first))
+    assert not ring.put({"time": np.zeros(1)})
+
+
+def test_lost_samples_leave_a_jump_in_time_and_an_event(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+        for first in (0, 100, 250, 350, 1000):
+            block = arrays(first, 100)
+            del block["time"]
+            recorder.offer(first, block)
+        assert recorder.lost_samples == 50 + 550
+        left = recorder.close(RunStatus.COMPLETE, "as planned")
+    run = read_run(finish(left))
+    index = np.concatenate([np.arange(first, first + 100) for first in (0, 100, 250, 350, 1000)])
+    np.testing.assert_array_equal(run.trace.time, index / 1000.0)
+    assert [(event.time_s, event.kind) for event in run.events] == [(0.2, "gap"), (0.45, "gap")]
+    assert "50 samples" in run.events[0].message
+
+
+def test_all_that_is_known_of_a_run_is_in_its_file(tmp_path: Path) -> None:
+    long = "µ" * 200
+    with Recorder(tmp_path / "run.h5", header(order=4), reserve_bytes=0) as recorder:
+        recorder.event(RunEvent(0.0, "start", "drag"))
+        recorder.offer(0, arrays(0, 10))
+        recorder.annotate({"command_t0_uncertainty_s": 2e-5, "origin_mm": 13.0, "note": "ü\n"})
+        recorder.event(RunEvent(0.01, "trip", long))
+        left = recorder.close(RunStatus.TRIPPED, "force: 500 mN", START, {"rest_offset_mN": 0.1, "clipped": True})
+    run = read_run(finish(left))
+    assert run.info.header.entry == {
+        "operator": "Åsa", "origin_mm": 13.0, "command_t0_uncertainty_s": 2e-5, "note": "ü\n",
+    }  # fmt: skip
+    assert (run.info.status, run.info.reason, run.info.end_time) == (RunStatus.TRIPPED, "force: 500 mN", START)
+    assert run.info.checks == {"rest_offset_mN": 0.1, "clipped": True}
+    assert run.info.header.settings_toml == 'title = "drag"\n'
+    assert run.events[0] == RunEvent(0.0, "start", "drag")
+    assert run.events[1].message == "µ" * 78 + "…"
+    assert verify(run.info.path).holds
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_a_finished_file_is_plain_hdf5_for_old_readers(tmp_path: Path) -> None:
+    path = finish(record(tmp_path / "run.h5", 1000))
+    assert path.read_bytes()[8] == 0  # the version of the superblock
+    with h5py.File(path) as file:
+        force = file["entry/trace/force"]
+        assert (force.compression, force.shuffle) == ("gzip", True)
+
+
+def snapshots(recording: Path, copy: Path) -> Iterator[Run]:
+    """What is on disk, again and again, seen through a copy of the bytes."""
+    while True:
+        shutil.copy(recording, copy)
+        yield read_run(copy)
+
+
+def test_what_came_last_is_on_disk_soon_though_nothing_follows(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+        recorder.offer(0, arrays(0, 321))
+        recorder.event(RunEvent(0.3, "phase", "steady"))
+        copy = tmp_path / "copy.recording.h5"
+        seen = next(run for run in snapshots(recorder.path, copy) if run.info.samples == 321 and run.events)
+        same(seen, arrays(0, 321))
+        assert seen.info.status is RunStatus.RECORDING
+        assert seen.events == (RunEvent(0.3, "phase", "steady"),)
+        recorder.close(RunStatus.COMPLETE, "as planned")
+
+
+def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
+    viewer = (
+        "import sys, h5py\n"
+        "file = h5py.File(sys.argv[1], 'r', swmr=True)\n"
+        "force = file['entry/trace/force']\n"
+        "print(len(force), flush=True)\n"
+        "while len(force) < 3000: force.refresh()\n"
+        "print(force[2999], flush=True)\n"
+    )
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+        recorder.offer(0, arrays(0, 1000))
+        with subprocess.Popen(
+            [sys.executable, "-c", viewer, str(recorder.path)], stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            try:
+                assert int(process.stdout.readline()) <= 1000
+                recorder.offer(1000, arrays(1000, 2000))
+                assert float(process.stdout.readline()) == 2999
+                assert process.wait() == 0
+            finally:
+                process.kill()
+        recorder.close(RunStatus.COMPLETE, "as planned")
+
+
+@pytest.mark.parametrize(
+    ("first", "change", "message"),
+    [
+        (50, lambda block: block, "100 comes next"),
+        (100, lambda block: {**block, "extra": block["force"]}, "extra"),
+        (100, lambda block: {**block, "force": block["force"][:5]}, "force has shape"),
+        (100, lambda block: {**block, "force": block["force"] * 1j}, "complex"),
+        (100, lambda block: {name: block[name] for name in block if name != "position"}, "position"),
+    ],
+)
+def test_samples_that_do_not_fit_are_refused_and_the_run_goes_on(
+    tmp_path: Path, first: int, change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], message: str
+) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+        recorder.offer(0, arrays(0, 100))
+        with pytest.raises(ValueError, match=message):
+            recorder.offer(first, change(arrays(first, 10)))
+        recorder.offer(100, arrays(100, 100))
+        left = recorder.close(RunStatus.COMPLETE, "as planned")
+    same(read_run(finish(left)), arrays(0, 200))
+
+
+def test_a_run_is_never_recorded_over_another(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    left = record(path, 100)
+    with pytest.raises(OutputError, match="already"):
+        Recorder(path, header())
+    finish(left)
+    with pytest.raises(OutputError, match="already"):
+        Recorder(path, header())
+    with pytest.raises(OutputError, match="choose another folder"):
+        Recorder(tmp_path / "none" / "run.h5", header())
+    with pytest.raises(RunFileError, match="diameter_mm"):
+        Recorder(tmp_path / "other.h5", replace(header(), capsule={}))
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "status"),
+    [(KeyboardInterrupt(), RunStatus.ABORTED), (RuntimeError("the stage is gone"), RunStatus.FAILED)],
+)
+def test_a_recorder_left_by_an_error_says_so_in_its_file(
+    tmp_path: Path, fault: BaseException, status: RunStatus
+) -> None:
+    def fail() -> None:
+        with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
+            recorder.offer(0, arrays(0, 100))
+            raise fault
+
+    with pytest.raises(type(fault)):
+        fail()
+    (recovered,) = recover(tmp_path)
+    assert recovered.path is not None
+    info = read_info(recovered.path)
+    assert (info.status, info.samples) == (status, 100)
+    assert str(fault) in info.reason
+
+
+def test_a_disk_with_too_little_room_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    free = shutil.disk_usage(tmp_path).free
+    with pytest.raises(RecordingError, match="make room"):
+        Recorder(tmp_path / "run.h5", header(), expected_samples=free // 20)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_session_records_into_a_folder_of_run_files(tmp_path: Path) -> None:
+    from dragrig.rig.runfile import read_campaign
+
+    with FolderStore(tmp_path / "data" / "campaign", reserve_mb=0) as folder:
+        store: Store = folder
+        for order in range(2):
+            sink = store.open(header(order=order), 1000)
+            for first, block in blocks(1000, 50):
+                sink.offer(first, block)
+            path = sink.close(RunStatus.COMPLETE, "as planned", START, {})
+        store.mark_bad(0, "spilled")
+        store.settle()
+    recovered = read_campaign(tmp_path / "data" / "campaign")
+    assert [run.path.name for run in recovered.runs] == ["20260504-093000-drag-000.h5", "20260504-093000-drag-001.h5"]
+    assert [run.header.order for run in recovered.good] == [1]
+    same(read_run(path), arrays(0, 1000))
+
+
+FILLER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from runfiles import arrays, header
+from dragrig.config.errors import RecordingError
+from dragrig.rig.runfile import Recorder, recorder as module
+from dragrig.rig.runfile.model import RunStatus
+folder = Path(sys.argv[1])
+if sys.argv[3] == "blind":  # the disk is filled by others, faster than anybody can watch
+    module.free_bytes = lambda _: 1 << 60
+# Offered as fast as the computer can, and not as a rig does: what is not written yet needs a reserve of its own.
+recorder = Recorder(folder / "run.h5", header(rate_hz=250e3), reserve_bytes=20 << 20, flush_s=0.005)
+first = 0
+try:
+    while True:
+        recorder.offer(first, arrays(first, 5000, 250e3))
+        first += 5000
+except RecordingError as error:
+    print(error)
+try:
+    recorder.close(RunStatus.FAILED, "no room")
+except RecordingError as error:
+    print(error)
+print("done", first)
+"""
+
+
+@pytest.mark.parametrize("watch", ["watched", "blind"])
+def test_a_full_disk_is_reported_and_what_was_recorded_is_kept(small_disk: Path, tmp_path: Path, watch: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FILLER, str(small_disk), str(SUPPORT), watch],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    lines = done.stdout.splitlines()
+    assert "make room" in lines[0]
+    assert lines[-1].startswith("done")
+    offered = int(lines[-1].split()[1])
+    if watch == "blind":
+        assert "No space left on device" in lines[0]
+        (recovered,) = recover(small_disk)
+        assert "make room" in recovered.message
+        shutil.copy(recovered.recording, tmp_path)
+        (recovered,) = recover(tmp_path / recovered.recording.name)
+        assert recovered.samples > 0
+    else:
+        (recovered,) = recover(small_disk)
+        # The samples whose offer told of the shortage are kept too.
+        assert recovered.samples == offered + 5000
+    assert recovered.path is not None
+    same(read_run(recovered.path), arrays(0, recovered.samples, 250e3))
+    assert read_info(recovered.path).status is (RunStatus.RECOVERED if watch == "blind" else RunStatus.FAILED)
+
+
+def test_a_folder_whose_path_leaves_no_room_for_names_is_refused_before_a_run(tmp_path: Path) -> None:
+    longest = 4095  # PATH_MAX without its end; Windows takes 259
+    deep = tmp_path
+    while len(str(deep)) < longest - 250:
+        deep /= "d" * 200
+    deep /= "d" * (longest - 41 - len(str(deep)))
+    with pytest.raises(OutputError, match=r"path of 40\d\d characters leaves no room"):
+        FolderStore(deep)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no process can be held up here")
+def test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left(tmp_path: Path) -> None:
+    def run(store: FolderStore, order: int) -> None:
+        sink = store.open(header(order=order), 1000)
+        for first, block in blocks(1000, 50):
+            sink.offer(first, block)
+        sink.close(RunStatus.COMPLETE, "as planned", START, {})
+
+    with FolderStore(tmp_path, reserve_mb=0, max_stall_s=0.3) as store:
+        run(store, 0)
+        finisher = store._finisher
+        finisher.wait()
+        worker = finisher.worker_pid
+        assert worker is not None
+        os.kill(worker, signal.SIGSTOP)
+        try:
+            run(store, 1)
+            with pytest.raises(RecordingError, match=r"no progress for 0\.3 s; still recordings"):
+                store.settle()
+        finally:
+            os.kill(worker, signal.SIGCONT)
+    while finisher.pending:
+        finisher.wait(1.0)
+    recover(tmp_path)
+    assert read_info(tmp_path / "20260504-093000-drag-001.h5").samples == 1000
+
+
+@pytest.mark.skipif(not is_root(), reason="only root may keep a file from being removed")
+def test_a_disk_that_refuses_to_remove_a_recording_is_said_in_a_sentence(tmp_path: Path) -> None:
+    recording = record(tmp_path / "run.h5", 1000)
+    copy = tmp_path / "copy"
+    copy.write_bytes(recording.read_bytes())
+    # A file with something mounted on it cannot be removed.
+    if not mounted("--bind", str(copy), str(recording)):
+        pytest.skip("nothing can be mounted here")
+    try:
+        result = finish_here(recording)
+    finally:
+        subprocess.run(["umount", str(recording)], check=True)
+    assert result.error is not None
+    assert "is whole and in place, but the disk refuses to remove the recording" in str(result.error)
+    assert verify(tmp_path / "run.h5").holds
+    assert finish_here(recording).path == tmp_path / "run.h5"

@@ -1,0 +1,249 @@
+"""Faults of the program and its computer: ended, killed, frozen, hung, met by another, disk full, time put back."""
+
+import mmap
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from dragrig.rig.hardware.dialects.base import Halt
+from dragrig.rig.reading import Reading
+from dragrig.rig.runfile import mark_bad, read_campaign, read_run
+from dragrig.rig.runfile.model import RunStatus
+from places import SUPPORT, TESTS
+from rig_faults import (
+    DOCS,
+    FAR_MM,
+    PATIENCE_S,
+    SOON_HUNG,
+    SOON_SILENT,
+    Bench,
+    Program,
+    assert_goes_on,
+    assert_kept,
+    assert_reported,
+    assert_stopped,
+    begin,
+    only_run,
+    sentence,
+)
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the signals that this is about are POSIX's")
+
+
+@pytest.fixture
+def start(faulty_rig: Bench) -> Iterator[Callable[..., Program]]:
+    """Return what starts `dragrig run`; whatever still runs in the end is killed."""
+    started: list[Program] = []
+
+    def begun(*words: object, **environment: str) -> Program:
+        started.append(Program(faulty_rig, *map(str, words), **environment))
+        return started[-1]
+
+    yield begun
+    for program in started:
+        program.close()
+    faulty_rig.until(lambda look: not look.moving)
+
+
+Start = Callable[..., Program]
+ON_DISK = 250
+"""Samples from which on a run has moved."""
+
+
+def settings_words(*assignments: str) -> list[str]:
+    """How a command line has settings changed."""
+    return [word for assignment in assignments for word in ("--set", assignment)]
+
+
+def recorded(folder: Path) -> int:
+    """How many samples are on disk right now."""
+    paths = list(folder.glob("*.recording.h5"))
+    return read_run(paths[0]).info.samples if paths else 0
+
+
+def test_a_second_program_is_refused_and_the_first_never_notices(faulty_rig: Bench, start: Start) -> None:
+    first = start("plan.toml", "--out", folder := faulty_rig.folder(), "--set", "speed_mm_s=0.4")
+    first.until_under_way()
+    second = begin(faulty_rig).end()
+    assert second.exit_code == 5
+    assert sentence("two programs on one rig").fullmatch(second.message), second.message
+    assert str(first.process.pid) in second.message
+    assert not second.folder.exists()
+    assert faulty_rig.look().moving
+    first.process.send_signal(signal.SIGTERM)
+    first.end()
+    run = only_run(folder)
+    assert (run.info.reason, run.info.checks["lost_samples"]) == ("ended by SIGTERM", 0)
+    assert_kept(run, 1000)
+
+
+def test_sigterm_ends_the_run_in_good_order(faulty_rig: Bench, start: Start) -> None:
+    program = start("plan.toml", "--out", folder := faulty_rig.folder())
+    struck = program.until_under_way()
+    remaining = recorded(folder)
+    program.process.send_signal(signal.SIGTERM)
+    code, printed, answer = program.end()
+    run = only_run(folder)
+    assert (code, printed["status"], run.info.status) == (3, "aborted", RunStatus.ABORTED)
+    assert sentence("SIGTERM").fullmatch(answer), answer
+    assert printed["reason"] == run.info.reason == "ended by SIGTERM"
+    look = faulty_rig.look()
+    assert_stopped(struck, look, Halt.STOP)
+    assert not look.enabled
+    assert_kept(run, remaining)
+    assert_goes_on(faulty_rig, folder)
+
+
+def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_rig: Bench, start: Start) -> None:
+    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=3"))
+    program = start(*words, "--out", folder := faulty_rig.folder())
+    struck = program.until_under_way()
+    faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: program.alive)
+    remaining = recorded(folder)
+    program.process.kill()
+    look = faulty_rig.until(lambda look: not look.moving)
+    assert_stopped(struck, look, Halt.SILENCE, FAR_MM)
+    assert_goes_on(faulty_rig, folder)
+    (lost,) = (info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
+    assert lost.status is RunStatus.RECOVERED
+    assert sentence("SIGKILL").fullmatch(lost.reason), lost.reason
+    assert_kept(read_run(lost.path), remaining)
+
+
+def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Bench, start: Start) -> None:
+    program = start("plan.toml", *settings_words(*SOON_SILENT), "--out", folder := faulty_rig.folder())
+    struck = program.until_under_way()
+    remaining = recorded(folder)
+    program.process.send_signal(signal.SIGSTOP)
+    look = faulty_rig.until(lambda look: not look.moving)
+    assert_stopped(struck, look, Halt.SILENCE, FAR_MM)
+    program.process.send_signal(signal.SIGCONT)
+    code, printed, answer = program.end()
+    run = only_run(folder)
+    assert (code, printed["status"], run.info.status) == (4, "tripped", RunStatus.TRIPPED)
+    assert sentence("program frozen").fullmatch(answer), answer
+    assert printed["reason"] == run.info.reason
+    assert not faulty_rig.look().enabled
+    assert_kept(run, remaining)
+    assert_goes_on(faulty_rig, folder)
+
+
+def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(faulty_rig: Bench) -> None:
+    running = begin(faulty_rig, assignments=SOON_HUNG)
+    held, let_go = threading.Event(), threading.Event()
+
+    def hang(reading: Reading) -> None:
+        if reading.channels["position"][-1] > 0.5:
+            held.set()
+            let_go.wait(PATIENCE_S)
+
+    running.person.reads = hang  # type: ignore[method-assign]
+    assert held.wait(PATIENCE_S)
+    struck = faulty_rig.look()
+    faulty_rig.until(lambda look: not look.moving)
+    let_go.set()
+    ended = running.end()
+    run = only_run(ended.folder)
+    assert (ended.status, ended.exit_code) == (RunStatus.TRIPPED, 4), ended.message
+    assert_stopped(struck, ended.stage, Halt.STOP, FAR_MM)
+    assert_reported("program hangs", ended, run)
+    assert_kept(run, 1)
+    assert_goes_on(faulty_rig, ended.folder)
+
+
+def fill(disk: Path) -> Path:
+    filler = disk / "filler"
+    with filler.open("wb", buffering=0) as file:
+        try:
+            while True:
+                file.write(b"\0" * 65536)
+        except OSError:
+            return filler
+
+
+FULL_DISK = ("disk full", "disk full to the last byte", "disk refuses data")
+
+
+def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Bench, small_disk: Path) -> None:
+    folder = small_disk / "campaign"
+    running = begin(faulty_rig, out=folder, assignments=["rig.recording.reserve_mb=1", "speed_mm_s=3"])
+    running.until_under_way()
+    struck = faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: running.alive)
+    remaining = recorded(folder)
+    filler = fill(small_disk)
+    ended = running.end()
+    assert ended.exit_code == 5
+    assert any(sentence(fault).fullmatch(ended.message) for fault in FULL_DISK), ended.message
+    assert_stopped(struck, ended.stage, Halt.STOP)
+    assert not ended.stage.enabled
+    filler.unlink()
+    assert_goes_on(faulty_rig, folder)
+    lost = next(info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
+    assert_kept(read_run(lost.path), remaining)
+    assert lost.status is RunStatus.RECOVERED or "MB are free" in lost.reason
+
+
+class ShiftedClock:
+    """The time of day of a program that is started with `environment`, moved while it runs."""
+
+    def __init__(self, folder: Path) -> None:
+        library, source = folder / "shift.so", SUPPORT / "wall_clock_shift.c"
+        made = subprocess.run(
+            ["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], capture_output=True, check=False
+        )
+        if made.returncode:
+            pytest.skip("nothing to preload can be compiled here")
+        file = folder / "shift"
+        file.write_bytes(bytes(8))
+        with file.open("r+b") as opened:
+            self._map = mmap.mmap(opened.fileno(), 8)
+        self.environment = {"LD_PRELOAD": str(library), "CLOCK_SHIFT": str(file)}
+
+    def put(self, shift_s: int) -> None:
+        self._map[:8] = struct.pack("q", shift_s)
+
+
+@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("cc"), reason="needs LD_PRELOAD and a C compiler")
+def test_a_clock_that_is_put_back_changes_no_time_and_no_order(faulty_rig: Bench, start: Start, tmp_path: Path) -> None:
+    clock = ShiftedClock(tmp_path)
+    program = start("plan.toml", "--out", folder := faulty_rig.folder(), **clock.environment)
+    began = datetime.now().astimezone()
+    program.until_under_way()
+    clock.put(-3600)
+    code, printed, _ = program.end()
+    assert (code, printed["status"]) == (0, "complete")
+    first = only_run(folder)
+    assert_kept(first, first.info.samples)
+    assert first.info.end_time is not None
+    took = first.info.end_time - first.info.header.start_time
+    assert timedelta(seconds=first.info.samples / 1000) <= took < timedelta(minutes=30)
+    assert abs(first.info.header.start_time - began) < timedelta(minutes=30)
+    mark_bad(first.info.path, "made again")
+    code, printed, _ = start("--resume", folder, **clock.environment).end()
+    assert (code, printed["status"]) == (0, "complete")
+    earlier, later = sorted(read_campaign(folder).runs, key=lambda first: first.header.order)
+    assert earlier.end_time is not None
+    assert later.header.start_time >= earlier.end_time
+    assert later.path.name > earlier.path.name
+    seen = subprocess.run(
+        ["date", "+%s"], env={**clock.environment, "PATH": "/bin:/usr/bin"}, capture_output=True, text=True, check=True
+    )
+    assert abs(int(seen.stdout) - (time.time() - 3600)) < 1800, "the clock was never put back"
+
+
+def test_the_page_on_faults_shows_what_the_tests_hear() -> None:
+    rows = [line.split("|")[1:3] for line in DOCS.read_text("utf-8").splitlines() if line.startswith("| ")]
+    shown = {fault.strip() for fault, line in rows if line.strip().startswith("`")}
+    heard = (*TESTS.rglob("test_faults_*.py"), TESTS / "app" / "window" / "test_frozen.py")
+    answer = "".join(path.read_text("utf-8") for path in heard)
+    assert len(shown) > 20
+    assert [fault for fault in sorted(shown) if f'"{fault}"' not in answer] == []

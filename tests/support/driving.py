@@ -1,0 +1,168 @@
+"""What the tests of the drive share: a drive's double on a port, and what talks to it."""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import pytest
+
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.rig.hardware.dialects.base import find_dialect
+from dragrig.rig.hardware.drive.link import DriveLink
+from dragrig.rig.hardware.drive.monitor import StageDevices, Watchdog
+from dragrig.rig.hardware.drive.position_mode import PositionModeStage
+from dragrig.rig.hardware.lines import DigitalLines, SwitchStates
+from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
+from dragrig.rig.profile import MotionProfile
+from dragrig.sim_backend.doubles.drive_double import DriveDouble
+from dragrig.sim_backend.doubles.protocol_double import DoublePort
+from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
+from drive_ports import DrivePort, PtyPort, SocketPort
+from simulated import settings
+
+RATE = 1000.0
+PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")),
+         pytest.param(SocketPort, id="socket"), pytest.param(DoublePort, id="in process")]  # fmt: skip
+ANY_PORT = SocketPort if os.name == "nt" else PtyPort
+
+
+def until(condition: Callable[[], bool], within_s: float = 600.0) -> float:
+    """Wait for something to become true, on a busy machine too; return how long it took."""
+    began = time.monotonic()
+    while not condition():
+        assert time.monotonic() - began < within_s, "it never happened"
+        time.sleep(0.002)
+    return time.monotonic() - began
+
+
+class BenchLines:
+    """The lines of the bench, without a card in between."""
+
+    def __init__(self, bench: SimulatedBench) -> None:
+        self.bench = bench
+        self.names = bench.rig.hardware.card.lines
+        self.beats = 0
+
+    @property
+    def has_heartbeat(self) -> bool:
+        return bool(self.names.heartbeat)
+
+    def read_switches(self) -> SwitchStates:
+        wired = {name: getattr(self.names, name) for name in SwitchStates.__dataclass_fields__}
+        return SwitchStates(**{name: not self.bench.read_line(line) for name, line in wired.items() if line})
+
+    def set_enable(self, on: bool) -> None:
+        self.bench.write_line(self.names.enable, on)
+
+    def toggle_heartbeat(self) -> None:
+        self.beats += 1
+        self.bench.write_line(self.names.heartbeat, bool(self.beats % 2))
+
+
+class NoDigitalLines:
+    """A rig whose drive has all switches on its own terminals."""
+
+    has_heartbeat = False
+
+    def read_switches(self) -> SwitchStates:
+        return SwitchStates()
+
+    def set_enable(self, on: bool) -> None:
+        pass
+
+    def toggle_heartbeat(self) -> None:
+        pass
+
+
+@dataclass
+class Driven:
+    """A drive's double and everything on the program's side of the cable."""
+
+    bench: SimulatedBench
+    drive: DriveDouble
+    stage: PositionModeStage
+    devices: StageDevices
+    port: DrivePort
+
+    @property
+    def link(self) -> DriveLink:
+        return self.devices.link
+
+    @property
+    def sync(self) -> MotionSamplingSync:
+        return self.devices.sync
+
+    @property
+    def watchdog(self) -> Watchdog:
+        return self.devices.watchdog
+
+    @property
+    def lines(self) -> DigitalLines:
+        return self.devices.lines
+
+    def sample(self, profile: MotionProfile) -> None:
+        """Move with a first sample, as the engine does."""
+        self.sync.arm()
+        self.stage.move(profile)
+        self.bench.begin_sampling(RATE)
+        self.sync.set_first_sample(FirstSample(self.bench.clock.monotonic(), 0.0))
+
+    def ready(self) -> "Driven":
+        self.stage.enable()
+        self.bench.place(0.0)
+        self.stage.home()
+        return self
+
+
+@contextmanager
+def linked(
+    kind: type[DrivePort] = ANY_PORT, pace: float = 1.0, program: Mapping[str, object] | None = None, **drive: object
+) -> Iterator[tuple[DriveDouble, DriveLink]]:
+    """A drive's double whose enable line is not wired, and a link to it, with other settings if `program` says so."""
+    rig = settings(hardware={"drive": {"reply_s": 0.5, **drive}, "card": {"lines": {"enable": ""}}})
+    bench = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
+    with DriveDouble(bench) as double, kind(double) as port:
+        reached = rig.hardware.drive.model_copy(update={"port": port.address, **(program or {})})
+        link = DriveLink(reached, find_dialect(reached.dialect))
+        try:
+            yield double, link
+        finally:
+            link.close()
+
+
+@contextmanager
+def driven(
+    kind: type[DrivePort] = ANY_PORT,
+    pace: float = 1.0,
+    wired: bool = False,
+    lines: dict[str, object] | None = None,
+    hang_s: float = 5.0,
+    stale_s: float = 5.0,
+    **drive: object,
+) -> Iterator[Driven]:
+    """A stage on a drive's double; `wired` to the bench's switches and enable, by other `lines`, or to nothing."""
+    wired = wired or lines is not None
+    wires = (lines or {}) if wired else {"enable": ""}
+    card = {"lines": wires}
+    # Long waits, for on a busy machine even a double may be kept from answering for a tenth of a second.
+    patient = {"homing_speed_mm_s": 50, "reply_s": 1.0, "silence_s": 5.0}
+    # Nothing samples here, so that no sample can be fresh.
+    hardware = {"drive": {**patient, **drive}, "card": card, "hang_s": hang_s}
+    rig = settings(guard={"stale_data_s": stale_s}, hardware=hardware)
+    bench = SimulatedBench(rig, FrictionModelSettings(), DoubleClock(pace))
+    # The gut's first samples take seconds of imports, in which no thread would answer.
+    bench.begin_sampling(RATE)
+    bench.end_sampling()
+    with ExitStack() as stack:
+        dialect = find_dialect(rig.hardware.drive.dialect)
+        double = stack.enter_context(DriveDouble(bench))
+        port = stack.enter_context(kind(double))
+        link = DriveLink(rig.hardware.drive.model_copy(update={"port": port.address}), dialect)
+        stack.callback(link.close)
+        wiring = BenchLines(bench) if wired else NoDigitalLines()
+        devices = StageDevices(rig, link, wiring, MotionSamplingSync(), bench.clock, Watchdog())
+        stage = PositionModeStage(devices)
+        stack.callback(stage.close)
+        yield Driven(bench, double, stage, devices, port)
