@@ -265,11 +265,9 @@ def _dated(texts: "pa.StringArray") -> RowTimes | None:
     filled = cells.dropna()
     first = str(filled.iloc[0])
     if first[:1] == "P" or "day" in first:
-        lengths = pd.to_timedelta(cells, errors="coerce")
-        seconds = np.asarray(lengths.dt.total_seconds().to_numpy(), dtype=np.float64)
-        return None if lengths[filled.index].isna().any() else RowTimes(seconds)
-    iso = _moments(cells, "ISO8601") if first[:4].isdigit() else None
-    if iso is not None:
+        lengths_s = pd.to_timedelta(cells, errors="coerce").dt.total_seconds()
+        return None if lengths_s[filled.index].isna().any() else RowTimes(np.asarray(lengths_s, dtype=np.float64))
+    if first[:4].isdigit() and (iso := _moments(cells, "ISO8601")) is not None:
         return iso
     is_american = first.endswith("M")
     orders = (True,) if "." in first[:3] else (False,) if is_american or first[:4].isdigit() else (False, True)
@@ -319,9 +317,8 @@ def joined(date: RowTimes, time: RowTimes) -> RowTimes:
     # A day may be written once, for all rows below it.
     latest = np.maximum.accumulate(np.where(np.isfinite(date.seconds), np.arange(len(date.seconds)), 0))
     seconds = date.seconds[latest] + np.mod(time.seconds, DAY_S)
-    seconds = seconds - seconds[first]
     begin = None if midnight is None else (midnight + timedelta(seconds=float(time.seconds[first]))).astimezone()
-    return RowTimes(seconds, begin, remarks=(*date.remarks, *time.remarks))
+    return RowTimes(seconds - seconds[first], begin, remarks=(*date.remarks, *time.remarks))
 
 
 def restarts(seconds: FloatArray) -> Sequence[slice]:
