@@ -1,4 +1,4 @@
-"""Disks and folders that refuse, for root too."""
+"""The two tiers of the tests, and disks and folders that refuse, for root too."""
 
 import gc
 import os
@@ -34,11 +34,39 @@ if TYPE_CHECKING:
     from rig_faults import Bench
 
 # How long an example takes says how busy the machine is, so no example fails by its time.
-settings.register_profile("any machine", deadline=None)
-settings.load_profile("any machine")
+settings.register_profile("line", deadline=None, max_examples=25)
+settings.register_profile("thorough", deadline=None, max_examples=300)
 
 # Where Qt cannot be loaded its plugin would end every test, so it is loaded here and not by itself.
 pytest_plugins = () if lacking() else ("pytestqt.plugin",)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Try properties with as many examples as the tier has time for."""
+    settings.load_profile("thorough" if is_thorough(config) else "line")
+
+
+def is_thorough(config: pytest.Config) -> bool:
+    """Tell whether the tests that `pytest -m thorough` adds to the test line are asked for."""
+    return config.getoption("markexpr") == "thorough"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Count properties among the thorough tests too, where they have more examples."""
+    if is_thorough(config):
+        for item in items:
+            if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+                item.add_marker("thorough")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Say at the end of the test line what it leaves out."""
+    if config.getoption("markexpr") == "not thorough":
+        (left_out,) = (line for line in config.getini("markers") if line.startswith("thorough:"))
+        terminalreporter.write_line(f"Not in this line: {left_out.removeprefix('thorough: ')}. They run with")
+        terminalreporter.write_line("    python3 -m uv run pytest -m thorough")
 
 
 def pytest_collection_finish() -> None:

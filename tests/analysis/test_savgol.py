@@ -13,6 +13,7 @@ from dragrig.analysis.savgol import SavgolSettings, SavgolStream, smooth
 from dragrig.analysis.segments import gap_starts, unbroken_slices
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.profile import FloatArray
+from property_tests import examples
 
 RATE = 500.0
 
@@ -92,7 +93,7 @@ def cases(draw: st.DrawFn) -> tuple[int, SavgolSettings, list[int], list[int], l
     return samples, SavgolSettings(window_samples=2 * half + 1, order=order, derivative=derivative), gaps, cuts, missing
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(cases())
 @example((30, SavgolSettings(window_samples=5, order=2), [10, 12], [0, 10, 12, 13, 30], []))
 def test_the_stream_gives_what_the_whole_trace_gives(

@@ -27,6 +27,7 @@ from dragrig.config import RunFileError
 from dragrig.rig.runfile import mark_bad, unmark
 from dragrig.run_listing import FileListing, RunListing, RunQuery
 from places import CAMPAIGN
+from property_tests import examples
 
 PRACTICE = sorted(CAMPAIGN.glob("*.h5"))
 KEPT = {
@@ -171,7 +172,7 @@ def change(root: Path, what: str, place: int) -> None:
         pass
 
 
-@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(5), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     changes=st.lists(
         st.tuples(st.sampled_from([*RUN_CHANGES, *FOLDER_CHANGES]), st.integers(0, 99)), min_size=1, max_size=4

@@ -12,6 +12,7 @@ from dragrig.config.errors import DragrigError, PlanError, SettingsError
 from dragrig.config.specimen import SPECIMEN_FACTS
 from dragrig.rig.protocols.drag import DragProtocol
 from dragrig.setup import Setup, resolve
+from property_tests import examples
 
 
 @pytest.fixture(autouse=True)
@@ -143,7 +144,7 @@ _VALUES = st.one_of(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(st.lists(st.tuples(_KEYS | st.text(max_size=8), _VALUES), max_size=4))
 def test_any_assignment_works_or_is_refused_in_words(assignments: list[tuple[str, str]]) -> None:
     with suppress(SettingsError, PlanError):

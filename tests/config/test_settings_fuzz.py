@@ -16,6 +16,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.config.settings import parse, read_settings_file
 from dragrig.config.specimen import Capsule, Specimen
 from dragrig.rig.programme import build_programme
+from property_tests import examples
 
 MODELS = {"rig": RigSettings, "capsule": Capsule, "specimen": Specimen, "model": FrictionModelSettings, "plan": Plan}
 SHIPPED = [(kind, name) for kind in MODELS for name in library.shipped_files(kind)]
@@ -53,7 +54,7 @@ def mutated(draw: st.DrawFn) -> tuple[str, bytes]:
     return kind, data
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(150))
 @given(mutated())
 @example(("plan", b"name = 'p'\n[[steps]]\nkind = 'drag'\nspeed_mm_s = [[1]]\n"))
 @example(("plan", b"name = 'p'\n[[steps]]\nkind = 'drag'\nspeed_mm_s = []\n"))
@@ -78,7 +79,7 @@ _VALUES = st.recursive(
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(st.sampled_from(sorted(MODELS)), st.data())
 def test_any_values_are_used_or_refused(kind: str, data: st.DataObject) -> None:
     known = st.sampled_from(sorted(MODELS[kind].model_fields)) | st.text(max_size=6)

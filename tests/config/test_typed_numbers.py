@@ -15,6 +15,7 @@ from dragrig.engine_host.messages import RigSelection
 from dragrig.rig.protocols import protocol_kinds
 from dragrig.settings_form import rig_settings_form, specimen_form
 from dragrig.views import FieldKind, FormField, describe_rig, form_fields, parse_field, plan_form, within_rig
+from property_tests import examples
 
 DIGITS = st.text("0123456789", min_size=1, max_size=8)
 BLANKS = st.text(" \t\u00a0\u2007\u2009\u202f", max_size=2)
@@ -34,14 +35,14 @@ def spellings(draw: st.DrawFn) -> tuple[str, Decimal]:
     return f"{draw(BLANKS)}{sign}{body}{exponent}{unit}{draw(BLANKS)}", value
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(spellings())
 def test_a_number_is_read_with_either_mark(spelt: tuple[str, Decimal]) -> None:
     text, value = spelt
     assert read_number(text, NumberRange("mm")) == float(value)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=examples(500), deadline=None)
 @given(st.text("0123456789.,'\u2019_ \u00a0\u202f-\u2212+eEm\u0663\uff15;nai", max_size=12))
 @example("1.234,5")
 @example("1\u202f234")
@@ -62,7 +63,7 @@ def test_any_text_is_read_as_it_stands_or_refused_in_a_sentence(text: str) -> No
     assert value == float(stands)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     st.integers(1, 999),
     st.lists(st.integers(0, 999), min_size=1, max_size=3),
@@ -87,7 +88,7 @@ def test_a_mark_of_thousands_is_refused_and_the_number_without_it_offered(
         read_numbers(marked, tight=True)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(st.one_of(st.floats(allow_nan=False, allow_infinity=False), st.integers(-(2**53), 2**53).map(float)))
 @example(5e-324)
 @example(1.5e-300)
@@ -141,7 +142,7 @@ def test_a_comma_between_two_digits_is_asked_about() -> None:
     assert read_numbers("5, ") == (5.0,)
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=examples(500), deadline=None)
 @given(st.text("0159., ;-'\u00a0", max_size=10), st.booleans())
 @example("0.5,1,2", True)
 @example("0,20,50", True)
@@ -175,7 +176,7 @@ def number_fields() -> Iterator[FormField]:
             yield from group.fields
 
 
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=examples(500), deadline=None)
 @given(
     st.sampled_from([field for field in number_fields() if field.kind is FieldKind.NUMBER]),
     st.floats(0, 1),

@@ -30,6 +30,7 @@ from dragrig.config import (
 from dragrig.rig import Acquisition, Contact, FloatArray, MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
 from dragrig.sim_backend.robot import energy_error, gut, hard_ground, walk
+from property_tests import examples
 
 ROBOT = find_settings(RobotSettings, "robot", "capsubot")
 MODEL = FrictionModelSettings()
@@ -110,7 +111,7 @@ drives = st.builds(
 
 
 @given(drive=drives)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(15), deadline=None)
 def test_energy_balance_closes_on_both_surfaces(drive: RobotDrive) -> None:
     for surface, periods in ((hard_ground(ROBOT), 5), (gut(ROBOT, MODEL, 2.5), 4)):
         made = walk(ROBOT, drive, surface, periods)
@@ -123,7 +124,7 @@ def test_energy_balance_closes_on_both_surfaces(drive: RobotDrive) -> None:
 
 
 @given(drive=drives)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 def test_a_slip_begins_where_another_ends_and_goes_one_way(drive: RobotDrive) -> None:
     made = walk(ROBOT, drive, hard_ground(ROBOT), 6)
     for before, after in pairwise(made.slips):

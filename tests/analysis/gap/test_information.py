@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dragrig.analysis.gap.diagnosis import UNEXPLAINED
 from dragrig.analysis.gap.information import EVIDENCE_WEIGHT, BudgetForecast, entropy_bits, expected_bits
+from property_tests import examples
 
 SIZES = st.integers(1, 7)
 
@@ -27,7 +28,7 @@ def mixture(seed: int, count: int, directions: int = 3) -> BudgetForecast:
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(seed=st.integers(0, 10_000), count=SIZES, scale=st.floats(0.0, 1e4))
 def test_a_run_tells_something_between_nothing_and_all_that_is_open(seed: int, count: int, scale: float) -> None:
     forecast = mixture(seed, count)
@@ -38,7 +39,7 @@ def test_a_run_tells_something_between_nothing_and_all_that_is_open(seed: int, c
     assert forecast.bits == pytest.approx(0.0, abs=1e-9)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(seed=st.integers(0, 10_000), count=SIZES)
 def test_a_better_look_tells_no_less(seed: int, count: int) -> None:
     forecast = mixture(seed, count)

@@ -10,6 +10,7 @@ from dragrig.analysis.gap.classifier import as_misjudged_noise, classify, unknow
 from dragrig.analysis.gap.diagnosis import NO_GAP, UNKNOWN, Verdict
 from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
+from property_tests import examples
 
 BLOCKS = 8000
 NOISE = 8010.0
@@ -194,7 +195,7 @@ def everything(draw: st.DrawFn) -> DecisionInputs:
     )  # fmt: skip
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(everything(), st.floats(0.0, 10.0))
 def test_probabilities_are_shared_out_and_agree_with_the_verdict(inputs: DecisionInputs, tolerance_mN: float) -> None:
     classification = classify(inputs, tolerance_mN)

@@ -37,6 +37,7 @@ from dragrig.rig.runfile import mark_bad
 from dragrig.sim_backend.effects import catalogue
 from hidden import hidden
 from places import CAMPAIGN
+from property_tests import examples
 
 BLOCKS = 60
 EFFECTS = ("stribeck", "adhesion", "payload_inertia", "mesentery_tether", "force_nonlinearity")
@@ -101,7 +102,7 @@ def named(pooled: PooledDiagnosis) -> list[str]:
     spread=st.sampled_from([0.0, 0.1, 0.6, 1.0]),
     members=st.sets(st.integers(0, 3), min_size=1),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_evidence_of_some_campaigns_is_that_of_their_joint_gaussian(
     seed: int, spread: float, members: set[int]
 ) -> None:

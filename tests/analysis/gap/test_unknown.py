@@ -22,6 +22,7 @@ from dragrig.analysis.gap.unknown_law import (
     time_since_start,
 )
 from dragrig.rig.profile import FloatArray, Phase
+from property_tests import examples
 from residuals import Planted, campaign
 
 
@@ -165,7 +166,7 @@ def test_squares_that_are_held_out_are_those_of_a_fit_without_them() -> None:
         assert result[fold] == pytest.approx(np.sum((y[fold] - x[fold][:, [0, 2]] @ fitted) ** 2), rel=1e-5)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.floats(1e-6, 1e6), st.floats(1e-6, 1e3), st.booleans())
 def test_coefficients_are_as_exact_as_they_are_known(value: float, share: float, falls: bool) -> None:
     law = GapLaw(("v",), (-value if falls else value,), (share * value,), "mN", 0.9)

@@ -33,6 +33,7 @@ from dragrig.analysis.importing.readers import read_foreign
 from dragrig.analysis.importing.tdms import read_tdms
 from dragrig.config.errors import ImportDataError
 from places import CAMPAIGN, DATA
+from property_tests import examples
 
 FIELD = DATA / "field"
 BEGIN = datetime(2026, 5, 4, 9, 15)  # noqa: DTZ001  # as the files have it, in local time
@@ -486,7 +487,7 @@ def frames(draw: st.DrawFn) -> pd.DataFrame:
     return pd.DataFrame({head: pd.Series(draw(column), dtype=float) for head in heads})
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=frames(), orient=st.sampled_from([*ORIENTS, "lines"]), index=st.sampled_from(["count", "stamps", "time"]))
 def test_json_of_pandas_comes_back_in_every_orient(tmp_path: Path, data: pd.DataFrame, orient: str, index: str) -> None:
     if index == "stamps":

@@ -16,6 +16,7 @@ from dragrig.analysis import ImportedRun
 from dragrig.config.errors import DragrigError, ImportDataError
 from dragrig.rig import Run
 from places import DATA
+from property_tests import examples
 
 FIELD = DATA / "field"
 BEGIN = datetime(2026, 5, 4, 9, 15, tzinfo=UTC)
@@ -278,7 +279,7 @@ def test_an_elapsed_time_is_no_date_and_days_need_their_unit(tmp_path: Path) -> 
 
 
 @given(bits=st.sampled_from([16, 24, 32]), start=st.integers(0, 2**32), step=st.integers(1, 300), signed=st.booleans())
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(40), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_counter_goes_on_over_its_wraps(tmp_path: Path, bits: int, start: int, step: int, signed: bool) -> None:
     from dragrig.analysis.importing.clocks import unwrapped
 

@@ -14,6 +14,7 @@ from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
 from dragrig.config.errors import ImportDataError
 from places import DATA
+from property_tests import examples
 
 FOREIGN = DATA / "foreign"
 
@@ -76,7 +77,7 @@ def tables(draw: st.DrawFn) -> tuple[Dialect, list[str], list[list[float]]]:
     return dialect, names, rows
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(300), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(tables())
 def test_any_table_in_any_dialect_is_read_back_exactly(
     tmp_path: Path, case: tuple[Dialect, list[str], list[list[float]]]
@@ -190,7 +191,7 @@ def test_what_is_stated_is_taken_as_stated(tmp_path: Path) -> None:
     assert read(tmp_path, latin, encoding="cp850").columns[0].name == "Größe"
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(300), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.binary(max_size=200), st.text('0123456789.,;\t \n-+eEnNaA"#µ', max_size=200).map(str.encode)))
 @example(b"1-1-1000")
 @example(b"31.12.9999 10:00:00;1\n31.12.9999 10:00:01;2\n")

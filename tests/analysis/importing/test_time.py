@@ -13,6 +13,7 @@ from dragrig.analysis.importing.time_grid import counted_grid, fit_sample_grid, 
 from dragrig.config.errors import ImportDataError
 from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from places import DATA
+from property_tests import examples
 
 HERE = Path("clock.csv")
 FOREIGN = DATA / "foreign"
@@ -22,7 +23,7 @@ def stamps(rate: float, index: object, decimals: int = 9, start: float = 0.0) ->
     return np.round(start + np.asarray(index, dtype=np.float64) / rate, decimals)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     rate=st.sampled_from([1.0, 7.0, 60.0, 100.0, 333.0, 500.0, 1000.0, 48_000.0]),
     rows=st.integers(50, 3000),

@@ -22,6 +22,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.config.settings import parse
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.sim_backend.friction import RecordedMotion
+from property_tests import examples
 
 TRUE = {"moving_mass_g": 1200.0, "viscous_mN_s_mm": 4.0, "coulomb_mN": 300.0, "offset_mN": 15.0}
 
@@ -75,7 +76,7 @@ def test_a_stage_with_rounded_ramps_keeps_its_mass() -> None:
     assert (result @ truth) / (result @ result) == pytest.approx(1.0, abs=0.02)
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=examples(20), deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), samples=st.integers(5, 300), scale=st.sampled_from([0.0, 0.001, 0.1, 5.0]))
 def test_any_record_has_a_velocity(seed: int, samples: int, scale: float) -> None:
     rng = np.random.default_rng(seed)

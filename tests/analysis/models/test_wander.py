@@ -27,6 +27,7 @@ from dragrig.analysis.selection import RunSelection
 from dragrig.rig.profile import FloatArray
 from friction_cases import moves
 from hidden import hidden
+from property_tests import examples
 
 RATE_HZ = 500.0
 STROKE = moves((20.0, 5.0), (-20.0, 40.0), between=2.0)
@@ -101,7 +102,7 @@ def test_the_settings_of_a_run_are_read_as_they_are_written() -> None:
 
 
 @given(st.floats(0.0005, 0.003), st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_the_wander_is_six_standard_deviations_of_noise(sd_mm: float, knows_command: bool) -> None:
     time, command = stroke()
     position = noisy(sd_mm)(command, np.random.default_rng(3))

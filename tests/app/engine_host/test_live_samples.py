@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from dragrig.engine_host.messages import LiveRingReader, LiveRingWriter, shared_memory
 from dragrig.rig.reading import Reading
+from property_tests import examples
 
 RATE_HZ = 1000.0
 
@@ -24,7 +25,7 @@ def ring(samples: int) -> tuple[LiveRingWriter, LiveRingReader]:
     return LiveRingWriter(memory), LiveRingReader(memory)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(st.lists(st.tuples(st.integers(1, 90), st.integers(0, 30), st.booleans()), min_size=1, max_size=40))
 def test_samples_are_read_as_written(blocks: list[tuple[int, int, bool]]) -> None:
     writer, reader = ring(256)

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from dragrig.window import trace_pyramid
 from dragrig.window.trace_pyramid import TraceCrossings, TracePath, TracePyramid
+from property_tests import examples
 
 
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=examples(80))
 @given(
     blocks=st.lists(st.integers(1, 700), min_size=1, max_size=12),
     base=st.integers(1, 9),

@@ -29,6 +29,7 @@ from dragrig.rig.runfile import (
 from dragrig.rig.runfile.hdf5 import find_damaged_text
 from dragrig.rig.runfile.model import FilteredTrace, RecordedChannel, RunEvent, RunStatus
 from places import CAMPAIGN
+from property_tests import examples
 from runfiles import START, arrays, as_version_1, header, record
 
 PRACTICE_FILES = sorted(CAMPAIGN.glob("*.h5"))
@@ -243,7 +244,7 @@ def test_foreign_hdf5_and_missing_files_are_refused(tmp_path: Path) -> None:
     assert "/entry is missing" in refused(path)
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(120), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(keep=st.floats(0, 1), own=st.booleans())
 def test_a_cut_file_is_refused(tmp_path: Path, keep: float, own: bool) -> None:
     source = tmp_path / "whole.h5"
@@ -260,7 +261,7 @@ def test_a_cut_file_is_refused(tmp_path: Path, keep: float, own: bool) -> None:
 changes = st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), min_size=1, max_size=30)
 
 
-@settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(250), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=changes, own=st.booleans(), within=st.sampled_from([3000, 20_000, 1 << 30]))
 def test_damaged_bytes_are_read_or_refused_but_never_worse(
     tmp_path: Path, changes: list[tuple[float, int]], own: bool, within: int

@@ -24,6 +24,7 @@ from dragrig.rig.runfile.finisher import finish_here
 from dragrig.rig.runfile.model import Run, RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import SampleRing
 from places import SUPPORT
+from property_tests import examples
 from runfiles import START, arrays, blocks, header, record
 
 
@@ -39,7 +40,7 @@ def same(run: Run, wanted: dict[str, np.ndarray]) -> None:
         np.testing.assert_array_equal(columns[name], values, err_msg=name)
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(15), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(sizes=st.lists(st.integers(1, 9000), min_size=1, max_size=12), timed=st.booleans())
 def test_the_arrays_do_not_depend_on_the_blocks(tmp_path: Path, sizes: list[int], timed: bool) -> None:
     path = tmp_path / "run.h5"
@@ -56,7 +57,7 @@ def test_the_arrays_do_not_depend_on_the_blocks(tmp_path: Path, sizes: list[int]
     same(read_run(finish(left)), arrays(0, sum(sizes)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(capacity=st.integers(4, 40), sizes=st.lists(st.integers(0, 90), max_size=12))
 def test_the_ring_hands_over_every_sample_in_order(capacity: int, sizes: list[int]) -> None:
     ring = SampleRing({"time": np.dtype("f8")}, capacity)

@@ -43,9 +43,10 @@ from dragrig.sim_backend.blind.effects.random_laws import (
     steps,
 )
 from dragrig.sim_backend.blind.plant import noise_free_run, recorded_run
+from property_tests import examples
 
 seeds = st.integers(0, 2**31)
-few = settings(max_examples=60, deadline=None)
+few = settings(max_examples=examples(60), deadline=None)
 U = np.linspace(0.0, 1.0, 2001)
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from dragrig.rig.devices import Contact
 from dragrig.sim_backend.devices.simulated_stage import evaluate_profile, profile_position
+from property_tests import examples
 from simulated import Recorded, acquire, begin, blocks, record, rest, session, settings, stroke
 
 FAST = 25_000.0
@@ -60,7 +61,7 @@ def test_arrays_do_not_depend_on_the_pace() -> None:
     assert paced.same_as(record(session(), short))
 
 
-@fewer(max_examples=15)
+@fewer(max_examples=examples(15))
 @given(block_s=st.floats(0.002, 0.05), with_tare=st.booleans())
 @example(block_s=0.05, with_tare=True)
 def test_effects_do_not_depend_on_blocks_or_a_tare(affected: Recorded, block_s: float, with_tare: bool) -> None:
@@ -76,7 +77,7 @@ def test_effects_do_not_depend_on_the_pace() -> None:
     assert paced.same_as(record(session(effects=EFFECTS), short))
 
 
-@fewer(max_examples=20)
+@fewer(max_examples=examples(20))
 @given(blocks_before=st.integers(1, 40))
 def test_a_stop_with_effects_goes_on_from_where_the_stage_is(affected: Recorded, blocks_before: int) -> None:
     backend = session(settings(FAST), effects=EFFECTS)

@@ -14,6 +14,7 @@ from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import FloatArray, MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
 from friction_cases import ROUGH, moves, sliding
+from property_tests import examples
 
 MODEL = FrictionModelSettings()
 RADIUS, ANGLE, THICKNESS = 6.45, np.radians(60), 2.5
@@ -91,7 +92,7 @@ def components(acquisition: Acquisition, time: float) -> tuple[float, float]:
     return float(parts.f_e[0]), float(parts.f_c[0])
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=examples(25), deadline=None, derandomize=True)
 @given(
     speed=st.floats(0.5, 100.0),
     travel=st.floats(1.0, 30.0),

@@ -16,6 +16,7 @@ from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
 from dragrig.sim_backend.friction.friction_force import ELEMENT_SCALES
 from friction_cases import ROUGH, SMOOTH, blank, moves, sliding, sticking
+from property_tests import examples
 
 MODEL = FrictionModelSettings()
 
@@ -40,7 +41,7 @@ def acquisitions(profile: MotionProfile) -> tuple[Acquisition, ...]:
     return (sliding(profile), sliding(profile, SMOOTH, Fixture.VACUUM), sticking(profile, 1.0), blank(profile))
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=examples(25), deadline=None, derandomize=True)
 @given(profile=profiles, seed=st.integers(0, 2**32 - 1))
 def test_a_value_does_not_depend_on_what_else_is_asked_for(profile: MotionProfile, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -58,7 +59,7 @@ def test_a_value_does_not_depend_on_what_else_is_asked_for(profile: MotionProfil
         np.testing.assert_array_equal(prepare(acquisition, MODEL).force(time[::7]), whole[::7])
 
 
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=examples(25), deadline=None, derandomize=True)
 @example(profile=moves((-7.0, 17.482548145009005)))  # the last piece seems to turn round just before its end
 @example(profile=moves((-1.0, 1.0), (0.5, 1.0), rest=0.1, hold=0.2))  # a reversal as long as the shortest that counts
 @given(profile=profiles.filter(lambda profile: bool(profile.velocity_mm_s.any())))

@@ -15,6 +15,7 @@ from dragrig.sim_backend.friction.contact import COUNTED_RULE, FINE_RULE
 from dragrig.sim_backend.friction.friction_force import SlidingForce
 from dragrig.sim_backend.friction.motion import measured_motion
 from friction_cases import moves, sliding, sticking
+from property_tests import examples
 
 MODEL = FrictionModelSettings()
 
@@ -122,7 +123,7 @@ def test_a_gap_is_bridged() -> None:
     assert np.abs(force - truth)[away].max() < 0.01 * np.ptp(truth)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=examples(30), deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), samples=st.integers(5, 400), scale=st.sampled_from([0.0, 0.001, 0.1, 5.0]))
 def test_any_record_gives_a_finite_force_near_its_positions(seed: int, samples: int, scale: float) -> None:
     rng = np.random.default_rng(seed)

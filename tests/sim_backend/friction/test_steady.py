@@ -9,6 +9,7 @@ from dragrig.config.errors import SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.sim_backend.friction import parameter_set_differences, skew_resistance, steady_forces, wall_parameters
 from friction_cases import ROUGH
+from property_tests import examples
 
 MODEL = FrictionModelSettings()
 LENGTH = 6.45 * np.sin(np.radians(60))
@@ -74,7 +75,7 @@ def test_skew_resistance_broadcasts() -> None:
     np.testing.assert_array_equal(curves[1], skew_resistance(x, 10.0, MODEL, ROUGH, 2.5))
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(speed=st.floats(1e-3, 1e3), factor=st.floats(1.01, 10.0))
 def test_every_part_rises_with_speed(speed: float, factor: float) -> None:
     steady = steady_forces([speed, speed * factor], MODEL, ROUGH, 2.5)
