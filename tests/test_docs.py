@@ -52,6 +52,7 @@ class Assets(HTMLParser):
             self.fetched += [value for key in ("src", "href") if (value := result.get(key))]
 
 
+@pytest.mark.thorough
 def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> None:
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 15
@@ -65,6 +66,7 @@ def test_the_site_builds_without_a_warning_and_fetches_nothing(site: Path) -> No
     assert not (site / "hooks").exists()
 
 
+@pytest.mark.thorough
 def test_no_code_of_the_site_is_clipped(site: Path, browser: Browser) -> None:
     clipped = {}
     with opened(browser, (site / "index.html").as_uri(), 1280) as (page, _):
@@ -84,6 +86,7 @@ def test_every_page_is_in_the_navigation() -> None:
     assert not [page for page in pages if page not in navigation]
 
 
+@pytest.mark.thorough
 def test_the_reference_is_that_of_the_code(site: Path) -> None:
     commands = (site / "reference" / "commands.html").read_text("utf-8")
     for name in dragrig_group.list_commands(click.Context(dragrig_group)):
@@ -97,6 +100,7 @@ def test_the_reference_is_that_of_the_code(site: Path) -> None:
     assert all(entry in run_file for entry in ("contact_angle_deg", "SHA-256", "decelerate"))
 
 
+@pytest.mark.thorough
 def test_every_command_of_the_tutorial_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
