@@ -1,4 +1,4 @@
-"""How often 95 % intervals hold the truth: `python bench/coverage.py --campaigns 200`.
+"""How often 95 % intervals hold the truth: `python bench/interval_coverage.py --campaigns 200`.
 
 Each campaign has 31 runs at 500 Hz (4 relaxations, 2 blanks, Coulomb at three speeds, 11 speeds of drag twice), a
 simulated specimen, run-to-run variation, noise between 1 and 2 mN and a seed of its own, and is fitted jointly.
