@@ -8,6 +8,7 @@ from tempfile import mkdtemp
 
 from filelock import FileLock
 
+from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis
 from dragrig.analysis.gap.run_data import choose_runs
@@ -25,6 +26,8 @@ SECRETS: dict[str, tuple[int, tuple[str, ...]]] = {
     "unknown law": (12, ("wall_seam",)),
 }
 """Seed of the blind plant, and effects that it hides."""
+UNADVISED = DiagnosisOptions(next_runs=None)
+"""A diagnosis without the search for the next run, which takes a third of its time."""
 EXAMPLE = "example"
 """The campaign in the test data, of eight runs without a gap."""
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from diagnosed import EXAMPLE, DiagnosedCampaigns
-from dragrig.analysis.gap import DiagnosisOptions
+from diagnosed import EXAMPLE, UNADVISED, DiagnosedCampaigns
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.run_data import choose_runs
@@ -19,9 +18,6 @@ from hidden import hidden, simulated
 from places import CAMPAIGN
 
 NUMBERED = {path.name.split("-")[1].removesuffix(".h5"): path for path in sorted(CAMPAIGN.glob("*.h5"))}
-
-
-UNADVISED = DiagnosisOptions(next_runs=None)
 
 
 @pytest.fixture
@@ -138,7 +134,7 @@ def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], mes
 @pytest.mark.parametrize("kind", sorted(NUMBERED))
 def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
     experiment = next(experiment for experiment in choose_runs(CAMPAIGN).experiments if experiment.kind == kind)
-    diagnosis = diagnose(choose_runs([experiment.run]), MODEL)
+    diagnosis = diagnose(choose_runs([experiment.run]), MODEL, UNADVISED)
     assert (diagnosis.runs, diagnosis.held_out, diagnosis.shrink) == (1, (), None)
     assert any("Too few runs to hold any out" in sentence for sentence in diagnosis.limitations)
     assert sum(hypothesis.probability for hypothesis in diagnosis.ranking) == pytest.approx(1.0)

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosed import DiagnosedCampaigns
-from dragrig.analysis.gap import DiagnosisOptions
+from diagnosed import UNADVISED, DiagnosedCampaigns
 from dragrig.analysis.gap.budget import CausesOfGap, _likely_explanations
 from dragrig.analysis.gap.classifier import combined_presence, restate
 from dragrig.analysis.gap.design import Candidate
@@ -40,10 +39,8 @@ from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.sim_backend.blind import draw_campaign, write_campaign
 from dragrig.sim_backend.effects import Coordinate, catalogue, find_effect
-from hidden import hidden, without_clock
+from hidden import hidden, thinned, without_clock
 from places import CAMPAIGN
-
-UNADVISED = DiagnosisOptions(next_runs=None)
 
 
 def budget_of(diagnosis: Diagnosis) -> GapBudget:
@@ -123,7 +120,7 @@ def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_na
 def test_both_errors_of_a_position_are_named(tmp_path: Path) -> None:
     effects = ["encoder_scale", "velocity_ripple"]
     write_campaign(draw_campaign(71012, effects=effects, size=[1.0, 1.0], plant="drawn"), tmp_path)
-    diagnosis = diagnose(choose_runs(tmp_path), MODEL, UNADVISED)
+    diagnosis = diagnose(thinned(choose_runs(tmp_path)), MODEL, UNADVISED)
     assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, set(effects))
     budget = budget_of(diagnosis)
     assert min(budget.presence[name] for name in effects) > 0.9
@@ -133,11 +130,11 @@ def test_both_errors_of_a_position_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("seed", "effect", "size"),
     [
-        (71000, "velocity_ripple", 1.0),
+        pytest.param(71000, "velocity_ripple", 1.0, marks=pytest.mark.thorough),
         (71001, "velocity_ripple", 1 / 3),
-        (71064, "velocity_ripple", 1.0),
+        pytest.param(71064, "velocity_ripple", 1.0, marks=pytest.mark.thorough),
         (71004, "servo_lag", 1 / 3),
-        (71007, "encoder_scale", 1 / 3),
+        pytest.param(71007, "encoder_scale", 1 / 3, marks=pytest.mark.thorough),
     ],
 )
 def test_a_ripple_is_found_whatever_its_amplitude_does_with_speed(
@@ -204,19 +201,22 @@ def causes(selection: RunSelection) -> set[str]:
     return {cause.name for cause in prepare_competition(search_effects(study)).causes}
 
 
-def test_without_a_clock_nothing_of_the_session_competes(tmp_path: Path) -> None:
-    selection = hidden(tmp_path, 20, "tissue_ageing")
+@pytest.fixture(scope="module")
+def ageing(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
+    return hidden(tmp_path_factory.mktemp("ageing"), 20, "tissue_ageing")
+
+
+def test_without_a_clock_nothing_of_the_session_competes(ageing: RunSelection) -> None:
     of_session = {effect.id for effect in catalogue().values() if effect.coordinate is Coordinate.SESSION}
-    assert {"session", "tissue_ageing"} <= causes(selection)
-    assert not causes(without_clock(selection)) & {"session", *of_session}
+    assert {"session", "tissue_ageing"} <= causes(ageing)
+    assert not causes(without_clock(ageing)) & {"session", *of_session}
 
 
-def test_an_effect_of_the_session_cannot_be_judged_without_a_clock(tmp_path: Path) -> None:
-    selection = hidden(tmp_path, 20, "tissue_ageing")
+def test_an_effect_of_the_session_cannot_be_judged_without_a_clock(ageing: RunSelection) -> None:
     model = FrictionModelSettings(effects=parse_effects(["tissue_ageing"]))
-    (size,) = evaluate(without_clock(selection), model).sizes
+    (size,) = evaluate(without_clock(ageing), model).sizes
     assert (size.verdict, size.d_prime) == (PromiseVerdict.NO_POWER, 0.0)
-    (known,) = evaluate(selection, model).sizes
+    (known,) = evaluate(ageing, model).sizes
     assert known.d_prime > 0.0
 
 
