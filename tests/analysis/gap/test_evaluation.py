@@ -31,23 +31,26 @@ def fresh_session(folder: Path, effects: tuple[str, ...], size: float = 1.0) -> 
     return folder
 
 
-def evaluated(folder: Path, capsys: pytest.CaptureFixture[str], exit_code: int) -> dict[str, object]:
-    assert main(["gap", "evaluate", str(MODEL), str(folder), "--json"]) == exit_code
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A second session in which the effect is there."""
+    return fresh_session(tmp_path_factory.mktemp("kept"), ("breakaway",))
+
+
+def evaluated(folder: Path, capsys: pytest.CaptureFixture[str], exit_code: int, *options: str) -> dict[str, object]:
+    assert main(["gap", "evaluate", str(MODEL), str(folder), "--json", *options]) == exit_code
     document: dict[str, object] = json.loads(capsys.readouterr().out)
     return document
 
 
-def test_a_promise_is_kept_where_the_effect_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fresh = fresh_session(tmp_path / "fresh", ("breakaway",))
-    document = evaluated(fresh, capsys, 0)
+def test_a_promise_is_kept_where_the_effect_is_there(kept: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = evaluated(kept, capsys, 0)
     assert document["verdict"] == "KEPT"
     (size,) = document["sizes"]  # type: ignore[misc]
     assert size["size_95ci"][0] <= size["size"] <= size["size_95ci"][1]
     assert size["size"] == pytest.approx(1.0, abs=0.2)
     assert document["achieved"]["closed"] > 0.9  # type: ignore[index]
     assert document["achieved"]["explained"] > 0.9  # type: ignore[index]
-    assert main(["gap", "evaluate", str(MODEL), str(fresh)]) == 0
-    assert "The promise is KEPT" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -64,12 +67,12 @@ def test_a_promise_is_not_kept_where_something_else_is_there(
     effects: tuple[str, ...], size: float, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fresh = fresh_session(tmp_path / "fresh", effects, size)
-    assert main(["gap", "evaluate", str(MODEL), str(fresh)]) == 1
-    shown = capsys.readouterr().out
+    page = tmp_path / "page.html"
+    document = evaluated(fresh, capsys, 1, "--report", str(page))
+    assert document["verdict"] == "NOT_KEPT"
+    shown = " ".join(page.read_text("utf-8").split())
     assert "NOT KEPT" in shown
     assert sentence in shown
-    document = evaluated(fresh, capsys, 1)
-    assert document["verdict"] == "NOT_KEPT"
     if size == 1.0:
         assert document["achieved"]["closed"] < 0  # type: ignore[index]
 
@@ -89,32 +92,36 @@ def test_a_diagnosis_promises_the_size_that_its_own_runs_have(tmp_path: Path) ->
 
 
 def test_runs_that_took_part_in_the_diagnosis_confirm_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    fresh = fresh_session(tmp_path / "fresh", ("breakaway",))
-    known, other = (read_info(path).header.run_id for path in sorted(fresh.glob("*drag*.h5"))[:2])
+    known, other = (read_info(path).header.run_id for path in sorted(kept.glob("*drag*.h5"))[:2])
     assert known != other
     model = tmp_path / "model.toml"
     text = MODEL.read_text("utf-8").replace("[diagnosed]", f'[diagnosed]\nrun_ids = ["{known}"]')
     model.write_text(text, "utf-8")
-    assert main(["gap", "evaluate", str(model), str(fresh)]) == 0
-    assert "1 run that took part in the diagnosis is left out." in capsys.readouterr().out
+    assert main(["gap", "evaluate", str(model), str(kept)]) == 0
+    shown = capsys.readouterr().out
+    assert "The promise is KEPT" in shown
+    assert "1 run that took part in the diagnosis is left out." in shown
 
 
-def test_runs_that_do_not_show_the_effect_have_no_power(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fresh, silent = fresh_session(tmp_path / "fresh", ("breakaway",)), tmp_path / "silent"
+def test_runs_that_do_not_show_the_effect_have_no_power(
+    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    silent = tmp_path / "silent"
     silent.mkdir()
-    for run in fresh.glob("*relaxation*.h5"):
+    for run in kept.glob("*relaxation*.h5"):
         shutil.copy(run, silent)
     document = evaluated(silent, capsys, 0)
     assert document["verdict"] == "NO_POWER"
 
 
-def test_a_model_without_effects_promises_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fresh = fresh_session(tmp_path / "fresh", ())
+def test_a_model_without_effects_promises_nothing(
+    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bare = tmp_path / "bare.toml"
     bare.write_text('name = "bare"\n', "utf-8")
-    assert main(["gap", "evaluate", str(bare), str(fresh)]) == 2
+    assert main(["gap", "evaluate", str(bare), str(kept)]) == 2
     assert "no effects" in capsys.readouterr().err
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagnosed import UNADVISED
 from dragrig.analysis.gap import forward_selection
 from dragrig.analysis.gap.design import Candidate, Design, ParameterPoint, Study, gain_of_step, linearise
 from dragrig.analysis.gap.diagnose import diagnose
@@ -70,16 +71,20 @@ def test_another_form_of_an_effect_counts_for_little_and_what_acts_elsewhere_as_
 
 @pytest.mark.parametrize(
     ("seed", "strong", "weak"),
-    [(61, "mesentery_tether", "adhesion"), (64, "extra_relaxation", "adhesion"), (66, "film_depletion", "adhesion")],
+    [
+        pytest.param(61, "mesentery_tether", "adhesion", marks=pytest.mark.thorough),
+        pytest.param(64, "extra_relaxation", "adhesion", marks=pytest.mark.thorough),
+        (66, "film_depletion", "adhesion"),
+    ],
 )
 def test_a_weak_effect_is_named_beside_a_strong_one(tmp_path: Path, seed: int, strong: str, weak: str) -> None:
     """What the strong one's foreign form leaves is larger than the weak one, and is not called an effect."""
-    diagnosis = diagnose(hidden(tmp_path, seed, strong, weak, size=(1.5, 0.4)), MODEL)
+    diagnosis = diagnose(hidden(tmp_path, seed, strong, weak, size=(1.5, 0.4)), MODEL, UNADVISED)
     assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, {strong, weak})
 
 
 def test_an_effect_is_named_beside_hum_that_is_louder(tmp_path: Path) -> None:
-    diagnosis = diagnose(hidden(tmp_path, 43, "mains_hum", "force_drift"), MODEL)
+    diagnosis = diagnose(hidden(tmp_path, 43, "mains_hum", "force_drift"), MODEL, UNADVISED)
     assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, {"mains_hum", "force_drift"})
 
 

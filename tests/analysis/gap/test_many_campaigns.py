@@ -13,10 +13,14 @@ from places import CAMPAIGN
 
 @pytest.fixture
 def three(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder with two campaigns, the second without its relaxation, and one empty folder between them."""
-    shutil.copytree(CAMPAIGN, tmp_path / "first")
-    shutil.copytree(CAMPAIGN, tmp_path / "second")
-    (tmp_path / "second" / "001-relaxation.h5").unlink()
+    """Return a folder with two campaigns of few runs, the second without a relaxation, and one empty folder."""
+    for name, runs in (
+        ("first", ("001-relaxation", "008-coulomb", "010-drag")),
+        ("second", ("008-coulomb", "014-drag")),
+    ):
+        (tmp_path / name).mkdir()
+        for run in runs:
+            shutil.copy(CAMPAIGN / f"{run}.h5", tmp_path / name)
     (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -7,9 +7,13 @@ from pathlib import Path
 import pytest
 
 import dragrig
+from diagnosed import UNADVISED
 from diagnoses import STRIBECK
 from dragrig.analysis.gap.candidate_runs import RigLimits, full_grid, plan_of_next_runs, short_grid
+from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
+from dragrig.analysis.gap.run_data import choose_runs
+from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.api.gap import save_next_plan
 from dragrig.cli import main
 from dragrig.config.plan import Plan, PlanStep
@@ -68,7 +72,7 @@ def few_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(few_runs: Path) -> None:
-    first, second, *_ = dragrig.diagnose(few_runs).ranking
+    first, second, *_ = diagnose(choose_runs(few_runs), MODEL, UNADVISED).ranking
     assert first.probability < 0.9
     assert "unknown" in {first.hypothesis, second.hypothesis}
     next_experiment = dragrig.next_experiment(few_runs, minutes=5.0)

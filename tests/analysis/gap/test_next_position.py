@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 
 import dragrig
+from diagnosed import UNADVISED
+from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget, motion_grid, plan_of_next_runs
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, NextExperiment, Verdict
@@ -31,8 +33,8 @@ def plan(*steps: dict[str, object], seed: int = 3) -> Plan:
     return Plan.model_validate({"name": "tried", "seed": seed, "steps": steps})
 
 
-def diagnosis_of(runs: tuple[Run, ...]) -> Diagnosis:
-    return diagnose(choose_runs(runs), MODEL)
+def diagnosis_of(runs: tuple[Run, ...], options: DiagnosisOptions | None = None) -> Diagnosis:
+    return diagnose(choose_runs(runs), MODEL, options)
 
 
 def found_in(runs: tuple[Run, ...]) -> PositionAnalysis:
@@ -43,7 +45,7 @@ def advised_for_position(runs: tuple[Run, ...]) -> NextExperiment | None:
     """The advice for the position alone: that for the force may tell more per minute of few runs."""
     selection, position = choose_runs(runs), found_in(runs)
     effects = [effect for effect in catalogue().values() if effect.has_force_signature]
-    probabilities = {entry.hypothesis: entry.probability for entry in diagnosis_of(runs).ranking}
+    probabilities = {entry.hypothesis: entry.probability for entry in diagnosis_of(runs, UNADVISED).ranking}
     return recommend_position_run(CapsuleStudy.of(selection, MODEL, effects), position, probabilities, ONE_RUN)
 
 
@@ -80,7 +82,7 @@ def test_the_plan_file_of_a_campaign_that_strays_is_taken(tmp_path: Path, capsys
 
 def test_no_run_is_advised_for_what_is_told_apart_already() -> None:
     runs = dragrig.simulate(plan(FULL), effects=["velocity_ripple"])
-    settled = diagnosis_of(runs)
+    settled = diagnosis_of(runs, UNADVISED)
     assert settled.effects == ("velocity_ripple",)
     assert advised_for_position(runs) is None
 

@@ -265,10 +265,8 @@ def test_what_one_campaign_alone_says_of_its_stage_is_not_lowered_by_the_others(
 def test_hum_that_no_campaign_counts_as_a_gap_is_the_rigs(tmp_path: Path) -> None:
     # A tenth of the catalogue's: 0.4 mN, whose rms is below the tolerance.
     model = find_model("capsule")
-    humming = [
-        campaign_evidence(str(seed), hidden(tmp_path / str(seed), seed, "mains_hum", size=0.1), model)
-        for seed in (21, 22)
-    ]
+    selections = {seed: hidden(tmp_path / str(seed), seed, "mains_hum", size=0.1) for seed in (21, 22)}
+    humming = [campaign_evidence(str(seed), selection, model) for seed, selection in selections.items()]
     assert [found.verdict for found in humming] == [Verdict.NO_GAP] * 2
     pooled = diagnose_together(humming)
     assert [(effect.effect, effect.where) for effect in pooled.established] == [("mains_hum", Where.ALL)]
@@ -279,7 +277,7 @@ def test_hum_that_no_campaign_counts_as_a_gap_is_the_rigs(tmp_path: Path) -> Non
     quiet = [replace(found, hum_log_odds=-6.0) for found in humming]
     assert (named(diagnose_together(quiet)), diagnose_together(quiet).remarks) == ([], ())
     without = DiagnosisOptions(excluded=("mains_hum",))
-    unasked = campaign_evidence("21", choose_runs(tmp_path / "21"), model, without)
+    unasked = campaign_evidence("21", selections[21], model, without)
     assert (unasked.hum_log_odds, dict(unasked.line_sizes)) == (-np.inf, {})
 
 
@@ -405,6 +403,7 @@ def test_runs_and_campaigns_that_do_not_count_are_told_beside_those_that_do(lab:
     assert "slipped" in spoilt
 
 
+@pytest.mark.thorough
 def test_a_cluster_says_the_same_of_campaigns_together(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     with dask_cluster() as address, chdir(lab.folder):
         wait_for_workers(address, 2)

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dragrig
+from diagnosed import UNADVISED, DiagnosedCampaigns
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.position_channel import position_errors
@@ -119,9 +120,14 @@ def test_what_a_stage_does_as_it_comes_to_rest_is_no_wander() -> None:
     assert position_wander_mm(time, noisy(0.1)(command, np.random.default_rng(0)), command) == MAX_WANDER_MM
 
 
+@pytest.fixture
+def stribeck(diagnosed: DiagnosedCampaigns) -> RunSelection:
+    return diagnosed["stribeck"].selection
+
+
 @pytest.fixture(scope="module")
-def stribeck(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return hidden(tmp_path_factory.mktemp("stribeck"), 12, "stribeck")
+def lagging(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
+    return hidden(tmp_path_factory.mktemp("lag"), 14, "servo_lag")
 
 
 ENCODERS = {
@@ -145,17 +151,18 @@ def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
     assert not any(position_error.has_position_error for position_error in position_errors(selection.experiments))
 
 
-@pytest.mark.parametrize("encoder", ["2 µm", "10 µm counts"])
+@pytest.mark.parametrize("encoder", [pytest.param("2 µm", marks=pytest.mark.thorough), "10 µm counts"])
 def test_such_an_encoder_does_not_change_the_verdict(stribeck: RunSelection, tmp_path: Path, encoder: str) -> None:
-    diagnosis = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL)
+    diagnosis = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL, UNADVISED)
     assert (diagnosis.verdict, diagnosis.effects) == (Verdict.EFFECT, ("stribeck",))
 
 
 @pytest.mark.parametrize("encoder", ["1 µm", "3 µm", "10 µm counts"])
-def test_a_stage_that_lags_moves_no_more_often_for_its_encoder(tmp_path: Path, encoder: str) -> None:
+def test_a_stage_that_lags_moves_no_more_often_for_its_encoder(
+    lagging: RunSelection, tmp_path: Path, encoder: str
+) -> None:
     """Every wobble that counts as a turn has a contact of its own, which costs time and memory without end."""
-    selection = hidden(tmp_path / "lag", 14, "servo_lag")
-    before, after = selection.experiments, with_position(selection, tmp_path / "other", *ENCODERS[encoder]).experiments
+    before, after = lagging.experiments, with_position(lagging, tmp_path / "other", *ENCODERS[encoder]).experiments
     assert any(position_error.has_position_error for position_error in position_errors(after))
     straying = [(entry, second) for entry, second in zip(before, after, strict=True) if not second.follows_command]
     assert len(straying) > len(before) / 2
