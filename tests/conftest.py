@@ -31,6 +31,7 @@ from windows import lacking
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+    from diagnosed import DiagnosedCampaigns
     from rig_faults import Bench
 
 # How long an example takes says how busy the machine is, so no example fails by its time.
@@ -73,6 +74,23 @@ def pytest_collection_finish() -> None:
     """Spare the garbage collector what stays till the end: all modules and all tests that were collected."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all processes of a test run share; what is made in it needs a file lock."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def diagnosed(shared_folder: Path) -> "DiagnosedCampaigns":
+    """Campaigns with a known secret and their diagnoses, by name."""
+    from diagnosed import DiagnosedCampaigns
+
+    return DiagnosedCampaigns(shared_folder)
 
 
 @pytest.fixture(scope="module")

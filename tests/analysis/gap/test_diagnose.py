@@ -1,16 +1,17 @@
 """A diagnosis from run files to the answer: nothing, an effect, two, something that nobody knows, and the way back."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from diagnosed import EXAMPLE, DiagnosedCampaigns
 from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
-from dragrig.analysis.selection import RunSelection
 from dragrig.api.gap import save_amended_model
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.present.diagnosis import diagnosis_json
@@ -20,22 +21,20 @@ from places import CAMPAIGN
 NUMBERED = {path.name.split("-")[1].removesuffix(".h5"): path for path in sorted(CAMPAIGN.glob("*.h5"))}
 
 
-@pytest.fixture(scope="module")
-def stribeck(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return hidden(tmp_path_factory.mktemp("stribeck"), 12, "stribeck")
+UNADVISED = DiagnosisOptions(next_runs=None)
 
 
-@pytest.fixture(scope="module")
-def diagnosis(stribeck: RunSelection) -> Diagnosis:
-    return diagnose(stribeck, MODEL)
+@pytest.fixture
+def diagnosis(diagnosed: DiagnosedCampaigns) -> Diagnosis:
+    return diagnosed["stribeck"].diagnosis
 
 
 def probability(diagnosis: Diagnosis, hypothesis: str) -> float:
     return sum(entry.probability for entry in diagnosis.ranking if entry.hypothesis == hypothesis)
 
 
-def test_a_campaign_without_a_gap_says_what_would_have_been_seen(tmp_path: Path) -> None:
-    nothing = diagnose(hidden(tmp_path, 11), MODEL)
+def test_a_campaign_without_a_gap_says_what_would_have_been_seen(diagnosed: DiagnosedCampaigns) -> None:
+    nothing = diagnosed["nothing"].diagnosis
     assert nothing.verdict is Verdict.NO_GAP
     assert (nothing.effects, nothing.model) == ((), None)
     assert probability(nothing, "no_gap") > 0.5
@@ -59,8 +58,9 @@ def test_an_effect_is_named_with_its_size_and_closes_the_gap(diagnosis: Diagnosi
     assert diagnosis.shrink.gap_after_mN < 0.5 * diagnosis.shrink.gap_before_mN
 
 
-def test_without_the_right_effect_the_answer_is_less_sure(stribeck: RunSelection, diagnosis: Diagnosis) -> None:
-    case = diagnose(stribeck, MODEL, DiagnosisOptions(excluded=("stribeck",)))
+def test_without_the_right_effect_the_answer_is_less_sure(diagnosed: DiagnosedCampaigns) -> None:
+    runs, diagnosis = diagnosed["stribeck"].selection, diagnosed["stribeck"].diagnosis
+    case = diagnose(runs, MODEL, replace(UNADVISED, excluded=("stribeck",)))
     assert "stribeck" not in {hypothesis.hypothesis for hypothesis in case.ranking}
     if case.verdict is not Verdict.UNKNOWN:
         assert set(case.effects) <= {"adhesion", "film_depletion", "wall_lift_off"}
@@ -70,8 +70,8 @@ def test_without_the_right_effect_the_answer_is_less_sure(stribeck: RunSelection
     assert "drag" in case.unknown.location
 
 
-def test_what_no_effect_explains_is_unknown_and_has_a_place(tmp_path: Path) -> None:
-    diagnosis = diagnose(hidden(tmp_path, 18, "stick_slip"), MODEL)
+def test_what_no_effect_explains_is_unknown_and_has_a_place(diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed["unknown"].diagnosis
     assert (diagnosis.verdict, diagnosis.effects, diagnosis.model) == (Verdict.UNKNOWN, (), None)
     assert diagnosis.unknown is not None
     assert "force" in diagnosis.unknown.location
@@ -80,7 +80,7 @@ def test_what_no_effect_explains_is_unknown_and_has_a_place(tmp_path: Path) -> N
 
 def test_a_table_that_shakes_slower_than_the_blocks_is_no_mere_noise(tmp_path: Path) -> None:
     """Noise is measured at rest, where the table shakes too: it must not pass for noise of the sensor."""
-    shaken = diagnose(hidden(tmp_path, 29, "table_vibration"), MODEL)
+    shaken = diagnose(hidden(tmp_path, 29, "table_vibration"), MODEL, UNADVISED)
     assert shaken.verdict is Verdict.UNKNOWN
     assert shaken.unknown is not None
     assert "oscillation at about 3.5 Hz" in shaken.unknown.dependence
@@ -88,18 +88,18 @@ def test_a_table_that_shakes_slower_than_the_blocks_is_no_mere_noise(tmp_path: P
     assert shaken.where.location("channel").shares["force"] > 0.9
 
 
-def test_a_wrong_encoder_is_found_in_the_position(tmp_path: Path) -> None:
-    diagnosis = diagnose(hidden(tmp_path, 14, "encoder_scale"), MODEL)
+def test_a_wrong_encoder_is_found_in_the_position(diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed["strayed position"].diagnosis
     assert diagnosis.effects == ("encoder_scale",)
     assert diagnosis.where.location("channel").shares["position"] > 0.9
     assert diagnosis.model is not None
     assert [effect.id for effect in diagnosis.model.effects] == ["encoder_scale"]
 
 
-def test_two_effects_are_both_named(tmp_path: Path) -> None:
-    diagnosis = diagnose(hidden(tmp_path, 20, "arm_compliance", "film_depletion"), MODEL)
+def test_two_effects_are_both_named(diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed["two effects"].diagnosis
     assert diagnosis.verdict is Verdict.SEVERAL
-    assert set(diagnosis.effects) == {"arm_compliance", "film_depletion"}
+    assert set(diagnosis.effects) == {"film_depletion", "force_drift"}
     assert diagnosis.ranking[0].hypothesis == "+".join(diagnosis.effects)
 
 
@@ -113,7 +113,7 @@ def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis,
     rig = parse_effects(["encoder_scale", "servo_lag", "mains_hum"])
     everything = amended.model_copy(update={"effects": (*amended.effects, *rig)})
     runs = simulated(everything)
-    again = diagnose(runs, CapsuleModel(everything))
+    again = diagnose(runs, CapsuleModel(everything), UNADVISED)
     assert again.verdict is Verdict.NO_GAP
     assert probability(again, "no_gap") > 0.9
 
@@ -145,7 +145,8 @@ def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
     json.dumps(diagnosis_json(diagnosis))
 
 
-def test_the_same_runs_give_the_same_answer() -> None:
-    first, second = (dict(diagnosis_json(diagnose(choose_runs(CAMPAIGN), MODEL))) for _ in range(2))
+def test_the_same_runs_give_the_same_answer(diagnosed: DiagnosedCampaigns) -> None:
+    again = diagnose(choose_runs(CAMPAIGN), MODEL)
+    first, second = (dict(diagnosis_json(result)) for result in (diagnosed[EXAMPLE].diagnosis, again))
     assert first.pop("timings_s") != second.pop("timings_s")
     assert json.dumps(first) == json.dumps(second)

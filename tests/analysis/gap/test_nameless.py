@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagnosed import EXAMPLE, DiagnosedCampaigns
+from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.classifier import classify
 from dragrig.analysis.gap.design import Design, RunDesign, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
@@ -135,8 +137,8 @@ def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it(
     assert nonparametric_law_text(case("wall_lift_off", 19_000.0, "speed in the gut", 16_000.0)) == ""
 
 
-def test_a_gap_that_only_many_runs_together_show_has_no_place() -> None:
-    quiet = diagnose(choose_runs(CAMPAIGN), MODEL).where
+def test_a_gap_that_only_many_runs_together_show_has_no_place(diagnosed: DiagnosedCampaigns) -> None:
+    quiet = diagnosed[EXAMPLE].diagnosis.where
     assert not any(quiet.location("channel").shares.values())
     classification = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
     gap = describe_unexplained_gap(quiet, (), classification, None, case("folds", 19_000.0, "speed", NOISE))
@@ -163,7 +165,7 @@ def test_every_law_has_words(study: Study, nominal: Design) -> None:
 def test_what_resembles_an_effect_but_is_another_law_is_unknown(
     effect: str, seed: int, text: str, tmp_path: Path
 ) -> None:
-    diagnosis = diagnose(hidden(tmp_path, seed, effect), MODEL)
+    diagnosis = diagnose(hidden(tmp_path, seed, effect), MODEL, DiagnosisOptions(next_runs=None))
     assert (diagnosis.verdict, diagnosis.effects) == (Verdict.UNKNOWN, ())
     assert diagnosis.unknown is not None
     assert text in diagnosis.unknown.dependence

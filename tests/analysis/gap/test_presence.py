@@ -1,12 +1,14 @@
 """Which causes are there, given all others, and how they share the gap: also where nothing, or something else, is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from diagnosed import DiagnosedCampaigns
+from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.budget import CausesOfGap, _likely_explanations
 from dragrig.analysis.gap.classifier import combined_presence, restate
 from dragrig.analysis.gap.design import Candidate
@@ -41,9 +43,7 @@ from dragrig.sim_backend.effects import Coordinate, catalogue, find_effect
 from hidden import hidden, without_clock
 from places import CAMPAIGN
 
-
-def diagnosed(folder: Path, *effects: str, seed: int = 20, size: Sequence[float] | float = 1.0) -> Diagnosis:
-    return diagnose(hidden(folder, seed, *effects, size=size if effects else ()), MODEL)
+UNADVISED = DiagnosisOptions(next_runs=None)
 
 
 def budget_of(diagnosis: Diagnosis) -> GapBudget:
@@ -55,8 +55,8 @@ def shares(budget: GapBudget) -> Mapping[str, float]:
     return {entry.cause: entry.share for entry in budget.entries}
 
 
-def test_without_a_gap_nothing_is_there_and_nothing_is_shared(tmp_path: Path) -> None:
-    diagnosis = diagnosed(tmp_path)
+def test_without_a_gap_nothing_is_there_and_nothing_is_shared(diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed["nothing"].diagnosis
     budget = budget_of(diagnosis)
     assert diagnosis.verdict is Verdict.NO_GAP
     assert budget.entries == ()
@@ -65,21 +65,21 @@ def test_without_a_gap_nothing_is_there_and_nothing_is_shared(tmp_path: Path) ->
     assert max(budget.presence.values()) < 0.2
 
 
-def test_a_single_effect_is_there_alone_and_has_nearly_all_of_the_gap(tmp_path: Path) -> None:
-    diagnosis = diagnosed(tmp_path, "film_depletion")
+def test_a_single_effect_is_there_alone_and_has_nearly_all_of_the_gap(diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed["stribeck"].diagnosis
     budget = budget_of(diagnosis)
-    assert diagnosis.effects == ("film_depletion",)
-    assert budget.presence["film_depletion"] > 0.9
+    assert diagnosis.effects == ("stribeck",)
+    assert budget.presence["stribeck"] > 0.9
     assert sorted(budget.presence.values())[-2] < 0.5
-    assert shares(budget)["film_depletion"] == pytest.approx(1.0, abs=0.2)
+    assert shares(budget)["stribeck"] == pytest.approx(1.0, abs=0.2)
     assert sum(shares(budget).values()) == pytest.approx(1.0)
     entry = budget.entries[0]
     assert entry.share_95ci is not None
     assert entry.share_95ci[0] <= entry.share <= entry.share_95ci[1]
 
 
-def test_two_effects_share_the_gap_as_the_plant_has_them(tmp_path: Path) -> None:
-    diagnosis = diagnosed(tmp_path, "film_depletion", "force_drift", seed=21, size=(1.0, 1.0))
+def test_two_effects_share_the_gap_as_the_plant_has_them(diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed["two effects"].diagnosis
     assert set(diagnosis.effects) == {"film_depletion", "force_drift"}
     budget = budget_of(diagnosis)
     assert shares(budget)["film_depletion"] > 0.1
@@ -100,8 +100,8 @@ def assert_runs_add_up(budget: GapBudget) -> None:
     assert all(run.unit == "mN" and run.time_s.shape == run.gap.shape for run in budget.runs)
 
 
-def test_what_no_catalogue_has_is_an_unnamed_law(tmp_path: Path) -> None:
-    diagnosis = diagnosed(tmp_path, "wall_seam", seed=12)
+def test_what_no_catalogue_has_is_an_unnamed_law(diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed["unknown law"].diagnosis
     budget = budget_of(diagnosis)
     laws = {name: value for name, value in inputs_of(diagnosis).competition.items() if name.startswith("place")}
     assert max(laws.values()) > 0.5
@@ -112,7 +112,7 @@ def test_what_no_catalogue_has_is_an_unnamed_law(tmp_path: Path) -> None:
 def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_named(tmp_path: Path) -> None:
     secret = draw_campaign(61010, effects=[], conditions=["exchanged, not recorded"])
     write_campaign(secret, tmp_path)
-    diagnosis = diagnose(choose_runs(tmp_path), MODEL)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL, UNADVISED)
     budget = budget_of(diagnosis)
     assert diagnosis.effects == ()
     assert inputs_of(diagnosis).competition[EXCHANGE] > 0.999
@@ -123,7 +123,7 @@ def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_na
 def test_both_errors_of_a_position_are_named(tmp_path: Path) -> None:
     effects = ["encoder_scale", "velocity_ripple"]
     write_campaign(draw_campaign(71012, effects=effects, size=[1.0, 1.0], plant="drawn"), tmp_path)
-    diagnosis = diagnose(choose_runs(tmp_path), MODEL)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL, UNADVISED)
     assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, set(effects))
     budget = budget_of(diagnosis)
     assert min(budget.presence[name] for name in effects) > 0.9
@@ -222,7 +222,7 @@ def test_an_effect_of_the_session_cannot_be_judged_without_a_clock(tmp_path: Pat
 
 def test_what_one_run_does_not_tell_from_a_force_in_motion_is_not_named(tmp_path: Path) -> None:
     write_campaign(draw_campaign(75040, effects=("force_hysteresis",), conditions=("one run",)), tmp_path)
-    diagnosis = diagnose(choose_runs(tmp_path), MODEL)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL, UNADVISED)
     assert diagnosis.verdict is Verdict.UNKNOWN
     assert budget_of(diagnosis).presence["force_hysteresis"] < 0.1
     (hypothesis,) = [entry for entry in inputs_of(diagnosis).hypotheses if entry.effects == ("force_hysteresis",)]

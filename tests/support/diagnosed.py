@@ -1,0 +1,86 @@
+"""Campaigns with a known secret and their diagnoses, each made once for all processes of a test run."""
+
+import pickle
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from tempfile import mkdtemp
+
+from filelock import FileLock
+
+from dragrig.analysis.gap.diagnose import diagnose
+from dragrig.analysis.gap.diagnosis import Diagnosis
+from dragrig.analysis.gap.run_data import choose_runs
+from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.analysis.selection import RunSelection
+from hidden import hidden
+from places import CAMPAIGN
+
+SECRETS: dict[str, tuple[int, tuple[str, ...]]] = {
+    "nothing": (11, ()),
+    "stribeck": (12, ("stribeck",)),
+    "strayed position": (14, ("encoder_scale",)),
+    "two effects": (21, ("film_depletion", "force_drift")),
+    "unknown": (18, ("stick_slip",)),
+    "unknown law": (12, ("wall_seam",)),
+}
+"""Seed of the blind plant, and effects that it hides."""
+EXAMPLE = "example"
+"""The campaign in the test data, of eight runs without a gap."""
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """A campaign and its diagnosis.
+
+    Attributes
+    ----------
+    runs
+        Folder of its run files; nobody's to change.
+    """
+
+    runs: Path
+    diagnosis: Diagnosis
+
+    @cached_property
+    def selection(self) -> RunSelection:
+        return choose_runs(self.runs)
+
+
+class DiagnosedCampaigns:
+    """The campaigns by name, made when they are first asked for.
+
+    Parameters
+    ----------
+    folder
+        Folder that the processes of a test run share.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._known: dict[str, Diagnosed] = {}
+
+    def __getitem__(self, name: str) -> Diagnosed:
+        if name not in self._known:
+            self._known[name] = self._made(name)
+        return self._known[name]
+
+    def _made(self, name: str) -> Diagnosed:
+        runs = CAMPAIGN if name == EXAMPLE else self._folder / name
+        result = self._folder / f"{name}.pickle"
+        with FileLock(self._folder / f"{name}.lock"):
+            if not result.exists():
+                if name != EXAMPLE and not runs.exists():
+                    write_hidden(runs, *SECRETS[name])
+                result.write_bytes(pickle.dumps(diagnose(choose_runs(runs), MODEL)))
+        return Diagnosed(runs, pickle.loads(result.read_bytes()))
+
+
+def write_hidden(folder: Path, seed: int, effects: tuple[str, ...]) -> None:
+    """Write the runs of a blind campaign that a test diagnoses, and no others."""
+    whole = Path(mkdtemp(dir=folder.parent))
+    chosen = {experiment.file for experiment in hidden(whole, seed, *effects).experiments}
+    for path in whole.glob("*.h5"):
+        if path.name not in chosen:
+            path.unlink()
+    whole.rename(folder)
