@@ -138,23 +138,14 @@ def open_exam_folder(out: Path, cases: int, seed: int, mix: str, plant: str = WR
         if existing is None and any(path.name != ".lock" for path in out.iterdir()):
             raise OutputError(f"{out}: holds something that is no exam; name an empty or a new folder.")
         if existing is not None and existing != (cases, seed, mix, plant):
-            numbers = f"--cases {existing[0]} --seed {existing[1]} --mix {existing[2]} --plant {existing[3]}"
+            options = f"--cases {existing[0]} --seed {existing[1]} --mix {existing[2]} --plant {existing[3]}"
             raise SettingsError(
-                f"{out}: holds an exam of {existing[0]} cases with seed {existing[1]}; give {numbers} to continue "
+                f"{out}: holds an exam of {existing[0]} cases with seed {existing[1]}; give {options} to continue "
                 "it, or name another folder."
             )
         with FileLock(out / ".lock", timeout=0):
-            write_json(
-                out / EXAM_FILE,
-                {
-                    "format": EXAM_FORMAT,
-                    "version": EXAM_VERSION,
-                    "cases": cases,
-                    "seed": seed,
-                    "mix": mix,
-                    "plant": plant,
-                },
-            )
+            numbers = {"cases": cases, "seed": seed, "mix": mix, "plant": plant}
+            write_json(out / EXAM_FILE, {"format": EXAM_FORMAT, "version": EXAM_VERSION, **numbers})
             yield ExamFolder(out)
     except Timeout as error:
         raise OutputError(f"{out}: another program uses it; wait for it, or name another folder.") from error
@@ -291,6 +282,7 @@ def gap_blind(
     plant: str = WRITTEN_PLANT,
     without_true: bool = False,
     sizes: bool = True,
+    diagnose: Callable[[BlindTask], BlindDiagnosis] = diagnose_blind,
     progress: Progress = no_progress,
 ) -> BlindExam:
     """Examine the gap diagnosis on campaigns of the blind plant, whose hidden effects it cannot know.
@@ -319,6 +311,8 @@ def gap_blind(
     sizes
         Whether d′ of single effects is computed, which takes almost as long as a diagnosis; without it the score has no
         detection against size.
+    diagnose
+        Who is examined: a function that other processes can load.
 
     Raises
     ------
@@ -353,9 +347,8 @@ def gap_blind(
     start = perf_counter()
     place = tempfile.TemporaryDirectory(prefix="dragrig-blind-") if out is None else nullcontext(str(out))
     with place as root, open_exam_folder(Path(root).absolute(), cases, seed, kind, plant) as folder:
-        exam = _RunningExam(
-            folder, draw_cases(cases, seed, kind, plant), workers, scheduler, _WeightedProgress(progress)
-        )
+        planned, meter = draw_cases(cases, seed, kind, plant), _WeightedProgress(progress)
+        exam = _RunningExam(folder, planned, workers, scheduler, diagnose, meter)
         digest, diagnoses = exam.run(without_true=without_true, sizes=sizes)
         score, failed = exam.score(diagnoses, without_true=without_true)
         timings_s = {**_median_timings(diagnoses.values()), "this call": perf_counter() - start}
@@ -385,6 +378,7 @@ class _RunningExam:
     cases: Sequence[HiddenCase]
     workers: int | None
     scheduler: str | None
+    diagnose: Callable[[BlindTask], BlindDiagnosis]
     meter: _WeightedProgress
 
     def run(self, *, without_true: bool, sizes: bool) -> tuple[str, Mapping[str, Mapping[str, object]]]:
@@ -415,13 +409,13 @@ class _RunningExam:
         for order in orders:
             remove_unfinished(order)
         self._map(
-            DIAGNOSE_COST_S, diagnose_blind, to_diagnose, lambda task, result: self._store(to_diagnose[task], result)
+            DIAGNOSE_COST_S, self.diagnose, to_diagnose, lambda task, result: self._store(to_diagnose[task], result)
         )
         open_answers(folder, self.cases)
         self._evaluate_models()
         self._map(
             DIAGNOSE_COST_S,
-            diagnose_blind,
+            self.diagnose,
             to_repeat,
             lambda task, result: write_json(folder.withheld(to_repeat[task]), result.json_or_failure()),
         )

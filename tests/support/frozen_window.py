@@ -16,18 +16,20 @@ require_qt()
 
 from PySide6.QtCore import QSettings, QTimer
 
-from dragrig.engine_host.messages import RigSelection, SessionFinished, SessionJob, StartSession
+from dragrig.engine_host.messages import RigSelection, SessionFinished, SessionJob, SilenceLimits, StartSession
 from dragrig.window.main_window import MainWindow, qt_application
 from dragrig.window.widgets import StoredSettings
 
-HELD_S = 6.0
+LIMITS = SilenceLimits(4.0, 600.0)
+"""A busy machine may hold the window up too, and for longer than the usual second."""
+HELD_S = 20.0
 
 
 def main(lab: Path, folder: Path) -> None:
     """Be the window that is held."""
     application = qt_application()
     stored = StoredSettings(QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat))
-    window = MainWindow(RigSelection(rig=lab / "rig.toml", backend="simulated"), lab, stored)
+    window = MainWindow(RigSelection(rig=lab / "rig.toml", backend="simulated"), lab, stored, LIMITS)
     window.show()
 
     def take(event: object) -> None:

@@ -5,12 +5,16 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
+from contextlib import nullcontext
 from hashlib import sha256
 from pathlib import Path
+from shutil import copy2, copytree
 
 import psutil
 import pytest
 
+from clusters import dask_cluster
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, OutputError, SettingsError
 from dragrig.exam.blind_exam import (
@@ -23,7 +27,9 @@ from dragrig.exam.blind_exam import (
     simulate_campaign,
     write_json,
 )
+from dragrig.exam.examinee import BlindDiagnosis, BlindTask, diagnose_blind
 from dragrig.sim_backend.blind import CATALOGUE
+from exam_pieces import diagnosis_killed_once, quick_diagnosis
 from exams import StoppedError, make_campaigns
 
 SEED = 611_203
@@ -113,32 +119,76 @@ def report_text(exam: BlindExam) -> str:
     return json.dumps(document)
 
 
-def test_two_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(tmp_path: Path) -> None:
-    made = make_campaigns(2, 5, tmp_path / "whole", workers=2)
-    assert len(made) > 80
-    assert make_campaigns(2, 5, tmp_path / "stopped", workers=1) == made
-    whole = gap_blind(2, 5, tmp_path / "whole", workers=2, sizes=False)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, BlindExam]:
+    """An exam of two cases that nothing disturbed, quickly diagnosed."""
+    out = tmp_path_factory.mktemp("exams") / "whole"
+    return out, gap_blind(2, 5, out, workers=2, sizes=False, diagnose=quick_diagnosis)
+
+
+def run_digests(exam: Path) -> dict[str, str]:
+    return {path.relative_to(exam).as_posix(): sha256(path.read_bytes()).hexdigest() for path in exam.glob("*/*/*.h5")}
+
+
+def stopped_midway(out: Path, diagnose: Callable[[BlindTask], BlindDiagnosis]) -> BlindExam:
+    """Hold an exam of two cases that is stopped once its first diagnosis is kept, and goes on."""
     calls: list[tuple[int, int]] = []
 
     def stop_after_a_diagnosis(done: int, of: int) -> None:
         calls.append((done, of))
-        if (tmp_path / "stopped" / "said").is_dir():
+        if (out / "said").is_dir():
             raise StoppedError
 
     with pytest.raises(StoppedError):
-        gap_blind(2, 5, tmp_path / "stopped", workers=1, sizes=False, progress=stop_after_a_diagnosis)
-    [path] = (tmp_path / "stopped" / "said").glob("*.json")
+        gap_blind(2, 5, out, workers=1, sizes=False, diagnose=diagnose, progress=stop_after_a_diagnosis)
+    [path] = (out / "said").glob("*.json")
     before = path.stat().st_mtime_ns
-    assert not (tmp_path / "stopped" / "answers.json").exists()
-    again = gap_blind(2, 5, tmp_path / "stopped", workers=1, sizes=False)
+    assert not (out / "answers.json").exists()
+    again = gap_blind(2, 5, out, workers=1, sizes=False, diagnose=diagnose)
     assert path.stat().st_mtime_ns == before
-    assert report_text(again) == report_text(whole)
-    text = (tmp_path / "whole" / "answers.json").read_bytes()
-    assert (tmp_path / "whole" / "answers.sha256").read_text("utf-8").split()[0] == sha256(text).hexdigest()
-    assert whole.answers_sha256 == sha256(text).hexdigest()
-    kept_score = json.loads((tmp_path / "whole" / "score.json").read_text("utf-8"))
-    assert kept_score == json.loads(json.dumps(whole.document()))
     assert calls[0][1] == calls[-1][1]
+    return again
+
+
+def test_two_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(
+    whole: tuple[Path, BlindExam], tmp_path: Path
+) -> None:
+    out, exam = whole
+    assert report_text(stopped_midway(tmp_path / "stopped", quick_diagnosis)) == report_text(exam)
+    assert len(run_digests(out)) > 80
+    assert run_digests(tmp_path / "stopped") == run_digests(out)
+    text = (out / "answers.json").read_bytes()
+    assert (out / "answers.sha256").read_text("utf-8").split()[0] == sha256(text).hexdigest()
+    assert exam.answers_sha256 == sha256(text).hexdigest()
+    kept_score = json.loads((out / "score.json").read_text("utf-8"))
+    assert kept_score == json.loads(json.dumps(exam.document()))
+
+
+@pytest.mark.thorough
+def test_two_real_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(tmp_path: Path) -> None:
+    made = make_campaigns(2, 5, tmp_path / "whole", workers=2)
+    assert make_campaigns(2, 5, tmp_path / "stopped", workers=1) == made
+    exam = gap_blind(2, 5, tmp_path / "whole", workers=2, sizes=False)
+    assert report_text(stopped_midway(tmp_path / "stopped", diagnose_blind)) == report_text(exam)
+
+
+@pytest.mark.parametrize("on_a_cluster", [False, True], ids=["processes", "cluster"])
+def test_an_exam_whose_worker_is_killed_while_it_diagnoses_is_the_same_exam(
+    on_a_cluster: bool, whole: tuple[Path, BlindExam], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # On a busy machine a cluster's processes take long to start.
+    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 100)
+    out = tmp_path / "killed"
+    for part in ("campaigns", "fresh"):
+        copytree(whole[0] / part, out / part)
+    copy2(whole[0] / "exam.json", out)
+    with dask_cluster() if on_a_cluster else nullcontext() as scheduler:
+        exam = gap_blind(
+            2, 5, out, workers=None if on_a_cluster else 1, scheduler=scheduler, sizes=False,
+            diagnose=diagnosis_killed_once,
+        )  # fmt: skip
+    assert psutil.pid_exists(int(out.with_suffix(".killed").read_text("utf-8"))) is False
+    assert report_text(exam) == report_text(whole[1])
 
 
 def frozen_while_it_writes(exam: int, out: Path) -> psutil.Process:

@@ -15,6 +15,7 @@ from dragrig.exam.examinee import diagnose_blind
 from exams import make_campaigns
 from places import CAMPAIGN, ROOT
 
+pytestmark = pytest.mark.thorough
 SHIPPED = ROOT / "config" / "files"
 CASES, SEED = 3, 5
 
