@@ -14,6 +14,7 @@ from places import ROOT
 
 ROOMS = {"app": "dragrig", "analysis": "dragrig.analysis", "sim_backend": "dragrig.sim_backend",
          "rig": "dragrig.rig", "config": "dragrig.config"}  # fmt: skip
+IMPORTS_CACHE = ROOT / ".import_linter_cache"
 
 
 def tool(*command: str) -> None:
@@ -31,12 +32,12 @@ def test_types_hold_strictly() -> None:
 
 
 def test_imports_go_one_way() -> None:
-    tool(str(Path(sys.executable).with_name("lint-imports")), "--no-cache")
+    tool(str(Path(sys.executable).with_name("lint-imports")), "--cache-dir", str(IMPORTS_CACHE))
 
 
 def test_imports_go_one_way_through_public_faces_too() -> None:
     """import-linter ends at a face, which imports nothing until a name is taken from it."""
-    graph = grimp.build_graph("dragrig", include_external_packages=True)
+    graph = grimp.build_graph("dragrig", include_external_packages=True, cache_dir=IMPORTS_CACHE)
     house = runpy.run_path(str(ROOT / "bench" / "house.py"))["House"](ROOT)
     for module, imported in house.graph(in_functions=True, for_types=True).items():
         for defining in imported:

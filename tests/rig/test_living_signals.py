@@ -29,6 +29,7 @@ from dragrig.rig.runfile.model import Attribute, RunEvent, RunStatus
 from dragrig.setup import create_lab
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+from rig_faults import sentence
 from simulated import acquire, stroke
 from voltage_bench import velocity_rig, voltage_rig
 
@@ -126,23 +127,28 @@ def rig(shared: Rig) -> Rig:
 
 
 @pytest.mark.parametrize(
-    ("fault", "cause"),
+    ("fault", "row"),
     [
-        ({"force_frozen": True}, TripCause.SENSOR_DEAD),
-        ({"force_constant_V": 4.9}, TripCause.SENSOR_DEAD),
-        ({"force_constant_V": 1e-9}, TripCause.SENSOR_DEAD),
-        ({"sensor_open": True}, TripCause.SENSOR_OPEN),
-        ({"encoder_added_counts": 100}, TripCause.ENCODER_JUMP),
-        ({"encoder_added_counts": -400}, TripCause.ENCODER_JUMP),
-        ({"encoder_jitter_counts": 200}, TripCause.ENCODER_JUMP),
-        ({"encoder_error": True}, TripCause.ENCODER_ERROR),
+        ({"force_frozen": True}, "force input dead"),
+        ({"force_constant_V": 4.9}, "force input dead"),
+        ({"force_constant_V": 1e-9}, "force input dead"),
+        ({"force_added_mN": 9850.0}, "force over range"),
+        ({"force_added_mN": 8500.0}, "force over the limit"),
+        ({"sensor_open": True}, "force sensor's wire broken"),
+        ({"encoder_added_counts": 100}, "encoder loses counts"),
+        ({"encoder_added_counts": -400}, "encoder loses counts"),
+        ({"encoder_jitter_counts": 200}, "encoder loses counts"),
+        ({"encoder_error": True}, "encoder's error line"),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(f"{key}={of}" for key, of in value.items()),
 )
-def test_what_no_living_signal_does_stops_the_run(rig: Rig, fault: dict[str, float], cause: TripCause) -> None:
+def test_what_no_living_signal_does_stops_the_run_for_the_reason_of_the_page(
+    rig: Rig, fault: dict[str, float], row: str
+) -> None:
     outcome = rig.run(**fault)
     assert outcome.status is RunStatus.TRIPPED
-    assert outcome.reason.startswith(f"{cause}: ")
+    said = f"the session ended early: {outcome.reason}."
+    assert sentence(row).fullmatch(said), said
     assert rig.backend.bench.position_mm() < 23.9
 
 

@@ -25,19 +25,20 @@ from rig_faults import (
     begin,
     only_run,
     sentence,
+    thorough,
 )
 
 
 @pytest.mark.parametrize(
     ("fault", "faults", "halt", "assignments", "then"),
     [
-        ("serial replies late", {"drive_reply_late_s": 8.0}, Halt.STOP, SOON_UNANSWERED, assert_goes_on),
+        thorough("serial replies late", {"drive_reply_late_s": 8.0}, Halt.STOP, SOON_UNANSWERED, assert_goes_on),
         ("serial replies garbled", {"drive_garbled": True}, Halt.STOP, SOON_UNANSWERED, None),
-        ("serial adapter gone in motion", {"drive_unplugged": True}, Halt.SILENCE, SOON_SILENT, assert_goes_on),
+        thorough("serial adapter gone in motion", {"drive_unplugged": True}, Halt.SILENCE, SOON_SILENT, assert_goes_on),
         ("serial plug pulled in motion", {"drive_cut_off": True}, Halt.SILENCE, SOON_CUT_OFF, assert_goes_on),
-        ("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, (), assert_goes_on),
-        ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, (), assert_goes_on),
-        ("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, (), None),
+        thorough("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, (), assert_goes_on),
+        ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, (), None),
+        thorough("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, (), None),
     ],
 )
 def test_what_the_drive_or_its_cable_does_ends_the_run(
@@ -63,6 +64,7 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
         then(faulty_rig, ended.folder)
 
 
+@pytest.mark.thorough
 def test_a_drive_that_sets_out_too_late_is_no_silent_encoder(faulty_rig: Bench) -> None:
     running = begin(faulty_rig, assignments=["rig.guard.encoder_silent_mm=0.4", "rig.guard.encoder_silent_s=0.2"])
 
@@ -79,7 +81,8 @@ def test_a_drive_that_sets_out_too_late_is_no_silent_encoder(faulty_rig: Bench) 
 
 
 @pytest.mark.parametrize(
-    ("row", "fault"), [("clean-up fails, card", "card_unplugged"), ("clean-up fails, serial", "drive_unplugged")]
+    ("row", "fault"),
+    [("clean-up fails, card", "card_unplugged"), thorough("clean-up fails, serial", "drive_unplugged")],
 )
 def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(faulty_rig: Bench, row: str, fault: str) -> None:
     running = begin(faulty_rig)
