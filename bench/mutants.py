@@ -31,7 +31,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "analysis/importing/readers.py": ("analysis/importing/test_containers.py", "analysis/importing/test_text.py"),
     "rig/runfile/reader.py": ("rig/runfile/test_reader.py",),
     "rig/runfile/recorder.py": ("rig/runfile/test_recorder.py",),
-    "rig/engine.py": ("rig/test_session.py", "rig/test_early_stops.py"),
+    "rig/engine.py": ("rig/test_engine.py",),
 }
 """The fast tests of each module."""
 NOTICED = frozenset({"killed", "timeout", "segfault"})
