@@ -22,7 +22,7 @@ import tomli_w
 ROOT = Path(__file__).resolve().parents[1]
 TESTS: dict[str, tuple[str, ...]] = {
     "rig/profile.py": ("rig/test_profile.py",),
-    "analysis/linear_gaussian.py": ("analysis/identification/test_joint_fit.py", "analysis/test_noise.py"),
+    "analysis/linear_gaussian.py": ("analysis/test_linear_gaussian.py",),
     "rig/guard.py": ("rig/test_guard.py",),
     "analysis/gap/budget.py": ("app/present/test_gap_budget.py",),
     "analysis/gap/evaluation.py": ("analysis/gap/test_evaluation.py",),
