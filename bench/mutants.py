@@ -25,7 +25,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "analysis/linear_gaussian.py": ("analysis/test_linear_gaussian.py",),
     "rig/guard.py": ("rig/test_guard.py",),
     "analysis/gap/budget.py": ("analysis/gap/test_budget.py",),
-    "analysis/gap/evaluation.py": ("analysis/gap/test_evaluation.py",),
+    "analysis/gap/evaluation.py": ("analysis/gap/test_effect_sizes.py",),
     "analysis/identification/population.py": ("analysis/identification/test_population.py",),
     "analysis/gap/pooled_evidence.py": ("analysis/gap/test_pooled_evidence.py",),
     "analysis/importing/readers.py": ("analysis/importing/test_readers.py",),

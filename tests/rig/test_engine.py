@@ -575,3 +575,25 @@ def test_a_step_of_a_clean_up_returns_its_error_as_text() -> None:
     assert attempt(lambda: None) == ""
     assert attempt(refuse(DeviceError("no reply."))) == "no reply"
     assert attempt(refuse(OSError("cable pulled"))) == "OSError: cable pulled"
+
+
+def test_an_abort_stops_the_stage_itself_for_the_acquiring_thread_may_be_held_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench()
+    stopped: list[str] = []
+    monkeypatch.setattr(bench.backend.stage, "stop", lambda: stopped.append(bench.engine.abort_reason))
+    bench.engine.abort("stop button")
+    bench.engine.abort("again")
+    assert stopped == ["stop button", "stop button"]
+    monkeypatch.setattr(bench.backend.stage, "stop", refuse(DeviceError("no reply.")))
+    bench.engine.abort("once more")
+
+
+@pytest.mark.parametrize("faults", [Faults(force_spike=ForceSpike(0.4, 9000.0)), Faults(stale_data=StaleData(0.4))])
+def test_a_stage_that_was_stopped_is_not_waited_for(monkeypatch: pytest.MonkeyPatch, faults: Faults) -> None:
+    bench = Bench(faults)
+    waited: list[object] = []
+    monkeypatch.setattr(bench.backend.stage, "await_end", waited.append)
+    assert bench.run().status is RunStatus.TRIPPED
+    assert waited == []
