@@ -34,6 +34,17 @@ TESTS: dict[str, tuple[str, ...]] = {
     "rig/engine.py": ("rig/test_engine.py",),
 }
 """The fast tests of each module."""
+SLOW = (
+    "analysis/identification/test_population.py::test_the_command_tells_a_population_and_counts_a_copied_campaign_once",
+    "rig/runfile/test_reader.py::test_damaged_bytes_are_read_or_refused_but_never_worse",
+    "rig/runfile/test_reader.py::test_a_cut_file_is_refused",
+    "rig/runfile/test_reader.py::test_the_package_loads_h5py_only_when_needed",
+    "rig/runfile/test_recorder.py::test_a_full_disk_is_reported_and_what_was_recorded_is_kept",
+    "rig/runfile/test_recorder.py::test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left",
+    "rig/runfile/test_recorder.py::test_any_viewer_follows_a_recording",
+    "rig/runfile/test_recorder.py::test_the_arrays_do_not_depend_on_the_blocks",
+)
+"""Tests among these that take seconds, as every survivor would."""
 NOTICED = frozenset({"killed", "timeout", "segfault"})
 """What mutmut calls a mutant with which a test failed, did not end, or ended the interpreter."""
 UNSEEN = (r"\bcast\(", r"__slots__", r"TypeVar\(")
@@ -77,7 +88,10 @@ def lay_out(folder: Path, module: str) -> Path:
         "source_paths": ["dragrig"],
         "only_mutate": [mutated.as_posix()],
         "do_not_mutate_patterns": list(UNSEEN),
-        "pytest_add_cli_args_test_selection": [f"tests/{test}" for test in TESTS[module]],
+        "pytest_add_cli_args_test_selection": [
+            *(f"tests/{test}" for test in TESTS[module]),
+            *(f"--deselect=tests/{test}" for test in SLOW),
+        ],
         "use_git_change_detection": False,
         "track_dependencies": False,
         "timeout_constant": 2.0,
