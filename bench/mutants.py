@@ -28,7 +28,11 @@ TESTS: dict[str, tuple[str, ...]] = {
     "analysis/gap/evaluation.py": ("analysis/gap/test_effect_sizes.py",),
     "analysis/identification/population.py": ("analysis/identification/test_population.py",),
     "analysis/gap/pooled_evidence.py": ("analysis/gap/test_pooled_evidence.py",),
-    "analysis/importing/readers.py": ("analysis/importing/test_readers.py",),
+    "analysis/importing/readers.py": (
+        "analysis/importing/test_readers.py",
+        "analysis/importing/test_containers.py",
+        "analysis/importing/test_text.py",
+    ),
     "rig/runfile/reader.py": ("rig/runfile/test_reader.py",),
     "rig/runfile/recorder.py": ("rig/runfile/test_recorder.py",),
     "rig/engine.py": ("rig/test_engine.py",),

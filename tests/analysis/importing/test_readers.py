@@ -1,14 +1,18 @@
 """Which tables of a foreign file become runs, what is told of the others, and each sentence on what is not read."""
 
 import gzip
+import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from datetime import date, time, timedelta
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import feather, parquet
 
+from dragrig.analysis.importing import file_kinds
 from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.readers import _cell_text, read_foreign, text_of
 from dragrig.config import ImportDataError
@@ -244,3 +248,33 @@ def test_what_is_no_text_is_said_with_its_line(tmp_path: Path, content: bytes, e
 )
 def test_cells_become_text_as_a_person_writes_it(cell_value: object, text: str) -> None:
     assert _cell_text(cell_value) == text
+
+
+def test_tables_within_a_sheet_carry_its_name(tmp_path: Path) -> None:
+    twice = [*ROWS, (), *ROWS]
+    path = workbook(tmp_path / "run.xlsx", {"none": (("x",),), "first": twice, "second": ROWS})
+    first, again, second = read_foreign(path)
+    assert [table.name for table in (first, again, second)] == ["first, block 1", "first, block 2", "second"]
+    assert first.remarks == ("sheet 'none' was not read: it holds no table of numbers",)
+
+
+def test_a_workbook_that_is_damaged_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = workbook(tmp_path / "run.xlsx", {"first": ROWS})
+    monkeypatch.setattr(file_kinds, "MAX_UNPACKED_TEXT_BYTES", 10)
+    assert refusal(path).startswith("unpacks to 0.0 GB or more, and 0.0 GB is the limit;")
+    monkeypatch.undo()
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content[:9] if name == "xl/workbook.xml" else content)
+    assert re.fullmatch(r"is damaged or no spreadsheet file \(.*\); export it anew or as CSV\.", refusal(path))
+
+
+def test_feather_and_parquet_are_read_as_what_they_are(tmp_path: Path) -> None:
+    table = pa.table({"t": [0.0, 0.1, 0.2], "F": [1.0, 2.0, 3.0]})
+    feather.write_feather(table, tmp_path / "run.feather")
+    parquet.write_table(table, tmp_path / "run.parquet")
+    for name in ("run.feather", "run.parquet"):
+        (found,) = read_foreign(tmp_path / name)
+        np.testing.assert_array_equal(found.column("F").values, [1.0, 2.0, 3.0])
