@@ -98,7 +98,7 @@ def attribute_of(holder: h5py.Group | h5py.Dataset, name: str) -> Attribute:
         raise LayoutError(f"the attribute {name} of {holder.name} claims {math.prod(shape)} values")
     if kind.get_class() not in SCALAR_CLASSES or kind.get_size() > MAX_VALUE_BYTES:
         raise LayoutError(f"the attribute {name} of {holder.name} is neither text nor number")
-    if attribute.get_storage_size() == 0:
+    if shape is None or 0 in shape:
         return ""
     value = np.zeros(shape, kind.dtype)
     attribute.read(value)

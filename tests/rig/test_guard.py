@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dragrig.config import TrippedError
 from dragrig.config.rig import GuardSettings
 from dragrig.rig.devices import Block, StageState, TravelEnd, Trip, TripCause
-from dragrig.rig.guard import Guard
+from dragrig.rig.guard import EncoderSilenceMonitor, Guard
 from dragrig.rig.profile import FloatArray, MotionExtremes, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.reading import BlockExtremes
 
@@ -281,3 +282,236 @@ def test_an_override_lasts_for_one_motion_only(reset_between: bool) -> None:
     guard.watch(MOTION)
     assert low.fault is not None
     assert not guard.permits(low.fault)
+
+
+def shown_at(positions: FloatArray, first: int = 0, force: float = 30.0) -> Block:
+    return Block(first, {"force": np.full(len(positions), force), "position": np.asarray(positions, dtype=np.float64)})
+
+
+def tripped_by(block: Block, command: FloatArray | None = None, guard: Guard | None = None) -> str:
+    """Return the message of the trip that a block causes whose command is its position, and '' for none."""
+    command = block.channels["position"] if command is None else command
+    trip = (guard or armed()).inspect(block, command, BlockExtremes.of(block, command), RATE)
+    assert trip is None or trip.message
+    return "" if trip is None else trip.message
+
+
+STILL = np.full(20, 5.0)
+STEPPED = np.where(np.arange(20) < 10, 5.0, 5.0551)
+"""A jump by 50.1 µm more than `_MAX_ACCELERATION_MM_S2` allows between two samples of `RATE`."""
+JUMP = (
+    "the position jumped by {:.3f} mm from a sample to the next: counts are lost or come twice; check the encoder's "
+    "gap to its scale, its line receiver and the shield"
+)
+
+
+@pytest.mark.parametrize(
+    ("inside", "outside", "message"),
+    [
+        (shown_at(STILL, force=8000.0), shown_at(STILL, force=8001.0), "force of 8001 mN is over the limit of 8000 mN"),
+        (
+            shown_at(STILL, force=-8000.0),
+            shown_at(STILL, force=-8001.0),
+            "force of 8001 mN is over the limit of 8000 mN",
+        ),
+        (
+            shown_at(STILL + 36.0),
+            shown_at(STILL + 36.001),
+            "position 41.001 mm from the run's start is outside -1.000 to 41.000 mm",
+        ),
+        (
+            shown_at(STILL - 6.0),
+            shown_at(STILL - 6.001),
+            "position -1.001 mm from the run's start is outside -1.000 to 41.000 mm",
+        ),
+        (shown_at(np.where(STEPPED > 5, 5.055, 5.0)), shown_at(STEPPED), JUMP.format(0.055)),
+        (
+            shown_at(5.0 + 0.034999 * np.arange(20)),
+            shown_at(5.0 + 0.0351 * np.arange(20)),
+            "speed of 35.1 mm/s is over the limit of 35.0 mm/s",
+        ),
+    ],
+    ids=["force", "force the other way", "too far", "too far back", "jump", "speed"],
+)
+def test_a_trip_begins_at_its_limit_and_says_what_it_saw(inside: Block, outside: Block, message: str) -> None:
+    assert tripped_by(inside) == ""
+    assert tripped_by(outside) == message
+
+
+def test_a_value_that_is_no_number_is_said() -> None:
+    sentence = "a sample of force or position is not a number"
+    for force, position in ((math.nan, 5.0), (30.0, math.nan), (math.inf, 5.0), (-math.inf, 5.0)):
+        assert tripped_by(shown_at(np.full(20, position), force=force), STILL) == sentence
+
+
+def test_a_tripped_guard_says_what_holds_it() -> None:
+    guard = Guard(GuardSettings())
+    with pytest.raises(TrippedError) as caught:
+        guard.require_armed()
+    assert str(caught.value) == (
+        "the guard is tripped: the guard is tripped at start-up until it is reset; clear the cause and reset it."
+    )
+    late = Trip(TripCause.STALE_DATA, "late")
+    guard.reset(CLEAR)
+    guard.require_armed()
+    assert guard.latch(late) is late
+    with pytest.raises(TrippedError, match="the guard is tripped: late; clear"):
+        guard.require_armed()
+
+
+@pytest.mark.parametrize(("error_mm", "speed_mm_s", "limit_mm"), [(0.5, 0.0, 0.5), (1.0, 10.0, 1.0)])
+def test_a_following_error_is_said_with_its_limit(error_mm: float, speed_mm_s: float, limit_mm: float) -> None:
+    """The command moves within the block, or within the one before, for a stage that lags."""
+    command = 5.0 + speed_mm_s * np.arange(20) / RATE
+    over = f"following error of {error_mm + 0.002:.3f} mm is over the limit of {limit_mm:.3f} mm"
+    assert tripped_by(shown_at(command - error_mm + 0.001), command) == ""
+    assert tripped_by(shown_at(command - error_mm - 0.002), command) == over
+    guard = armed()
+    assert tripped_by(shown_at(command), command, guard) == ""
+    then = np.full(20, command[-1])
+    assert tripped_by(shown_at(then - error_mm + 0.001, 1000), then, guard) == ""
+    guard.watch(MOTION)
+    if speed_mm_s:
+        assert tripped_by(shown_at(then - error_mm + 0.001, 2000), then, guard).startswith("following error of 0.999")
+
+
+def test_a_jump_between_blocks_counts_only_where_none_is_lost() -> None:
+    for first, message in ((20, JUMP.format(0.3)), (21, ""), (19, "")):
+        guard = armed()
+        assert tripped_by(shown_at(STILL), None, guard) == ""
+        assert tripped_by(shown_at(STILL + 0.3, first), None, guard) == message
+    guard = armed()
+    assert tripped_by(shown_at(STILL), None, guard) == ""
+    guard.watch(MOTION)
+    assert tripped_by(shown_at(STILL + 0.3, 20), None, guard) == ""
+
+
+def test_coarse_counts_are_no_jump() -> None:
+    """Three counts, for a count may come late and go early; with a finer encoder the rig's own bound decides."""
+    for count_mm, bound_mm in ((0.1, 0.3), (0.001, 0.05)):
+        for jump_mm, jumps in ((bound_mm + 0.0049, False), (bound_mm + 0.0052, True)):
+            guard = Guard(GuardSettings(), count_mm)
+            guard.reset(CLEAR)
+            guard.watch(MOTION)
+            shown = np.where(np.arange(20) < 10, 5.0, 5.0 + jump_mm)
+            assert tripped_by(shown_at(shown), None, guard) == (JUMP.format(jump_mm) if jumps else "")
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 4])
+def test_a_jump_shows_in_blocks_of_any_length(samples: int) -> None:
+    guard = armed()
+    course = np.concatenate((np.full(9, 5.0), np.full(9, 5.2)))
+    messages = [
+        tripped_by(shown_at(course[first : first + samples], first), None, guard) for first in range(0, 18, samples)
+    ]
+    assert JUMP.format(0.2) in messages
+
+
+def test_a_stage_that_is_held_up_changes_its_speed_once_and_does_not_jump() -> None:
+    """The steps of 0.06 mm begin and end 10 samples apart."""
+    course = 5.0 + np.cumsum(np.where((np.arange(40) >= 10) & (np.arange(40) < 20), 0.06, 0.0))
+    guard = Guard(GuardSettings(speed_margin_mm_s=100.0))
+    guard.reset(CLEAR)
+    guard.watch(MOTION)
+    assert tripped_by(shown_at(course), None, guard) == ""
+
+
+def test_a_silent_encoder_is_said_with_time_and_way() -> None:
+    """At 20 mm/s the command may move 0.4 + 0.05 × 20 = 1.4 mm, which it has after 71 samples."""
+    guard = armed()
+    told = []
+    for first in range(0, 100, 10):
+        command = 5.0 + 20.0 * np.arange(first, first + 10) / RATE
+        told.append(tripped_by(shown_at(np.full(10, 5.0), first), command, guard))
+    assert told == [
+        *[""] * 7,
+        "the encoder showed no count for 79 ms, while the command moved by 1.58 mm; check its cable, and whether the "
+        "stage is blocked",
+        *[""] * 2,
+    ]
+    assert guard.silent_from_rest
+    replaced = guard.explain_silence(0.0, 0.05)
+    assert replaced is guard.trip
+    assert replaced == Trip(
+        TripCause.NO_MOTION,
+        "neither drive nor encoder moved for 79 ms, while the command moved by 1.58 mm; the drive begins too late, or "
+        "the stage is blocked",
+    )
+    assert not guard.silent_from_rest
+
+
+def silences(
+    shown: Callable[[FloatArray], FloatArray], command: FloatArray, per_block: int = 10, dither_mm: float = 0.0015
+) -> list[tuple[float, float, bool]]:
+    """Return travel [mm], duration [ms] and whether from rest, after each block of a motion at `RATE`."""
+    monitor = EncoderSilenceMonitor(dither_mm)
+    found = []
+    for first in range(0, len(command), per_block):
+        index = np.arange(first, first + per_block, dtype=float)
+        block, ordered = shown_at(shown(index), first), command[first : first + per_block]
+        silence = monitor.add(block, ordered, BlockExtremes.of(block, ordered), RATE)
+        found.append((round(silence.travel_mm, 6), round(1000 * silence.duration_s, 6), silence.from_rest))
+    return found
+
+
+STEADY = 0.02 * np.arange(40)
+NONE = (0.0, 0.0, False)
+
+
+def test_silence_is_measured_from_the_first_movement_after_the_last_count() -> None:
+    assert silences(np.zeros_like, STEADY) == [
+        (0.18, 9.0, True), (0.38, 19.0, True), (0.58, 29.0, True), (0.78, 39.0, True),
+    ]  # fmt: skip
+    counted_until_14 = silences(lambda index: 0.02 * np.minimum(index, 14), STEADY)
+    assert counted_until_14 == [NONE, NONE, (0.3, 15.0, False), (0.5, 25.0, False)]
+    alternating = silences(lambda index: 0.001 * (index % 2), STEADY)
+    assert alternating == silences(np.zeros_like, STEADY)
+    assert silences(lambda index: 0.002 * (index % 2), STEADY) == [NONE] * 4
+    backwards = silences(np.zeros_like, -STEADY)
+    assert backwards == silences(np.zeros_like, STEADY)
+
+
+def test_a_count_between_two_blocks_ends_a_silence() -> None:
+    once = silences(lambda index: 0.002 * (index >= 20), STEADY)
+    assert once == [(0.18, 9.0, True), (0.38, 19.0, True), (0.18, 9.0, False), (0.38, 19.0, False)]
+    creeping = silences(lambda index: 0.001 * (index // 10), STEADY)
+    assert creeping == [(0.18, 9.0, True), (0.38, 19.0, True), (0.18, 9.0, False), (0.38, 19.0, False)]
+
+
+def test_a_command_that_stands_is_no_silence_and_its_way_counts_when_it_goes_on() -> None:
+    paused = np.concatenate((STEADY[:10], np.full(10, STEADY[9]), STEADY[10:30]))
+    assert silences(np.zeros_like, paused) == [(0.18, 9.0, True), NONE, (0.38, 10.0, True), (0.58, 20.0, True)]
+    counting = silences(lambda index: 0.02 * np.minimum(index, 9), paused)
+    assert counting[1:] == [NONE, (0.2, 10.0, True), (0.4, 20.0, True)]
+    returning = np.concatenate((STEADY[:10], STEADY[9] - 0.01 * np.arange(10)))
+    assert silences(np.zeros_like, returning)[1] == (0.18, 19.0, True)
+
+
+def test_only_an_emergency_stop_takes_the_place_of_what_a_stopped_stage_looks_like() -> None:
+    stop, hot = Trip(TripCause.EMERGENCY_STOP, "pressed"), Trip(TripCause.DRIVE_FAULT, "hot")
+    for cause in TripCause:
+        guard = Guard(GuardSettings())
+        guard.reset(CLEAR)
+        assert guard.explain_standing(stop) is None
+        assert not guard.may_be_stopped
+        latched = Trip(cause, "seen")
+        guard.latch(latched)
+        standing = cause in {TripCause.ENCODER_SILENT, TripCause.FOLLOWING_ERROR, TripCause.NO_MOTION}
+        assert guard.may_be_stopped is standing
+        assert guard.explain_standing(None) is None
+        assert guard.explain_standing(hot) is None
+        assert guard.trip is latched
+        assert guard.explain_standing(stop) is (stop if standing else None)
+        assert guard.trip is (stop if standing else latched)
+        assert guard.explain_silence(1.0, 1.0) is None
+
+
+def test_a_refused_override_frees_nothing() -> None:
+    guard = Guard(GuardSettings())
+    low = pressed(TripCause.LIMIT_SWITCH_LOW)
+    assert guard.override(TravelEnd.LOW, CLEAR) is None
+    assert guard.override(TravelEnd.HIGH, low) is low.fault
+    guard.watch(MOTION)
+    for state in (low, pressed(TripCause.LIMIT_SWITCH_HIGH)):
+        assert state.fault is not None
+        assert not guard.permits(state.fault)

@@ -21,6 +21,7 @@ from dragrig.rig.runfile import (
     read_campaign,
     read_info,
     read_run,
+    read_tail,
     run_file_name,
     store_filtered,
     verify,
@@ -180,42 +181,286 @@ def lose_one_time(values: list[float]) -> Callable[[h5py.File], None]:
     return change
 
 
+def put(place: str, **dataset: object) -> Callable[[h5py.File], None]:
+    """Put a dataset in the place of what is there, or a group where none is given."""
+
+    def change(file: h5py.File) -> None:
+        if place in file:
+            del file[place]
+        file.create_dataset(place, **dataset) if dataset else file.create_group(place)
+
+    return change
+
+
+def lose_attribute(place: str, name: str) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        del file[place].attrs[name]
+
+    return change
+
+
+def filter_with(**columns: object) -> Callable[[h5py.File], None]:
+    def change(file: h5py.File) -> None:
+        for name, values in columns.items():
+            file[f"/entry/filtered/{name}"] = values
+
+    return change
+
+
+EVENT_TYPE = np.dtype([("time_s", "f8"), ("kind", "S4"), ("message", "S4")])
+ISO = "an ISO 8601 time with its offset"
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "sentence"),
     [
-        (set_attribute("/entry/run", "format", "other"), "format"),
-        (set_attribute("/entry/run", "format_version", 3), "newer"),
-        (set_attribute("/entry/run", "format_version", "one"), "format_version"),
-        (set_attribute("/entry/run", "format_version", 0), "format_version"),
-        (set_attribute("/entry/run", "status", "fine"), "status"),
-        (set_attribute("/entry/run", "start_time", "2026-05-04T09:30:00"), "offset"),
-        (set_attribute("/entry/run", "start_time", "yesterday"), "start_time"),
-        (set_attribute("/entry/run", "order", -1), "order"),
-        (set_attribute("/entry/run", "order", 1.5), "order"),
-        (set_attribute("/entry/run", "run_id", "seven"), "UUID"),
-        (set_attribute("/entry/trace", "sample_rate_hz", float("nan")), "sample_rate_hz"),
-        (set_attribute("/entry/trace", "sample_rate_hz", 0.0), "sample_rate_hz"),
-        (set_attribute("/entry/trace", "signal", "weight"), "signal"),
-        (set_attribute("/entry/trace/force", "units", "N"), "'N' instead of 'mN'"),
-        (set_attribute("/entry/trace/phase", "names", ["a", "b"]), "names"),
-        (set_attribute("/entry/specimen", "fixture", "glue"), "fixture"),
-        (set_attribute("/entry/capsule", "mass_g", "heavy"), "mass_g"),
-        (set_attribute("/entry/capsule", "mass_g", float("inf")), "mass_g"),
-        (lose_one_time([np.nan, 0.006]), "NaN"),
-        (lose_one_time([0.006, 0.005]), "rise"),
-        (set_values("force", np.zeros(399, "f4")), "399 samples"),
-        (set_values("force", np.zeros((400, 2), "f4")), "/entry/trace/force"),
-        (set_values("force", np.zeros(400, "i4")), "int32"),
-        (set_values("phase", np.full(400, 9, "u1")), "phase"),
-        (set_values("phase", np.zeros(400, "i8")), "uint8"),
-        (set_values("position", "text"), "/entry/trace/position"),
+        (set_attribute("/", "default", "x"), "the attribute default of / is 'x' instead of 'entry'"),
+        (set_attribute("/entry/run", "format", "other"), "the attribute format of /entry/run is not 'dragrig-run'"),
+        (lose_attribute("/entry/run", "format_version"), "/entry/run lacks the attribute format_version"),
+        *(
+            (
+                set_attribute("/entry/run", "format_version", version),
+                f"the attribute format_version of /entry/run is {version!r} instead of 2",
+            )
+            for version in ("one", 0, 1, True, 2.0)
+        ),
+        (
+            set_attribute("/entry/run", "status", "fine"),
+            "the attribute status of /entry/run is 'fine' instead of one of recording, complete, aborted, tripped, "
+            "failed, recovered",
+        ),
+        (
+            set_attribute("/entry/run", "start_time", "2026-05-04T09:30:00"),
+            f"the attribute start_time of the run is '2026-05-04T09:30:00' instead of {ISO}",
+        ),
+        (
+            set_attribute("/entry/run", "start_time", "yesterday"),
+            f"the attribute start_time of the run is 'yesterday' instead of {ISO}",
+        ),
+        (
+            set_attribute("/entry/run", "end_time", "soon"),
+            f"the attribute end_time of the run is 'soon' instead of {ISO}",
+        ),
+        *(
+            (
+                set_attribute("/entry/run", "order", order),
+                f"the attribute order of /entry/run is {order} instead of a whole number from 0",
+            )
+            for order in (-1, 1.5, True)
+        ),
+        (
+            set_attribute("/entry/run", "order", 2 * 10**9),
+            "the attribute order of /entry/run is 2e+09, and 1e+09 is the most",
+        ),
+        (
+            set_attribute("/entry/run", "run_id", "seven"),
+            "the attribute run_id of the run is 'seven' instead of a UUID",
+        ),
+        (set_attribute("/entry/run", "backend", ""), "the attribute backend of /entry/run is '' instead of text"),
+        (set_attribute("/entry/run", "backend", 7), "the attribute backend of /entry/run is 7 instead of text"),
+        (
+            set_attribute("/entry/run", "note", np.bytes_(b"a\0b")),
+            "the attribute note of /entry/run holds a zero byte",
+        ),
+        (set_attribute("/entry/run", "x", np.zeros(257)), "the attribute x of /entry/run claims 257 values"),
+        (
+            set_attribute("/entry/run", "x", np.zeros(1, [("a", "f4")])),
+            "the attribute x of /entry/run is neither text nor number",
+        ),
+        (
+            set_attribute("/entry/protocol", "kind", "k" * 65),
+            "the attribute kind of /entry/protocol has 65 characters",
+        ),
+        (
+            lose_attribute("/entry/protocol", "speed_mm_s"),
+            "/entry/protocol lacks the attribute speed_mm_s, which the kind drag needs",
+        ),
+        (lose_attribute("/entry/capsule", "mass_g"), "/entry/capsule lacks the attribute mass_g"),
+        (
+            set_attribute("/entry/trace", "sample_rate_hz", float("nan")),
+            "the attribute sample_rate_hz of /entry/trace is nan instead of a positive number",
+        ),
+        (
+            set_attribute("/entry/trace", "sample_rate_hz", 0.0),
+            "the attribute sample_rate_hz of /entry/trace is 0.0 instead of a positive number",
+        ),
+        *(
+            (
+                set_attribute("/entry/trace", "sample_rate_hz", rate),
+                f"the attribute sample_rate_hz of /entry/trace is {rate:g}, and the samples are 0.001 s apart",
+            )
+            for rate in (2001.0, 499.0)
+        ),
+        (
+            set_attribute("/entry/trace", "signal", "weight"),
+            "the attribute signal of /entry/trace is 'weight' instead of one of force, motor_force",
+        ),
+        (
+            set_attribute("/entry/trace/force", "units", "N"),
+            "the attribute units of /entry/trace/force is 'N' instead of 'mN'",
+        ),
+        (lose_attribute("/entry/trace/force", "units"), "/entry/trace/force lacks the attribute units"),
+        (
+            set_attribute("/entry/trace/phase", "names", ["a", "b"]),
+            "the attribute names of /entry/trace/phase is not rest, accelerate, steady, decelerate, hold",
+        ),
+        (lose_attribute("/entry/trace/phase", "names"), "/entry/trace/phase lacks the attribute names"),
+        (
+            set_attribute("/entry/specimen", "fixture", "glue"),
+            "the attribute fixture of /entry/specimen is 'glue' instead of one of foam, vacuum, none",
+        ),
+        *(
+            (
+                set_attribute("/entry/capsule", "mass_g", mass),
+                f"the attribute mass_g of /entry/capsule is {mass!r} instead of a number",
+            )
+            for mass in ("heavy", float("inf"), True)
+        ),
+        (
+            set_attribute("/entry/capsule", "length_mm", -2e6),
+            "the attribute length_mm of /entry/capsule is -2e+06, and 1e+06 is the most",
+        ),
+        (lose_one_time([np.nan, 0.006]), "/entry/trace/time holds NaN or infinity"),
+        (lose_one_time([0.006, 0.005]), "/entry/trace/time does not rise from sample to sample"),
+        (lose_one_time([0.005, 0.005]), "/entry/trace/time does not rise from sample to sample"),
+        (set_values("force", np.zeros(399, "f4")), "/entry/trace/force has 399 samples, /entry/trace/time 400"),
+        (set_values("force", np.zeros((400, 2), "f4")), "/entry/trace/force is not a row of samples"),
+        (set_values("force", np.zeros(400, "i4")), "/entry/trace/force holds int32 instead of float32 or float64"),
+        (set_values("force", np.zeros(400, "f2")), "/entry/trace/force holds float16 instead of float32 or float64"),
+        (set_values("force", np.full(400, 1.1e9, "f4")), "/entry/trace/force holds values beyond 1e+09"),
+        (set_values("force", np.full(400, -1.1e9, "f4")), "/entry/trace/force holds values beyond 1e+09"),
+        (set_values("phase", np.full(400, 9, "u1")), "/entry/trace/phase holds 9, above 4"),
+        (set_values("phase", np.full(400, 5, "u1")), "/entry/trace/phase holds 5, above 4"),
+        (set_values("phase", np.zeros(400, "i8")), "/entry/trace/phase holds int64 instead of uint8"),
+        (set_values("position", "text"), "/entry/trace/position is not a row of samples"),
+        (put("/entry/trace/motor_force"), "/entry/trace/motor_force is not a row of samples"),
+        (put("/entry/trace/time"), "the dataset /entry/trace/time is missing"),
+        (put("/entry/trace", data=1.0), "the group /entry/trace is missing"),
+        *(
+            (put("/entry/run/events", data=data), "/entry/run/events is not a table of time_s, kind, message")
+            for data in (np.zeros(3), np.zeros((2, 2), EVENT_TYPE))
+        ),
+        (put("/entry/run/settings", data=np.zeros(2)), "/entry/run/settings is not a single text"),
+        (put("/entry/filtered", data=1.0), "the group /entry/filtered is missing"),
+        (put("/entry/filtered/x"), "/entry/filtered/x is not a row of numbers"),
+        *(
+            (filter_with(time=np.arange(3.0), force=force), "/entry/filtered/force is not a row of numbers")
+            for force in (np.zeros(3, "i4"), np.zeros((3, 1)))
+        ),
+        (filter_with(force=np.zeros(3)), "the dataset /entry/filtered/time is missing"),
+        (
+            filter_with(time=np.arange(3.0), force=np.zeros(4)),
+            "the datasets of /entry/filtered differ in length",
+        ),
     ],
 )
-def test_what_breaks_the_format_is_named(tmp_path: Path, change: Callable[[h5py.File], None], message: str) -> None:
+def test_what_breaks_the_format_is_named(tmp_path: Path, change: Callable[[h5py.File], None], sentence: str) -> None:
     path = whole(tmp_path / "run.h5")
     with h5py.File(path, "r+") as file:
         change(file)
-    assert message in refused(path)
+    assert refused(path) == (
+        f"{path}: {sentence}; this is not a whole run file, restore it from a copy or bring the data in with "
+        "`dragrig import`"
+    )
+
+
+def test_a_newer_format_asks_for_a_newer_program(tmp_path: Path) -> None:
+    path = whole(tmp_path / "run.h5")
+    with h5py.File(path, "r+") as file:
+        file["/entry/run"].attrs["format_version"] = 3
+    assert refused(path) == f"{path}: has format_version 3; this dragrig reads versions up to 2, install a newer one"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (set_attribute("/entry/run", "order", 10**9), ""),
+        (set_attribute("/entry/capsule", "length_mm", 1e6), ""),
+        (set_attribute("/entry/capsule", "mass_g", 50), ""),
+        (set_attribute("/entry/capsule", "mass_g", float("nan")), ""),
+        (set_attribute("/entry/run", "x", np.zeros(256)), ""),
+        (set_attribute("/entry/protocol", "kind", "k" * 64), ""),
+        (set_attribute("/entry/trace", "sample_rate_hz", 1999.0), ""),
+        (set_attribute("/entry/trace", "sample_rate_hz", 501.0), ""),
+        (set_values("force", np.full(400, 0.9e9, "f4")), ""),
+        (set_values("force", np.full(400, np.nan, "f4")), ""),
+        (set_values("phase", np.full(400, 4, "u1")), ""),
+        (put("/entry/trace/odd", data=np.full(400, 1e30)), "units"),
+    ],
+)
+def test_what_only_just_fits_is_read(tmp_path: Path, change: Callable[[h5py.File], None], message: str) -> None:
+    path = whole(tmp_path / "run.h5")
+    with h5py.File(path, "r+") as file:
+        change(file)
+    if message:
+        assert message in refused(path)
+    else:
+        assert read_run(path).info.samples == 400
+
+
+def test_attributes_become_plain_values_and_lists_text(tmp_path: Path) -> None:
+    path = whole(tmp_path / "run.h5")
+    given: dict[str, object] = {
+        "one": np.array([7]), "list": np.array([1.5, 2.0]), "words": ["a", "µ"], "bytes": np.bytes_(b"ab\xff"),
+        "truth": True, "nothing": h5py.Empty("f"), "empty": np.zeros(0), "whole": np.uint8(3), "none": "",
+    }  # fmt: skip
+    with h5py.File(path, "r+") as file:
+        file["/entry/run"].attrs.update(given)
+    entry = read_info(path).header.entry
+    assert {name: entry[name] for name in given} == {
+        "one": 7, "list": "1.5, 2.0", "words": "a, µ", "bytes": "ab\ufffd", "truth": True, "nothing": "", "empty": "",
+        "whole": 3,
+        "none": "",
+    }  # fmt: skip
+    assert type(entry["truth"]) is bool
+    assert type(entry["whole"]) is int
+
+
+def test_the_tail_of_a_run_counts_all_of_it(tmp_path: Path) -> None:
+    path = whole(tmp_path / "run.h5")
+    for duration_s, samples in ((0.1, 100), (0.0004, 1), (9.0, 400)):
+        tail = read_tail(path, duration_s)
+        assert tail.info.samples == 400
+        np.testing.assert_array_equal(tail.trace.time, arrays(400 - samples, samples)["time"])
+        np.testing.assert_array_equal(tail.trace.force, arrays(400 - samples, samples)["force"])
+    assert [event.kind for event in tail.events] == ["phase"]
+
+
+@pytest.mark.parametrize(("counted", "samples"), [(250, 250), (-3, 0), (500, 400), (None, 400)])
+def test_a_recording_is_read_as_far_as_it_says_it_is_valid(tmp_path: Path, counted: int | None, samples: int) -> None:
+    path = whole(tmp_path / "run.h5")
+    with h5py.File(path, "r+") as file:
+        file["/entry/run"].attrs["status"] = "recording"
+        if counted is not None:
+            file["/entry/run/valid_samples"] = [counted]
+            file["/entry/run/valid_events"] = np.array([0])
+    run = read_run(path)
+    assert (run.info.samples, len(run.trace.time), len(run.trace.force)) == (samples,) * 3
+    assert len(run.events) == (1 if counted is None else 0)
+
+
+@pytest.mark.parametrize("count", [np.zeros(2, "i4"), 1.0])
+def test_a_recording_that_counts_badly_is_refused(tmp_path: Path, count: object) -> None:
+    path = whole(tmp_path / "run.h5")
+    with h5py.File(path, "r+") as file:
+        file["/entry/run"].attrs["status"] = "recording"
+        file["/entry/run/valid_samples"] = count
+    assert "/entry/run/valid_samples is not a count;" in refused(path)
+
+
+def test_a_filtered_trace_comes_back_with_its_units_and_parameters(tmp_path: Path) -> None:
+    path = whole(tmp_path / "run.h5")
+    stored = FilteredTrace(
+        time=np.arange(400) / 1000, channels={"force": np.arange(400.0)}, parameters={"window_s": 0.04, "order": 2},
+        units={"force": "mN"},
+    )  # fmt: skip
+    store_filtered(path, stored)
+    found = read_run(path).filtered
+    assert found is not None
+    assert (found.units, dict(found.parameters)) == ({"force": "mN"}, {"window_s": 0.04, "order": 2})
+    for values, given_values in ((found.time, stored.time), (found.channels["force"], stored.channels["force"])):
+        np.testing.assert_array_equal(values, given_values)
+    assert not found.channels["force"].flags.writeable
 
 
 def test_a_shape_that_the_file_cannot_hold_asks_for_no_memory(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The recorder: whatever the blocks, the file is the same; what flows in is on disk soon; a full disk is said."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -19,10 +20,20 @@ from hypothesis import strategies as st
 from disks import is_root, mounted
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
 from dragrig.rig.engine import Store
-from dragrig.rig.runfile import FolderStore, Recorder, finish, read_info, read_run, recover, verify
+from dragrig.rig.runfile import FolderStore, Recorder, finish, read_info, read_run, recorder, recover, schema, verify
 from dragrig.rig.runfile.finisher import finish_here
-from dragrig.rig.runfile.model import Run, RunEvent, RunStatus
-from dragrig.rig.runfile.recorder import SampleRing
+from dragrig.rig.runfile.model import Run, RunEnding, RunEvent, RunStatus
+from dragrig.rig.runfile.recorder import (
+    DiskSpace,
+    FileSyncer,
+    RecordingFile,
+    SampleRing,
+    create_recording,
+    ending_annotation,
+    entry_annotation,
+    read_annotations,
+    rebuild,
+)
 from places import SUPPORT
 from property_tests import examples
 from runfiles import START, arrays, blocks, header, record
@@ -361,3 +372,336 @@ def test_a_disk_that_refuses_to_remove_a_recording_is_said_in_a_sentence(tmp_pat
     assert "is whole and in place, but the disk refuses to remove the recording" in str(result.error)
     assert verify(tmp_path / "run.h5").holds
     assert finish_here(recording).path == tmp_path / "run.h5"
+
+
+# The parts of the recorder, each by itself
+
+
+def test_a_ring_hands_over_views_at_its_end_and_at_its_begin() -> None:
+    ring = SampleRing({"time": np.dtype("f8"), "phase": np.dtype("u1")}, 8)
+    given = {"time": np.arange(6.0), "phase": np.arange(6, dtype="u1")}
+    assert ring.put(given)
+    assert [columns["time"].tolist() for columns in ring.take()] == [[0, 1, 2, 3, 4, 5]]
+    assert ring.put({"time": np.arange(6.0, 11.0), "phase": np.arange(6, 11, dtype="u1")})
+    pieces = [(columns["time"].tolist(), columns["phase"].tolist()) for columns in ring.take()]
+    assert pieces == [([6, 7], [6, 7]), ([8, 9, 10], [8, 9, 10])]
+    assert list(ring.take()) == []
+
+
+def test_a_ring_wakes_its_consumer_at_a_quarter_and_says_when_it_is_closed() -> None:
+    ring = SampleRing({"time": np.dtype("f8")}, 8)
+    woken = threading.Thread(target=ring.wait, args=(600.0,))
+    woken.start()
+    ring.put({"time": np.zeros(1)})
+    woken.join(0.05)
+    assert woken.is_alive()
+    ring.put({"time": np.zeros(1)})
+    woken.join(60.0)
+    assert not woken.is_alive()
+    assert ring.wait(600.0) is False
+    ring.close()
+    assert ring.wait(600.0) is True
+    assert ring.put({"time": np.zeros(1)}) is False
+
+
+def test_a_ring_without_room_lets_its_producer_wait() -> None:
+    ring = SampleRing({"time": np.dtype("f8")}, 4)
+    put: list[bool] = []
+    producer = threading.Thread(target=lambda: put.append(ring.put({"time": np.arange(6.0)})))
+    producer.start()
+    taken: list[float] = []
+    while len(taken) < 6:
+        ring.wait(60.0) if len(taken) < 4 else None
+        for columns in ring.take():
+            taken.extend(columns["time"].tolist())  # type: ignore[arg-type]
+    producer.join(60.0)
+    assert (put, taken) == ([True], [0, 1, 2, 3, 4, 5])
+    full = threading.Thread(target=lambda: put.append(ring.put({"time": np.arange(9.0)})))
+    full.start()
+    full.join(0.05)
+    assert full.is_alive()
+    ring.close()
+    full.join(60.0)
+    assert put == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("run_bytes", "written", "needed"),
+    [(1000, 0, 3000), (1000, 400, 2200), (1000, 1000, 1000), (1000, 5000, 5000), (0, 0, 0)],
+)
+def test_a_run_needs_room_for_what_is_to_come_twice_and_for_its_copy(
+    tmp_path: Path, run_bytes: int, written: int, needed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    space = DiskSpace(tmp_path, 70_000_000, run_bytes * 1_000_000)
+    monkeypatch.setattr(recorder, "free_bytes", lambda folder: 70_000_000 + needed * 1_000_000)
+    assert space.shortage(written * 1_000_000) is None
+    monkeypatch.setattr(recorder, "free_bytes", lambda folder: 70_000_000 + needed * 1_000_000 - 1_000_000)
+    assert space.shortage(written * 1_000_000) == (
+        f"{tmp_path}: {needed + 69:.1f} MB are free and {needed + 70:.1f} MB needed; make room"
+    )
+
+
+def offered_without_end(recording: Recorder, first: int, step: int) -> None:
+    while True:
+        recording.offer(first, arrays(first, step))
+        first += step
+
+
+class FullDisk:
+    """A disk whose free room a test says."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.free = 1 << 60
+        monkeypatch.setattr(recorder, "free_bytes", lambda folder: self.free)
+
+
+def test_a_disk_that_fills_up_is_said_once_and_what_is_still_sampled_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = FullDisk(monkeypatch)
+    path = tmp_path / "run.h5"
+    with Recorder(path, header(), flush_s=0.001, reserve_bytes=1_000_000) as recording:
+        recording.offer(0, arrays(0, 100))
+        assert recording.failure is None
+        disk.free = 0
+        with pytest.raises(RecordingError) as caught:
+            offered_without_end(recording, 100, 10)
+        first = recording._next_index
+        assert re.fullmatch(
+            rf"{re.escape(str(tmp_path))}: 0\.0 MB are free and 1\.\d MB needed; make room", str(caught.value)
+        )
+        assert str(recording.failure) == str(caught.value)
+        recording.offer(first, arrays(first, 10))
+        left = recording.close(RunStatus.FAILED, "no room")
+    run = read_run(finish(left))
+    assert run.info.samples == first + 10
+    assert (run.info.status, run.info.reason) == (RunStatus.FAILED, "no room")
+
+
+def test_a_disk_that_refuses_is_said_with_the_file_and_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.h5"
+
+    def refuse(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    recording = Recorder(path, header(), flush_s=0.001, reserve_bytes=0)
+    recording.offer(0, arrays(0, 100))
+    recording.event(RunEvent(0.0, "start", "drag"))
+    monkeypatch.setattr(recorder.RecordingFile, "append", refuse)
+    with pytest.raises(RecordingError) as caught:
+        offered_without_end(recording, 100, 10_000)
+    sentence = (
+        f"{tmp_path / 'run.recording.h5'}: the disk refused data (No space left on device); make room, then "
+        "`dragrig recover` finishes what was recorded"
+    )
+    assert str(caught.value) == sentence
+    assert str(recording.failure) == sentence
+    for _ in range(2):
+        with pytest.raises(RecordingError, match="the disk refused data"):
+            recording.close(RunStatus.FAILED)
+    monkeypatch.undo()
+    (recovered,) = recover(tmp_path)
+    assert recovered.path is not None
+
+
+def test_a_sync_that_fails_is_raised_by_the_next_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path) -> None:
+        raise OSError(5, "Input/output error")
+
+    target = tmp_path / "journal"
+    target.write_bytes(b"x")
+    monkeypatch.setattr(recorder, "sync_file", refuse)
+    syncer = FileSyncer(target)
+    syncer.request()
+    syncer.close()
+    with pytest.raises(OSError, match="Input/output error"):
+        syncer.request()
+
+
+def test_every_request_is_synced_before_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[Path] = []
+    monkeypatch.setattr(recorder, "sync_file", synced.append)
+    target = tmp_path / "journal"
+    syncer = FileSyncer(target)
+    assert {thread.name for thread in syncer._threads} == {"sync of journal"}
+    assert all(thread.daemon for thread in syncer._threads)
+    syncer.close()
+    assert synced == []
+    syncer = FileSyncer(target)
+    syncer.request()
+    syncer.close()
+    assert synced == [target]
+    assert not any(thread.is_alive() for thread in syncer._threads)
+
+
+ENDING = RunEnding(RunStatus.TRIPPED, "force", START, {"lost_samples": 3})
+
+
+def test_what_became_known_during_a_run_is_read_in_its_order(tmp_path: Path) -> None:
+    left = record(tmp_path / "run.h5", 10)
+    with h5py.File(left) as file:
+        entry, ending = read_annotations(file, schema.LAYOUT)
+    assert entry == {}
+    assert ending == RunEnding(RunStatus.COMPLETE, "as planned", START, {"rest_offset_mN": 1.5, "clipped": False})
+    lines = [
+        entry_annotation({"a": 1, "b": "µ"}), ending_annotation(ENDING), entry_annotation({"a": 2.5}),
+        ending_annotation(replace(ENDING, end_time=None, status=RunStatus.FAILED)),
+    ]  # fmt: skip
+    recording = create_recording(tmp_path / "other.recording.h5", header())
+    file = RecordingFile(tmp_path / "other.recording.h5", recording)
+    file.append_annotations(lines[:2])
+    file.flush()
+    file.append_annotations(lines[2:3])
+    with h5py.File(tmp_path / "other.recording.h5", swmr=True, locking=False) as early:
+        assert read_annotations(early, schema.LAYOUT) == ({"a": 1, "b": "µ"}, ENDING)
+    file.append_annotations(lines[3:])
+    file.flush()
+    file.close()
+    with h5py.File(tmp_path / "other.recording.h5") as whole:
+        assert read_annotations(whole, schema.LAYOUT) == (
+            {"a": 2.5, "b": "µ"}, RunEnding(RunStatus.FAILED, "force", None, {"lost_samples": 3}),
+        )  # fmt: skip
+        del whole
+    with h5py.File(tmp_path / "bare.h5", "w") as bare:
+        assert read_annotations(bare, schema.LAYOUT) == ({}, None)
+
+
+def test_a_recording_is_made_anew_from_its_journal(tmp_path: Path) -> None:
+    path = tmp_path / "run.recording.h5"
+    journal = create_recording(path, header())
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.recording.h5", "run.recording.journal"]
+    file = RecordingFile(path, journal)
+    assert file.written_bytes == 0
+    file.append(arrays(0, 100))
+    file.append_events([RunEvent(0.0, "start", "drag")])
+    file.append(arrays(100, 50))
+    file.append_annotations([entry_annotation({"note": "x"}), ending_annotation(ENDING)])
+    assert file.samples == 150
+    assert file.written_bytes == 150 * (8 + 4 * 4 + 1)
+    file.flush()
+    file.close()
+    path.write_bytes(b"destroyed")
+    rebuild(path)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["run.recording.h5", "run.recording.journal"]
+    run = read_run(finish(path))
+    same(run, arrays(0, 150))
+    assert [event.kind for event in run.events] == ["start"]
+    assert (run.info.status, run.info.reason) == (RunStatus.TRIPPED, "force")
+    assert run.info.header.entry["note"] == "x"
+
+
+def test_a_journal_of_nothing_leaves_the_recording_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "run.recording.h5"
+    path.write_bytes(b"as it was")
+    (tmp_path / "run.recording.journal").write_bytes(b"no frame")
+    rebuild(path)
+    assert path.read_bytes() == b"as it was"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_recording_that_cannot_be_named_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(13, "Permission denied")
+
+    for step in ("rename_into_place", "sync_folder", "sync_file", "write_header"):
+        with monkeypatch.context() as patch:
+            patch.setattr(recorder, step, refuse)
+            with pytest.raises(OutputError) as caught:
+                Recorder(tmp_path / "run.h5", header(), reserve_bytes=0)
+        assert str(caught.value) == (
+            f"{tmp_path / 'run.recording.h5'}: could not be made (Permission denied); choose another folder"
+        )
+        assert not (tmp_path / "run.recording.journal").exists()
+        assert not list(tmp_path.glob("*.part"))
+        (tmp_path / "run.recording.h5").unlink(missing_ok=True)
+
+
+def test_what_stands_in_the_way_of_a_run_is_named(tmp_path: Path) -> None:
+    for name in ("run.h5", "run.recording.h5", "run.recording.journal"):
+        taken = tmp_path / name
+        taken.write_bytes(b"")
+        with pytest.raises(OutputError) as caught:
+            Recorder(tmp_path / "run.h5", header(), reserve_bytes=0)
+        assert str(caught.value) == f"{taken}: there is a run file already; choose another name"
+        taken.unlink()
+    with pytest.raises(RunFileError) as refused:
+        Recorder(tmp_path / "run.h5", replace(header(), capsule={}))
+    assert str(refused.value) == (
+        f"{tmp_path / 'run.h5'}: cannot be recorded because /entry/capsule lacks the attribute diameter_mm; correct "
+        "the settings"
+    )
+
+
+NAMES = "command, force, motor_force, phase, position, time"
+
+
+@pytest.mark.parametrize(
+    ("first", "change", "sentence"),
+    [
+        (50, lambda block: block, "samples from 50 on are not expected, 100 comes next"),
+        (100, lambda block: {**block, "extra": block["force"]},
+         f"got command, extra, force, motor_force, phase, position, time instead of {NAMES}"),
+        (100, lambda block: {"time": block["time"]}, f"got time instead of {NAMES}"),
+        (100, lambda block: {**block, "force": block["force"][:5]}, "force has shape (5,) instead of (10,)"),
+        (100, lambda block: {**block, "time": block["time"][:, None]}, "time has shape (10, 1) instead of (10,)"),
+        (100, lambda block: {**block, "force": block["force"] * 1j},
+         "force is complex64, which float32 cannot hold"),
+        (100, lambda block: {**block, "phase": block["phase"].astype("f4")},
+         "phase is float32, which uint8 cannot hold"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_said(
+    tmp_path: Path, first: int, change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray]], sentence: str
+) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recording:
+        recording.offer(0, arrays(0, 100))
+        with pytest.raises(ValueError, match=re.escape(sentence)) as caught:
+            recording.offer(first, change(arrays(first, 10)))
+        assert str(caught.value) == sentence
+        recording.close(RunStatus.COMPLETE)
+        with pytest.raises(ValueError, match="samples from 100 on are not expected, 100 comes next"):
+            recording.offer(100, arrays(100, 1))
+
+
+def test_wider_numbers_than_the_files_are_taken(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recording:
+        recording.offer(0, {name: column.astype("f8") if column.dtype == "f4" else column
+                            for name, column in arrays(0, 10).items()})  # fmt: skip
+        left = recording.close(RunStatus.COMPLETE)
+    same(read_run(finish(left)), arrays(0, 10))
+
+
+def test_a_recorder_that_is_left_open_says_so(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recording:
+        assert recording.path == tmp_path / "run.recording.h5"
+        recording.offer(0, arrays(0, 100))
+    info = read_info(finish(recording.path))
+    assert (info.status, info.reason) == (RunStatus.FAILED, "the recorder was left before the run was closed")
+
+
+def test_a_disk_that_does_not_answer_is_not_waited_for_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = threading.Event()
+    flush = recorder.RecordingFile.flush
+
+    def late(file: RecordingFile) -> None:
+        answers.wait(600.0)
+        flush(file)
+
+    monkeypatch.setattr(recorder.RecordingFile, "flush", late)
+    monkeypatch.setattr(recorder, "MAX_CLOSE_S", 0.05)
+    recording = Recorder(tmp_path / "run.h5", header(), reserve_bytes=0)
+    recording.offer(0, arrays(0, 10))
+    with pytest.raises(RecordingError) as caught:
+        recording.close(RunStatus.COMPLETE)
+    assert str(caught.value) == (
+        f"{tmp_path / 'run.recording.h5'}: the disk has not taken the last samples for 0.05 s; what it has taken is "
+        "kept: check the disk, then `dragrig recover`"
+    )
+    answers.set()
+    recording._thread.join(60.0)
+    assert not recording._thread.is_alive()
+    assert recording._thread.name == "recorder of run.recording.h5"
