@@ -1,6 +1,7 @@
-"""A diagnosis from run files to the answer: nothing, an effect, two, something that nobody knows, and the way back."""
+"""A diagnosis from run files to the answer: nothing, an effect, something that nobody knows, and the way back."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,12 +9,14 @@ import pytest
 from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
+from dragrig.analysis.gap.features import shipped_calibration
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
 from dragrig.analysis.selection import RunSelection
-from dragrig.api.gap import save_amended_model
+from dragrig.api.gap import diagnosis_options, save_amended_model
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.present.diagnosis import diagnosis_json
+from dragrig.sim_backend.effects import catalogue
 from hidden import hidden, simulated
 from places import CAMPAIGN
 
@@ -43,6 +46,10 @@ def test_a_campaign_without_a_gap_says_what_would_have_been_seen(tmp_path: Path)
     assert set(nothing.where.location("channel").shares.values()) == {0.0}
     assert nothing.shrink is not None
     assert nothing.shrink.closed is None
+    assert nothing.budget is not None
+    assert nothing.budget.entries == nothing.budget.runs == ()
+    assert set(nothing.budget.presence) == set(catalogue())
+    assert max(nothing.budget.presence.values()) < 0.2
 
 
 def test_an_effect_is_named_with_its_size_and_closes_the_gap(diagnosis: Diagnosis) -> None:
@@ -70,6 +77,14 @@ def test_without_the_right_effect_the_answer_is_less_sure(stribeck: RunSelection
     assert "drag" in case.unknown.location
 
 
+def test_a_calibration_of_ones_own_decides(stribeck: RunSelection, diagnosis: Diagnosis, tmp_path: Path) -> None:
+    file = tmp_path / "stern.json"
+    file.write_text(shipped_calibration().model_copy(update={"weights": {"known": -50.0}}).model_dump_json(), "utf-8")
+    options = replace(diagnosis_options((), None, file), next_runs=None)
+    assert diagnosis.effects == ("stribeck",)
+    assert diagnose(stribeck, MODEL, options).effects == ()
+
+
 def test_what_no_effect_explains_is_unknown_and_has_a_place(tmp_path: Path) -> None:
     diagnosis = diagnose(hidden(tmp_path, 18, "stick_slip"), MODEL)
     assert (diagnosis.verdict, diagnosis.effects, diagnosis.model) == (Verdict.UNKNOWN, (), None)
@@ -94,13 +109,6 @@ def test_a_wrong_encoder_is_found_in_the_position(tmp_path: Path) -> None:
     assert diagnosis.where.location("channel").shares["position"] > 0.9
     assert diagnosis.model is not None
     assert [effect.id for effect in diagnosis.model.effects] == ["encoder_scale"]
-
-
-def test_two_effects_are_both_named(tmp_path: Path) -> None:
-    diagnosis = diagnose(hidden(tmp_path, 20, "arm_compliance", "film_depletion"), MODEL)
-    assert diagnosis.verdict is Verdict.SEVERAL
-    assert set(diagnosis.effects) == {"arm_compliance", "film_depletion"}
-    assert diagnosis.ranking[0].hypothesis == "+".join(diagnosis.effects)
 
 
 def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis, tmp_path: Path) -> None:

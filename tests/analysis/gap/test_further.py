@@ -70,7 +70,11 @@ def test_another_form_of_an_effect_counts_for_little_and_what_acts_elsewhere_as_
 
 @pytest.mark.parametrize(
     ("seed", "strong", "weak"),
-    [(61, "mesentery_tether", "adhesion"), (64, "extra_relaxation", "adhesion"), (66, "film_depletion", "adhesion")],
+    [
+        (61, "mesentery_tether", "adhesion"),
+        pytest.param(64, "extra_relaxation", "adhesion", marks=pytest.mark.thorough),
+        pytest.param(66, "film_depletion", "adhesion", marks=pytest.mark.thorough),
+    ],
 )
 def test_a_weak_effect_is_named_beside_a_strong_one(tmp_path: Path, seed: int, strong: str, weak: str) -> None:
     """What the strong one's foreign form leaves is larger than the weak one, and is not called an effect."""
