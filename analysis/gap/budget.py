@@ -135,22 +135,24 @@ def gap_budget(
                 BudgetEntry(UNEXPLAINED, "position", 1.0 - share, rest, None),
             )
     runs = force.runs if entries else ()
-    presence = presence_of_effects(causes, classification, in_position)
+    presence = presence_of_effects(causes.effects, classification, in_position)
     return GapBudget(presence, entries, gap_mN, force.held_out, runs)
 
 
 def presence_of_effects(
-    causes: CausesOfGap, classification: Classification, in_position: Collection[str]
+    on_force: Mapping[str, float], classification: Classification, in_position: Collection[str]
 ) -> Mapping[str, float]:
     """Return the probability that each effect is there, by its id.
 
     Parameters
     ----------
+    on_force
+        Probability of each effect on the force.
     in_position
         Effects that may be in the errors of the position.
     """
     elsewhere = {name: classification.marginal(name) for name in (hum_effect().id, *in_position)}
-    presence = dict.fromkeys(effect_ids(), MIN_PROBABILITY) | dict(causes.effects) | elsewhere
+    presence = dict.fromkeys(effect_ids(), MIN_PROBABILITY) | dict(on_force) | elsewhere
     return {name: min(max(value, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY) for name, value in presence.items()}
 
 

@@ -29,25 +29,14 @@ from dragrig.analysis.gap.diagnosis import (
     RunContributions,
     Verdict,
 )
-from dragrig.analysis.gap.forward_selection import (
-    ForceSearchResult,
-)
-from dragrig.analysis.gap.gap_reduction import (
-    held_out_improvement,
-)
+from dragrig.analysis.gap.forward_selection import ForceSearchResult
+from dragrig.analysis.gap.gap_reduction import held_out_improvement
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit
 from dragrig.analysis.gap.isolability import detection_limit
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
 from dragrig.analysis.gap.next_run import Recommendation, recommend_next_run
-from dragrig.analysis.gap.position_channel import (
-    PositionAnalysis,
-    contribution_to_position,
-    share_of_position,
-)
-from dragrig.analysis.gap.spectral_lines import (
-    SpectralLine,
-    SpectralLines,
-)
+from dragrig.analysis.gap.position_channel import PositionAnalysis, contribution_to_position, share_of_position
+from dragrig.analysis.gap.spectral_lines import SpectralLine, SpectralLines
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
 from dragrig.analysis.gap.weighing import DiagnosisOptions, WeighedCauses, weigh_causes
 from dragrig.config import DiagnosisSummary, EffectSettings, ModelSettings
@@ -185,12 +174,13 @@ def diagnose(
     weighing, telling = parts_of(progress, WEIGHING_COST, TELLING_COST)
     weighed = weigh_causes(selection, nominal, options, weighing)
     start = perf_counter()
-    diagnosis = _told(weighed)
+    diagnosis = tell(weighed)
     telling(1, 1)
     return replace(diagnosis, timings_s={**weighed.timings_s, "telling": perf_counter() - start})
 
 
-def _told(weighed: WeighedCauses) -> Diagnosis:
+def tell(weighed: WeighedCauses) -> Diagnosis:
+    """Tell all that follows from weighed causes."""
     study, search, position, lines = weighed.study, weighed.search, weighed.position, weighed.lines
     options, selection, fit, blocks = weighed.options, weighed.selection, weighed.fit, weighed.blocks
     classification = weighed.verdict

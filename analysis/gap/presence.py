@@ -678,17 +678,21 @@ def judge_presence(competition: Competition) -> Presence:
             smaller = current[:dropped] + current[dropped + 1 :]
             if smaller not in log_odds:
                 log_odds[smaller] = evidence.log_odds(smaller)
-    sets = list(log_odds)
-    values = np.array([log_odds[key] for key in sets])
+    return presence_of(competition.causes, log_odds)
+
+
+def presence_of(causes: Sequence[Cause], log_odds: Mapping[CauseSet, float]) -> Presence:
+    """Return the probability that each cause is there, by the log posterior odds of the sets that were compared."""
+    values = np.array(list(log_odds.values()))
     weights = np.exp(values - values.max())
     weights /= weights.sum()
-    probabilities = dict.fromkeys((cause.name for cause in competition.causes), 0.0)
-    for key, weight in zip(sets, weights.tolist(), strict=True):
+    probabilities = dict.fromkeys((cause.name for cause in causes), 0.0)
+    for key, weight in zip(log_odds, weights.tolist(), strict=True):
         for index, _ in key:
-            probabilities[competition.causes[index].name] += weight
+            probabilities[causes[index].name] += weight
     return Presence(
         {name: min(value, 1.0) for name, value in probabilities.items()},
-        {cause.name: cause.kind for cause in competition.causes},
+        {cause.name: cause.kind for cause in causes},
         log_odds,
     )
 

@@ -175,6 +175,11 @@ MIN_LLR_AND_SHARE_WITH_MOTION_ERROR = 0.5 * MIN_LLR_BESIDE_POSITION, 0.3
 the excess for an effect to be fitted."""
 
 
+def equals_noise(gap_mN: float, floor_mN: float, place_p: float) -> bool:
+    """Whether a gap is no larger than its own floor, and concentrated nowhere, by the p-value of its place."""
+    return gap_mN <= MAX_GAP_OVER_FLOOR * floor_mN and place_p >= ALPHA
+
+
 @dataclass(frozen=True, slots=True)
 class DiagnosisOptions:
     """Options of a diagnosis."""
@@ -288,9 +293,8 @@ class WeighedCauses:
         if not unknown_by_excess_alone(self.inputs, judged, tolerance_mN, calibration):
             return judged
         reduction, where = self.held_out[0], localise(self.blocks, present=True)
-        # A gap no larger than its own floor, and concentrated nowhere.
-        small = reduction is not None and reduction.gap_before_mN <= MAX_GAP_OVER_FLOOR * reduction.noise_floor_mN
-        return as_misjudged_noise(judged) if small and where.p >= ALPHA else judged
+        noise = reduction is not None and equals_noise(reduction.gap_before_mN, reduction.noise_floor_mN, where.p)
+        return as_misjudged_noise(judged) if noise else judged
 
     @property
     def in_position(self) -> frozenset[str]:
@@ -301,7 +305,7 @@ class WeighedCauses:
     @property
     def presence(self) -> Mapping[str, float]:
         """Probability that each effect is there, by its id."""
-        return presence_of_effects(self.causes, self.verdict, self.in_position)
+        return presence_of_effects(self.causes.effects, self.verdict, self.in_position)
 
 
 @single_blas_thread()

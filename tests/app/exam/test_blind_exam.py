@@ -252,6 +252,7 @@ def test_what_a_killed_worker_had_begun_to_write_is_cleared_by_its_exam(tmp_path
     assert len(list((out / "campaigns" / "0001").glob("*.h5"))) >= 27
 
 
+@pytest.mark.thorough
 def test_the_diagnosis_is_as_right_as_it_was() -> None:
     """A short exam. Where 93 % of verdicts are right, one such exam in a hundred and twenty has fewer than 9 of 12."""
     exam = gap_blind(12, SEED, workers=2, sizes=False)
