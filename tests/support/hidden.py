@@ -6,7 +6,7 @@ from pathlib import Path
 
 import dragrig
 from dragrig.analysis.gap.run_data import choose_runs
-from dragrig.analysis.models.experiment import SOURCE_KEY, START_UNKNOWN_KEY
+from dragrig.analysis.models.experiment import SOURCE_KEY, START_UNKNOWN_KEY, Experiment
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
@@ -25,21 +25,26 @@ PLAN = {
 
 
 def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0) -> RunSelection:
-    """Return a campaign of the blind plant, every condition once and some twice, read back from its files."""
+    """Return some runs of a campaign of the blind plant, read back from its files."""
     write_campaign(draw_campaign(seed, effects=effects, size=size), folder)
     return thinned(choose_runs(folder))
 
 
 def thinned(whole: RunSelection) -> RunSelection:
-    seen: dict[tuple[str, object], int] = {}
-    remaining = []
+    """Keep every second speed or strain of each kind of run once, and drags at 2 mm/s twice."""
+    groups: dict[tuple[str, float], list[Experiment]] = {}
     for experiment in whole.experiments:
         protocol = experiment.run.info.header.protocol
-        condition = experiment.kind, protocol.get("shear_strain", protocol.get("speed_mm_s"))
-        seen[condition] = seen.get(condition, 0) + 1
-        if seen[condition] <= (2 if condition[1] in {2.0, 20.0} else 1):
-            remaining.append(experiment)
-    return replace(whole, experiments=tuple(remaining))
+        condition = float(str(protocol.get("shear_strain", protocol.get("speed_mm_s"))))
+        groups.setdefault((experiment.kind, condition), []).append(experiment)
+    kinds = {kind for kind, _ in groups}
+    kept = [
+        experiment
+        for kind in kinds
+        for key in sorted((key for key in groups if key[0] == kind), reverse=True)[::2]
+        for experiment in groups[key][: 2 if key == ("drag", 2.0) else 1]
+    ]
+    return replace(whole, experiments=tuple(experiment for experiment in whole.experiments if experiment in kept))
 
 
 def simulated(model: FrictionModelSettings) -> RunSelection:

@@ -55,7 +55,7 @@ def margin(position: PositionAnalysis, truth: str) -> float:
     return shares.pop(truth) - max(shares.values())
 
 
-@pytest.mark.parametrize("effect", [SCALE, LONG_RIPPLE])
+@pytest.mark.parametrize("effect", [SCALE, pytest.param(LONG_RIPPLE, marks=pytest.mark.thorough)])
 def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effect: str) -> None:
     truth = effect.split(":", 1)[0]
     thin = dragrig.simulate(plan(THIN), effects=[effect])
@@ -103,6 +103,10 @@ def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> No
     assert run.settings["accel_mm_s2"] == 2000.0
     assert "no run so far comes near its" in unnamed.next_experiment.reason
     assert "acceleration" in unnamed.next_experiment.reason
+
+
+@pytest.mark.thorough
+def test_no_new_motion_is_advised_where_the_stage_has_made_them_all() -> None:
     ways = [candidate.step.model_copy(update={"repeats": 1}) for candidate in motion_grid(Specimen(name="jejunum"))]
     everything = Plan(name="all", seed=4, steps=tuple(ways))
     covered = diagnosis_of(dragrig.simulate(everything, effects=MIXED))
