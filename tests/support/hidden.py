@@ -24,25 +24,24 @@ PLAN = {
 }
 
 
-def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0) -> RunSelection:
+def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0, every: int = 1) -> RunSelection:
     """Return some runs of a campaign of the blind plant, read back from its files."""
     write_campaign(draw_campaign(seed, effects=effects, size=size), folder)
-    return thinned(choose_runs(folder))
+    return thinned(choose_runs(folder), every)
 
 
-def thinned(whole: RunSelection) -> RunSelection:
-    """Keep every second speed or strain of each kind of run once, and drags at 2 mm/s twice."""
-    groups: dict[tuple[str, float], list[Experiment]] = {}
+def thinned(whole: RunSelection, every: int = 1) -> RunSelection:
+    """Keep of each kind of run every so many speeds or strains, once, but 2 and 20 mm/s twice."""
+    groups: dict[str, dict[float, list[Experiment]]] = {}
     for experiment in whole.experiments:
         protocol = experiment.run.info.header.protocol
-        condition = float(str(protocol.get("shear_strain", protocol.get("speed_mm_s"))))
-        groups.setdefault((experiment.kind, condition), []).append(experiment)
-    kinds = {kind for kind, _ in groups}
+        condition = float(str(protocol.get("shear_strain", protocol.get("speed_mm_s", 0.0))))
+        groups.setdefault(experiment.kind, {}).setdefault(condition, []).append(experiment)
     kept = [
         experiment
-        for kind in kinds
-        for key in sorted((key for key in groups if key[0] == kind), reverse=True)[::2]
-        for experiment in groups[key][: 2 if key == ("drag", 2.0) else 1]
+        for conditions in groups.values()
+        for condition in sorted(conditions, reverse=True)[::every]
+        for experiment in conditions[condition][: 2 if condition in {2.0, 20.0} else 1]
     ]
     return replace(whole, experiments=tuple(experiment for experiment in whole.experiments if experiment in kept))
 
