@@ -408,7 +408,15 @@ def test_any_recording_gets_a_diagnosis_or_one_sentence(name: str, tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("unit", "length_mm"), [(0.02, 0.25), (1.0, 0.25), (50.0, 0.25), (0.3, 1.0), (50.0, 1.0), (1.0, 4.0)]
+    ("unit", "length_mm"),
+    [
+        (0.02, 0.25),
+        pytest.param(1.0, 0.25, marks=pytest.mark.thorough),
+        pytest.param(50.0, 0.25, marks=pytest.mark.thorough),
+        (0.3, 1.0),
+        pytest.param(50.0, 1.0, marks=pytest.mark.thorough),
+        (1.0, 4.0),
+    ],
 )
 def test_presliding_is_found_whatever_unit_the_travel_is_counted_in(
     unit: float, length_mm: float, tmp_path: Path

@@ -17,15 +17,15 @@ from dragrig.analysis.selection import RunSelection
 from hidden import hidden
 from places import CAMPAIGN
 
-SECRETS: dict[str, tuple[int, tuple[str, ...]]] = {
-    "nothing": (11, ()),
-    "stribeck": (12, ("stribeck",)),
-    "strayed position": (14, ("encoder_scale",)),
-    "two effects": (21, ("film_depletion", "force_drift")),
-    "unknown": (18, ("stick_slip",)),
-    "unknown law": (12, ("wall_seam",)),
+SECRETS: dict[str, tuple[int, int, tuple[str, ...]]] = {
+    "nothing": (11, 2, ()),
+    "stribeck": (12, 2, ("stribeck",)),
+    "strayed position": (14, 1, ("encoder_scale",)),
+    "two effects": (21, 2, ("film_depletion", "force_drift")),
+    "unknown": (18, 2, ("stick_slip",)),
+    "unknown law": (12, 2, ("wall_seam",)),
 }
-"""Seed of the blind plant, and effects that it hides."""
+"""Seed of the blind plant, of how many speeds and strains one is kept, and effects that it hides."""
 UNADVISED = DiagnosisOptions(next_runs=None)
 """A diagnosis without the search for the next run, which takes a third of its time."""
 EXAMPLE = "example"
@@ -79,10 +79,10 @@ class DiagnosedCampaigns:
         return Diagnosed(runs, pickle.loads(result.read_bytes()))
 
 
-def write_hidden(folder: Path, seed: int, effects: tuple[str, ...]) -> None:
+def write_hidden(folder: Path, seed: int, every: int, effects: tuple[str, ...]) -> None:
     """Write the runs of a blind campaign that a test diagnoses, and no others."""
     whole = Path(mkdtemp(dir=folder.parent))
-    chosen = {experiment.file for experiment in hidden(whole, seed, *effects).experiments}
+    chosen = {experiment.file for experiment in hidden(whole, seed, *effects, every=every).experiments}
     for path in whole.glob("*.h5"):
         if path.name not in chosen:
             path.unlink()

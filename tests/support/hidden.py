@@ -6,7 +6,7 @@ from pathlib import Path
 
 import dragrig
 from dragrig.analysis.gap.run_data import choose_runs
-from dragrig.analysis.models.experiment import SOURCE_KEY, START_UNKNOWN_KEY
+from dragrig.analysis.models.experiment import SOURCE_KEY, START_UNKNOWN_KEY, Experiment
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
@@ -24,22 +24,26 @@ PLAN = {
 }
 
 
-def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0) -> RunSelection:
-    """Return a campaign of the blind plant, every condition once and some twice, read back from its files."""
+def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0, every: int = 1) -> RunSelection:
+    """Return some runs of a campaign of the blind plant, read back from its files."""
     write_campaign(draw_campaign(seed, effects=effects, size=size), folder)
-    return thinned(choose_runs(folder))
+    return thinned(choose_runs(folder), every)
 
 
-def thinned(whole: RunSelection) -> RunSelection:
-    seen: dict[tuple[str, object], int] = {}
-    remaining = []
+def thinned(whole: RunSelection, every: int = 1) -> RunSelection:
+    """Keep of each kind of run every so many speeds or strains, once, but 2 and 20 mm/s twice."""
+    groups: dict[str, dict[float, list[Experiment]]] = {}
     for experiment in whole.experiments:
         protocol = experiment.run.info.header.protocol
-        condition = experiment.kind, protocol.get("shear_strain", protocol.get("speed_mm_s"))
-        seen[condition] = seen.get(condition, 0) + 1
-        if seen[condition] <= (2 if condition[1] in {2.0, 20.0} else 1):
-            remaining.append(experiment)
-    return replace(whole, experiments=tuple(remaining))
+        condition = float(str(protocol.get("shear_strain", protocol.get("speed_mm_s", 0.0))))
+        groups.setdefault(experiment.kind, {}).setdefault(condition, []).append(experiment)
+    kept = [
+        experiment
+        for conditions in groups.values()
+        for condition in sorted(conditions, reverse=True)[::every]
+        for experiment in conditions[condition][: 2 if condition in {2.0, 20.0} else 1]
+    ]
+    return replace(whole, experiments=tuple(experiment for experiment in whole.experiments if experiment in kept))
 
 
 def simulated(model: FrictionModelSettings) -> RunSelection:

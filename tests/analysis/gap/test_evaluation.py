@@ -8,9 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagnosed import UNADVISED
 from dragrig.analysis.gap import GapReduction, ModelEvaluation, PromiseVerdict, R2BeforeAfter, RelativeEffectSize
+from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.evaluation import _run_weights
-from dragrig.api import diagnose, gap_evaluate
+from dragrig.analysis.gap.run_data import choose_runs
+from dragrig.analysis.models.capsule_model import MODEL as CAPSULE
+from dragrig.api import gap_evaluate
 from dragrig.cli import main
 from dragrig.config import AnalysisError
 from dragrig.present import evaluation_document, render_page
@@ -80,7 +84,7 @@ def test_a_promise_is_not_kept_where_something_else_is_there(
 def test_a_diagnosis_promises_the_size_that_its_own_runs_have(tmp_path: Path) -> None:
     """Two steps from the start values the fit of this tether is still half as large as what explains the runs best."""
     write_campaign(draw_campaign(83031, effects=("mesentery_tether",), size=1.0), tmp_path)
-    found = diagnose(tmp_path)
+    found = diagnose(choose_runs(tmp_path), CAPSULE, UNADVISED)
     assert found.effects == ("mesentery_tether",)
     assert found.model is not None
     assert found.model.diagnosed is not None

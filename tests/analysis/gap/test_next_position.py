@@ -1,5 +1,6 @@
 """The next run where the position strays: whether it tells apart what the runs so far do not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 import dragrig
 from diagnosed import UNADVISED
 from dragrig.analysis.gap import DiagnosisOptions
-from dragrig.analysis.gap.candidate_runs import ExperimentBudget, motion_grid, plan_of_next_runs
+from dragrig.analysis.gap.candidate_runs import ExperimentBudget, motion_grid
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, NextExperiment, Verdict
 from dragrig.analysis.gap.next_run import NO_NEW_MOTION, recommend_position_run
@@ -15,6 +16,7 @@ from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_posi
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import CapsuleStudy
 from dragrig.analysis.models.capsule_model import MODEL
+from dragrig.api.gap import save_next_plan
 from dragrig.cli import main
 from dragrig.config.plan import Plan
 from dragrig.config.specimen import Specimen
@@ -26,6 +28,11 @@ LONG_RIPPLE = "velocity_ripple:pitch_mm=20,amplitude_mm=0.03"
 THIN = {"kind": "drag", "speed_mm_s": [5.0, 20.0], "travel_mm": 6.0}
 FULL = {"kind": "drag", "speed_mm_s": [2.0, 20.0, 40.0], "travel_mm": 40.0}
 ONE_RUN = ExperimentBudget()
+OF_POSITION = replace(
+    UNADVISED,
+    excluded=tuple(effect.id for effect in catalogue().values() if effect.has_force_signature),
+)
+"""A diagnosis that tries no effect on the force."""
 MIXED = ("velocity_ripple:pitch_mm=5,amplitude_mm=0.03", "servo_lag:lag_s=0.004", "encoder_scale")
 
 
@@ -45,7 +52,7 @@ def advised_for_position(runs: tuple[Run, ...]) -> NextExperiment | None:
     """The advice for the position alone: that for the force may tell more per minute of few runs."""
     selection, position = choose_runs(runs), found_in(runs)
     effects = [effect for effect in catalogue().values() if effect.has_force_signature]
-    probabilities = {entry.hypothesis: entry.probability for entry in diagnosis_of(runs, UNADVISED).ranking}
+    probabilities = {entry.hypothesis: entry.probability for entry in diagnosis_of(runs, OF_POSITION).ranking}
     return recommend_position_run(CapsuleStudy.of(selection, MODEL, effects), position, probabilities, ONE_RUN)
 
 
@@ -55,8 +62,8 @@ def margin(position: PositionAnalysis, truth: str) -> float:
     return shares.pop(truth) - max(shares.values())
 
 
-@pytest.mark.parametrize("effect", [SCALE, LONG_RIPPLE])
-def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effect: str) -> None:
+@pytest.mark.parametrize("effect", [SCALE, pytest.param(LONG_RIPPLE, marks=pytest.mark.thorough)])
+def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effect: str, tmp_path: Path) -> None:
     truth = effect.split(":", 1)[0]
     thin = dragrig.simulate(plan(THIN), effects=[effect])
     advised = advised_for_position(thin)
@@ -64,7 +71,9 @@ def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effe
     (run,) = advised.runs
     assert set(run.about) == {"encoder_scale", "velocity_ripple"}
     assert (run.gain_bits or 0.0) > 0.05
-    more = dragrig.simulate(plan_of_next_runs(advised), effects=[effect])
+    file = save_next_plan(advised, tmp_path / "next.toml")
+    assert main(["check", str(file)]) == 0
+    more = dragrig.simulate(file, effects=[effect])
     again = dragrig.simulate(plan({**THIN, "repeats": 2}, seed=9), effects=[effect])
     with_it, repeated = found_in((*thin, *more)), found_in((*thin, *again))
     assert with_it.model_classes[0].effect == truth
@@ -72,6 +81,7 @@ def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effe
     assert margin(with_it, truth) > max(0.05, 2 * margin(repeated, truth))
 
 
+@pytest.mark.thorough
 def test_the_plan_file_of_a_campaign_that_strays_is_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     campaign, out = tmp_path / "thin", tmp_path / "next.toml"
     dragrig.simulate(plan(THIN), out=campaign, effects=[SCALE])
@@ -82,7 +92,7 @@ def test_the_plan_file_of_a_campaign_that_strays_is_taken(tmp_path: Path, capsys
 
 def test_no_run_is_advised_for_what_is_told_apart_already() -> None:
     runs = dragrig.simulate(plan(FULL), effects=["velocity_ripple"])
-    settled = diagnosis_of(runs, UNADVISED)
+    settled = diagnosis_of(runs, OF_POSITION)
     assert settled.effects == ("velocity_ripple",)
     assert advised_for_position(runs) is None
 
@@ -103,6 +113,10 @@ def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> No
     assert run.settings["accel_mm_s2"] == 2000.0
     assert "no run so far comes near its" in unnamed.next_experiment.reason
     assert "acceleration" in unnamed.next_experiment.reason
+
+
+@pytest.mark.thorough
+def test_no_new_motion_is_advised_where_the_stage_has_made_them_all() -> None:
     ways = [candidate.step.model_copy(update={"repeats": 1}) for candidate in motion_grid(Specimen(name="jejunum"))]
     everything = Plan(name="all", seed=4, steps=tuple(ways))
     covered = diagnosis_of(dragrig.simulate(everything, effects=MIXED))

@@ -197,18 +197,23 @@ def test_beside_a_spectral_line_the_probabilities_still_sum_to_one() -> None:
 
 
 def causes(selection: RunSelection) -> set[str]:
-    study = prepare_study(selection, MODEL, [effect for effect in catalogue().values() if effect.has_force_signature])
+    tried = [
+        effect
+        for effect in catalogue().values()
+        if effect.has_force_signature and (effect.coordinate is Coordinate.SESSION or effect.id == "stribeck")
+    ]
+    study = prepare_study(selection, MODEL, tried)
     return {cause.name for cause in prepare_competition(search_effects(study)).causes}
 
 
 @pytest.fixture(scope="module")
 def ageing(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return hidden(tmp_path_factory.mktemp("ageing"), 20, "tissue_ageing")
+    return hidden(tmp_path_factory.mktemp("ageing"), 20, "tissue_ageing", every=2)
 
 
 def test_without_a_clock_nothing_of_the_session_competes(ageing: RunSelection) -> None:
     of_session = {effect.id for effect in catalogue().values() if effect.coordinate is Coordinate.SESSION}
-    assert {"session", "tissue_ageing"} <= causes(ageing)
+    assert {"session", "tissue_ageing", "stribeck"} <= causes(ageing)
     assert not causes(without_clock(ageing)) & {"session", *of_session}
 
 

@@ -112,7 +112,10 @@ def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
     assert "gut" not in text
 
 
-@pytest.mark.parametrize("asymmetry", [-0.1, 0.05, 0.2])
+@pytest.mark.parametrize(
+    "asymmetry",
+    [pytest.param(-0.1, marks=pytest.mark.thorough), 0.05, pytest.param(0.2, marks=pytest.mark.thorough)],
+)
 def test_friction_that_differs_with_direction_is_named_with_its_size(asymmetry: float, blanks: list[Run]) -> None:
     diagnosis = dragrig.diagnose(asymmetric(blanks, asymmetry), nominal="drive")
     assert diagnosis.verdict is Verdict.EFFECT
@@ -252,7 +255,11 @@ def judged(model: Path, runs: list[Run]) -> tuple[str, float]:
     return evaluation.verdict.value, size.size
 
 
-@pytest.mark.parametrize("of_ones_own", [False, True], ids=["drive", "own model"])
+@pytest.mark.parametrize(
+    "of_ones_own",
+    [pytest.param(False, marks=pytest.mark.thorough), True],
+    ids=["drive", "own model"],
+)
 def test_an_amended_model_of_any_nominal_model_keeps_its_promise_or_not(
     of_ones_own: bool, own: Path, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run]
 ) -> None:
@@ -310,7 +317,14 @@ def cogging(runs: list[Run], amplitude_mN: float, pitch_mm: float) -> list[Run]:
     return changed
 
 
-@pytest.mark.parametrize(("amplitude_mN", "pitch_mm"), [(5.0, 12.0), (20.0, 27.0), (60.0, 1.3)])
+@pytest.mark.parametrize(
+    ("amplitude_mN", "pitch_mm"),
+    [
+        (5.0, 12.0),
+        pytest.param(20.0, 27.0, marks=pytest.mark.thorough),
+        pytest.param(60.0, 1.3, marks=pytest.mark.thorough),
+    ],
+)
 def test_cogging_is_named_with_its_pitch_and_found_again(
     amplitude_mN: float, pitch_mm: float, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run]
 ) -> None:
@@ -340,7 +354,7 @@ def strokes_there_and_back(folder: Path, effects: list[str], speeds_mm_s: tuple[
     return dragrig.simulate(str(plan), effects=effects, assignments=[f"rig.simulated.seed={seed}", RATE])
 
 
-@pytest.mark.parametrize(("play_mm", "taken_up"), [(0.02, 0.0), (0.2, 0.3)])
+@pytest.mark.parametrize(("play_mm", "taken_up"), [pytest.param(0.02, 0.0, marks=pytest.mark.thorough), (0.2, 0.3)])
 def test_backlash_is_named_with_its_play_and_found_again(play_mm: float, taken_up: float, tmp_path: Path) -> None:
     backlash = [f"backlash:play_mm={play_mm},taken_up={taken_up}"]
     runs = strokes_there_and_back(tmp_path, backlash, (5, 15, 40), seed=3)
@@ -361,7 +375,14 @@ def test_backlash_is_named_with_its_play_and_found_again(play_mm: float, taken_u
     )
 
 
-@pytest.mark.parametrize("other", ["servo_lag:lag_s=0.01", "velocity_ripple:amplitude_mm=0.03", "encoder_scale"])
+@pytest.mark.parametrize(
+    "other",
+    [
+        pytest.param("servo_lag:lag_s=0.01", marks=pytest.mark.thorough),
+        "velocity_ripple:amplitude_mm=0.03",
+        pytest.param("encoder_scale", marks=pytest.mark.thorough),
+    ],
+)
 def test_what_is_no_backlash_is_not_called_so(other: str, tmp_path: Path) -> None:
     diagnosis = dragrig.diagnose(strokes_there_and_back(tmp_path, [other], (5, 15, 40), seed=3), nominal="drive")
     assert diagnosis.effects == (other.partition(":")[0],)

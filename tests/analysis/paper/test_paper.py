@@ -193,10 +193,9 @@ class Made:
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Made:
-    """Call the command once for all workers, who share a folder; the one that comes first does it."""
-    own = tmp_path_factory.getbasetemp()
-    folder = (own if worker_id == "master" else own.parent) / "paper"
+def made(shared_folder: Path) -> Made:
+    """Call the command once for all workers; the one that comes first does it."""
+    folder = shared_folder / "paper"
     with_suffix = folder.with_suffix(".json")
     with FileLock(folder.with_suffix(".lock")):
         if not with_suffix.exists():
