@@ -134,7 +134,9 @@ def test_a_diagnosis_shows_everything_that_the_terminal_prints(qtbot: QtBot, dia
 
 def test_a_specimen_is_identified_and_reported_on(window: MainWindow, until: Until, tmp_path: Path) -> None:
     page, campaign = window.diagnose, tmp_path / "practice"
-    shutil.copytree(CAMPAIGN, campaign)
+    campaign.mkdir()
+    for name in ("001-relaxation.h5", "008-coulomb.h5", "010-drag.h5"):
+        shutil.copy(CAMPAIGN / name, campaign)
     page.offer(str(campaign))
     press(page.identify)
     assert not page.report.isEnabled()
