@@ -48,12 +48,10 @@ BEGUN = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
 DRAG = {"kind": "drag", "wait_s": 5.0, "speed_mm_s": 5.0, "travel_mm": 20.0}
 
 
-@pytest.mark.timeout(300)
-def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path) -> None:
-    mirror = tmp_path / "mirror"
-    mirror.mkdir()
-    hands = SettleHands(mirror=mirror)
-    settled = dragrig.settle(FIRST, minutes=MINUTES, out=tmp_path / "settled", hands=hands, effects=[EFFECT])
+def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path, shared_folder: Path) -> None:
+    lab = Path(shutil.copytree(begun_loop(shared_folder).parent, tmp_path / "lab"))
+    mirror = lab / "mirror"
+    settled = dragrig.resume_settling(lab / "c", hands=SettleHands(mirror=mirror))
     record = read_settle_record(settled.folder)
     assert record == settled.record
     assert len(record.batches) == len(record.steps) > 1
@@ -68,8 +66,8 @@ def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path) -> No
     assert len(read_session_records(settled.folder)[0]) == len(record.batches)
     assert {run.header.specimen["name"] for run in runs} == {runs[0].header.specimen["name"]}
     assert SettleRecord.model_validate_json(record.model_dump_json()) == record
-    assert read_settle_record(mirror / "settled") == record
-    assert {path.name for path in settled.folder.glob("*.h5")} < {path.name for path in (mirror / "settled").iterdir()}
+    assert read_settle_record(mirror / "c") == record
+    assert {path.name for path in settled.folder.glob("*.h5")} < {path.name for path in (mirror / "c").iterdir()}
     document = settlement_document(settled.record, settled.diagnosed.result)
     said = document_text(document)
     assert str(settled.record.steps[-1].runs) in document.lead[0]
@@ -79,7 +77,6 @@ def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path) -> No
     assert json.loads(json.dumps(document.data))["settle"]["batches"][0]["plan"]["name"] == "few"
 
 
-@pytest.mark.timeout(300)
 def test_a_killed_loop_goes_on_where_it_was(tmp_path: Path, shared_folder: Path) -> None:
     folder = Path(shutil.copytree(begun_loop(shared_folder), tmp_path / "killed"))
     command = [sys.executable, "-m", "dragrig", "gap", "settle", "--resume", str(folder), "--yes"]
@@ -321,7 +318,6 @@ def test_the_more_a_change_costs_the_more_a_run_must_tell_that_needs_one(hands_m
     assert [run.step.kind for run in greedy_search(Told(), candidates, budget)] == [first]
 
 
-@pytest.mark.timeout(300)
 def test_the_cost_of_hands_is_kept_and_holds_when_the_loop_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,7 @@ from filelock import FileLock
 
 import dragrig
 from dragrig.analysis.gap import SettleRecord
+from dragrig.api import SettleHands
 from dragrig.config.plan import Plan
 from dragrig.setup import create_lab
 
@@ -31,7 +32,8 @@ class StoppedError(Exception):
 def begun_loop(shared: Path) -> Path:
     """Return a campaign whose first runs are diagnosed and whose next batch is decided, but not made.
 
-    Nobody's to change: it is made once for all processes of a test run.
+    It has a second copy in the folder `mirror` beside it. Nobody's to change: it is made once for all processes of a
+    test run.
 
     Parameters
     ----------
@@ -43,6 +45,7 @@ def begun_loop(shared: Path) -> Path:
         if not folder.is_dir():
             lab = shared / "begun loop in the making"
             create_lab(lab)
+            (lab / "mirror").mkdir()
 
             def stop_when_decided(record: SettleRecord) -> None:
                 if len(record.batches) == 2:
@@ -50,8 +53,8 @@ def begun_loop(shared: Path) -> Path:
 
             try:
                 dragrig.settle(
-                    FIRST, minutes=MINUTES, out=lab / "c", step=stop_when_decided, effects=[EFFECT],
-                    rig=lab / "rig.toml",
+                    FIRST, minutes=MINUTES, out=lab / "c", hands=SettleHands(mirror=lab / "mirror"),
+                    step=stop_when_decided, effects=[EFFECT], rig=lab / "rig.toml",
                 )  # fmt: skip
             except StoppedError:
                 shutil.move(lab, folder.parent)

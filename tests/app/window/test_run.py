@@ -197,7 +197,7 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
 
 
 def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow, until: Until) -> None:
-    fill(window, speed_mm_s="2")
+    fill(window, speed_mm_s="1")
     window.run.new.pace.setCurrentText("as fast as the real rig")
     cover = QWidget()
     press(window.run.new.start)
@@ -207,16 +207,16 @@ def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow,
     def pushed_about() -> bool:
         nonlocal moves
         moves += 1
-        match moves % 8:
+        match moves % 4:
             case 0:
                 window.showMinimized()
-            case 2:
+            case 1:
                 window.showNormal()
-            case 4:
+            case 2:
                 cover.setGeometry(window.frameGeometry())
                 cover.show()
                 cover.raise_()
-            case 6:
+            case 3:
                 cover.hide()
         window.move(40 + 7 * moves % 300, 30 + 11 * moves % 200)
         window.resize(1200 + 13 * moves % 400, 900 + 17 * moves % 200)
@@ -225,7 +225,7 @@ def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow,
     until(pushed_about)
     cover.close()
     window.showNormal()
-    assert moves >= 8
+    assert moves >= 4
     entry = window.run.queue.entries[-1]
     assert entry.stage is QueueState.COMPLETE, entry.reason
     (file,) = Path(entry.folder).glob("*.h5")

@@ -73,7 +73,6 @@ def with_answers(window: MainWindow, done: Callable[[], bool]) -> Callable[[], b
     return is_done
 
 
-@pytest.mark.timeout(300)
 def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
     window: MainWindow, few: Path, until: Until, tmp_path: Path
 ) -> None:
@@ -101,7 +100,6 @@ def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
     window.run.new.mirror.clear()
 
 
-@pytest.mark.timeout(300)
 def test_a_stopped_session_pauses_it_and_the_same_runs_go_on(
     window: MainWindow, shared_folder: Path, until: Until
 ) -> None:
