@@ -1,7 +1,9 @@
 """`dragrig watch` and `dragrig recover` on a campaign that goes on: an appended session, and one that is killed."""
 
+import shutil
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -20,9 +22,14 @@ from runfiles import START, header
 from simulated import QUICK
 
 
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return dragrig.run("drag", out=tmp_path_factory.mktemp("first") / "c", assignments=QUICK).folder
+
+
 @pytest.fixture
-def campaign(tmp_path: Path) -> Path:
-    return dragrig.run("drag", out=tmp_path / "c", assignments=QUICK).folder
+def campaign(first: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(first, tmp_path / "c"))
 
 
 def killed_in_the_appended_part(campaign: Path) -> CampaignState:
@@ -38,6 +45,7 @@ def killed_in_the_appended_part(campaign: Path) -> CampaignState:
     try:
         while (state := watch.look()).recording is None or not state.recording.samples:
             assert session.poll() is None
+            time.sleep(0.05)
     finally:
         session.kill()
         session.wait()
@@ -103,7 +111,7 @@ def test_a_campaign_goes_on_once_the_last_recording_of_a_killed_session_is_finis
 
     def close_once_the_campaign_goes_on() -> None:
         while not is_session_running(campaign):
-            pass
+            time.sleep(0.001)
         recorder.close(RunStatus.ABORTED, "killed", START, {})
 
     with ThreadPoolExecutor(1) as finisher:

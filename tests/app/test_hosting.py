@@ -65,7 +65,6 @@ def test_a_signal_ends_the_session_in_good_order(
     assert signal.getsignal(number) is before
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
 def test_a_session_ends_though_its_abort_takes_long() -> None:
     aborted = threading.Event()
@@ -157,7 +156,6 @@ class HoldingCtrlC(NullOperator):
         return Answer.DONE
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
 def test_a_ctrl_c_that_is_held_at_a_prompt_ends_the_session_in_good_order() -> None:
     with HoldingCtrlC() as person:
@@ -167,7 +165,6 @@ def test_a_ctrl_c_that_is_held_at_a_prompt_ends_the_session_in_good_order() -> N
     assert not any(thread.name == "session" for thread in threading.enumerate())
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
 def test_a_signal_while_the_rig_is_opened_ends_the_session_before_anything_moves(
     monkeypatch: pytest.MonkeyPatch,

@@ -1,8 +1,10 @@
 """Made-up diagnoses, one for each verdict, for what presents them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from filelock import FileLock
 
 from dragrig.analysis.estimates import EstimatedQuantity, Exclusion
 from dragrig.analysis.gap.diagnosis import (
@@ -22,7 +24,9 @@ from dragrig.analysis.gap.diagnosis import (
     Verdict,
 )
 from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.document import Document
+from dragrig.present.html_page import render_page
 
 BLANK = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1" width="1" height="1"/>'
 
@@ -270,3 +274,15 @@ STRIBECK_ALONE = budget(
     entry("model", 0.06, 3.0, 0.8, what="parameters of the model"),
     entry("unexplained", 0.11, 4.0, None),
 )
+
+
+def page_file(verdict: str, shared: Path) -> Path:
+    """Return the page of a verdict with its figures, drawn once for all processes that share a folder."""
+    file = shared / f"page of {verdict}.html"
+    with FileLock(file.with_suffix(".lock")):
+        if not file.exists():
+            document = diagnosis_document(ALL[verdict], source="runs/first", model="amended.toml")
+            begun = file.with_suffix(".begun")
+            begun.write_text(render_page(document), "utf-8")
+            begun.rename(file)
+    return file

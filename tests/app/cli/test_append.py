@@ -89,7 +89,13 @@ def two_drags(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("meanwhile", "files", "number"), [("damaged", 1, 4), ("damaged", 4, 4), ("away", 3, 1), ("away", 4, 1)]
+    ("meanwhile", "files", "number"),
+    [
+        ("damaged", 1, 4),
+        pytest.param("damaged", 4, 4, marks=pytest.mark.thorough),
+        pytest.param("away", 3, 1, marks=pytest.mark.thorough),
+        ("away", 4, 1),
+    ],
 )
 def test_files_that_are_restored_leave_no_run_of_a_later_plan_out(
     meanwhile: str, files: int, number: int, two_drags: Path, tmp_path: Path

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from dragrig.cli import main
 from dragrig.engine_host.messages import QueuedRun, RunFinished, RunStarted, SessionFinished, SessionJob, SessionStarted
 from dragrig.rig.runfile.model import RunStatus
 from windows import require_qt
@@ -21,11 +22,10 @@ def test_without_qt_the_error_says_what_to_install(missing: str, tmp_path: Path)
     assert "Traceback" not in done.stderr
 
 
-def test_a_folder_without_a_lab_is_refused(tmp_path: Path) -> None:
-    script = "import sys; from dragrig.cli import main; sys.exit(main(['gui', sys.argv[1]]))"
-    done = subprocess.run([sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "is no lab folder" in done.stderr
+def test_a_folder_without_a_lab_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    require_qt()
+    assert main(["gui", str(tmp_path)]) == 2
+    assert "is no lab folder" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a screen is named by the environment on Linux alone")
@@ -39,12 +39,13 @@ def test_without_a_screen_the_error_says_so(tmp_path: Path) -> None:
     assert "there is no screen here" in done.stderr
 
 
-def test_an_unsupported_pace_is_refused(tmp_path: Path) -> None:
+def test_an_unsupported_pace_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     require_qt()
-    command = [sys.executable, "-m", "dragrig", "gui", "--backend", "simulated", "--pace", "20"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "is fast or real" in done.stderr
+    monkeypatch.chdir(tmp_path)
+    assert main(["gui", "--backend", "simulated", "--pace", "20"]) == 2
+    assert "is fast or real" in capsys.readouterr().err
 
 
 def test_a_queue_knows_its_progress_and_the_time_left() -> None:

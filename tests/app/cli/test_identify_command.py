@@ -37,7 +37,10 @@ def test_the_model_that_was_identified_runs_the_simulator(campaign: Path, capsys
     assert steady == pytest.approx(measured.force[measured.phase == 2][-100:].mean(), rel=0.1)
 
 
-def test_a_second_call_replaces_nothing(campaign: Path) -> None:
+def test_a_second_call_replaces_nothing(tmp_path: Path) -> None:
+    campaign = tmp_path / "campaign"
+    campaign.mkdir()
+    shutil.copy(CAMPAIGN / "008-coulomb.h5", campaign)
     first = campaign / "identified" / "model.toml"
     first.parent.mkdir()
     first.write_text("of the first call", "utf-8")

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from math import inf, nan
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -20,6 +21,7 @@ from diagnoses import (
     STRIBECK_ALONE,
     TOGETHER,
     UNKNOWN,
+    page_file,
     shrink,
     without_pictures,
 )
@@ -265,16 +267,16 @@ def test_nothing_is_cut_off_in_a_pipe() -> None:
     assert max(map(len, answer.splitlines())) > 100
 
 
-@CASES
-def test_a_page_stands_alone(diagnosis: Diagnosis) -> None:
-    html = diagnosis_page(diagnosis, "runs/first", "amended.toml")
+@pytest.mark.parametrize("verdict", ALL)
+def test_a_page_stands_alone(verdict: str, shared_folder: Path) -> None:
+    html = page_file(verdict, shared_folder).read_text("utf-8")
     assert not re.search(r'(src|href)="(?!data:|#)', html)
     assert html.count('role="img"') == 3
     assert "nan" not in words(html).lower().split()
 
 
 def test_a_page_escapes_what_comes_from_files() -> None:
-    odd = replace(STRIBECK, specimen="<b>gut</b>", remarks=("<script>1</script>",))
+    odd = replace(STRIBECK, traces=(), specimen="<b>gut</b>", remarks=("<script>1</script>",))
     html = diagnosis_page(odd, "<i>runs</i>")
     assert "<b>gut" not in html
     assert "<script>1" not in html

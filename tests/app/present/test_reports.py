@@ -12,12 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import dragrig
-from diagnoses import ALL
+from diagnoses import ALL, page_file
 from dragrig.analysis.measures import measure
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
 from dragrig.present.campaign import campaign_document, examine_campaign
-from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.document import Column, Table
 from dragrig.present.exam import exam_document
 from dragrig.present.html_page import inline_svg, render_page
@@ -224,13 +223,10 @@ def test_a_runs_page_is_presentable(browser: "Browser", run_page: Path) -> None:
 
 
 @pytest.mark.parametrize("verdict", ALL)
-def test_a_diagnosis_page_is_presentable(browser: "Browser", verdict: str, tmp_path: Path) -> None:
+def test_a_diagnosis_page_is_presentable(browser: "Browser", verdict: str, shared_folder: Path) -> None:
     from browsing import must_be_presentable
 
-    document = diagnosis_document(ALL[verdict], source="runs/first", model="amended.toml")
-    file = tmp_path / "gap.html"
-    file.write_text(render_page(document), "utf-8")
-    must_be_presentable(browser, file)
+    must_be_presentable(browser, page_file(verdict, shared_folder))
 
 
 def test_an_exams_page_is_presentable(browser: "Browser", tmp_path: Path) -> None:

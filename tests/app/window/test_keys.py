@@ -27,9 +27,10 @@ from PySide6.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 
-from diagnoses import STRIBECK
+from diagnoses import STRIBECK, without_pictures
 from dragrig.engine_host.messages import PromptShown, RigSelection
-from dragrig.views import completed
+from dragrig.present.diagnosis import diagnosis_document
+from dragrig.views import CompletedDiagnosis
 from dragrig.window.main_window import MainWindow
 from dragrig.window.widgets import MessageText, StoredSettings
 
@@ -51,7 +52,8 @@ def window(
     made.notices.ask(PromptShown(1, "Lay a fresh specimen on the foam", hands=True, can_redo=True, can_skip=True))
     made.notices.complain("something went wrong")
     made.run.new.destination.adds.setChecked(True)
-    made.diagnose.results.show_diagnosis(completed(STRIBECK))
+    document = without_pictures(diagnosis_document(STRIBECK).without("before-after"))
+    made.diagnose.results.show_diagnosis(CompletedDiagnosis(STRIBECK, document))
     made.diagnose.results.show()
     yield made
     made.close_in_order("the tests are over")

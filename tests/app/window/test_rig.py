@@ -58,7 +58,7 @@ def shared(
 ) -> Iterator[MainWindow]:
     """A window on the doubles, whose sensor bears weights."""
     settings = tmp_path_factory.mktemp("settings") / "window.ini"
-    made = opened(QtBot(request), lab, settings, backend="hardware", double=True, pace=10.0, assignments=PATIENT)
+    made = opened(QtBot(request), lab, settings, backend="hardware", double=True, pace=5.0, assignments=PATIENT)
     yield made
     made.close_in_order("the tests are over")
 

@@ -23,7 +23,7 @@ from dragrig.rig import read_campaign
 from dragrig.setup import resolve
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
-from settled import EFFECT, FIRST
+from settled import EFFECT, FIRST, begun_loop
 
 REASON = "A drag at 5 mm/s is expected to tell 0.4 of 1 bit."
 
@@ -73,7 +73,6 @@ def with_answers(window: MainWindow, done: Callable[[], bool]) -> Callable[[], b
     return is_done
 
 
-@pytest.mark.timeout(300)
 def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
     window: MainWindow, few: Path, until: Until, tmp_path: Path
 ) -> None:
@@ -101,9 +100,10 @@ def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
     window.run.new.mirror.clear()
 
 
-@pytest.mark.timeout(300)
-def test_a_stopped_session_pauses_it_and_the_same_runs_go_on(window: MainWindow, few: Path, until: Until) -> None:
-    campaign = Path(shutil.copytree(few, few.parent / "paused"))
+def test_a_stopped_session_pauses_it_and_the_same_runs_go_on(
+    window: MainWindow, shared_folder: Path, until: Until
+) -> None:
+    campaign = Path(shutil.copytree(begun_loop(shared_folder), Path(window.description.data_root) / "paused"))
     page, run = window.diagnose, window.run
     settle(window, campaign, "as fast as the real rig")
     until(lambda: run.queue.current is not None and bool(run.queue.current.runs))
