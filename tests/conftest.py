@@ -75,6 +75,12 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_runtest_logfinish() -> None:
+    """Spare it again once a connected rig, which freezes all objects for its time, has let go of them."""
+    if not gc.get_freeze_count():
+        gc.freeze()
+
+
 @pytest.fixture(scope="module")
 def faulty_bench(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Bench]":
     """The real rig's devices, doubled in another process for a module's tests, with a lab folder.
