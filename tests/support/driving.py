@@ -33,7 +33,7 @@ def until(condition: Callable[[], bool], within_s: float = 600.0) -> float:
     began = time.monotonic()
     while not condition():
         assert time.monotonic() - began < within_s, "it never happened"
-        time.sleep(0.002)
+        time.sleep(0.01)
     return time.monotonic() - began
 
 

@@ -16,8 +16,7 @@ from dragrig.sim_backend.doubles.c_library import installed
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.drive_double import DriveDouble, make_drive_double
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, SimulatedBench
-from drive_ports import SocketPort
-from driving import until
+from driving import ANY_PORT, until
 from simulated import settings
 
 RATE = 1000.0
@@ -128,7 +127,7 @@ def open_voltage_rig(rig: RigSettings) -> VoltageRig:
 
     with ExitStack() as opened:
         drive = opened.enter_context(make_drive_double(bench))
-        port = opened.enter_context(SocketPort(drive))
+        port = opened.enter_context(ANY_PORT(drive))
         opened.enter_context(installed(Card(bench, put_out)))
         reached = rig.hardware.drive.model_copy(update={"port": port.address})
         wired = rig.model_copy(update={"hardware": rig.hardware.model_copy(update={"drive": reached})})

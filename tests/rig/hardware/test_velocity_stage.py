@@ -334,6 +334,7 @@ sys.stdin.read()
 """
 
 
+@pytest.mark.thorough
 def test_a_program_that_is_killed_loses_the_drives_power() -> None:
     # Far ahead, for nothing stalls the clock of another process when this one starves.
     rig = velocity_rig(heartbeat_s=0.6, update_s=0.1, ahead=20, gain_per_s=0.25)

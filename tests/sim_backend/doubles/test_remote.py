@@ -35,6 +35,7 @@ from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.profile import FloatArray, trapezoid
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.simulated_bench import DoubleClock, FaultInjector, SimulatedBench
+from driving import until
 from places import SUPPORT
 from remote_doubles import ControlClient, RemoteDoubles, StageStatus
 from remote_server import ControlServer
@@ -331,6 +332,7 @@ while True:
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="processes cannot be stopped there")
 def test_a_program_that_stood_still_for_longer_than_a_call_may_take_loses_no_sample(tmp_path: Path) -> None:
     with RemoteDoubles(rig(1000.0)) as doubles:
@@ -393,9 +395,8 @@ def test_a_bystander_sees_how_the_stage_stops_when_the_program_falls_silent() ->
         caller.ask(Command.SET, Parameter.SILENCE_S, 0.3)
         caller.ask(Command.GO, value=140.0)
         caller.close()
-        until_s = time.monotonic() + 600
-        while (look := doubles.control.stage()).moving and time.monotonic() < until_s:
-            pass
+        until(lambda: not doubles.control.stage().moving)
+        look = doubles.control.stage()
         assert look.halt is Halt.SILENCE
         assert look.position_mm < 100.0
         assert look.speed_mm_s == 0.0
