@@ -1,8 +1,9 @@
 """Change the product's code in one place after another, and count the changes that its tests notice.
 
-`python bench/mutants.py [MODULE …] [--sample N] [--seed S]`: mutmut makes the mutants of each module and runs the tests
-that belong to it, on a copy that lies as it is imported. It prints the killed of the made by module, and the difference
-that each survivor makes. `--sample` tests that many mutants of each module, drawn with the seed.
+`python bench/mutants.py [MODULE …] [--sample N] [--seed S] [--folder F]`: mutmut makes the mutants of each module and
+runs the tests that belong to it, on a copy that lies as it is imported. It prints the killed of the tested by module,
+and the difference that each survivor makes. `--sample` tests that many mutants of each module, drawn with the seed;
+`--folder` keeps the copies and results there, and tests only what survived in them before.
 """
 
 import argparse
