@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 from math import log
 
 import numpy as np
@@ -127,7 +126,6 @@ def moved(speed_mm_s: float, zero_mN: float = 2.0, repeat: int = 0, constant_mN:
     return with_force(run, true + zero_mN + noise(rng, len(true)))
 
 
-@cache
 def problem_of(model: type[ChannelModel] = Linear) -> JointProblem:
     runs = [moved(5.0), moved(10.0, -3.0), moved(20.0), moved(20.0, 1.0, repeat=1)]
     return JointProblem.of(selected(runs), model())
