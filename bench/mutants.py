@@ -113,6 +113,8 @@ def run(folder: Path, module: str, sample: int | None, seed: int) -> tuple[int, 
     Where the folder has results already, only the survivors among them are tested.
     """
     mutated = lay_out(folder, module)
+    # Which test reaches what is found out anew: it may have changed with the tests.
+    (folder / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
     with contextlib.chdir(folder):
         from mutmut.configuration import reset_config
         from mutmut.mutation.data import SourceFileMutationData
