@@ -1,8 +1,9 @@
 """Change the product's code in one place after another, and count the changes that its tests notice.
 
-`python bench/mutants.py [MODULE …] [--sample N] [--seed S]`: mutmut makes the mutants of each module and runs the tests
-that belong to it, on a copy that lies as it is imported. It prints the killed of the made by module, and the difference
-that each survivor makes. `--sample` tests that many mutants of each module, drawn with the seed.
+`python bench/mutants.py [MODULE …] [--sample N] [--seed S] [--folder F]`: mutmut makes the mutants of each module and
+runs the tests that belong to it, on a copy that lies as it is imported. It prints the killed of the tested by module,
+and the difference that each survivor makes. `--sample` tests that many mutants of each module, drawn with the seed;
+`--folder` keeps the copies and results there, and tests only what survived in them before.
 """
 
 import argparse
@@ -112,6 +113,8 @@ def run(folder: Path, module: str, sample: int | None, seed: int) -> tuple[int, 
     Where the folder has results already, only the survivors among them are tested.
     """
     mutated = lay_out(folder, module)
+    # Which test reaches what is found out anew: it may have changed with the tests.
+    (folder / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
     with contextlib.chdir(folder):
         from mutmut.configuration import reset_config
         from mutmut.mutation.data import SourceFileMutationData

@@ -21,6 +21,7 @@ from dragrig.analysis.gap.presence import (
     Competition,
     PeriodicColumns,
     Presence,
+    VariantSpan,
 )
 from dragrig.rig import FloatArray, IndexArray
 
@@ -221,10 +222,12 @@ def _without(competition: Competition, causes: CauseSet, name: str) -> CauseSet:
     return tuple(entry for entry in causes if competition.causes[entry[0]].name != name)
 
 
-def _pooled_causes(competition: Competition, periodic: Mapping[str, PeriodicColumns]) -> Mapping[str, Cause]:
+def _pooled_causes(
+    competition: Competition, periodic: Mapping[str, PeriodicColumns]
+) -> Mapping[str, tuple[Cause, VariantSpan]]:
     """Return the causes whose columns are shared, by name; periodic ones are taken at all their periods instead."""
     return {
-        cause.name: cause
+        cause.name: (cause, cause.span)
         for cause in competition.causes
         if cause.span is not None and cause.kind in POOLED_KINDS and cause.name not in periodic
     }
@@ -243,16 +246,13 @@ class _Layout:
     def of(
         cls,
         competition: Competition,
-        pooled: Mapping[str, Cause],
+        pooled: Mapping[str, tuple[Cause, VariantSpan]],
         periodic: Mapping[str, PeriodicColumns],
     ) -> "_Layout":
         blocks, first = [], 1
         size = len(competition.products)
         columns = {}
-        for name, cause in pooled.items():
-            span = cause.span
-            if span is None:
-                continue
+        for name, (cause, span) in pooled.items():
             width = span.mixing.shape[1]
             block = np.zeros((size, len(span.mixing)))
             block[1 + cause.columns[:width]] = span.mixing.T

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 from math import log
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from dragrig.analysis.linear_gaussian import (
     MovingLine,
     PriorScales,
     Whitening,
+    _LeastSquaresPass,
     is_at_bound,
     prepare_channels,
     repeat_differences,
@@ -28,19 +29,20 @@ from dragrig.rig import FloatArray, Run
 from sliding_runs import noise, selected, slid, with_force
 
 RANDOM = np.random.default_rng(7)
-SCALES = PriorScales.of((Parameter("lognormal", "1", 2.0, 0.5), Parameter("normal", "mN", -3.0, 4.0, positive=False)))
+PRIORS = (Parameter("lognormal", "1", 2.0, 0.5), Parameter("normal", "mN", -3.0, 4.0, positive=False))
 
 
 def test_a_prior_is_normal_or_lognormal_about_its_nominal_value() -> None:
-    np.testing.assert_allclose(SCALES.sd, [np.sqrt(log(1.25)), 4.0])
-    np.testing.assert_allclose(SCALES.values(np.zeros(2)), [2.0, -3.0])
-    np.testing.assert_allclose(SCALES.values(np.array([1.0, 1.0])), [2.0 * np.exp(SCALES.sd[0]), 1.0])
+    scales = PriorScales.of(PRIORS)
+    np.testing.assert_allclose(scales.sd, [np.sqrt(log(1.25)), 4.0])
+    np.testing.assert_allclose(scales.values(np.zeros(2)), [2.0, -3.0])
+    np.testing.assert_allclose(scales.values(np.array([1.0, 1.0])), [2.0 * np.exp(scales.sd[0]), 1.0])
     z = np.array([-0.7, 1.3])
-    np.testing.assert_allclose(SCALES.deviations(SCALES.values(z)), z)
+    np.testing.assert_allclose(scales.deviations(scales.values(z)), z)
     step = 1e-6
-    slopes = (SCALES.values(z + step) - SCALES.values(z - step)) / (2 * step)
-    np.testing.assert_allclose(SCALES.slopes(SCALES.values(z)), slopes, rtol=1e-6)
-    assert SCALES.values(np.array([1e6, 0.0]))[0] == np.inf
+    slopes = (scales.values(z + step) - scales.values(z - step)) / (2 * step)
+    np.testing.assert_allclose(scales.slopes(scales.values(z)), slopes, rtol=1e-6)
+    assert scales.values(np.array([1e6, 0.0]))[0] == np.inf
 
 
 def random_whitening(blocks: int = 7, effects: int = 2) -> tuple[Whitening, FloatArray, FloatArray]:
@@ -127,7 +129,6 @@ def moved(speed_mm_s: float, zero_mN: float = 2.0, repeat: int = 0, constant_mN:
     return with_force(run, true + zero_mN + noise(rng, len(true)))
 
 
-@cache
 def problem_of(model: type[ChannelModel] = Linear) -> JointProblem:
     runs = [moved(5.0), moved(10.0, -3.0), moved(20.0), moved(20.0, 1.0, repeat=1)]
     return JointProblem.of(selected(runs), model())
@@ -333,3 +334,76 @@ def test_a_parameter_far_beyond_its_prior_stays_at_the_bound_and_the_others_are_
     assert found.converged
     assert found.z[0] == pytest.approx(6.0)
     assert 1.5 < PriorScales.of(Bounded.parameters).values(found.z)[1] < 4.5
+
+
+def one_residual(slope: float, misfit: float = 1.0) -> _LeastSquaresPass:
+    """Return a problem whose only residual is 0 at z = 1, beside the prior."""
+    cache = SimpleNamespace(
+        residuals=lambda z: [slope * (z - 1.0)], derivatives=lambda z: [np.full((1, 1), slope)]
+    )  # fmt: skip
+    return _LeastSquaresPass(cache, (Whitening.of(np.eye(1), np.zeros((1, 0))),), misfit)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("step", "first", "lowest"),
+    [(4.0, 1.0, 1.0), (1.9, 1.9, 0.95), (0.4, 0.4, 0.4), (-1.0, None, None), (0.0, None, None), (1e3, None, None)],
+)
+def test_a_line_search_takes_the_longest_step_that_helps_or_the_best(
+    step: float, first: float | None, lowest: float | None
+) -> None:
+    """From 0, where χ² is 100, over 1, 0.5, 0.25 and 0.1 of the step."""
+    present, z = one_residual(10.0), np.zeros(1)
+    for found, expected in (
+        (present.line_search(z, np.array([step])), first),
+        (present.line_search(z, np.array([step]), lowest=True), lowest),
+    ):
+        assert (None if found is None else found.tolist()) == (None if expected is None else [pytest.approx(expected)])
+
+
+def test_a_pass_weighs_the_runs_by_their_misfit_and_the_prior_by_one() -> None:
+    present, z = one_residual(10.0, misfit=4.0), np.array([3.0])
+    assert present.chi2(z) == pytest.approx(400.0 / 4.0 + 9.0)
+    step, covariance = present.newton_step(z)
+    assert (z + step).tolist() == [pytest.approx(25.0 / 26.0)]
+    assert covariance.tolist() == [[pytest.approx(1.0 / 26.0)]]
+    held, _ = one_residual(1e-6).newton_step(np.array([6.0]))
+    assert held.tolist() == [pytest.approx(-6.0)]
+    beyond = replace(one_residual(10.0), cache=SimpleNamespace(
+        residuals=lambda z: [10.0 * (z - 9.0)], derivatives=lambda z: [np.full((1, 1), 10.0)]
+    ))  # fmt: skip
+    stays, _ = beyond.newton_step(np.array([6.0]))
+    assert stays.tolist() == [0.0]
+    bounded = beyond.line_search(np.array([5.0]), np.array([50.0]))
+    assert bounded is not None
+    assert bounded.tolist() == [6.0]
+
+
+def test_a_clock_that_jitters_makes_uncertain_what_changes_fast() -> None:
+    channel = channel_of(moved(10.0))
+    values, blocks = np.array([55.0, 1.5]), channel.blocks
+    plain = channel.uncertainty(values)
+    last_s = float(channel.experiment.time_s[-1])
+    jittering = SimpleNamespace(clock_jitter_s=0.02, time_s=channel.experiment.time_s)
+    found = replace(channel, experiment=jittering).uncertainty(values)  # type: ignore[arg-type]
+    early, late = (
+        channel.predictor.predict(values, np.clip(blocks.nodes_s + shift_s, 0.0, last_s)).total
+        for shift_s in (-0.02, 0.02)
+    )
+    added = blocks.of((0.5 * (late - early)) ** 2) / blocks.samples
+    assert added.max() > 1.0
+    np.testing.assert_allclose(found**2, plain**2 + added, atol=1e-9)
+
+
+def test_derivatives_that_are_not_used_are_not_asked_for() -> None:
+    asked: list[object] = []
+
+    def sensitivities(without: object, values: FloatArray, time_s: FloatArray) -> FloatArray:
+        asked.append(without)
+        return np.zeros((values.size, time_s.size))
+
+    problem = problem_of()
+    predictor = SimpleNamespace(sensitivities_without=sensitivities, equivalence_key=1)
+    bare = replace(problem, channels=tuple(replace(entry, predictor=predictor) for entry in problem.channels))
+    bare.derivatives(np.zeros(2), ("constant_mN",))
+    bare.derivatives(np.zeros(2))
+    assert set(asked) == {("constant_mN",), ()}

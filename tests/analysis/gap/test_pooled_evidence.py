@@ -80,7 +80,7 @@ PROBABILITIES = {
 PRESENCE = Presence(PROBABILITIES, {cause.name: cause.kind for cause in CAUSES}, LOG_ODDS)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def evidence() -> ForceEvidence:
     return force_evidence(COMPETITION, PRESENCE, PERIODIC)
 

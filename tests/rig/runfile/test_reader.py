@@ -633,3 +633,17 @@ def test_a_folder_of_files_by_others_is_a_campaign(tmp_path: Path) -> None:
 def test_the_package_loads_h5py_only_when_needed() -> None:
     code = "import sys, dragrig.rig.runfile, dragrig.rig.devices; sys.exit('h5py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_missing_attribute_of_the_first_format_is_named_where_it_was(tmp_path: Path) -> None:
+    path = as_version_1(whole(tmp_path / "run.h5"))
+    with h5py.File(path, "r+") as file:
+        del file["/entry"].attrs["run_id"]
+    assert refused(path).startswith(f"{path}: /entry lacks the attribute run_id;")
+
+
+def test_a_slow_run_is_read_with_its_units(tmp_path: Path) -> None:
+    path = write_run(tmp_path / "run.h5", header(rate_hz=0.5), arrays(0, 10, rate_hz=0.5))
+    trace = read_run(path).trace
+    assert trace.sample_rate_hz == 0.5
+    assert trace.units == {"time": "s", "command": "mm", "force": "mN", "position": "mm", "motor_force": "mN"}
