@@ -187,9 +187,12 @@ def test_the_index_pulse_sets_the_position() -> None:
         ci.start()
         ai.start()
         bench.follow(trapezoid(1.5, 40.0, 2000.0))
-        got = np.concatenate([positions(ci, 25) for _ in range(8)])
-        counts = bench.sample(0, 200)["encoder_counts"] - 500
-        volts(ai, 200)
+        read = [positions(ci, 25)]
+        while read[-1][-1] > 1.0:  # the index was not passed yet
+            read.append(positions(ci, 25))
+        got = np.concatenate(read)
+        counts = bench.sample(0, len(got))["encoder_counts"] - 500
+        volts(ai, len(got))
     assert counts[0] < 0 < counts[-1]
     np.testing.assert_allclose(got, np.where(counts < 0, 5.0 + (counts + 500) * 1e-6, 0.1 + counts * 1e-6), atol=1e-9)
 
