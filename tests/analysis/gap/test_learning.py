@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import dragrig
-from diagnosed import EXAMPLE, DiagnosedCampaigns
+from diagnosed import DiagnosedCampaigns
 from dragrig.analysis.gap.classifier import classify
 from dragrig.analysis.gap.diagnosis import UNKNOWN, Classification, Verdict
 from dragrig.analysis.gap.features import (
@@ -189,9 +189,9 @@ def test_a_calibration_of_ones_own_decides(tmp_path: Path, diagnosed: DiagnosedC
     stern = shipped_calibration().model_copy(update={"weights": {"known": -50.0}})
     file = tmp_path / "stern.json"
     file.write_text(stern.model_dump_json(), "utf-8")
-    example = diagnosed[EXAMPLE]
-    assert example.diagnosis.verdict is not Verdict.UNKNOWN
-    assert dragrig.diagnose(example.runs, calibration=file).effects == ()
+    stribeck = diagnosed["stribeck"]
+    assert stribeck.diagnosis.effects == ("stribeck",)
+    assert dragrig.diagnose(stribeck.runs, calibration=file).effects == ()
 
 
 @pytest.mark.parametrize(("text", "answer"), [(None, "cannot be read"), ("{}", "is not what dragrig gap calibrate")])
