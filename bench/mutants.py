@@ -54,16 +54,23 @@ NOTICED = frozenset({"killed", "timeout", "segfault"})
 """What mutmut calls a mutant with which a test failed, did not end, or ended the interpreter."""
 UNSEEN = (r"\bcast\(", r"__slots__", r"TypeVar\(")
 """Lines that mean something to a type checker alone."""
-PLUGIN = '''"""Examples that are the same for every mutant, and a failure that is reported as it was found."""
+PLUGIN = '''"""Examples that are the same for every mutant, failures as they were found, and nothing computed before."""
+
+import functools
+import gc
 
 from hypothesis import Phase, settings
 
 
 def pytest_configure() -> None:
-    """Override the profile that the tests load."""
+    """Override the profile that the tests load, and forget what another process had computed with the code as it is."""
     phases = (Phase.explicit, Phase.generate)
     settings.register_profile("mutants", deadline=None, derandomize=True, database=None, phases=phases)
     settings.load_profile("mutants")
+    gc.unfreeze()
+    for cached in gc.get_objects():
+        if isinstance(cached, functools._lru_cache_wrapper):
+            cached.cache_clear()
 '''
 
 

@@ -17,6 +17,7 @@ from dragrig.analysis.linear_gaussian import (
     PriorScales,
     Whitening,
     _LeastSquaresPass,
+    _ModelCache,
     is_at_bound,
     prepare_channels,
     repeat_differences,
@@ -24,6 +25,7 @@ from dragrig.analysis.linear_gaussian import (
     zero_remarks,
 )
 from dragrig.analysis.models.nominal_model import ChannelModel, MotionState, Parameter, Prediction
+from dragrig.analysis.noise import average_in_blocks
 from dragrig.config import AnalysisError
 from dragrig.rig import FloatArray, Run
 from sliding_runs import noise, selected, slid, with_force
@@ -407,3 +409,30 @@ def test_derivatives_that_are_not_used_are_not_asked_for() -> None:
     bare.derivatives(np.zeros(2), ("constant_mN",))
     bare.derivatives(np.zeros(2))
     assert set(asked) == {("constant_mN",), ()}
+
+
+def test_derivatives_are_reused_while_no_parameter_moves_by_a_twentieth() -> None:
+    """Relative to its value, whose logarithm has a prior of 0.1 here: a twentieth of the value is half of that."""
+    problem = SimpleNamespace(scales=SimpleNamespace(sd=np.array([0.1])), derivatives=derivatives)
+    cache = _ModelCache(problem)  # type: ignore[arg-type]
+    for z, steps in ((0.0, 1), (0.49, 1), (0.51, 2), (0.1, 2), (0.0, 3)):
+        cache.derivatives(np.array([z]))
+        assert cache.steps == steps
+    cache.derivatives(np.array([0.01]), 0.0)
+    assert cache.steps == 4
+
+
+def derivatives(z: FloatArray) -> list[FloatArray]:
+    return [z]
+
+
+@pytest.mark.parametrize("jumps", [True, False])
+def test_a_sample_stands_for_its_time_where_the_prediction_jumps(jumps: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    (experiment,) = selected([moved(10.0)]).experiments
+    predictor = Linear().prepare(experiment)["force"]
+    monkeypatch.setattr(type(predictor), "jumps", property(lambda _: jumps))
+    (found,) = prepare_channels([experiment], Linear(), 3.0)
+    expected = average_in_blocks(experiment, "force", predictor.events_s, jumps=jumps, longest_mm=3.0)
+    np.testing.assert_array_equal(found.blocks.nodes_s, expected.nodes_s)
+    np.testing.assert_array_equal(found.blocks.mean, expected.mean)
+    assert np.abs(np.diff(experiment.position(found.blocks.middle_s))).max() < 3.5

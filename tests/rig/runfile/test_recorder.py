@@ -704,4 +704,4 @@ def test_a_disk_that_does_not_answer_is_not_waited_for_for_ever(
     answers.set()
     recording._thread.join(60.0)
     assert not recording._thread.is_alive()
-    assert recording._thread.name == "recorder of run.recording.h5"
+    assert (recording._thread.name, recording._thread.daemon) == ("recorder of run.recording.h5", True)
