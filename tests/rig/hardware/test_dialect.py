@@ -501,7 +501,8 @@ def test_the_page_followed_to_the_letter_makes_a_run_in_a_dialect_of_ones_own(la
     commands = on_the_page("sh")
     assert [line.split()[0] for line in commands.strip().splitlines()] == ["export", "dragrig", "dragrig"]
     done = subprocess.run(
-        ["bash", "-e"], cwd=lab, input=commands.replace('"A. Person"', '"A. Person" <<< $\'\\n\\n\\n\\n\\n\\n\''),
+        ["bash", "-e"], cwd=lab, env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"},
+        input=commands.replace('"A. Person"', '"A. Person" <<< $\'\\n\\n\\n\\n\\n\\n\''),
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
