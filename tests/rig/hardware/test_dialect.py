@@ -496,6 +496,7 @@ def lab(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(os.name == "nt", reason="the page's commands are those of a Unix shell")
 def test_the_page_followed_to_the_letter_makes_a_run_in_a_dialect_of_ones_own(lab: Path) -> None:
     commands = on_the_page("sh")
