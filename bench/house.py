@@ -13,7 +13,7 @@ import argparse
 import ast
 import tomllib
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -72,9 +72,9 @@ class House:
         self.modules = {module.name: module for module in result}
 
     @cached_property
-    def imports(self) -> Mapping[str, tuple[Import, ...]]:
+    def imports(self) -> Mapping[str, Sequence[Import]]:
         """What each module imports of the product."""
-        return {name: tuple(_imports(module, self.modules)) for name, module in self.modules.items()}
+        return {name: _imports(module, self.modules) for name, module in self.modules.items()}
 
     def graph(self, *, in_functions: bool, for_types: bool, through_faces: bool = True) -> Graph:
         """Return the distinct modules that each module imports, or names, where names of faces are not followed."""
@@ -113,11 +113,12 @@ def _modules(package: str, folder: Path) -> Iterator[Module]:
         yield Module(name, path, text.count("\n") + public.count("\n"), ast.parse(text), face)
 
 
-def _imports(module: Module, known: Mapping[str, Module]) -> Iterator[Import]:
+def _imports(module: Module, known: Mapping[str, Module]) -> Sequence[Import]:
+    result: list[Import] = []
     faces: dict[str, str] = {}
     """Faces imported as a whole, whose names are then attributes, by the name that they have here."""
 
-    def visit(node: ast.AST, *, in_function: bool, for_types: bool) -> Iterator[Import]:
+    def visit(node: ast.AST, *, in_function: bool, for_types: bool) -> None:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.Import):
                 targets: list[tuple[str, str | None]] = [(alias.name, None) for alias in child.names]
@@ -125,18 +126,24 @@ def _imports(module: Module, known: Mapping[str, Module]) -> Iterator[Import]:
             elif isinstance(child, ast.ImportFrom):
                 targets = list(_named(child, known))
                 faces.update((alias.asname or alias.name, f"{child.module}.{alias.name}") for alias in child.names)
-            elif isinstance(child, ast.Attribute) and (face := known.get(faces.get(ast.unparse(child.value), ""))):
+            elif isinstance(child, ast.Attribute) and (face := known.get(faces.get(_dotted(child.value), ""))):
                 targets = [(face.name, child.attr)] if child.attr in face.face else []
             else:
                 inside = in_function or isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
                 typed = for_types or (isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test))
-                yield from visit(child, in_function=inside, for_types=typed)
+                visit(child, in_function=inside, for_types=typed)
                 continue
-            for target, name in targets:
-                if target in known:
-                    yield Import(target, name, in_function, for_types)
+            result.extend(Import(target, name, in_function, for_types) for target, name in targets if target in known)
 
-    yield from visit(module.tree, in_function=False, for_types=False)
+    visit(module.tree, in_function=False, for_types=False)
+    return result
+
+
+def _dotted(node: ast.expr) -> str:
+    """Return the name of a module as code has it; empty for any other expression."""
+    if isinstance(node, ast.Attribute):
+        return f"{_dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
 
 
 def _named(statement: ast.ImportFrom, known: Mapping[str, Module]) -> Iterator[tuple[str, str | None]]:
@@ -193,8 +200,9 @@ def private_functions(house: House) -> Mapping[str, int]:
     """Return how often each private function or method is named in its own module, but for its definition."""
     result = {}
     for module in house.modules.values():
-        uses = Counter(_names(module.tree))
-        for node in ast.walk(module.tree):
+        nodes = list(ast.walk(module.tree))
+        uses = Counter(_names(nodes))
+        for node in nodes:
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and _is_private(node.name):
                 result[f"{module.name}.{node.name}:{node.lineno}"] = uses[node.name]
     return result
@@ -204,8 +212,8 @@ def _is_private(name: str) -> bool:
     return name.startswith("_") and not name.startswith("__") and name != "_"
 
 
-def _names(tree: ast.AST) -> Iterator[str]:
-    for node in ast.walk(tree):
+def _names(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    for node in nodes:
         if isinstance(node, ast.Name):
             yield node.id
         elif isinstance(node, ast.Attribute):

@@ -44,7 +44,7 @@ FACTORY_PARAMETERS: Mapping[Parameter, float] = {
 """What a drive holds before it is set up; a silence timeout of 0 is none."""
 RATED_THRUST_N = 100.0
 """A drive limits a thrust limit beyond its rating to its rating, without an error."""
-_WATCH_INTERVAL_S = 0.002
+_WATCH_MOVING_S, _WATCH_AT_REST_S = 0.002, 0.005
 _DEFAULT_ALARM = 1
 _G_MM_S2_PER_N = 1e6
 
@@ -146,7 +146,7 @@ class DriveDouble:
                 self._end(Halt.SILENCE)
 
     def _watch(self) -> None:
-        while not self._ended.wait(_WATCH_INTERVAL_S):
+        while not self._ended.wait(_WATCH_MOVING_S if self.bench.moving else _WATCH_AT_REST_S):
             self.poll()
 
     def _carry_out(self, request: Request) -> Reply:

@@ -13,7 +13,7 @@ from serial.tools.list_ports import comports
 
 from dragrig import api
 from dragrig.cli import main
-from dragrig.config.errors import AbortedError, TrippedError
+from dragrig.config.errors import AbortedError, PlanError, TrippedError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import CommissionedSignal, CommissioningRecord, RigSettings
 from dragrig.rig.commissioning import (
@@ -209,8 +209,10 @@ class Hand(NullOperator):
 def without_record(lab: Path) -> Iterator[None]:
     record = lab / "commissioning.toml"
     record.unlink(missing_ok=True)
-    yield
-    record.unlink(missing_ok=True)
+    try:
+        yield
+    finally:
+        record.unlink(missing_ok=True)
 
 
 def test_a_press_that_is_over_before_the_answer_counts(faulty_rig: Bench) -> None:
@@ -272,6 +274,42 @@ def test_a_look_that_found_faults_is_asked_about_and_what_it_found_stays(faulty_
         stored = read_commissioning(faulty_rig.lab)
         assert stored is not None
         assert stored.signals == (found,)
+
+
+class Agreeing(NullOperator):
+    """Does whatever is asked."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def ask(self, prompt: Prompt) -> Answer:
+        self.asked.append(prompt.text)
+        return Answer.DONE
+
+
+def test_a_look_that_finds_nothing_wired_has_long_fast_runs_refused_and_the_record_says_why(faulty_rig: Bench) -> None:
+    faulty_rig.inject(drive_unwatched=True, enable_not_wired=True)
+    rig, plan = str(faulty_rig.lab / "rig.toml"), faulty_rig.lab / "plan.toml"
+    far = ("travel_mm=130",)
+    with without_record(faulty_rig.lab):
+        before = api.check(plan, rig=rig, assignments=far)
+        assert before.findings == ()
+        assert "untried" in " ".join(before.remarks)
+        assert "without it by up to 130.0 mm" in " ".join(before.remarks)
+        api.commission(person=Agreeing(), rig=rig)
+        stored = read_commissioning(faulty_rig.lab)
+        assert stored is not None
+        signals = {signal.name: signal for signal in stored.signals}
+        assert not signals["enable"].passed
+        assert not signals["watchdog in motion"].passed
+        person, folder = Agreeing(), faulty_rig.folder()
+        with pytest.raises(PlanError, match=r"speed to 2\.9 mm/s"):
+            api.run(plan, rig=rig, out=folder, person=person, assignments=far)
+        assert person.asked == []
+        assert not folder.exists()
+        assert api.check(plan, rig=rig, assignments=(*far, "speed_mm_s=2.9")).findings == ()
+        (way,) = (check for check in api.examine(rig=rig) if check.name == "way without program")
+        assert not way.passed
 
 
 def test_another_wiring_has_another_key_and_another_speed_has_not() -> None:

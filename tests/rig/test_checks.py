@@ -13,6 +13,7 @@ from dragrig.rig.protocols.drag import DragProtocol
 from dragrig.rig.protocols.motion import MotionProtocol, Move
 from dragrig.rig.protocols.relaxation import RelaxationProtocol
 from dragrig.rig.reading import BlockExtremes, CheckReport, RunChecks, SetpointSampler
+from property_tests import thorough
 
 RATE = 1000.0
 SPECIMEN = Specimen(name="jejunum")
@@ -93,7 +94,7 @@ def test_a_stage_that_sets_out_late_does_not_turn_the_force_round(sign: int, res
     assert seen.values["force_response"] == response
 
 
-@pytest.mark.parametrize("strain", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("strain", [thorough(0.5), 1.0, thorough(2.0)])
 @pytest.mark.parametrize("hold_s", [0.25, 0.5, 20.0])
 def test_a_wall_that_relaxes_is_not_taken_for_noise_that_began(strain: float, hold_s: float) -> None:
     for seed in range(10):
@@ -157,13 +158,13 @@ def test_a_capsule_that_slips_is_reported_with_its_time(at_s: float, drop: float
     assert any("slipped" in warning for warning in seen.warnings)
 
 
-@pytest.mark.parametrize("strain", [0.5, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("strain", [0.5, thorough(1.0), thorough(1.5), 2.0])
 def test_a_wall_that_relaxes_is_not_taken_for_slip(strain: float) -> None:
     for seed in range(10):
         assert relaxing(seed, strain).values["slip_time_s"] == -1.0
 
 
-@pytest.mark.parametrize("plan", ["first", "drag-sweep"])
+@pytest.mark.parametrize("plan", ["first", thorough("drag-sweep")])
 def test_the_shipped_plans_on_the_simulated_rig_are_marked_by_nothing(plan: str) -> None:
     import dragrig
 

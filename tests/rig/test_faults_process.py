@@ -114,6 +114,7 @@ def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_
     assert_kept(read_run(lost.path), remaining)
 
 
+@pytest.mark.thorough
 def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Bench, start: Start) -> None:
     program = start("plan.toml", *settings_words(*SOON_SILENT), "--out", folder := faulty_rig.folder())
     struck = program.until_under_way()

@@ -19,6 +19,7 @@ from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.card.tasks import INDEX_HYSTERESIS_COUNTS
 from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM, FaultInjector
 from driving import until
+from property_tests import thorough
 from simulated import NEVER, settings, stroke
 from voltage_bench import VoltageRig, velocity_rig, voltage_rig
 
@@ -30,6 +31,7 @@ FAULTS = [
     ({"carriage_blocked": True}, "nothing moves: .*motor's power"),
 ]
 BY_VOLTAGE = [
+    *(thorough(*fault) for fault in FAULTS),
     ({"velocity_swapped": True}, "polarity is wrong: told to move by -1.000 mm.*exchange the two wires of ao0"),
     ({"velocity_swapped": True, "encoder_swapped": True}, "A and B of the encoder are swapped"),
 ]
@@ -51,8 +53,8 @@ def position_rig(rig: RigSettings = RIG) -> Iterator[DoubleBackend]:
         backend.close()
 
 
-def homing(direction: str, rig: RigSettings = RIG) -> RigSettings:
-    drive = rig.hardware.drive.model_copy(update={"homing_direction": direction})
+def homing(direction: str, rig: RigSettings = RIG, **drive_settings: float) -> RigSettings:
+    drive = rig.hardware.drive.model_copy(update={"homing_direction": direction, **drive_settings})
     return rig.model_copy(update={"hardware": rig.hardware.model_copy(update={"drive": drive})})
 
 
@@ -89,7 +91,7 @@ def test_a_drive_that_homes_by_itself_is_stopped_after_a_millimetre(faults: dict
         wrong(backend, faults, message)
 
 
-@pytest.mark.parametrize(("faults", "message"), [*FAULTS, *BY_VOLTAGE])
+@pytest.mark.parametrize(("faults", "message"), BY_VOLTAGE)
 def test_a_voltage_the_wrong_way_round_moves_by_a_millimetre(faults: dict[str, object], message: str) -> None:
     with voltage_rig() as backend:
         wrong(backend, faults, message)
@@ -132,7 +134,7 @@ def test_a_drive_that_was_homed_and_is_set_otherwise_since_does_not_run_to_the_f
 @pytest.mark.parametrize("direction", ["low", "high"])
 @pytest.mark.parametrize("from_switch_mm", [0.6, 0.05, 0.0, -0.5])
 def test_homing_that_begins_beside_or_on_its_switch_is_no_wrong_way(direction: str, from_switch_mm: float) -> None:
-    with position_rig(homing(direction)) as backend:
+    with position_rig(homing(direction, homing_speed_mm_s=100.0)) as backend:
         place_beside_switch(backend, direction, from_switch_mm)
         backend.stage.enable()
         backend.stage.home()

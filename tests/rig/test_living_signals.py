@@ -29,6 +29,7 @@ from dragrig.rig.runfile.model import Attribute, RunEvent, RunStatus
 from dragrig.setup import create_lab
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+from property_tests import thorough
 from rig_faults import sentence
 from simulated import acquire, stroke
 from voltage_bench import velocity_rig, voltage_rig
@@ -191,7 +192,7 @@ def test_what_only_the_whole_run_shows_marks_it(rig: Rig, fault: dict[str, float
         ({}, ["did not change when the stage stopped"]),
     ],
 )
-@pytest.mark.parametrize("rate_hz", [1000.0, 5000.0])
+@pytest.mark.parametrize("rate_hz", [1000.0, thorough(5000.0)])
 def test_a_cable_that_is_pulled_in_mid_stroke_marks_the_run(
     floats: dict[str, float], warnings: list[str], rate_hz: float
 ) -> None:

@@ -147,7 +147,7 @@ def test_what_cannot_be_measured_is_asked_about() -> None:
 
 def made(folder: Path, person: NullOperator | None, sentinel: dict[str, object]) -> dragrig.Made:
     plan = plan_of({"every": 2, **sentinel}, {**DRAG, "repeats": 3})
-    return dragrig.run(plan, out=folder, person=person)
+    return dragrig.run(plan, out=folder, person=person, assignments=["rig.sampling.rate_hz=200"])
 
 
 def sentinels(folder: Path) -> Sequence[str]:

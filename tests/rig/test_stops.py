@@ -10,19 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import dragrig
-from dragrig import api
-from dragrig.config.errors import PlanError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import CommissionedSignal, CommissioningRecord, RigSettings
-from dragrig.rig.commissioning import MOTION_PROMPT, STANDSTILL_PROMPT, look_at_rig, read_commissioning
+from dragrig.rig.commissioning import MOTION_PROMPT, STANDSTILL_PROMPT, look_at_rig
 from dragrig.rig.devices import BackendRequest, RigCheck, StageLimits
-from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.stops import HAND_S, RELEASE_S, RunOn, Stops, assess_stops, check_stops
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 from driving import driven, until
-from rig_faults import Bench
+from property_tests import thorough
 from simulated import stroke
 
 HEARTBEAT = {"heartbeat": "port1/line4"}
@@ -268,7 +265,7 @@ def test_what_stops_the_drive_is_proven_with_its_time_at_rest_and_at_1_mm_s() ->
     assert looked.furthest_mm <= 2.0
 
 
-@pytest.mark.parametrize("homed", [False, True])
+@pytest.mark.parametrize("homed", [False, thorough(True)])
 def test_wires_that_are_not_there_are_found_each_by_itself(homed: bool) -> None:
     looked = Looked(rig_of(**HEARTBEAT), homed=homed, enable_not_wired=True, relay_not_wired=True, drive_unwatched=True)
     failed = {name: finding.detail for name, finding in looked.found.items() if not finding.passed}
@@ -332,45 +329,3 @@ def test_what_else_stops_the_drive_while_nobody_asks_it_is_no_proof_of_its_timeo
     finally:
         striking.join()
         backend.close()
-
-
-# ---- a lab, from the look to the refusal --------------------------------------------------------------------------
-
-
-class Agreeing(NullOperator):
-    """Does whatever is asked."""
-
-    def __init__(self) -> None:
-        self.asked: list[str] = []
-
-    def ask(self, prompt: Prompt) -> Answer:
-        self.asked.append(prompt.text)
-        return Answer.DONE
-
-
-def test_a_look_that_finds_nothing_wired_has_long_fast_runs_refused_and_the_record_says_why(faulty_rig: Bench) -> None:
-    (faulty_rig.lab / "commissioning.toml").unlink(missing_ok=True)
-    faulty_rig.inject(drive_unwatched=True, enable_not_wired=True)
-    rig, plan = str(faulty_rig.lab / "rig.toml"), faulty_rig.lab / "plan.toml"
-    far = ("travel_mm=130",)
-    try:
-        before = api.check(plan, rig=rig, assignments=far)
-        assert before.findings == ()
-        assert "untried" in " ".join(before.remarks)
-        assert "without it by up to 130.0 mm" in " ".join(before.remarks)
-        api.commission(person=Agreeing(), rig=rig)
-        stored = read_commissioning(faulty_rig.lab)
-        assert stored is not None
-        signals = {signal.name: signal for signal in stored.signals}
-        assert not signals["enable"].passed
-        assert not signals["watchdog in motion"].passed
-        person, folder = Agreeing(), faulty_rig.folder()
-        with pytest.raises(PlanError, match=r"speed to 2\.9 mm/s"):
-            dragrig.run(plan, rig=rig, out=folder, person=person, assignments=far)
-        assert person.asked == []
-        assert not folder.exists()
-        assert api.check(plan, rig=rig, assignments=(*far, "speed_mm_s=2.9")).findings == ()
-        (way,) = (check for check in dragrig.examine(rig=rig) if check.name == "way without program")
-        assert not way.passed
-    finally:
-        (faulty_rig.lab / "commissioning.toml").unlink(missing_ok=True)

@@ -1,5 +1,11 @@
-"""How many examples a property is tried with: a quarter in the test line, three times as many in the thorough tests."""
+"""What the test line tries of many: a quarter of a property's examples, and some members of a family of cases.
 
+The thorough tests try three times as many examples, and the other members.
+"""
+
+from typing import Any
+
+import pytest
 from hypothesis import settings
 
 
@@ -10,3 +16,8 @@ def examples(usual: int) -> int:
     run draws new ones.
     """
     return max(5, usual * settings.default.max_examples // 100)
+
+
+def thorough(*values: object) -> Any:
+    """Parameters of a case whose mechanism other cases of the same test show in the test line."""
+    return pytest.param(*values, marks=pytest.mark.thorough)

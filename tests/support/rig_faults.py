@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 import dragrig as api
 from dragrig.campaign_session import Made
@@ -95,11 +94,6 @@ def sentence(fault: str) -> re.Pattern[str]:
     rows = [line.split("|")[1:-1] for line in DOCS.read_text("utf-8").splitlines() if line.startswith("|")]
     (shown,) = [row[1].strip(" `") for row in rows if row[0].strip() == fault and row[1].strip().startswith("`")]
     return re.compile(".+?".join(re.escape(part) for part in shown.split("…")), re.DOTALL)
-
-
-def thorough(*values: object) -> Any:
-    """Parameters of a member of a family whose mechanism others show in the test line."""
-    return pytest.param(*values, marks=pytest.mark.thorough)
 
 
 class Person(NullOperator):

@@ -18,6 +18,7 @@ from dragrig.rig.calibration import append_calibration
 from dragrig.rig.hardware.card.connection import Connection
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.runfile.model import RunStatus
+from property_tests import thorough
 from rig_faults import (
     FAR_MM,
     RIG,
@@ -32,7 +33,6 @@ from rig_faults import (
     begin,
     only_run,
     sentence,
-    thorough,
 )
 
 
@@ -53,14 +53,14 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
 @pytest.mark.parametrize(
     ("fault", "faults", "assignments", "then"),
     [
-        ("encoder stuck", {"encoder_stuck": True}, SOON_STUCK, None),
+        thorough("encoder stuck", {"encoder_stuck": True}, SOON_STUCK, None),
         thorough("force over range", {"force_added_mN": 9950.0}, (), assert_goes_on),
         thorough("force over the limit", {"force_added_mN": RIG.guard.force_limit_mN + 500.0}, (), None),
         thorough("force sensor's wire broken", {"sensor_open": True}, (), None),
         ("force input dead", {"force_constant_V": 4.9}, (), None),
         thorough("encoder loses counts", {"encoder_added_counts": -400}, (), assert_goes_on),
         thorough("encoder's error line", {"encoder_error": True}, (), assert_goes_on),
-        ("card delivers no samples", {"card_stalled": True}, SOON_STALE, None),
+        thorough("card delivers no samples", {"card_stalled": True}, SOON_STALE, None),
     ],
 )
 def test_what_the_samples_show_stops_the_stage(
@@ -145,10 +145,11 @@ def test_an_amplifier_that_goes_off_trips_a_calibrated_rig(faulty_rig: Bench, ca
     assert_reported("force amplifier off", ended, only_run(ended.folder))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("faults", "check", "finding"),
     [
-        thorough({"force_dead": True}, ("force_response", "none"), "force dead"),
+        ({"force_dead": True}, ("force_response", "none"), "force dead"),
         ({"encoder_lost_share": 0.01}, ("encoder_mismatch_mm", -0.18), "encoder -0.18 mm off"),
     ],
 )

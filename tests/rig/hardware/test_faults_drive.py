@@ -11,6 +11,7 @@ from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.programme import PlannedRun
 from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import RunStatus
+from property_tests import thorough
 from rig_faults import (
     FAR_MM,
     SOON_CUT_OFF,
@@ -25,7 +26,6 @@ from rig_faults import (
     begin,
     only_run,
     sentence,
-    thorough,
 )
 
 

@@ -20,6 +20,7 @@ from dragrig.rig.hardware.drive.velocity_loop import MotionCommand, SpeedControl
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
 from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM
 from driving import until
+from property_tests import thorough
 from remote_doubles import RemoteDoubles
 from simulated import NEVER, acquire, begin, blocks, record, session, settings, stroke
 from voltage_bench import LEAD_S, RATE, VoltageRig, velocity_rig, voltage_rig
@@ -136,7 +137,7 @@ def test_a_stop_from_another_thread_brakes_within_what_is_written_ahead(rig: Vol
     assert rig.stage.fault is None
 
 
-@pytest.mark.parametrize("ends", ["stage.stop", "sampler.stop"])
+@pytest.mark.parametrize("ends", ["stage.stop", thorough("sampler.stop")])
 def test_a_motion_whose_first_sample_never_comes_is_dropped(rig: VoltageRig, ends: str) -> None:
     rig.sampler.arm(acquire(LONG))
     rig.stage.move(LONG)
@@ -218,7 +219,10 @@ def test_a_card_that_is_pulled_in_motion_leaves_the_stop_to_the_relay(rig: Volta
 
 @pytest.mark.parametrize(
     ("trouble", "cause"),
-    [({"e_stop_pressed": True}, TripCause.EMERGENCY_STOP), ({"drive_alarm": "overheating"}, TripCause.DRIVE_FAULT)],
+    [
+        ({"e_stop_pressed": True}, TripCause.EMERGENCY_STOP),
+        thorough({"drive_alarm": "overheating"}, TripCause.DRIVE_FAULT),
+    ],
 )
 def test_what_stops_the_drive_ends_the_motion(rig: VoltageRig, trouble: dict[str, bool], cause: TripCause) -> None:
     rig.stage.move(LONG)

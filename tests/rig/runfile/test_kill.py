@@ -16,12 +16,13 @@ from dragrig.rig.runfile.finisher import RecoveryOutcome
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.runfile.schema import journal_path
 from killed import STEPS, loss_of, run_victim
+from property_tests import thorough
 from runfiles import arrays, blocks, header, record
 
 BOUND_S = 0.25
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, thorough(2), thorough(3)])
 def test_a_kill_at_any_moment_loses_a_quarter_second_at_most(tmp_path: Path, seed: int) -> None:
     draw = random.Random(seed)
     path, rate_hz = tmp_path / "run.h5", draw.choice([1000.0, 50_000.0])

@@ -19,7 +19,7 @@ from power_cuts import Recorded, lost_s, record_on_emulated_disk
 from runfiles import arrays, header, record
 
 MAX_LAG_S = 0.3
-CUTS = 25
+CUTS = 12
 
 
 @pytest.fixture(scope="module")
