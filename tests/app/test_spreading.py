@@ -73,8 +73,11 @@ def test_a_process_killed_while_it_waits_is_replaced() -> None:
     assert second not in {pid, os.getpid()}
 
 
-def test_a_dead_pool_is_neither_shut_down_nor_let_go_in_its_own_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From Python 3.12 on that thread holds the pool's lock then, and would wait for it for ever."""
+def test_a_piece_that_takes_every_process_along_is_given_up_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No dead pool is shut down or let go in its own thread.
+
+    From Python 3.12 on that thread holds the pool's lock then, and would wait for it for ever.
+    """
     where: list[threading.Thread] = []
 
     class Noted(ProcessPoolExecutor):
@@ -91,19 +94,8 @@ def test_a_dead_pool_is_neither_shut_down_nor_let_go_in_its_own_thread(monkeypat
     assert set(where) == {threading.main_thread()}
 
 
-def test_a_piece_that_takes_every_process_along_is_given_up_in_words() -> None:
-    with pytest.raises(WorkerError, match="ended 3 times"), open_executor(1, own_process=True) as entry:
-        parallel_map(entry, deadly, [1])
-
-
 @pytest.mark.parametrize("workers", [1, 2])
-def test_what_a_piece_raises_comes_out(workers: int) -> None:
-    with pytest.raises(ValueError, match="not liked"), open_executor(workers) as some:
-        parallel_map(some, failing, range(3))
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_what_was_done_before_a_failure_has_been_told(workers: int) -> None:
+def test_what_a_piece_raises_comes_out_once_what_was_done_before_has_been_told(workers: int) -> None:
     answer: list[tuple[int, int]] = []
     with pytest.raises(ValueError, match="not liked"), open_executor(workers) as some:
         parallel_map(some, failing, [0, 0, 0, 1], lambda piece, result: answer.append((piece, result)))
