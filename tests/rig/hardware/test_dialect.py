@@ -505,7 +505,6 @@ def test_the_page_followed_to_the_letter_makes_a_run_in_a_dialect_of_ones_own(la
         ["bash", "-e"], cwd=lab, env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"},
         input=commands.replace('"A. Person"', '"A. Person" <<< $\'\\n\\n\\n\\n\\n\\n\''),
         capture_output=True, text=True, check=False,
-        env={**os.environ, "PATH": os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     runs = read_campaign(next((lab / "runs").iterdir())).runs
