@@ -29,7 +29,7 @@ from dragrig.rig.devices import Acquisition
 from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.drive_double import make_drive_double
 from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults, DoubleClock, FaultInjector, SimulatedBench
-from driving import ANY_PORT
+from drive_ports import SocketPort
 from remote_doubles import (
     REQUEST_ADAPTER,
     ControlReply,
@@ -161,7 +161,7 @@ def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
     with ExitStack() as opened:
         card = opened.enter_context(CardServer(Card(bench, bench.put_out)))
         drive = opened.enter_context(make_drive_double(bench))
-        port = opened.enter_context(ANY_PORT(drive))
+        port = opened.enter_context(SocketPort(drive))
         control = opened.enter_context(ControlServer(bench.faults, bench.present, look, end))
         threading.Thread(target=_end_with_parent, args=(end,), name="parent", daemon=True).start()
         # A full collection would hold up every answer, on a busy machine for seconds.
