@@ -95,7 +95,9 @@ class Disk:
             self._look()
             status = os.fstat(descriptor)
             with self._lock:
-                history = self._names if status.st_ino == self._folder.stat().st_ino else self._files[status.st_ino]
+                history = self._names if status.st_ino == self._folder.stat().st_ino else self._files.get(status.st_ino)
+                if history is None:  # a file elsewhere, of a thread that an earlier test left at work
+                    return real_sync(descriptor)
                 state = len(history.states) - 1
             time.sleep(self._draw.uniform(0.0, self._max_lag_s))
             with self._lock:

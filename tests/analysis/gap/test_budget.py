@@ -324,9 +324,8 @@ def test_a_line_alone_is_the_whole_gap_and_no_line_changes_nothing() -> None:
 
 
 def test_every_effect_has_a_probability_that_is_never_sure() -> None:
-    _, causes = prepared()
     found = presence_of_effects(
-        replace(causes, effects={"stribeck": 1.0, "adhesion": 0.3}),
+        {"stribeck": 1.0, "adhesion": 0.3},
         replace(CLASSIFIED, probabilities={"mains_hum": 0.2, "velocity_ripple": 0.0, "stribeck": 0.8}),
         ("velocity_ripple",),
     )
