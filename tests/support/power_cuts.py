@@ -97,7 +97,8 @@ class Disk:
             with self._lock:
                 history = self._names if status.st_ino == self._folder.stat().st_ino else self._files.get(status.st_ino)
                 if history is None:  # a file elsewhere, of a thread that an earlier test left at work
-                    return real_sync(descriptor)
+                    real_sync(descriptor)
+                    return
                 state = len(history.states) - 1
             time.sleep(self._draw.uniform(0.0, self._max_lag_s))
             with self._lock:
