@@ -67,9 +67,10 @@ def expected_bits(weights: FloatArray, distances: FloatArray, labels: Sequence[H
     """
     numbers = {label: number for number, label in enumerate(dict.fromkeys(labels))}
     codes = np.array([numbers[label] for label in labels])
-    overlap = weights * np.exp(-distances)
-    own = np.where(codes[:, None] == codes, overlap, 0.0).sum(axis=1)
-    remaining = float(weights @ np.log2(overlap.sum(axis=1) / own))
+    likely = np.flatnonzero(weights)  # of an explanation that cannot be, nothing remains
+    overlap = (weights * np.exp(-distances))[np.ix_(likely, likely)]
+    own = np.where(codes[likely, None] == codes[likely], overlap, 0.0).sum(axis=1)
+    remaining = float(weights[likely] @ np.log2(overlap.sum(axis=1) / own))
     return max(entropy_bits(weights, labels) - remaining, 0.0)
 
 

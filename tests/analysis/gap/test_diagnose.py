@@ -74,6 +74,7 @@ def test_what_no_effect_explains_is_unknown_and_has_a_place(diagnosed: Diagnosed
     assert "drag" in diagnosis.unknown.location
 
 
+@pytest.mark.thorough
 def test_a_table_that_shakes_slower_than_the_blocks_is_no_mere_noise(tmp_path: Path) -> None:
     """Noise is measured at rest, where the table shakes too: it must not pass for noise of the sensor."""
     shaken = diagnose(hidden(tmp_path, 29, "table_vibration"), MODEL, UNADVISED)
@@ -141,6 +142,7 @@ def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
     json.dumps(diagnosis_json(diagnosis))
 
 
+@pytest.mark.thorough
 def test_the_same_runs_give_the_same_answer(diagnosed: DiagnosedCampaigns) -> None:
     again = diagnose(choose_runs(CAMPAIGN), MODEL)
     first, second = (dict(diagnosis_json(result)) for result in (diagnosed[EXAMPLE].diagnosis, again))

@@ -74,7 +74,7 @@ def test_another_form_of_an_effect_counts_for_little_and_what_acts_elsewhere_as_
     [
         pytest.param(61, "mesentery_tether", "adhesion", marks=pytest.mark.thorough),
         pytest.param(64, "extra_relaxation", "adhesion", marks=pytest.mark.thorough),
-        (66, "film_depletion", "adhesion"),
+        pytest.param(66, "film_depletion", "adhesion", marks=pytest.mark.thorough),
     ],
 )
 def test_a_weak_effect_is_named_beside_a_strong_one(tmp_path: Path, seed: int, strong: str, weak: str) -> None:

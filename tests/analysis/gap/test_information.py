@@ -63,6 +63,9 @@ def test_explanations_that_name_the_same_causes_are_one_answer() -> None:
     # Whichever of two that predict the same is meant, all that is open is told.
     weights, apart = np.array([0.3, 0.2, 0.5]), 50.0 * np.array([[0, 0, 1], [0, 0, 1], [1, 1, 0]])
     assert expected_bits(weights, apart, ("folds", "folds", "none")) == pytest.approx(1.0)
+    # An explanation whose probability is zero, far from all others, changes nothing.
+    more = np.pad(apart, ((0, 1), (0, 1)), constant_values=2000.0)
+    assert expected_bits(np.append(weights, 0.0), more, ("folds", "folds", "none", "drift")) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("apart", [1.0, 2.0, 4.0, 8.0])

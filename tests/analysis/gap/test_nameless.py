@@ -154,7 +154,7 @@ def test_every_law_has_words(study: Study, nominal: Design) -> None:
 @pytest.mark.parametrize(
     ("effect", "seed", "text"),
     [
-        ("foam_resonance", 31, "depends on the speed alone, in the gut"),
+        pytest.param("foam_resonance", 31, "depends on the speed alone, in the gut", marks=pytest.mark.thorough),
         pytest.param("current_crosstalk", 32, "depends on the speed alone, in all runs", marks=pytest.mark.thorough),
         pytest.param("fixture_creeps", 33, "time since start and stop alone, in all runs", marks=pytest.mark.thorough),
         pytest.param("gain_switches", 34, "whose gain differs from run to run", marks=pytest.mark.thorough),

@@ -73,6 +73,7 @@ def few_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(few_runs: Path) -> None:
     first, second, *_ = diagnose(choose_runs(few_runs), MODEL, UNADVISED).ranking
     assert first.probability < 0.9

@@ -97,6 +97,7 @@ def assert_runs_add_up(budget: GapBudget) -> None:
     assert all(run.unit == "mN" and run.time_s.shape == run.gap.shape for run in budget.runs)
 
 
+@pytest.mark.thorough
 def test_what_no_catalogue_has_is_an_unnamed_law(diagnosed: DiagnosedCampaigns) -> None:
     diagnosis = diagnosed["unknown law"].diagnosis
     budget = budget_of(diagnosis)
@@ -106,6 +107,7 @@ def test_what_no_catalogue_has_is_an_unnamed_law(diagnosed: DiagnosedCampaigns) 
     assert shares(budget)[UNEXPLAINED] > 0.5
 
 
+@pytest.mark.thorough
 def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_named(tmp_path: Path) -> None:
     secret = draw_campaign(61010, effects=[], conditions=["exchanged, not recorded"])
     write_campaign(secret, tmp_path)
@@ -117,6 +119,7 @@ def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_na
     assert EXCHANGE + f" after run {before}" in {word for entry in budget.entries for word in entry.what.split(", ")}
 
 
+@pytest.mark.thorough
 def test_both_errors_of_a_position_are_named(tmp_path: Path) -> None:
     effects = ["encoder_scale", "velocity_ripple"]
     write_campaign(draw_campaign(71012, effects=effects, size=[1.0, 1.0], plant="drawn"), tmp_path)

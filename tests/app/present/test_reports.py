@@ -55,6 +55,7 @@ def run_page(campaign: Path) -> Path:
     return dragrig.report(campaign / "014-drag.h5", campaign.with_name("run.html"))
 
 
+@pytest.mark.thorough
 def test_a_page_drawn_by_several_processes_is_the_same_page(tmp_path: Path) -> None:
     folder = tmp_path / "twice"
     folder.mkdir()

@@ -14,6 +14,7 @@ import pytest
 
 from engine_clients import PATIENCE_S, plan
 from places import SUPPORT
+from property_tests import thorough
 from rig_faults import sentence
 from windows import WAIT_MS, lab_in, opened, press, require_qt
 
@@ -55,7 +56,7 @@ def until(done: Callable[[], bool]) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals on Windows")
-@pytest.mark.parametrize("held", ["stopped", "busy"])
+@pytest.mark.parametrize("held", ["stopped", thorough("busy")])
 def test_a_window_that_does_not_respond_has_the_stage_stopped(held: str, tmp_path: Path) -> None:
     folder = tmp_path / "c"
     command = [sys.executable, str(SUPPORT / "frozen_window.py"), str(lab_in(tmp_path / "lab")), str(folder)]

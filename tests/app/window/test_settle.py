@@ -73,6 +73,7 @@ def with_answers(window: MainWindow, done: Callable[[], bool]) -> Callable[[], b
     return is_done
 
 
+@pytest.mark.thorough
 def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
     window: MainWindow, few: Path, until: Until, tmp_path: Path
 ) -> None:
