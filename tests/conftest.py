@@ -4,6 +4,7 @@ import gc
 import os
 import subprocess
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,8 +71,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     """Say at the end of the test line what it leaves out."""
     if config.getoption("markexpr") == "not thorough":
         (left_out,) = (line for line in config.getini("markers") if line.startswith("thorough:"))
-        terminalreporter.write_line(f"Not in this line: {left_out.removeprefix('thorough: ')}. They run with")
-        terminalreporter.write_line("    python3 -m uv run pytest -m thorough")
+        sentence = f"Not in this line: {left_out.removeprefix('thorough: ')}. They run with"
+        for line in (*textwrap.wrap(sentence, 80), "    python3 -m uv run pytest -m thorough"):
+            terminalreporter.write_line(line)
 
 
 def pytest_collection_finish() -> None:

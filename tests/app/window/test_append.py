@@ -64,11 +64,6 @@ def form(window: MainWindow) -> Iterator[NewSession]:
     form.specimen.put("wall_thickness_mm", "")
 
 
-@pytest.fixture
-def until(qtbot: QtBot) -> Until:
-    return lambda done: qtbot.waitUntil(done, timeout=WAIT_MS)
-
-
 def choose(form: NewSession, campaign: Path, until: Until) -> None:
     """Have the runs added to a campaign."""
     form.destination.adds.setChecked(True)

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from windows import WAIT_MS, Until, dressed, press, require_qt
+from windows import Until, dressed, press, require_qt
 
 require_qt()
 
 from PySide6.QtCore import QSettings
 from PySide6.QtWidgets import QApplication, QLabel, QTreeWidgetItem
-from pytestqt.qtbot import QtBot
 
 import dragrig
 from diagnoses import STRIBECK
@@ -35,11 +34,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     short = ["travel_mm=10", "rest_s=0.5", "hold_s=0.5", "wait_s=0", "speed_mm_s=[5,20]"]
     dragrig.simulate("drag", out=root / "first", assignments=short)
     return root
-
-
-@pytest.fixture
-def until(qtbot: QtBot) -> Until:
-    return lambda done: qtbot.waitUntil(done, timeout=WAIT_MS)
 
 
 @pytest.fixture

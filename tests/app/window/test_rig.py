@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import add_ons
-from windows import WAIT_MS, Until, lab_in, opened, press, require_qt
+from windows import Until, opened, press, require_qt
 
 require_qt()
 
@@ -40,16 +40,6 @@ PATIENT = ("rig.guard.stale_data_s=5", "rig.guard.following_error_mm=100", "rig.
            "rig.hardware.card.buffer_s=20", "rig.hardware.hang_s=5", "rig.hardware.drive.reply_s=2",
            "rig.hardware.drive.silence_s=5")  # fmt: skip
 """A rig that waits as long as may be set, for a busy machine is no fault."""
-
-
-@pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return lab_in(tmp_path_factory.mktemp("lab"))
-
-
-@pytest.fixture
-def until(qtbot: QtBot) -> Until:
-    return lambda done: qtbot.waitUntil(done, timeout=WAIT_MS)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from windows import WAIT_MS, Until, dressed, lab_in, opened, press, require_qt
+from windows import WAIT_MS, Until, dressed, opened, press, require_qt
 
 require_qt()
 
@@ -40,16 +40,6 @@ from dragrig.window.plots import TimePlot
 from dragrig.window.run_page import QueueView
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import Topic
-
-
-@pytest.fixture(scope="module")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return lab_in(tmp_path_factory.mktemp("lab"))
-
-
-@pytest.fixture
-def until(qtbot: QtBot) -> Until:
-    return lambda done: qtbot.waitUntil(done, timeout=WAIT_MS)
 
 
 @pytest.fixture(scope="module")

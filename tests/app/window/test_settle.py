@@ -48,11 +48,6 @@ def few(window: MainWindow) -> Path:
     return dragrig.run(FIRST, out=data / "few", effects=[EFFECT], rig=data.parent / "rig.toml").folder
 
 
-@pytest.fixture
-def until(qtbot: QtBot) -> Until:
-    return lambda done: qtbot.waitUntil(done, timeout=WAIT_MS)
-
-
 def settle(window: MainWindow, campaign: Path, pace: str) -> None:
     """Choose a campaign and have it settled within the shortest time."""
     window.run.new.pace.setCurrentText(pace)
