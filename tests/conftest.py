@@ -5,11 +5,12 @@ import os
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from filelock import FileLock
 from hypothesis import settings
 
 # Tests run side by side, so that a second thread of linear algebra only waits for the first.
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from diagnosed import DiagnosedCampaigns
     from rig_faults import Bench
 
+# What is loaded and collected stays till the end, and to look through it again and again takes a third of the time.
+gc.disable()
+
 # How long an example takes says how busy the machine is, so no example fails by its time.
 settings.register_profile("line", deadline=None, max_examples=25)
 settings.register_profile("thorough", deadline=None, max_examples=300)
@@ -51,6 +55,19 @@ def pytest_configure(config: pytest.Config) -> None:
 def is_thorough(config: pytest.Config) -> bool:
     """Tell whether the tests that `pytest -m thorough` adds to the test line are asked for."""
     return config.getoption("markexpr") == "thorough"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
+    """Have a single process compile the tests where that was never done, for all others would compile the same."""
+    compiled = session.config.cache.mkdir("compiled") / sys.implementation.cache_tag
+    if hasattr(session.config, "workerinput"):
+        with FileLock(f"{compiled}.lock"):
+            if not compiled.exists():
+                result = yield
+                compiled.touch()
+                return result
+    return (yield)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -80,16 +97,9 @@ def pytest_collection_finish() -> None:
     """Spare the garbage collector what stays till the end: all modules and all tests that were collected."""
     gc.collect()
     gc.freeze()
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Spare it again after a module whose rig, which freezes all objects for its time, has let go of them.
-
-    To ask takes 30 ms, so not after each test.
-    """
-    if (nextitem is None or nextitem.path != item.path) and not gc.get_freeze_count():
-        gc.freeze()
+    gc.enable()
+    # A rig freezes all objects for its time: what it lets go of afterwards would be looked through at the next.
+    gc.unfreeze = lambda: None  # type: ignore[assignment]
 
 
 @pytest.fixture(scope="session")
