@@ -60,8 +60,8 @@ def is_thorough(config: pytest.Config) -> bool:
 @pytest.hookimpl(wrapper=True)
 def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
     """Have a single process compile the tests where that was never done, for all others would compile the same."""
-    compiled = session.config.cache.mkdir("compiled") / sys.implementation.cache_tag
     if hasattr(session.config, "workerinput"):
+        compiled = session.config.cache.mkdir("compiled") / sys.implementation.cache_tag
         with FileLock(f"{compiled}.lock"):
             if not compiled.exists():
                 result = yield
@@ -93,13 +93,14 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
             terminalreporter.write_line(line)
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish(session: pytest.Session) -> None:
     """Spare the garbage collector what stays till the end: all modules and all tests that were collected."""
     gc.collect()
     gc.freeze()
     gc.enable()
-    # A rig freezes all objects for its time: what it lets go of afterwards would be looked through at the next.
-    gc.unfreeze = lambda: None  # type: ignore[assignment]
+    if hasattr(session.config, "workerinput"):
+        # A rig freezes all objects for its time: what it lets go of afterwards would be looked through at the next.
+        gc.unfreeze = lambda: None  # type: ignore[assignment]
 
 
 @pytest.fixture(scope="session")
