@@ -24,6 +24,7 @@ from dragrig.config.errors import ImportDataError
 from dragrig.rig.runfile import Run, read_run
 from dragrig.rig.runfile.model import RecordedChannel, Trace
 from places import DATA
+from property_tests import thorough
 
 DRAG = DATA / "campaign" / "014-drag.h5"
 NASTY = (
@@ -179,8 +180,14 @@ PARTS = (
 )
 
 
-@pytest.mark.parametrize("export_format", list(ExportFormat))
-@pytest.mark.parametrize("selection", PARTS, ids=str)
+PARTS_IN_FORMATS = [
+    (part, form) if form is ExportFormat.CSV or number % 3 == place % 3 else thorough(part, form)
+    for number, part in enumerate(PARTS)
+    for place, form in enumerate(ExportFormat)
+]
+
+
+@pytest.mark.parametrize(("selection", "export_format"), PARTS_IN_FORMATS, ids=str)
 def test_a_part_of_a_run_comes_back_as_that_part(
     broken: Path, tmp_path: Path, export_format: ExportFormat, selection: ExportSelection
 ) -> None:

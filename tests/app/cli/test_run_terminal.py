@@ -79,7 +79,7 @@ def test_a_key_pauses_the_session_until_the_person_goes_on(tmp_path: Path) -> No
         until(lambda: terminal.shows("along the way"), 60.0)
         assert terminal.shows("force (mN) against time (s)")
         terminal.type("p")
-        until(lambda: terminal.shows("Pausing after this run"), 20.0)
+        until(lambda: terminal.shows("Pausing after this run"), 60.0)
         until(lambda: terminal.shows("Paused. Next is"), 60.0)
         assert terminal.echoes()
         assert len(list(out.glob("*.h5"))) == 1
