@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 from scipy.io import loadmat
@@ -24,7 +24,7 @@ from dragrig.config.errors import ImportDataError
 from dragrig.rig.runfile import Run, read_run
 from dragrig.rig.runfile.model import RecordedChannel, Trace
 from places import DATA
-from property_tests import thorough
+from property_tests import examples, thorough
 
 DRAG = DATA / "campaign" / "014-drag.h5"
 NASTY = (
@@ -83,6 +83,7 @@ def assert_same(run: Run, back: Run) -> None:
         assert back.trace.units[name] == run.trace.units[name]
 
 
+@settings(max_examples=examples(40))
 @given(
     found=names,
     rows=st.integers(1, 9),

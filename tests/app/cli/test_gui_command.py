@@ -31,7 +31,6 @@ def test_a_folder_without_a_lab_is_refused(tmp_path: Path, capsys: pytest.Captur
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a screen is named by the environment on Linux alone")
 def test_without_a_screen_the_error_says_so(tmp_path: Path) -> None:
-    require_qt()
     screens = {"DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"}
     bare = {name: value for name, value in os.environ.items() if name not in screens}
     command = [sys.executable, "-m", "dragrig", "gui"]
