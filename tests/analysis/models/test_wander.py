@@ -2,7 +2,6 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 
 import dragrig
 from diagnosed import UNADVISED, DiagnosedCampaigns
-from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.position_channel import position_errors
@@ -28,7 +26,6 @@ from dragrig.analysis.models.experiment import (
 )
 from dragrig.analysis.selection import RunSelection
 from dragrig.rig.profile import FloatArray
-from dragrig.sim_backend.effects.base import catalogue
 from friction_cases import moves
 from hidden import hidden
 from property_tests import examples, thorough
@@ -156,16 +153,10 @@ def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
     assert not any(position_error.has_position_error for position_error in position_errors(selection.experiments))
 
 
-FEW = replace(UNADVISED, excluded=tuple(set(catalogue()) - {"stribeck", "servo_lag", "encoder_scale"}))
-
-
-@pytest.mark.parametrize(
-    ("encoder", "options"), [("10 µm counts", FEW), thorough("10 µm counts", UNADVISED), thorough("2 µm", UNADVISED)]
-)
-def test_such_an_encoder_does_not_change_the_verdict(
-    stribeck: RunSelection, tmp_path: Path, encoder: str, options: DiagnosisOptions
-) -> None:
-    diagnosis = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL, options)
+@pytest.mark.thorough
+@pytest.mark.parametrize("encoder", ["2 µm", "10 µm counts"])
+def test_such_an_encoder_does_not_change_the_verdict(stribeck: RunSelection, tmp_path: Path, encoder: str) -> None:
+    diagnosis = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL, UNADVISED)
     assert (diagnosis.verdict, diagnosis.effects) == (Verdict.EFFECT, ("stribeck",))
 
 
