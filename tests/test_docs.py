@@ -162,27 +162,23 @@ def test_the_readme_lists_every_command_once() -> None:
     assert sorted(listed) == sorted([*every, *gap])
 
 
-def test_the_worked_protocol_runs_as_it_stands(tmp_path: Path) -> None:
+def test_the_worked_protocol_is_a_kind_of_run_once_its_file_is_there_and_runs_as_it_stands(tmp_path: Path) -> None:
     [code] = re.findall(r"```python\n(.*?)```", (DOCS / "new-protocol.md").read_text("utf-8"), re.DOTALL)
-    script = tmp_path / "staircase.py"
+    kinds, script = tmp_path / "kinds", tmp_path / "script.py"
+    kinds.mkdir()
+    (kinds / "staircase.py").write_text(code.split("\n\nif __name__")[0], "utf-8")
     script.write_text(code, "utf-8")
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
-    assert done.stdout == "staircase 30.0 mm\n", done.stderr
-
-
-def test_the_worked_protocol_is_a_kind_of_run_once_its_file_is_there(tmp_path: Path) -> None:
-    [code] = re.findall(r"```python\n(.*?)```", (DOCS / "new-protocol.md").read_text("utf-8"), re.DOTALL)
-    (tmp_path / "staircase.py").write_text(code.split("\n\nif __name__")[0], "utf-8")
     plan = tmp_path / "plan.toml"
     plan.write_text(
         "name = 'stairs'\n[[steps]]\nkind = 'staircase'\nfirst_mm_s = [2, 5]\nstroke_mm = 5\nwait_s = 0\n", "utf-8"
     )
     program = (
-        "import sys, dragrig; from dragrig.rig import protocols; protocols.__path__.append(sys.argv[1])\n"
+        "import runpy, sys, dragrig; from dragrig.rig import protocols; protocols.__path__.append(sys.argv[1])\n"
         "runs = dragrig.simulate(sys.argv[2], assignments=['rig.sampling.rate_hz=200'])\n"
-        "print([run.info.kind for run in runs], runs[0].info.header.protocol['stroke_mm'])"
+        "print([run.info.kind for run in runs], runs[0].info.header.protocol['stroke_mm'])\n"
+        "runpy.run_path(sys.argv[3], run_name='__main__')"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path), str(plan)], capture_output=True, text=True, check=False
+        [sys.executable, "-c", program, str(kinds), str(plan), str(script)], capture_output=True, text=True, check=False
     )
-    assert done.stdout == "['staircase', 'return', 'staircase', 'return'] 5.0\n", done.stderr
+    assert done.stdout == "['staircase', 'return', 'staircase', 'return'] 5.0\nstaircase 30.0 mm\n", done.stderr

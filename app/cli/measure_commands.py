@@ -368,6 +368,11 @@ def gui_command(
     rig_file = rig_file_of(lab or Path.cwd())
     rig = Path(choices["rig"]) if choices["rig"] is not None else rig_file
     selection = RigSelection(rig, choices["model"], choices["backend"], choices["double"], choices["assignments"], pace)
+    if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
+        raise SettingsError(
+            "gui: there is no screen here, neither DISPLAY nor WAYLAND_DISPLAY is set; sit at the machine itself, or "
+            "connect with ssh -X."
+        )
     try:
         from dragrig.window.main_window import show_window
     except ImportError as error:
@@ -376,9 +381,4 @@ def gui_command(
         else:
             missing = f"a system library that Qt needs is missing ({error}); the README names the packages"
         raise SettingsError(f"gui: {missing}.") from error
-    if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
-        raise SettingsError(
-            "gui: there is no screen here, neither DISPLAY nor WAYLAND_DISPLAY is set; sit at the machine itself, or "
-            "connect with ssh -X."
-        )
     ctx.exit(show_window(selection, rig_file.parent if rig_file is not None else None))

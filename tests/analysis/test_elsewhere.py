@@ -13,7 +13,9 @@ from dragrig.analysis.gap.position_channel import position_errors, score_model_c
 from dragrig.analysis.models.experiment import Experiment, fit_kinematics
 from dragrig.analysis.noise import estimate_noise
 from dragrig.config.errors import SettingsError
+from dragrig.sim_backend.effects.base import catalogue
 from places import ROOT
+from property_tests import thorough
 
 DATA = ROOT / "tests" / "data" / "elsewhere"
 TREND = ROOT / "bench" / "linear_trend.py"
@@ -78,10 +80,14 @@ def test_basalt_is_unknown_and_evolves_over_a_short_slip(tmp_path: Path) -> None
     assert decay_of(result)[0] == pytest.approx(0.012, abs=0.005)
 
 
-def test_a_motors_cogging_is_named_with_72_to_a_turn(tmp_path: Path) -> None:
+OF_DRIVES = {"cogging", "velocity_ripple", "mains_hum", "payload_inertia", "servo_lag"}
+
+
+@pytest.mark.parametrize("without", [tuple(set(catalogue()) - OF_DRIVES), thorough(())], ids=["few", "all"])
+def test_a_motors_cogging_is_named_with_72_to_a_turn(tmp_path: Path, without: tuple[str, ...]) -> None:
     amplitudes = {}
     for name, from_s in (("uncompensated", UNCOMPENSATED_S), ("compensated", COMPENSATED_S)):
-        diagnosis = dragrig.diagnose(turning(tmp_path / name, from_s), nominal="drive")
+        diagnosis = dragrig.diagnose(turning(tmp_path / name, from_s), nominal="drive", without=without)
         assert diagnosis.effects == ("cogging",), diagnosis.ranking
         values = {parameter.name: parameter.value for parameter in diagnosis.ranking[0].parameters}
         assert 2 * pi * RADIUS_MM / values["pitch_mm"] == pytest.approx(72, abs=0.5)

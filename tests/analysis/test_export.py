@@ -172,7 +172,7 @@ def test_a_failing_export_leaves_what_was_there(filtered: Path, monkeypatch: pyt
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the signals that this is about are POSIX's")
 def test_an_export_that_is_killed_leaves_nothing_that_stays(tmp_path: Path) -> None:
-    run = finish(record(tmp_path / "long.h5", 800_000))
+    run = finish(record(tmp_path / "long.h5", 300_000))
     command = [sys.executable, "-m", "dragrig", "export", run.name]
     for number, left in ((signal.SIGINT, False), (signal.SIGTERM, False), (signal.SIGKILL, True)):
         with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE) as exporting:

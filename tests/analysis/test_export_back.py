@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 from scipy.io import loadmat
@@ -24,6 +24,7 @@ from dragrig.config.errors import ImportDataError
 from dragrig.rig.runfile import Run, read_run
 from dragrig.rig.runfile.model import RecordedChannel, Trace
 from places import DATA
+from property_tests import examples, thorough
 
 DRAG = DATA / "campaign" / "014-drag.h5"
 NASTY = (
@@ -82,6 +83,7 @@ def assert_same(run: Run, back: Run) -> None:
         assert back.trace.units[name] == run.trace.units[name]
 
 
+@settings(max_examples=examples(40))
 @given(
     found=names,
     rows=st.integers(1, 9),
@@ -179,8 +181,14 @@ PARTS = (
 )
 
 
-@pytest.mark.parametrize("export_format", list(ExportFormat))
-@pytest.mark.parametrize("selection", PARTS, ids=str)
+PARTS_IN_FORMATS = [
+    (part, form) if form is ExportFormat.CSV or number % 3 == place % 3 else thorough(part, form)
+    for number, part in enumerate(PARTS)
+    for place, form in enumerate(ExportFormat)
+]
+
+
+@pytest.mark.parametrize(("selection", "export_format"), PARTS_IN_FORMATS, ids=str)
 def test_a_part_of_a_run_comes_back_as_that_part(
     broken: Path, tmp_path: Path, export_format: ExportFormat, selection: ExportSelection
 ) -> None:

@@ -13,6 +13,7 @@ from dragrig.analysis.measures import measure, minutes_since_excision, table_row
 from dragrig.present.campaign import campaign_table_document
 from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import Attribute, RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
+from property_tests import thorough
 
 RATE = 500.0
 CAPSULE: dict[str, Attribute] = {"diameter_mm": 12.9, "length_mm": 15.2, "mass_g": 50.1, "contact_angle_deg": 60.0}
@@ -51,23 +52,24 @@ def with_force(run: Run, force: FloatArray) -> Run:
 
 
 @pytest.mark.parametrize(
-    ("samples", "correlation_s", "white", "slow", "seed"),
+    ("trials", "correlation_s", "white", "slow", "seed"),
     [
-        (4000, 0.2, 1.5, 0.5, 1),
-        pytest.param(4000, 0.05, 1.5, 0.5, 2, marks=pytest.mark.thorough),
-        pytest.param(4000, 0.2, 0.5, 1.5, 1, marks=pytest.mark.thorough),
+        (300, 0.2, 1.5, 0.5, 1),
+        thorough(1000, 0.2, 1.5, 0.5, 1),
+        thorough(1000, 0.05, 1.5, 0.5, 2),
+        thorough(1000, 0.2, 0.5, 1.5, 1),
     ],
 )
 def test_the_95_percent_interval_holds_the_mean_in_95_percent_of_records(
-    samples: int, correlation_s: float, white: float, slow: float, seed: int
+    trials: int, correlation_s: float, white: float, slow: float, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    trials, held = 1000, 0
+    held = 0
     for _ in range(trials):
-        interval = correlated_mean(10 + noise(rng, samples, white, slow, correlation_s), 2 * RATE).interval
+        interval = correlated_mean(10 + noise(rng, 4000, white, slow, correlation_s), 2 * RATE).interval
         assert interval is not None
         held += interval[0] <= 10 <= interval[1]
-    assert 0.93 <= held / trials <= 0.97
+    assert held / trials == pytest.approx(0.95, abs=0.02 * np.sqrt(1000 / trials))
 
 
 def test_white_noise_counts_its_samples_and_slow_noise_its_correlation_times() -> None:

@@ -19,11 +19,12 @@ from dragrig.analysis.gap.spectral_lines import (
 from dragrig.analysis.linear_gaussian import JointProblem, MovingLine, prepare_channels, repeat_differences
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
-from dragrig.analysis.noise import FLICKER_TIMES_S, NoiseModel, estimate_noise
+from dragrig.analysis.noise import FLICKER_TIMES_S, BlockPairs, NoiseModel, estimate_noise
 from dragrig.analysis.selection import select_loaded_runs
 from dragrig.config.specimen import Fixture
 from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
 from dragrig.rig.runfile.model import Run
+from property_tests import thorough
 from relaxations import relaxation
 from sliding_runs import noise, slid
 
@@ -139,7 +140,7 @@ def test_1_over_f_noise_is_found_where_it_is_and_not_elsewhere() -> None:
     assert found.white == pytest.approx(1.5, rel=0.1)
 
 
-@pytest.mark.parametrize("power", [0.75, 1.25])
+@pytest.mark.parametrize("power", [thorough(0.75), 1.25])
 def test_the_power_of_the_frequency_is_found(power: float) -> None:
     random = np.random.default_rng(4)
     runs = [relaxation(seed=seed, hold_s=60.0) for seed in range(8)]
@@ -157,7 +158,7 @@ def test_the_power_of_the_frequency_is_found(power: float) -> None:
 def test_1_over_f_noise_falls_with_frequency_as_it_should(power: float) -> None:
     noise = NoiseModel(0.0, 0.0, 1.0, 0, flicker=1.0, flicker_power=power)
     width = 0.001
-    lag = noise.covariance(width * np.arange(1500.0), width * np.arange(1.0, 1501.0), np.ones(1500))[0]
+    lag = noise.covariances(BlockPairs.even(1500, width, 1))
     spectrum = np.abs(np.fft.rfft(np.concatenate((lag, lag[-2:0:-1]))))
     frequency = np.fft.rfftfreq(2 * lag.size - 2, width)
     at = [int(np.argmin(np.abs(frequency - hertz))) for hertz in (4.0, 40.0)]
@@ -282,7 +283,7 @@ def with_rests(run: Run, seed: int, slow: FloatArray) -> Run:
     return changed(run, "force", np.asarray(run.trace.force) + white + slow)
 
 
-@pytest.mark.parametrize("sd_mN", [0.0, 1.5])
+@pytest.mark.parametrize("sd_mN", [thorough(0.0), 1.5])
 def test_what_repeats_differ_by_shows_noise_that_is_slower_than_the_rests(sd_mN: float) -> None:
     random = np.random.default_rng(7)
     runs = [slower(slid("drag", 1.0, repeat=repeat), 10) for repeat in range(6)]

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from uuid import uuid4
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -44,8 +46,17 @@ def made(plan: str, *assignments: str) -> tuple[Run, ...]:
     return tuple(run for run in runs if run.info.kind != "return")
 
 
+BY_HAND = ("way_back=by_hand",)
+"""Without the ways back, which are half of the runs."""
+
+
 def drag(*assignments: str) -> Run:
     return made("drag", "speed_mm_s=10", "travel_mm=20", *assignments)[0]
+
+
+@cache
+def practice_against(model: str) -> Comparison:
+    return dragrig.compare(CAMPAIGN, model=model)
 
 
 def measure(pair: RunPair, name: str) -> MeasureDifference:
@@ -55,6 +66,14 @@ def measure(pair: RunPair, name: str) -> MeasureDifference:
 def with_force(run: Run, change: Callable[[np.ndarray], np.ndarray]) -> Run:
     force = np.asarray(change(np.asarray(run.trace.force, dtype=float).copy()))
     return replace(run, trace=replace(run.trace, channels={**run.trace.channels, "force": force}))
+
+
+def practice(folder: Path, *names: str) -> Path:
+    """Copy some runs of the campaign into a folder."""
+    folder.mkdir()
+    for name in names:
+        shutil.copy(CAMPAIGN / name, folder)
+    return folder
 
 
 def beyond(result: Comparison) -> list[str]:
@@ -107,11 +126,11 @@ def test_repeats_are_paired_in_order_and_the_reason_of_a_lone_run_is_said() -> N
 
 
 def test_equal_specimens_do_not_differ_and_more_friction_shows_where_there_is_friction() -> None:
-    calm = made("demo", "rig.simulated.seed=1")
-    again = dragrig.compare(calm, made("demo", "rig.simulated.seed=2"))
+    calm = made("demo", "rig.simulated.seed=1", *BY_HAND)
+    again = dragrig.compare(calm, made("demo", "rig.simulated.seed=2", *BY_HAND))
     assert len(again.pairs) == len(calm)
     assert len(beyond(again)) <= 1
-    rough = made("demo", "rig.simulated.seed=2", "model.friction_coefficient=0.11")
+    rough = made("demo", "rig.simulated.seed=2", "model.friction_coefficient=0.11", *BY_HAND)
     comparison = dragrig.compare(calm, rough)
     kinds = {line.split(",")[0].split(" at")[0] for line in beyond(comparison)}
     assert kinds == {"coulomb", "drag"}
@@ -174,16 +193,16 @@ def test_the_true_model_explains_a_foreign_campaign_and_the_papers_does_not() ->
     assert len(right.pairs) == len(list(CAMPAIGN.glob("*.h5")))
     assert len(beyond(right)) <= 1
     assert all(pair.motion.b is None for pair in right.pairs)
-    wrong = dragrig.compare(CAMPAIGN, model="paper")
+    wrong = practice_against("paper")
     assert len(beyond(wrong)) > 5
     assert max(group.times_error for group in wrong.groups) > 2 * max(group.times_error for group in right.groups)
 
 
 def test_bad_aborted_and_unreadable_runs_are_left_out_with_the_reason(tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(CAMPAIGN, tmp_path / "b"))
+    first, folder = (practice(tmp_path / name, "005-blank.h5", "010-drag.h5") for name in "ab")
     mark_bad(folder / "010-drag.h5", "capsule slipped")
     (folder / "999-drag.h5").write_bytes(b"no run")
-    comparison = dragrig.compare(CAMPAIGN, folder)
+    comparison = dragrig.compare(first, folder)
     reasons = {exclusion.item: exclusion.reason for exclusion in comparison.b.left_out}
     assert "capsule slipped" in reasons["010-drag.h5"]
     assert "999-drag.h5" in reasons
@@ -221,7 +240,8 @@ def test_missing_numbers_leave_out_what_needs_them_and_nothing_else() -> None:
 
 
 def test_the_same_campaign_twice_and_several_specimens_are_said(tmp_path: Path) -> None:
-    comparison = dragrig.compare(CAMPAIGN, CAMPAIGN)
+    few = practice(tmp_path / "few", "005-blank.h5", "010-drag.h5", "014-drag.h5")
+    comparison = dragrig.compare(few, few)
     assert any("compared with itself" in remark for remark in comparison.remarks)
     assert not beyond(comparison)
     assert all(group.value == 0 for group in comparison.groups)
@@ -253,10 +273,10 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(tmp_path: Path) -> Non
         dragrig.compare(CAMPAIGN)
     both = tmp_path / "both"
     for name in ("one", "two"):
-        dragrig.simulate("blank", out=tmp_path / name, assignments=["speed_mm_s=40", f"specimen.name={name}"])
-        for number, file in enumerate((tmp_path / name).glob("*.h5")):
-            both.mkdir(exist_ok=True)
-            shutil.copy(file, both / f"{name}-{number}.h5")
+        both.mkdir(exist_ok=True)
+        with h5py.File(shutil.copy(CAMPAIGN / "005-blank.h5", both / f"{name}.h5"), "r+") as file:
+            file["entry/specimen"].attrs["name"] = name
+            file["entry/run" if "entry/run" in file else "entry"].attrs["run_id"] = str(uuid4())
     with pytest.raises(AnalysisError, match="has no run of specimen 'x', only of one, two"):
         dragrig.compare(both, CAMPAIGN, specimen="x")
     assert dragrig.compare(both, model="paper", specimen="two").a.specimens == ("two",)
@@ -267,7 +287,7 @@ def texts(figure: Figure) -> str:
 
 
 def test_pictures_show_both_sides() -> None:
-    comparison = dragrig.compare(CAMPAIGN, model="paper")
+    comparison = practice_against("paper")
     for pair in comparison.pairs:
         if pair.condition.kind in {"drag", "relaxation"} and pair.a.file in {"001-relaxation.h5", "010-drag.h5"}:
             figure = comparison_figure(pair, ("practice", "model paper"))
@@ -285,22 +305,19 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, files in (("a", ("005-blank.h5", "010-drag.h5")), ("b", ("005-blank.h5", "010-drag.h5", "014-drag.h5"))):
-        (tmp_path / name).mkdir()
-        for file in files:
-            shutil.copy(CAMPAIGN / file, tmp_path / name)
+    practice(tmp_path / "a", "005-blank.h5", "010-drag.h5")
+    practice(tmp_path / "b", "005-blank.h5", "010-drag.h5", "014-drag.h5")
+    (tmp_path / "a" / "compared-with-b").mkdir()
     assert main(["compare", "a", "b"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"B +014-drag\.h5 +A has no drag at 60 mm/s like it", out)
     assert "2 pairs of runs, A from a, B from b; without a partner: 1 of B." in out
-    folder = tmp_path / "a" / "compared-with-b"
+    folder = tmp_path / "a" / "compared-with-b-2"
     written = {path.name for path in folder.iterdir()}
     assert written == {"005-blank.png", "010-drag.png", "comparison.csv", "overview.png"}
     frame = pd.read_csv(folder / "comparison.csv")
     assert list(frame.columns) == list(comparison_frame(dragrig.compare("a", "b")).columns)
-    assert main(["compare", "a", "b", "--quiet"]) == 0
-    assert (tmp_path / "a" / "compared-with-b-2").is_dir()
-    capsys.readouterr()
+    assert list((tmp_path / "a" / "compared-with-b").iterdir()) == []
     assert main(["compare", "a/010-drag.h5", "--model", "table1", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["pairs"][0]["verdict"] == "differs"
@@ -312,8 +329,8 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
 
 
 def test_a_run_file_is_never_changed(tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(CAMPAIGN, tmp_path / "a"))
+    folder = practice(tmp_path / "a", "005-blank.h5")
     before = {path.name: path.read_bytes() for path in folder.glob("*.h5")}
-    assert main(["compare", str(folder / "010-drag.h5"), "--model", "paper", "--out", str(tmp_path / "out")]) == 0
+    assert main(["compare", str(folder / "005-blank.h5"), "--model", "paper", "--out", str(tmp_path / "out")]) == 0
     assert {path.name: path.read_bytes() for path in folder.glob("*.h5")} == before
-    assert read_run(folder / "010-drag.h5").filtered is None
+    assert read_run(folder / "005-blank.h5").filtered is None

@@ -30,6 +30,7 @@ from dragrig.sim_backend.devices.variability import draw_specimen_model
 from dragrig.sim_backend.friction import steady_forces
 from friction_cases import SMOOTH
 from places import CAMPAIGN
+from property_tests import thorough
 from sliding_runs import PAPER, selected, slid, with_capsule, with_force, without_rest
 
 FAST = (5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0)
@@ -195,9 +196,11 @@ def test_the_resting_wall_presses_as_it_does_in_the_reference() -> None:
     assert resting_force(DragSetup(SMOOTH, 2.5), PAPER, 60.5) == pytest.approx(at_rest, rel=1e-4)
 
 
-def test_intervals_hold_the_specimens_drag_and_slope() -> None:
+# At 95 %, slopes of fewer than 9 of 12 come twice in 1000 times, of fewer than 3 of 4 14 times.
+@pytest.mark.parametrize(("seeds", "least"), [(4, 3), thorough(12, 9)])
+def test_intervals_hold_the_specimens_drag_and_slope(seeds: int, least: int) -> None:
     held, points_seen, slopes = 0, 0, 0
-    for seed in range(12):
+    for seed in range(seeds):
         specimen = draw_specimen_model(PAPER, seed)
         result = identify_drag(campaign(seed, specimen, FAST[2:]), specimen)
         speeds = np.array([point.speed_mm_s for point in result.points])
@@ -216,8 +219,9 @@ def test_intervals_hold_the_specimens_drag_and_slope() -> None:
         assert ideal is not None
         low, high = result.log_law.slope.interval
         slopes += low < ideal.slope.value < high
-    assert 0.90 <= held / points_seen <= 0.995
-    assert slopes >= 9  # of 12 at 95 %, fewer come twice in 1000 times
+    assert held / points_seen >= 0.90
+    assert held < points_seen or seeds < 12, "intervals are too wide"
+    assert slopes >= least
 
 
 def test_zeros_that_are_given_take_the_place_of_the_rest() -> None:

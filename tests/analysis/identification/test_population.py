@@ -70,7 +70,7 @@ def drawn(
     return pool_specimens(fits, PARAMETERS), SCALES.values(means), SCALES.values(specimens[-1])
 
 
-FEW_RUNS = ("001-relaxation.h5", "008-coulomb.h5", "010-drag.h5", "018-drag.h5")
+FEW_RUNS = ("008-coulomb.h5", "010-drag.h5")
 
 
 def specimen_like(folder: Path, name: str, sensor: str) -> Path:

@@ -16,7 +16,7 @@ from dragrig.analysis.models.catalogue import find_model, model_names
 from dragrig.analysis.models.drive_model import MODEL
 from dragrig.analysis.models.experiment import Experiment, fit_velocity
 from dragrig.analysis.models.nominal_model import central_differences
-from dragrig.analysis.selection import RunSelection, select_runs
+from dragrig.analysis.selection import RunSelection, select_loaded_runs
 from dragrig.config.errors import SettingsError
 from dragrig.config.rig import RigSettings
 from dragrig.config.settings import parse
@@ -27,10 +27,10 @@ from property_tests import examples
 TRUE = {"moving_mass_g": 1200.0, "viscous_mN_s_mm": 4.0, "coulomb_mN": 300.0, "offset_mN": 15.0}
 
 
-def simulated(folder: Path, seed: int, plan: str = "blank", **assigned: float) -> RunSelection:
+def simulated(seed: int, plan: str = "blank", **assigned: float) -> RunSelection:
     answer = [f"rig.simulated.motor.{key}={value}" for key, value in assigned.items()]
-    dragrig.simulate(plan, out=folder, assignments=[f"rig.simulated.seed={seed}", "rig.sampling.rate_hz=500", *answer])
-    return select_runs(folder)
+    common = [f"rig.simulated.seed={seed}", "rig.sampling.rate_hz=500"]
+    return select_loaded_runs(dragrig.simulate(plan, assignments=[*common, *answer]))
 
 
 def strayed(fit: JointFit, truth: dict[str, float]) -> np.ndarray:
@@ -39,13 +39,13 @@ def strayed(fit: JointFit, truth: dict[str, float]) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def blanks(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return simulated(tmp_path_factory.mktemp("blank"), 1)
+def blanks() -> RunSelection:
+    return simulated(1)
 
 
 @pytest.fixture(scope="module")
-def drags(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return simulated(tmp_path_factory.mktemp("drag"), 2, "demo")
+def drags() -> RunSelection:
+    return simulated(2, "demo")
 
 
 @pytest.mark.parametrize("rate", [500.0, 1000.0, 5000.0])
@@ -89,14 +89,14 @@ def test_any_record_has_a_velocity(seed: int, samples: int, scale: float) -> Non
     assert np.isfinite(velocity).all()
 
 
-def test_blank_runs_give_the_stage_back_whatever_it_is(tmp_path: Path) -> None:
+def test_blank_runs_give_the_stage_back_whatever_it_is() -> None:
     stages = (
         TRUE,
         {"moving_mass_g": 80.0, "viscous_mN_s_mm": 0.0, "coulomb_mN": 0.0, "offset_mN": -400.0},
         {"moving_mass_g": 9000.0, "viscous_mN_s_mm": 60.0, "coulomb_mN": 5000.0, "offset_mN": 0.0},
     )
     for seed, truth in enumerate(stages):
-        fit = fit_jointly(simulated(tmp_path / str(seed), seed, **truth), MODEL)
+        fit = fit_jointly(simulated(seed, **truth), MODEL)
         assert fit.converged, fit.remarks
         assert np.abs(strayed(fit, truth)).max() < 4.0
         assert fit.parameters[0].half_width < 0.01 or truth["moving_mass_g"] < 100

@@ -28,7 +28,7 @@ from dragrig.analysis.selection import RunSelection
 from dragrig.rig.profile import FloatArray
 from friction_cases import moves
 from hidden import hidden
-from property_tests import examples
+from property_tests import examples, thorough
 
 RATE_HZ = 500.0
 STROKE = moves((20.0, 5.0), (-20.0, 40.0), between=2.0)
@@ -127,7 +127,7 @@ def stribeck(diagnosed: DiagnosedCampaigns) -> RunSelection:
 
 @pytest.fixture(scope="module")
 def lagging(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return hidden(tmp_path_factory.mktemp("lag"), 14, "servo_lag")
+    return hidden(tmp_path_factory.mktemp("lag"), 14, "servo_lag", every=2)
 
 
 ENCODERS = {
@@ -141,7 +141,9 @@ ENCODERS = {
 }
 
 
-@pytest.mark.parametrize("encoder", ENCODERS)
+@pytest.mark.parametrize(
+    "encoder", [name if name in {"3 µm", "dither", "10 µm counts"} else thorough(name) for name in ENCODERS]
+)
 def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
     stribeck: RunSelection, tmp_path: Path, encoder: str
 ) -> None:
@@ -151,13 +153,14 @@ def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
     assert not any(position_error.has_position_error for position_error in position_errors(selection.experiments))
 
 
-@pytest.mark.parametrize("encoder", [pytest.param("2 µm", marks=pytest.mark.thorough), "10 µm counts"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("encoder", ["2 µm", "10 µm counts"])
 def test_such_an_encoder_does_not_change_the_verdict(stribeck: RunSelection, tmp_path: Path, encoder: str) -> None:
     diagnosis = diagnose(with_position(stribeck, tmp_path / "other", *ENCODERS[encoder]), MODEL, UNADVISED)
     assert (diagnosis.verdict, diagnosis.effects) == (Verdict.EFFECT, ("stribeck",))
 
 
-@pytest.mark.parametrize("encoder", ["1 µm", "3 µm", "10 µm counts"])
+@pytest.mark.parametrize("encoder", [thorough("1 µm"), thorough("3 µm"), "10 µm counts"])
 def test_a_stage_that_lags_moves_no_more_often_for_its_encoder(
     lagging: RunSelection, tmp_path: Path, encoder: str
 ) -> None:

@@ -7,7 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -61,6 +61,7 @@ from dragrig.present.paper import PaperReportData, paper_document, paper_tables
 from dragrig.rig.runfile import mark_bad, read_campaign
 from dragrig.rig.runfile.model import RunStatus
 from places import CAMPAIGN
+from property_tests import thorough
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -183,6 +184,8 @@ class Made:
 
     folder: Path
     printed: dict[str, Any]
+    runs: Mapping[str, int]
+    """How many of which kind."""
 
     @property
     def page(self) -> str:
@@ -193,18 +196,54 @@ class Made:
             return list(csv.DictReader(file))
 
 
-@pytest.fixture(scope="session")
-def made(shared_folder: Path) -> Made:
-    """Call the command once for all workers; the one that comes first does it."""
-    folder = shared_folder / "paper"
+SPEEDS = (0.5, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+# Its runs before the drags are those of the whole programme.
+SHORT_PLAN = f"""
+name = "paper"
+seed = 2012
+[[steps]]
+kind = "relaxation"
+shear_strain = [0.5, 1.0, 1.5, 2.0]
+hold_s = 20.0
+[[steps]]
+kind = "blank"
+speed_mm_s = [5.0, 40.0]
+travel_mm = 40.0
+wait_s = 5.0
+[[steps]]
+kind = "coulomb"
+speed_mm_s = 0.5
+travel_mm = 40.0
+tare_s = 1.0
+[[steps]]
+kind = "drag"
+speed_mm_s = {list(SPEEDS)}
+travel_mm = 40.0
+way_back = "by_hand"
+"""
+WHOLE_RUNS = {"relaxation": 4, "blank": 2, "coulomb": 1, "drag": 22, "return": 29}
+
+
+@pytest.fixture(scope="session", params=["short", thorough("whole")])
+def made(request: pytest.FixtureRequest, shared_folder: Path) -> Made:
+    """Call the command once for all workers; the one that comes first does it.
+
+    With a plan of fewer drags and ways back, which takes half the time, or with the whole one.
+    """
+    folder = shared_folder / f"paper-{request.param}"
     with_suffix = folder.with_suffix(".json")
-    with FileLock(folder.with_suffix(".lock")):
+    with FileLock(folder.with_suffix(".lock")), pytest.MonkeyPatch.context() as patch:
         if not with_suffix.exists():
+            if request.param == "short":
+                plan = shared_folder / "paper-short.toml"
+                plan.write_text(SHORT_PLAN, "utf-8")
+                patch.setattr(reproducing, "PAPER_PLAN", str(plan))
             arguments = ["paper", "--out", str(folder), "--seed", "1", "--json", "--quiet"]
             done = CliRunner().invoke(dragrig_group, arguments, standalone_mode=False)
             assert done.exception is None, done.exception
             with_suffix.write_text(done.stdout, "utf-8")
-    return Made(folder, json.loads(with_suffix.read_text("utf-8")))
+    runs = WHOLE_RUNS if request.param == "whole" else {**WHOLE_RUNS, "drag": len(SPEEDS), "return": 7}
+    return Made(folder, json.loads(with_suffix.read_text("utf-8")), runs)
 
 
 @pytest.fixture
@@ -216,7 +255,7 @@ def few(made: Made, tmp_path: Path) -> Made:
     others = [path for path in made.folder.iterdir() if path.suffix != ".h5"]
     for path in (*runs[:2], *others):
         shutil.copy(path, folder)
-    return Made(folder, made.printed)
+    return Made(folder, made.printed, made.runs)
 
 
 def test_the_command_says_where_everything_is(made: Made) -> None:
@@ -226,7 +265,7 @@ def test_the_command_says_where_everything_is(made: Made) -> None:
     assert len(made.printed["findings"]) == len(all_findings())
     identified = made.printed["identification"]
     assert len(identified["relaxation"]["runs"]) == 4
-    assert len(identified["drag"]["speeds"]) == 11
+    assert len(identified["drag"]["speeds"]) == min(made.runs["drag"], 11)
 
 
 def test_the_runs_are_a_campaign_like_any_other(made: Made) -> None:
@@ -234,9 +273,7 @@ def test_the_runs_are_a_campaign_like_any_other(made: Made) -> None:
     assert not campaign.unreadable
     assert not campaign.recordings
     kinds = [run.kind for run in campaign.good]
-    assert {kind: kinds.count(kind) for kind in kinds} == {
-        "relaxation": 4, "blank": 2, "coulomb": 1, "drag": 22, "return": 29,
-    }  # fmt: skip
+    assert {kind: kinds.count(kind) for kind in kinds} == made.runs
     assert all(run.status is RunStatus.COMPLETE and run.header.backend == "simulated" for run in campaign.good)
     assert all("seed = 1\n" in entry.header.settings_toml for entry in campaign.good)
 
@@ -297,7 +334,13 @@ def test_the_report_is_presentable_in_a_browser(browser: "Browser", made: Made) 
 
 def test_the_report_says_what_was_simulated(made: Made) -> None:
     text = made.page
-    for message in ("<dd>1</dd>", "58 runs", "at 500 Hz", "Eq. 14, as printed", "dragrig 0.1.0"):
+    for message in (
+        "<dd>1</dd>",
+        f"{sum(made.runs.values())} runs",
+        "at 500 Hz",
+        "Eq. 14, as printed",
+        "dragrig 0.1.0",
+    ):
         assert message in text
     for all_finding in all_findings():
         assert f'<h3 id="{all_finding.key}">' in text
@@ -366,7 +409,7 @@ def test_the_specimen_that_was_put_in_comes_back(made: Made) -> None:
 
 def test_each_runs_own_factors_come_back(made: Made) -> None:
     runs = made.rows("joint-runs")
-    assert len(runs) == 29
+    assert len(runs) == sum(made.runs.values()) - made.runs["return"]
     result = [row for row in runs if row["kind"] == "relaxation"]
     ratio = np.array([float(row["stiffness_factor"]) / float(row["simulated_stiffness_factor"]) for row in result])
     assert np.ptp(ratio) < 0.005
@@ -446,6 +489,11 @@ def test_a_folder_that_is_closed_is_said_in_a_sentence(
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1
     assert "closed" in errors
+
+
+def test_the_papers_programme_is_whole() -> None:
+    kinds = [run.protocol.kind for run in reproducing.paper_setup(1, "eq14", "published").programme().runs]
+    assert {kind: kinds.count(kind) for kind in kinds} == WHOLE_RUNS
 
 
 def test_choices_reach_the_simulator() -> None:

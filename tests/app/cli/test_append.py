@@ -18,6 +18,7 @@ from dragrig.session_state import session_lock
 from runfiles import header
 from simulated import QUICK
 
+pytestmark = pytest.mark.usefixtures("finished_here")
 SLOW = (*QUICK, "speed_mm_s=5")
 
 
@@ -125,11 +126,11 @@ def test_a_sentinel_is_compared_with_the_campaigns_first(tmp_path: Path) -> None
     plan = tmp_path / "plan.toml"
     plan.write_text(
         """name = "s"
-sentinel = { every = 1, kind = "drag", speed_mm_s = 10.0, travel_mm = 20.0, hold_s = 0.5 }
+sentinel = { every = 1, kind = "drag", speed_mm_s = 10.0, travel_mm = 12.0, hold_s = 0.5 }
 [[steps]]
 kind = "drag"
 speed_mm_s = 10.0
-travel_mm = 20.0
+travel_mm = 12.0
 hold_s = 0.5
 """,
         "utf-8",

@@ -121,7 +121,7 @@ QUICK = ("drag", "--set", "travel_mm=10", "--set", "way_back=stay", "--out", "c"
 
 
 def test_a_double_is_told_its_pace_and_a_campaign_stays_with_it(
-    lab: Path, site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    finished_here: None, lab: Path, site: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calibrated(lab)
     stopped = ("--set", "rig.guard.force_limit_mN=100")

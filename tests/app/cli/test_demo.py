@@ -5,14 +5,55 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dragrig.api import reports
 from dragrig.cli import main
 from dragrig.rig.runfile import read_campaign, read_run
+from dragrig.setup import resolve
+from property_tests import thorough
+
+SHORT_PLAN = """
+name = "short"
+[[steps]]
+kind = "blank"
+speed_mm_s = 40.0
+travel_mm = 20.0
+wait_s = 5.0
+[[steps]]
+kind = "relaxation"
+shear_strain = 1.0
+hold_s = 5.0
+[[steps]]
+kind = "coulomb"
+speed_mm_s = 10.0
+travel_mm = 10.0
+[[steps]]
+kind = "drag"
+speed_mm_s = 40.0
+travel_mm = 20.0
+"""
 
 
+def test_the_demonstration_makes_twelve_runs_of_every_kind() -> None:
+    kinds = [run.protocol.kind for run in resolve(reports.DEMO_PLAN).programme().runs]
+    assert len(kinds) == 12
+    assert [kind for kind in kinds if kind != "return"] == [*ONE_OF_EACH, "drag", "drag"]
+
+
+ONE_OF_EACH = ("blank", "relaxation", "coulomb", "drag")
+
+
+@pytest.mark.parametrize("plan", ["short", thorough("shipped")])
 def test_the_demonstration_leaves_runs_filtered_exported_and_drawn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    plan: str,
+    finished_here: None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    if plan == "short":
+        (tmp_path / "short.toml").write_text(SHORT_PLAN, "utf-8")
+        monkeypatch.setattr(reports, "DEMO_PLAN", "short.toml")
     (tmp_path / "rig.toml").write_text(
         "backend = 'hardware'\n[stage]\nhighest_mm = 50\n", "utf-8"
     )  # a lab's own rig is left alone
@@ -20,7 +61,7 @@ def test_the_demonstration_leaves_runs_filtered_exported_and_drawn(
     (folder,) = (tmp_path / "dragrig-demo").iterdir()
     runs = read_campaign(folder).runs
     own = [run for run in runs if run.kind != "return"]
-    assert [run.kind for run in own] == ["blank", "relaxation", "coulomb", "drag", "drag", "drag"]
+    assert [run.kind for run in own] == [*ONE_OF_EACH, *(() if plan == "short" else ("drag", "drag"))]
     for run in runs:
         filtered = read_run(run.path).filtered
         assert filtered is not None

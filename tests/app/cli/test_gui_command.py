@@ -10,10 +10,11 @@ import pytest
 from dragrig.cli import main
 from dragrig.engine_host.messages import QueuedRun, RunFinished, RunStarted, SessionFinished, SessionJob, SessionStarted
 from dragrig.rig.runfile.model import RunStatus
+from property_tests import thorough
 from windows import require_qt
 
 
-@pytest.mark.parametrize("missing", ["PySide6", "pyqtgraph"])
+@pytest.mark.parametrize("missing", ["PySide6", thorough("pyqtgraph")])
 def test_without_qt_the_error_says_what_to_install(missing: str, tmp_path: Path) -> None:
     script = f"import sys; sys.modules[{missing!r}] = None; from dragrig.cli import main; sys.exit(main(['gui']))"
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -30,7 +31,6 @@ def test_a_folder_without_a_lab_is_refused(tmp_path: Path, capsys: pytest.Captur
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a screen is named by the environment on Linux alone")
 def test_without_a_screen_the_error_says_so(tmp_path: Path) -> None:
-    require_qt()
     screens = {"DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"}
     bare = {name: value for name, value in os.environ.items() if name not in screens}
     command = [sys.executable, "-m", "dragrig", "gui"]

@@ -22,6 +22,16 @@ def campaign(tmp_path: Path) -> Path:
     return Path(shutil.copytree(CAMPAIGN, tmp_path / "campaign"))
 
 
+@pytest.fixture
+def few(tmp_path: Path) -> Path:
+    """A Coulomb run and two drags, which take a third of the time."""
+    folder = tmp_path / "few"
+    folder.mkdir()
+    for name in ("008-coulomb.h5", "010-drag.h5", "018-drag.h5"):
+        shutil.copy(CAMPAIGN / name, folder)
+    return folder
+
+
 def test_the_model_that_was_identified_runs_the_simulator(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", str(campaign), "--quiet"]) == 0
     output = capsys.readouterr().out
@@ -50,26 +60,27 @@ def test_a_second_call_replaces_nothing(tmp_path: Path) -> None:
     assert (campaign / "identified-2" / "model.toml").is_file()
 
 
-def test_json_holds_every_number_with_its_interval(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["identify", str(campaign), "--json", "--quiet"]) == 0
+def test_json_holds_every_number_with_its_interval(few: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["identify", str(few), "--json", "--quiet"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["joint"]["converged"] is True
     assert answer["files"] == []
-    assert not (campaign / "identified").exists()
+    assert not (few / "identified").exists()
 
 
-def test_a_model_file_is_never_replaced_unasked(
-    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_model_file_is_never_replaced_unasked(few: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = tmp_path / "mine.toml"
     model.write_text("precious")
-    assert main(["identify", str(campaign), "--save-model", str(model), "--json", "--quiet"]) == 2
+    assert main(["identify", str(few), "--save-model", str(model), "--json", "--quiet"]) == 2
     assert model.read_text() == "precious"
     assert "--overwrite" in capsys.readouterr().err
 
 
 def test_fitted_walls_are_the_specimens_own(tmp_path: Path) -> None:
-    runs = dragrig.simulate("relaxation", assignments=["shear_strain=[0.5, 1.0, 1.5, 2.0]", "model.wall='table1'"])
+    runs = dragrig.simulate(
+        "relaxation",
+        assignments=["shear_strain=[0.5, 1.0, 1.5, 2.0]", "model.wall='table1'", "rig.sampling.rate_hz=200"],
+    )
     identification = dragrig.identify(runs, wall="fitted")
     assert identification.model.wall == "polynomial"
     stiffness = identification.parameters.loc["stiffness_scale"]
@@ -95,10 +106,10 @@ def test_one_run_leaves_the_rest_as_it_was(campaign: Path) -> None:
     assert not identification.result.relaxation.fits
 
 
-def test_runs_marked_bad_are_left_out_with_the_reason(campaign: Path) -> None:
-    bad = campaign / "018-drag.h5"
+def test_runs_marked_bad_are_left_out_with_the_reason(few: Path) -> None:
+    bad = few / "018-drag.h5"
     mark_bad(bad, "the gut slipped off the foam")
-    identification = dragrig.identify(campaign)
+    identification = dragrig.identify(few)
     assert [(exclusion.item, exclusion.reason) for exclusion in identification.result.left_out] == [
         (bad.name, "it is marked bad: the gut slipped off the foam")
     ]
@@ -147,13 +158,13 @@ def test_runs_that_determine_nothing_give_no_model(campaign: Path, capsys: pytes
 
 
 def test_a_fit_that_does_not_converge_ends_with_2_and_no_model(
-    campaign: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    few: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("dragrig.analysis.linear_gaussian.MAX_PASSES", 1)
     for arguments in ([], ["--json"]):
-        assert main(["identify", str(campaign), "--quiet", *arguments]) == 2
+        assert main(["identify", str(few), "--quiet", *arguments]) == 2
         output = capsys.readouterr()
         assert "did not converge" in output.err
         assert len(output.err.strip().splitlines()) == 1
     assert json.loads(output.out)["joint"]["parameters"]["friction_coefficient"]["interval_95"] is None
-    assert not (campaign / "identified" / "model.toml").exists()
+    assert not (few / "identified" / "model.toml").exists()

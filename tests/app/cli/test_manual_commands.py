@@ -155,7 +155,9 @@ def test_ctrl_c_ends_a_jog(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     assert len(blocks) < 50
 
 
-def test_a_contact_is_stored_and_plans_count_from_it(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_contact_is_stored_and_plans_count_from_it(
+    finished_here: None, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["touch-off", "--yes", "--operator", "Ada"]) == 0
     contact = read_settings_file(ContactPoint, lab / "contact.toml")
     assert contact.operator == "Ada"
@@ -190,7 +192,9 @@ def test_without_a_contact_nothing_counts_from_it(lab: Path, capsys: pytest.Capt
     assert printed.count("\n") == 1
 
 
-def test_a_resumed_campaign_takes_the_contact_that_holds_now(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_resumed_campaign_takes_the_contact_that_holds_now(
+    finished_here: None, lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     contact_file = lab / "contact.toml"
     contact_file.write_text('position_mm = 50.0\nmade_at = "2026-05-04T09:00:00Z"\nforce_mN = 20.0\n', "utf-8")
     from_contact = ["--set", "rig.stage.start_from='contact'", "--set", "rig.stage.start_mm=0"]

@@ -26,6 +26,7 @@ from dragrig.setup import resolve
 from runfiles import header
 
 QUICK = ("drag", "--set", "travel_mm=10", "--set", "hold_s=0.5")
+INTERPRETER = sys.executable
 
 
 class Runner:
@@ -47,7 +48,9 @@ class Runner:
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Runner:
+def run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], finished_here: None
+) -> Runner:
     monkeypatch.chdir(tmp_path)
     return Runner(monkeypatch, capsys)
 
@@ -56,8 +59,7 @@ def statuses(folder: Path) -> list[tuple[str, RunStatus]]:
     return [(entry.kind, entry.status) for entry in read_campaign(folder).runs]
 
 
-def test_two_dry_runs_of_one_second_have_folders_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_two_dry_runs_of_one_second_have_folders_of_their_own(run: Runner, tmp_path: Path) -> None:
     setup = resolve("drag", assignments=[QUICK[2], QUICK[4]])
     terms = SessionOptions(tmp_path, origin=datetime(2026, 5, 4, 9, tzinfo=UTC))
     made = [campaigns.start_campaign(setup, None, terms, NullOperator()).folder.name for _ in range(3)]
@@ -143,7 +145,7 @@ def test_quiet_leaves_the_result_alone(run: Runner) -> None:
 def waiting(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
     slow = ("drag", "--yes", "--pace", "real", "--set", "wait_s=0", "--set", "rest_s=0.2", "--set", "speed_mm_s=2")
     process = subprocess.Popen(
-        [sys.executable, "-m", "dragrig", "run", *slow, "--out", "c", "--json"],
+        [INTERPRETER, "-m", "dragrig", "run", *slow, "--out", "c", "--json"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -185,6 +187,7 @@ def test_ctrl_c_stops_the_stage_within_a_tenth_of_a_second(waiting: "subprocess.
     assert abs((info.header.start_time - sent).total_seconds() + noticed_s) < 10.0
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches a whole console there")
 def test_a_ctrl_c_that_is_held_counts_once(waiting: "subprocess.Popen[str]", tmp_path: Path) -> None:
     until_it_records(tmp_path / "c")
@@ -251,8 +254,8 @@ SLOW_THEN_QUICK = """
 name = "two"
 [[steps]]
 kind = "blank"
-speed_mm_s = [1.8, 60.0]
-travel_mm = 10.0
+speed_mm_s = [1.8, 40.0]
+travel_mm = 6.0
 rest_s = 0.5
 hold_s = 0.5
 wait_s = 0.0

@@ -12,7 +12,7 @@ import pytest
 from driving import until
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")
-PLAN = ("drag", "--pace", "real", "--yes", "--set", "travel_mm=10", "--set", "speed_mm_s=[20.0, 25.0]",
+PLAN = ("drag", "--pace", "real", "--yes", "--set", "travel_mm=10", "--set", "speed_mm_s=[5.0, 25.0]",
         "--set", "hold_s=0.5", "--set", "wait_s=0", "--set", "way_back=stay")  # fmt: skip
 
 
@@ -73,13 +73,16 @@ def at_a_terminal(*arguments: str) -> Iterator[Terminal]:
         os.close(keyboard)
 
 
-def test_a_key_pauses_the_session_until_the_person_goes_on(tmp_path: Path) -> None:
+def test_a_key_pauses_the_session_or_takes_it_back_until_the_person_goes_on(tmp_path: Path) -> None:
     out = tmp_path / "live"
     with at_a_terminal(*PLAN, "--plot", "--out", str(out)) as terminal:
         until(lambda: terminal.shows("along the way"), 60.0)
         assert terminal.shows("force (mN) against time (s)")
         terminal.type("p")
-        until(lambda: terminal.shows("Pausing after this run"), 20.0)
+        until(lambda: terminal.shows("Pausing after this run"), 60.0)
+        terminal.type("p")
+        until(lambda: terminal.shows("No pause"), 60.0)
+        terminal.type("p")
         until(lambda: terminal.shows("Paused. Next is"), 60.0)
         assert terminal.echoes()
         assert len(list(out.glob("*.h5"))) == 1
@@ -91,6 +94,7 @@ def test_a_key_pauses_the_session_until_the_person_goes_on(tmp_path: Path) -> No
     assert len(list(out.glob("*.h5"))) == 2
 
 
+@pytest.mark.thorough
 def test_a_pause_is_taken_back_by_the_same_key(tmp_path: Path) -> None:
     with at_a_terminal(*PLAN, "--out", str(tmp_path / "live")) as terminal:
         until(lambda: terminal.shows("pauses after the run"), 60.0)

@@ -3,7 +3,6 @@
 import io
 import json
 import shutil
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,20 +24,25 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Capsule
 from dragrig.present.campaign_figures import campaign_figure
-from dragrig.present.drawing import SMALL_PT, figure_style, new_figure, shortened_to_width
+from dragrig.present.drawing import DPI, SMALL_PT, figure_style, lay_out, new_figure, shortened_to_width
 from dragrig.present.model_figures import forces_figure, skew_figure, wall_figure
 from dragrig.present.run_figures import WIDTH_IN, run_figure
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile import mark_bad, read_run
 from dragrig.rig.runfile.model import FilteredTrace, Run, RunEvent, RunStatus
-from places import DATA
-
-CAMPAIGN = DATA / "campaign"
+from places import CAMPAIGN
+from property_tests import thorough
 
 
 @pytest.fixture(scope="module")
 def drag() -> Run:
     return dragrig.simulate("drag", assignments=["speed_mm_s=10", "travel_mm=20"])[0]
+
+
+@pytest.fixture(scope="module")
+def figure(drag: Run) -> Figure:
+    """Its figure, for all who only look at it."""
+    return run_figure(drag)
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +68,11 @@ def legend_words(axes: Axes) -> list[str]:
     return [] if legend is None else [text.get_text() for text in legend.get_texts()]
 
 
-def drawn(figure: Figure) -> bytes:
+def drawn(figure: Figure, dpi: float = DPI / 3) -> bytes:
     content = io.BytesIO()
     with figure_style():
-        figure.savefig(content, format="png", metadata={"Software": "dragrig"})
+        lay_out(figure)
+        figure.savefig(content, format="png", dpi=dpi)
     return content.getvalue()
 
 
@@ -92,8 +97,8 @@ def first(run: Run, samples: int) -> Run:
     return without(run, [slice(samples, None)])
 
 
-def test_the_raw_force_is_drawn_as_recorded_and_the_filtered_one_over_it(drag: Run) -> None:
-    axes = panel(run_figure(drag), "Force (mN)")
+def test_the_raw_force_is_drawn_as_recorded_and_the_filtered_one_over_it(drag: Run, figure: Figure) -> None:
+    axes = panel(figure, "Force (mN)")
     time, raw = line(axes, "raw")
     np.testing.assert_array_equal(time, drag.trace.time)
     np.testing.assert_array_equal(raw, drag.trace.force)
@@ -124,8 +129,7 @@ def test_the_filtered_force_can_be_left_out(drag: Run) -> None:
     assert line(panel(figure, "Speed (mm/s)"), "measured")[1].max() > 9
 
 
-def test_position_speed_and_set_speed(drag: Run) -> None:
-    figure = run_figure(drag)
+def test_position_speed_and_set_speed(drag: Run, figure: Figure) -> None:
     np.testing.assert_array_equal(line(panel(figure, "Position (mm)"), "encoder")[1], drag.trace.position)
     time, speed = line(panel(figure, "Speed (mm/s)"), "measured")
     assert speed[(time > 1.5) & (time < 2.5)] == pytest.approx(10, abs=0.05)
@@ -142,8 +146,7 @@ def test_the_way_back_has_a_negative_speed() -> None:
     assert any(text.startswith("set −") for text in texts(figure))
 
 
-def test_every_phase_is_named_and_shaded(drag: Run) -> None:
-    figure = run_figure(drag)
+def test_every_phase_is_named_and_shaded(figure: Figure) -> None:
     assert {"rest", "accelerate", "steady", "decelerate", "hold"} <= set(texts(figure))
     axes = panel(figure, "Force (mN)")
     tops = [path.get_extents().y1 for collection in axes.collections for path in collection.get_paths()]
@@ -151,8 +154,8 @@ def test_every_phase_is_named_and_shaded(drag: Run) -> None:
     assert [top > 1.0 for top in tops].count(True) == 5, "in the band above it"
 
 
-def test_the_motor_force_is_drawn_on_demand(drag: Run) -> None:
-    labels = [axes.get_ylabel() for axes in run_figure(drag).axes]
+def test_the_motor_force_is_drawn_on_demand(drag: Run, figure: Figure) -> None:
+    labels = [axes.get_ylabel() for axes in figure.axes]
     assert "Motor force (mN)" not in labels
     axes = panel(run_figure(drag, motor_force=True), "Motor force (mN)")
     np.testing.assert_array_equal(line(axes, "raw")[1], drag.trace.channels["motor_force"])
@@ -233,8 +236,8 @@ def test_a_relaxation_shows_its_ramp_and_the_time_since(relaxation: Run) -> None
     assert "Relaxation at 100 % shear strain · jejunum" in texts(figure)
 
 
-def test_the_steady_level_stands_where_the_runs_measure_says(drag: Run) -> None:
-    time, level = line(panel(run_figure(drag), "Force (mN)"), "steady")
+def test_the_steady_level_stands_where_the_runs_measure_says(drag: Run, figure: Figure) -> None:
+    time, level = line(panel(figure, "Force (mN)"), "steady")
     assert level[0] == level[1]
     inside = (drag.trace.time >= time[0]) & (drag.trace.time <= time[1])
     assert level[0] == pytest.approx(drag.trace.force[inside].mean(), abs=0.05)
@@ -259,12 +262,18 @@ def test_a_value_has_as_many_digits_as_its_error(value: float, error: float | No
     assert value_with_error(value, error) == text
 
 
-@pytest.mark.parametrize("path", sorted(CAMPAIGN.glob("*.h5")), ids=lambda path: path.stem)
-def test_every_practice_file_draws(path: Path) -> None:
-    assert drawn(run_figure(read_run(path))).startswith(b"\x89PNG")
+DRAWN = ("001-relaxation.h5", "005-blank.h5", "008-coulomb.h5", "010-drag.h5")
+"""A run of each kind."""
 
 
-@pytest.mark.parametrize("samples", [0, 1, 2, 60])
+@pytest.mark.parametrize(
+    "name", [*DRAWN, *(thorough(path.name) for path in sorted(CAMPAIGN.glob("*.h5")) if path.name not in DRAWN)]
+)
+def test_every_practice_file_draws(name: str) -> None:
+    assert drawn(run_figure(read_run(CAMPAIGN / name))).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("samples", [0, 1, thorough(2), 60])
 def test_a_run_cut_short_draws(drag: Run, relaxation: Run, samples: int) -> None:
     for run in (drag, relaxation):
         short = replace(first(run, samples), events=())
@@ -288,11 +297,11 @@ def test_a_run_of_a_thousand_gaps_and_phases_draws_and_counts_them(drag: Run) ->
     assert drawn(figure)
 
 
-def test_millions_of_samples_draw_in_seconds_and_lose_no_peak(drag: Run) -> None:
-    repeats = 2_000_000 // drag.trace.time.size
+def test_a_million_samples_are_drawn_as_some_thousands_and_lose_no_peak(drag: Run) -> None:
+    repeats = 1_000_000 // drag.trace.time.size
     size = repeats * drag.trace.time.size
     force = np.tile(drag.trace.force, repeats)
-    force[1_234_567] = 4000.0
+    force[765_432] = 4000.0
     long = replace(
         drag,
         trace=replace(
@@ -303,17 +312,15 @@ def test_millions_of_samples_draw_in_seconds_and_lose_no_peak(drag: Run) -> None
             channels={"force": force, "position": np.tile(drag.trace.position, repeats)},
         ),
     )
-    begun = time.process_time()
     figure = run_figure(long)
     assert drawn(figure)
-    assert time.process_time() - begun < 20
     t, raw = line(panel(figure, "Force (mN)"), "raw")
     assert raw.max() == 4000.0
     assert t.size < 10_000
 
 
 def test_the_same_run_is_the_same_picture(relaxation: Run) -> None:
-    assert drawn(run_figure(relaxation)) == drawn(run_figure(relaxation))
+    assert drawn(run_figure(relaxation), DPI) == drawn(run_figure(relaxation), DPI)
 
 
 def test_the_solver_of_the_layout_may_round_as_it_likes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -327,9 +334,16 @@ def test_the_solver_of_the_layout_may_round_as_it_likes(monkeypatch: pytest.Monk
             axes.set_position(Bbox(points * (1 + 1e-15 * rounding.integers(-9, 10, points.shape))))
             axes.set_in_layout(True)
 
-    plain = drawn(wall_figure())
+    def places() -> tuple[tuple[float, ...], ...]:
+        with figure_style():
+            figure = new_figure(4.0, 2.0)
+            figure.subplots(1, 2)
+            lay_out(figure)
+        return tuple(axes.get_position().bounds for axes in figure.axes)
+
+    plain = places()
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", solve_otherwise)
-    assert {drawn(wall_figure()) for _ in range(8)} == {plain}
+    assert {places() for _ in range(6)} == {plain}
 
 
 def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, relaxation: Run) -> None:
@@ -345,7 +359,7 @@ def test_nothing_on_a_picture_is_cut_off_and_no_label_covers_another(drag: Run, 
     )
     for figure in pictures:
         with figure_style():
-            figure.draw_without_rendering()
+            lay_out(figure)
             everything = figure.get_tightbbox()
             labels = [*figure.texts, *(text for axes in figure.axes for text in axes.texts)]
             boxes = [Text.get_window_extent(text) for text in labels]  # without the line that an annotation has
@@ -393,7 +407,7 @@ def invoke(*arguments: str) -> str:
 
 
 def test_show_says_where_each_picture_is_and_writes_over_none(tmp_path: Path) -> None:
-    run = Path(shutil.copy(CAMPAIGN / "014-drag.h5", tmp_path / "mine.h5"))
+    run = Path(shutil.copy(CAMPAIGN / "005-blank.h5", tmp_path / "mine.h5"))
     before = run.read_bytes()
     assert invoke(str(run)).splitlines() == [str(tmp_path / "mine.png")]
     assert invoke(str(run)).splitlines() == [str(tmp_path / "mine-2.png")]
@@ -472,7 +486,7 @@ def test_samples_on_their_own_are_seen_and_a_crowd_of_gaps_is_summed_up(drag: Ru
     assert "100 gaps, 0.9 s missing" in texts(figure)
 
 
-def test_only_steady_sliding_has_a_steady_level(drag: Run) -> None:
+def test_only_steady_sliding_has_a_steady_level(drag: Run, figure: Figure) -> None:
     second = replace(drag, info=replace(drag.info, header=replace(drag.info.header, kind="motion")))
     assert not any(text.startswith("steady ") for text in texts(run_figure(second)))
-    assert any(text.startswith("steady ") for text in texts(run_figure(drag)))
+    assert any(text.startswith("steady ") for text in texts(figure))

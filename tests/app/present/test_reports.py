@@ -24,16 +24,22 @@ from dragrig.present.run import attribute_texts, check_texts
 from dragrig.rig.runfile import mark_bad, read_run
 from exams import large_exam
 from places import CAMPAIGN
+from property_tests import thorough
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
+
+
+SOME = tuple(CAMPAIGN / f"{name}.h5" for name in ("001-relaxation", "005-blank", "010-drag", "014-drag"))
 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A campaign with a bad run, a damaged file, one that is still recorded, and a session."""
     folder = tmp_path_factory.mktemp("campaign") / "first piece"
-    shutil.copytree(CAMPAIGN, folder)
+    folder.mkdir()
+    for path in SOME:
+        shutil.copy(path, folder)
     made = folder.with_name("made")
     dragrig.simulate("blank", out=made, assignments=["rig.sampling.rate_hz=200"])
     for entry in (*made.glob("*.h5"), *made.glob("*.toml")):
@@ -101,7 +107,7 @@ def test_a_campaigns_page_says_what_was_left_out_and_why(campaign_page: Path) ->
 def test_a_campaigns_page_has_each_run_and_each_session_with_its_runs(campaign_page: Path) -> None:
     html = campaign_page.read_text("utf-8")
     ids = re.findall(r'<details id="([^"]+)">', html)
-    assert {f"run-{path.stem}" for path in CAMPAIGN.glob("*.h5")} <= set(ids)
+    assert {f"run-{path.stem}" for path in SOME} <= set(ids)
     assert not any("return" in entry for entry in ids)
     assert set(re.findall(r'<a href="#(run-[^"]+)">', html)) == set(ids)
     sessions = html.split('id="sessions"', 1)[1].split("</section>", 1)[0]
@@ -110,8 +116,9 @@ def test_a_campaigns_page_has_each_run_and_each_session_with_its_runs(campaign_p
     assert "Not drawn: 2 return strokes;" in words(campaign_page)
 
 
-def test_a_campaign_without_sessions_is_reported() -> None:
-    document = campaign_document(examine_campaign(CAMPAIGN))
+def test_a_campaign_without_sessions_is_reported(tmp_path: Path) -> None:
+    shutil.copy(CAMPAIGN / "010-drag.h5", tmp_path)
+    document = campaign_document(examine_campaign(tmp_path))
     assert "sessions" not in [section.name for section in document.content]
     assert [section.name for section in document.content][:2] == ["overview", "means"]
 
@@ -223,7 +230,7 @@ def test_a_runs_page_is_presentable(browser: "Browser", run_page: Path) -> None:
     must_be_presentable(browser, run_page)
 
 
-@pytest.mark.parametrize("verdict", ALL)
+@pytest.mark.parametrize("verdict", [name if name == "several" else thorough(name) for name in ALL])
 def test_a_diagnosis_page_is_presentable(browser: "Browser", verdict: str, shared_folder: Path) -> None:
     from browsing import must_be_presentable
 
