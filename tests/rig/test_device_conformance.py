@@ -15,7 +15,7 @@ from dragrig.rig.devices import MAX_BLOCK_S, Backend, BackendRequest, read_idle
 from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, Phase, Piece
 from dragrig.sim_backend.devices import open_backend
 from dragrig.sim_backend.doubles.backend import open_backend as open_double
-from driving import until
+from driving import Room, until
 from property_tests import thorough
 from simulated import NEVER, PATIENT, acquire, begin, blocks, record, rest, settings, stroke
 from voltage_bench import LEAD_S, open_voltage_rig, velocity_rig
@@ -116,50 +116,36 @@ def rig(request: pytest.FixtureRequest) -> RigUnderTest:
     return request.param
 
 
-class Bay:
-    """Room for one rig: a homed one, for all tests that leave it so, until somebody needs the room."""
-
-    def __init__(self, rig: RigUnderTest) -> None:
-        self._rig = rig
-        self._homed: Backend | None = None
-
-    def homed(self) -> Backend:
-        if self._homed is None:
-            self._homed = self._rig.open(settings(**PATIENT))
-            self._homed.stage.enable()
-            self._homed.stage.home()
-        return self._homed
-
-    def clear(self) -> None:
-        if self._homed is not None:
-            self._homed.close()
-        self._homed = None
-
-
 @pytest.fixture(scope="module")
-def bay(rig: RigUnderTest) -> Iterator[Bay]:
-    bay = Bay(rig)
-    yield bay
-    bay.clear()
+def room(rig: RigUnderTest) -> Iterator[Room[Backend]]:
+    def homed() -> Backend:
+        backend = rig.open(settings(**PATIENT))
+        backend.stage.enable()
+        backend.stage.home()
+        return backend
+
+    room = Room(homed)
+    yield room
+    room.clear()
 
 
 @pytest.fixture
-def cold(rig: RigUnderTest, bay: Bay) -> Iterator[Backend]:
+def cold(rig: RigUnderTest, room: Room[Backend]) -> Iterator[Backend]:
     """A rig that was just opened."""
-    bay.clear()
+    room.clear()
     backend = rig.open(settings(**PATIENT))
     yield backend
     backend.close()
 
 
 @pytest.fixture
-def backend(rig: RigUnderTest, bay: Bay) -> Iterator[Backend]:
+def backend(rig: RigUnderTest, room: Room[Backend]) -> Iterator[Backend]:
     """A rig that is homed, on and at its zero."""
-    backend = bay.homed()
+    backend = room.rig()
     yield backend
     if not rig.lag_s:
         # A simulated one is homed in no time.
-        bay.clear()
+        room.clear()
         return
     backend.sampler.stop()
     backend.stage.stop()
