@@ -6,6 +6,7 @@ Units: mm and s. Time 0 is the first sample; position 0 is where the run starts.
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -104,7 +105,7 @@ class MotionProfile:
             for duration, acceleration, phase in zip(durations, self.acceleration_mm_s2, self.phase, strict=True)
         )
 
-    @property
+    @cached_property
     def motion_ends_s(self) -> float:
         """Time of the last standstill; 0 when the stage never moves."""
         moving = (self.velocity_mm_s != 0) | (self.acceleration_mm_s2 != 0)

@@ -122,9 +122,9 @@ def diagnosed(shared_folder: Path) -> "DiagnosedCampaigns":
 
 @pytest.fixture(scope="module")
 def faulty_bench(tmp_path_factory: pytest.TempPathFactory) -> "Iterator[Bench]":
-    """The real rig's devices, doubled in another process for a module's tests, with a lab folder.
+    """The real rig's devices, doubled for a module's tests, with a lab folder.
 
-    No longer than that, for the doubles of a stage that stands take a tenth of a processor all the same.
+    No longer than that, for the doubles of a stage that stands take processor time all the same.
     """
     from rig_faults import bench
 

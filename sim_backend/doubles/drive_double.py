@@ -44,7 +44,7 @@ FACTORY_PARAMETERS: Mapping[Parameter, float] = {
 """What a drive holds before it is set up; a silence timeout of 0 is none."""
 RATED_THRUST_N = 100.0
 """A drive limits a thrust limit beyond its rating to its rating, without an error."""
-_WATCH_MOVING_S, _WATCH_AT_REST_S = 0.002, 0.005
+_WATCH_MOVING_S = 0.002
 _DEFAULT_ALARM = 1
 _G_MM_S2_PER_N = 1e6
 
@@ -56,6 +56,8 @@ class DriveDouble:
     that dialect is not known, or brings no drive's side.
     """
 
+    _watch_at_rest_s = 0.02
+
     def __init__(self, bench: SimulatedBench) -> None:
         self.bench = bench
         drive = bench.rig.hardware.drive
@@ -63,7 +65,8 @@ class DriveDouble:
         self._side = find_drive_side(self._dialect, drive)
         self._lines = bench.rig.hardware.card.lines
         self._lock = threading.RLock()
-        self._ended = threading.Event()
+        self._ended = False
+        self._stirred = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="drive double", daemon=True)
         self._received_s = time.monotonic()
         self._parameters = dict(FACTORY_PARAMETERS)
@@ -81,7 +84,8 @@ class DriveDouble:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ended.set()
+        self._ended = True
+        self._stirred.set()
         self._watcher.join()
 
     @property
@@ -146,7 +150,10 @@ class DriveDouble:
                 self._end(Halt.SILENCE)
 
     def _watch(self) -> None:
-        while not self._ended.wait(_WATCH_MOVING_S if self.bench.moving else _WATCH_AT_REST_S):
+        while not self._ended:
+            # At rest every request polls as well, and one that moves it ends the wait.
+            self._stirred.wait(_WATCH_MOVING_S if self._moving() else self._watch_at_rest_s)
+            self._stirred.clear()
             self.poll()
 
     def _carry_out(self, request: Request) -> Reply:
@@ -158,6 +165,7 @@ class DriveDouble:
         if command is Command.READ and parameter is not None:
             return Reply(self._parameters[parameter])
         self._requests.append(request)
+        self._stirred.set()
         return Reply(refusal=self._change(command, parameter, value or 0.0))
 
     def _change(self, command: Command, parameter: Parameter | None, value: float) -> Refusal | None:
@@ -301,6 +309,8 @@ class VelocityDriveDouble(DriveDouble):
 
     E-stop, alarm and silence brake it and switch it off.
     """
+
+    _watch_at_rest_s = 0.005  # a voltage moves it without a request
 
     def poll(self) -> None:
         """Read power, lines, alarm and silence once."""

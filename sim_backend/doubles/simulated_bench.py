@@ -722,23 +722,22 @@ class SimulatedBench:
         """Return the level of a digital line, as PORT/LINE without the device."""
         with self._lock:
             lines, stage, faults = self.rig.hardware.card.lines, self.rig.stage, self.faults.active
-            position_mm = self.position_mm()
-            above_low = position_mm > stage.lowest_mm - SWITCH_OFFSET_MM
-            below_high = position_mm < stage.highest_mm + SWITCH_OFFSET_MM
-            closed = {
-                "e_stop": not faults.e_stop_pressed,
-                "limit_low": above_low and not faults.limit_low_pressed,
-                "limit_high": below_high and not faults.limit_high_pressed,
-            }
+            if line and line == lines.encoder_error:
+                return not faults.encoder_error
             low, high = (
                 (lines.limit_high, lines.limit_low) if faults.switches_swapped else (lines.limit_low, lines.limit_high)
             )
-            wired = {lines.e_stop: "e_stop", low: "limit_low", high: "limit_high"}
-            if line and line == lines.encoder_error:
-                return not faults.encoder_error
-            if line not in wired:
+            if line == high:
+                below = self.position_mm() < stage.highest_mm + SWITCH_OFFSET_MM
+                closed = below and not faults.limit_high_pressed
+            elif line == low:
+                above = self.position_mm() > stage.lowest_mm - SWITCH_OFFSET_MM
+                closed = above and not faults.limit_low_pressed
+            elif line == lines.e_stop:
+                closed = not faults.e_stop_pressed
+            else:
                 return self._written.get(line, False)
-            return closed[wired[line]] is not faults.switches_normally_open
+            return closed is not faults.switches_normally_open
 
     def write_line(self, line: str, high: bool) -> None:
         """Set a digital line."""

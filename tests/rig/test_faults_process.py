@@ -1,4 +1,4 @@
-"""Faults of the program and its computer: ended, killed, frozen, hung, met by another, disk full, time put back."""
+"""Faults of program and computer: ended, killed, frozen, hung, met by another, disk full, time put back, no driver."""
 
 import mmap
 import os
@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from ctypes.util import find_library
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from dragrig.rig.reading import Reading
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import RunStatus
 from places import SUPPORT, TESTS
+from remote_doubles import RemoteDoubles
 from rig_faults import (
     DOCS,
     FAR_MM,
@@ -36,11 +38,19 @@ from rig_faults import (
     assert_reported,
     assert_stopped,
     begin,
+    bench,
     only_run,
     sentence,
 )
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the signals that this is about are POSIX's")
+
+
+@pytest.fixture(scope="module")
+def faulty_bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    """Doubles in a process of their own, which outlive a program that is killed."""
+    with bench(tmp_path_factory.mktemp("lab"), RemoteDoubles) as entry:
+        yield entry
 
 
 @pytest.fixture
@@ -258,6 +268,16 @@ def test_a_clock_that_is_put_back_changes_no_time_and_no_order(tmp_path: Path) -
         ["date", "+%s"], env={**clock.environment, "PATH": "/bin:/usr/bin"}, capture_output=True, text=True, check=True
     )
     assert abs(int(seen.stdout) - (time.time() - 3600)) < 1800, "the clock was never put back"
+
+
+@pytest.mark.skipif(find_library("nidaqmx") is not None, reason="this computer has NI's driver")
+def test_without_ni_driver_nothing_moves_and_one_sentence_says_what_to_install(faulty_rig: Bench) -> None:
+    before = faulty_rig.look()
+    ended = begin(faulty_rig, assignments=["rig.hardware.card.server=''"]).end()
+    assert ended.exit_code == 5
+    assert sentence("driver missing").fullmatch(ended.message), ended.message
+    assert faulty_rig.look() == before
+    assert not ended.folder.exists()
 
 
 def test_the_page_on_faults_shows_what_the_tests_hear() -> None:

@@ -5,10 +5,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import pytest
 
 from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.rig.devices import Backend
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.monitor import StageDevices, Watchdog
@@ -23,6 +25,7 @@ from drive_ports import DrivePort, PtyPort, SocketPort
 from simulated import settings
 
 RATE = 1000.0
+Opened = TypeVar("Opened", bound=Backend)
 PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")),
          pytest.param(SocketPort, id="socket"), pytest.param(DoublePort, id="in process")]  # fmt: skip
 ANY_PORT = SocketPort if os.name == "nt" else PtyPort
@@ -35,6 +38,24 @@ def until(condition: Callable[[], bool], within_s: float = 600.0) -> float:
         assert time.monotonic() - began < within_s, "it never happened"
         time.sleep(0.01)
     return time.monotonic() - began
+
+
+class Room(Generic[Opened]):
+    """Room for one open rig: it is opened once for all tests that put it back, until a test needs the room itself."""
+
+    def __init__(self, opened: Callable[[], Opened]) -> None:
+        self._opened = opened
+        self._rig: Opened | None = None
+
+    def rig(self) -> Opened:
+        if self._rig is None:
+            self._rig = self._opened()
+        return self._rig
+
+    def clear(self) -> None:
+        rig, self._rig = self._rig, None
+        if rig is not None:
+            rig.close()
 
 
 class BenchLines:

@@ -27,7 +27,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.config.settings import find_settings, read_settings_file, suggestion
 from dragrig.rig.devices import Acquisition
 from dragrig.sim_backend.doubles.card.card import Card
-from dragrig.sim_backend.doubles.drive_double import make_drive_double
+from dragrig.sim_backend.doubles.drive_double import DriveDouble, make_drive_double
 from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults, DoubleClock, FaultInjector, SimulatedBench
 from drive_ports import SocketPort
 from remote_doubles import (
@@ -142,27 +142,29 @@ class _ControlHandler(socketserver.StreamRequestHandler):
             return  # the caller went away, killed perhaps: nobody is left to answer
 
 
+def stage_status(drive: DriveDouble) -> StageStatus:
+    """Look at the stage of a drive's double."""
+    status, bench = drive.status, drive.bench
+    return StageStatus(
+        position_mm=bench.position_mm(),
+        speed_mm_s=bench.speed_mm_s(),
+        moving=status.moving,
+        enabled=status.enabled,
+        homed=status.homed,
+        halt=status.halt,
+    )
+
+
 def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
     """Let the doubles live until standard input ends or the control socket says so; raises `DragrigError`."""
     end = Signal()
     bench = SimulatedBench(rig, model, DoubleClock(pace))
 
-    def look() -> StageStatus:
-        status = drive.status
-        return StageStatus(
-            position_mm=bench.position_mm(),
-            speed_mm_s=bench.speed_mm_s(),
-            moving=status.moving,
-            enabled=status.enabled,
-            homed=status.homed,
-            halt=status.halt,
-        )
-
     with ExitStack() as opened:
         card = opened.enter_context(CardServer(Card(bench, bench.put_out)))
         drive = opened.enter_context(make_drive_double(bench))
         port = opened.enter_context(SocketPort(drive))
-        control = opened.enter_context(ControlServer(bench.faults, bench.present, look, end))
+        control = opened.enter_context(ControlServer(bench.faults, bench.present, lambda: stage_status(drive), end))
         threading.Thread(target=_end_with_parent, args=(end,), name="parent", daemon=True).start()
         # A full collection would hold up every answer, on a busy machine for seconds.
         gc.collect()

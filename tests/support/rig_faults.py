@@ -1,7 +1,7 @@
-"""What the fault tests share: the real rig's program before doubles in another process, struck while the stage moves.
+"""What the fault tests share: the real rig's program before doubles, struck while the stage moves.
 
-The doubles outlive the program under test, which is either the API on a thread of this process or `dragrig run` as a
-process of its own. What it tells is held against docs/faults.md.
+The program under test is either the API on a thread of this process, or `dragrig run` as a process of its own, which
+doubles in a third process outlive. What it tells is held against docs/faults.md.
 """
 
 import json
@@ -13,16 +13,18 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 import dragrig as api
 from dragrig.campaign_session import Made
 from dragrig.config.errors import DragrigError
+from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.rig import RigSettings
 from dragrig.config.settings import to_toml
 from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.hardware.dialects.base import Halt
@@ -32,9 +34,14 @@ from dragrig.rig.programme import PlannedRun
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import Run, RunStatus
-from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults
+from dragrig.sim_backend.doubles.c_library import installed
+from dragrig.sim_backend.doubles.card.card import Card
+from dragrig.sim_backend.doubles.drive_double import make_drive_double
+from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults, DoubleClock, SimulatedBench
+from drive_ports import SocketPort
 from places import ROOT
 from remote_doubles import RemoteDoubles, StageStatus
+from remote_server import inject_faults, stage_status
 from simulated import settings
 
 START_MM = 5.0
@@ -120,11 +127,45 @@ class Person(NullOperator):
         self.saw_motion = self.saw_motion or float(reading.channels["position"].max()) > MOVED_MM
 
 
+class NearDoubles:
+    """Doubles in this process, with the face of `RemoteDoubles` and its control socket."""
+
+    def __init__(self, rig: RigSettings) -> None:
+        self._given = rig
+        self._bench = SimulatedBench(rig, FrictionModelSettings(), DoubleClock())
+        self._drive = make_drive_double(self._bench)
+        self._port = ""
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        self._open.enter_context(installed(Card(self._bench, self._bench.put_out)))
+        self._open.enter_context(self._drive)
+        self._port = self._open.enter_context(SocketPort(self._drive)).address
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    @property
+    def control(self) -> Self:
+        return self
+
+    def rig(self) -> RigSettings:
+        drive = self._given.hardware.drive.model_copy(update={"port": self._port})
+        return self._given.model_copy(update={"hardware": self._given.hardware.model_copy(update={"drive": drive})})
+
+    def stage(self) -> StageStatus:
+        return stage_status(self._drive)
+
+    def set_faults(self, **faults: Any) -> None:
+        inject_faults(self._bench.faults, faults)
+
+
 @dataclass
 class Bench:
-    """Doubles in another process, and a lab folder whose rig they are."""
+    """Doubles, and a lab folder whose rig they are."""
 
-    doubles: RemoteDoubles
+    doubles: RemoteDoubles | NearDoubles
     lab: Path
     _folders: int = field(default=0)
 
@@ -161,8 +202,8 @@ class Bench:
 
 
 @contextmanager
-def bench(lab: Path) -> Iterator[Bench]:
-    with RemoteDoubles(RIG) as doubles:
+def bench(lab: Path, kind: type[RemoteDoubles] | type[NearDoubles] = NearDoubles) -> Iterator[Bench]:
+    with kind(RIG) as doubles:
         (lab / "rig.toml").write_text(to_toml(doubles.rig()), "utf-8")
         (lab / "plan.toml").write_text(PLAN, "utf-8")
         yield Bench(doubles, lab)

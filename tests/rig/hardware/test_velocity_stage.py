@@ -19,29 +19,49 @@ from dragrig.rig.hardware.dialects.base import Parameter
 from dragrig.rig.hardware.drive.velocity_loop import MotionCommand, SpeedController
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
 from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM
-from driving import until
+from driving import Room, until
 from property_tests import thorough
 from remote_doubles import RemoteDoubles
 from simulated import NEVER, acquire, begin, blocks, record, session, settings, stroke
-from voltage_bench import LEAD_S, RATE, VoltageRig, velocity_rig, voltage_rig
+from voltage_bench import LEAD_S, RATE, VoltageRig, open_voltage_rig, velocity_rig, voltage_rig
 
 FOLLOWS_MM = 0.1
 STANDS_MM = 0.02
 LONG = stroke(travel_mm=120.0, speed_mm_s=40.0, hold_s=0.3)
 
 
+@pytest.fixture(scope="module")
+def room() -> Iterator[Room[VoltageRig]]:
+    room = Room(lambda: open_voltage_rig(velocity_rig()).ready())
+    yield room
+    room.clear()
+
+
 @pytest.fixture
-def cold() -> Iterator[VoltageRig]:
+def cold(room: Room[VoltageRig]) -> Iterator[VoltageRig]:
+    """A rig that was just opened."""
+    room.clear()
     with voltage_rig() as rig:
         yield rig
 
 
 @pytest.fixture
-def rig(cold: VoltageRig) -> VoltageRig:
-    return cold.ready()
+def rig(room: Room[VoltageRig]) -> Iterator[VoltageRig]:
+    """A rig that is homed, on and at its zero."""
+    rig = room.rig()
+    yield rig
+    rig.bench.faults.clear()
+    rig.bench.clock.waits_for_voltage = True
+    rig.sampler.stop()
+    rig.stage.disable()
+    until(lambda: rig.bench.powered)
+    rig.stage.enable()
+    if away_mm := rig.stage.state().position_mm:
+        rig.stage.move(stroke(-away_mm, 100.0))
+        rig.await_standstill()
 
 
-def wavy(duration_s: float = 2.0) -> MotionProfile:
+def wavy(duration_s: float = 1.0) -> MotionProfile:
     """A motion that is no chain of trapezoids."""
     time_s = np.arange(0.0, duration_s, 0.01)
     speed = 20.0 * np.sin(2 * np.pi * time_s) ** 2 * np.sign(np.sin(2 * np.pi * time_s / duration_s))
@@ -183,24 +203,13 @@ def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: p
     assert rig.stage.state().position_mm == pytest.approx(at_mm + 5.0, abs=STANDS_MM)
 
 
-def test_a_program_that_hangs_loses_the_drives_power() -> None:
-    with voltage_rig(velocity_rig(hang_s=1.0)) as rig:
-        begin(rig.ready(), acquire(LONG))
-        until(lambda: rig.is_under_way)
-        until(lambda: not rig.bench.powered)
-        until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
-        fault = rig.stage.fault
-        assert fault is not None
-        assert fault.cause is TripCause.WATCHDOG
-        until(lambda: not rig.drive.status.enabled)
-        assert rig.bench.position_mm() < 100.0
-
-
-def test_a_heartbeat_that_ends_takes_the_power_from_a_voltage_that_goes_on(rig: VoltageRig) -> None:
+def test_a_heartbeat_that_ends_takes_the_power_from_a_voltage_that_goes_on(
+    rig: VoltageRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig.stage.move(LONG)
     until(lambda: rig.is_under_way)
     # Pulls the wire of the heartbeat alone: nothing in the program knows.
-    rig.bench.write_line = lambda line, high: None  # type: ignore[method-assign]
+    monkeypatch.setattr(rig.bench, "write_line", lambda line, high: None)
     until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
     assert not rig.bench.powered
     assert rig.bench.position_mm() < 100.0
@@ -275,11 +284,26 @@ def test_homing_that_is_stopped_says_so(cold: VoltageRig) -> None:
     assert not cold.stage.state().homed
 
 
-def test_homing_needs_the_index_pulse() -> None:
+def test_homing_needs_the_index_pulse(room: Room[VoltageRig]) -> None:
+    room.clear()
     with voltage_rig(velocity_rig(encoder={"z": ""})) as rig:
         rig.stage.enable()
         with pytest.raises(SettingsError, match=r"encoder\.z"):
             rig.stage.home()
+
+
+def test_a_program_that_hangs_loses_the_drives_power(room: Room[VoltageRig]) -> None:
+    room.clear()
+    with voltage_rig(velocity_rig(hang_s=1.0)) as rig:
+        begin(rig.ready(), acquire(LONG))
+        until(lambda: rig.is_under_way)
+        until(lambda: not rig.bench.powered)
+        until(lambda: abs(rig.bench.speed_mm_s()) < 0.1)
+        fault = rig.stage.fault
+        assert fault is not None
+        assert fault.cause is TripCause.WATCHDOG
+        until(lambda: not rig.drive.status.enabled)
+        assert rig.bench.position_mm() < 100.0
 
 
 def test_velocity_mode_needs_a_relay_and_a_gain_that_settles() -> None:
@@ -289,7 +313,8 @@ def test_velocity_mode_needs_a_relay_and_a_gain_that_settles() -> None:
         VelocityOutputSettings(gain_per_s=50.0)
 
 
-def test_no_speed_is_asked_for_that_ten_volts_do_not_say() -> None:
+def test_no_speed_is_asked_for_that_ten_volts_do_not_say(room: Room[VoltageRig]) -> None:
+    room.clear()
     with voltage_rig(velocity_rig(per_V=5.0)) as rig:
         assert rig.stage.limits.speed_mm_s == 50.0
 
