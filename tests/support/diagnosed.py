@@ -18,11 +18,11 @@ from hidden import hidden
 from places import CAMPAIGN
 
 SECRETS: dict[str, tuple[int, int, tuple[str, ...]]] = {
-    "nothing": (11, 2, ()),
-    "stribeck": (12, 2, ("stribeck",)),
-    "strayed position": (14, 1, ("encoder_scale",)),
+    "nothing": (11, 4, ()),
+    "stribeck": (12, 3, ("stribeck",)),
+    "strayed position": (14, 3, ("encoder_scale",)),
     "two effects": (21, 2, ("film_depletion", "force_drift")),
-    "unknown": (18, 2, ("stick_slip",)),
+    "unknown": (18, 4, ("stick_slip",)),
     "unknown law": (12, 2, ("wall_seam",)),
 }
 """Seed of the blind plant, of how many speeds and strains one is kept, and effects that it hides."""
@@ -75,15 +75,12 @@ class DiagnosedCampaigns:
             if not result.exists():
                 if name != EXAMPLE and not runs.exists():
                     write_hidden(runs, *SECRETS[name])
-                result.write_bytes(pickle.dumps(diagnose(choose_runs(runs), MODEL)))
+                result.write_bytes(pickle.dumps(diagnose(choose_runs(runs), MODEL, UNADVISED)))
         return Diagnosed(runs, pickle.loads(result.read_bytes()))
 
 
 def write_hidden(folder: Path, seed: int, every: int, effects: tuple[str, ...]) -> None:
-    """Write the runs of a blind campaign that a test diagnoses, and no others."""
-    whole = Path(mkdtemp(dir=folder.parent))
-    chosen = {experiment.file for experiment in hidden(whole, seed, *effects, every=every).experiments}
-    for path in whole.glob("*.h5"):
-        if path.name not in chosen:
-            path.unlink()
-    whole.rename(folder)
+    """Write the runs of a blind campaign that a test diagnoses; the folder is there once they all are."""
+    begun = Path(mkdtemp(dir=folder.parent))
+    hidden(begun, seed, *effects, every=every)
+    begun.rename(folder)

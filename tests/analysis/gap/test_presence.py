@@ -122,8 +122,8 @@ def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_na
 @pytest.mark.thorough
 def test_both_errors_of_a_position_are_named(tmp_path: Path) -> None:
     effects = ["encoder_scale", "velocity_ripple"]
-    write_campaign(draw_campaign(71012, effects=effects, size=[1.0, 1.0], plant="drawn"), tmp_path)
-    diagnosis = diagnose(thinned(choose_runs(tmp_path)), MODEL, UNADVISED)
+    write_campaign(thinned(draw_campaign(71012, effects=effects, size=[1.0, 1.0], plant="drawn")), tmp_path)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL, UNADVISED)
     assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, set(effects))
     budget = budget_of(diagnosis)
     assert min(budget.presence[name] for name in effects) > 0.9
