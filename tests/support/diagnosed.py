@@ -1,7 +1,7 @@
 """Campaigns with a known secret and their diagnoses, each made once for all processes of a test run."""
 
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from tempfile import mkdtemp
@@ -14,11 +14,12 @@ from dragrig.analysis.gap.diagnosis import Diagnosis
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.selection import RunSelection
+from dragrig.sim_backend.effects import catalogue
 from hidden import hidden
 from places import CAMPAIGN
 
 SECRETS: dict[str, tuple[int, int, tuple[str, ...]]] = {
-    "nothing": (11, 4, ()),
+    "nothing": (11, 3, ()),
     "stribeck": (12, 3, ("stribeck",)),
     "strayed position": (14, 3, ("encoder_scale",)),
     "two effects": (21, 2, ("film_depletion", "force_drift")),
@@ -26,8 +27,12 @@ SECRETS: dict[str, tuple[int, int, tuple[str, ...]]] = {
     "unknown law": (12, 2, ("wall_seam",)),
 }
 """Seed of the blind plant, of how many speeds and strains one is kept, and effects that it hides."""
+SOME = ("adhesion", "film_depletion", "wall_lift_off", "stribeck", "force_drift", "encoder_scale")
+"""Effects that a diagnosis tries which is about something else than telling all effects of the catalogue apart."""
 UNADVISED = DiagnosisOptions(next_runs=None)
 """A diagnosis without the search for the next run, which takes a third of its time."""
+OF_SOME = replace(UNADVISED, excluded=tuple(effect for effect in catalogue() if effect not in SOME))
+"""The same, of some effects alone, which takes half the time."""
 EXAMPLE = "example"
 """The campaign in the test data, of eight runs without a gap."""
 

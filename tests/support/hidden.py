@@ -16,10 +16,10 @@ PLAN = {
     "name": "short",
     "seed": 3,
     "steps": [
-        {"kind": "relaxation", "shear_strain": [0.5, 1.5], "hold_s": 10.0, "wait_s": 30.0},
+        {"kind": "relaxation", "shear_strain": 1.0, "hold_s": 10.0, "wait_s": 30.0},
         {"kind": "blank", "speed_mm_s": 20.0, "travel_mm": 40.0},
-        {"kind": "coulomb", "speed_mm_s": [1.0, 20.0], "travel_mm": 40.0},
-        {"kind": "drag", "speed_mm_s": [2.0, 10.0, 40.0], "travel_mm": 40.0, "repeats": 2},
+        {"kind": "coulomb", "speed_mm_s": [2.0, 20.0], "travel_mm": 40.0},
+        {"kind": "drag", "speed_mm_s": [2.0, 10.0, 40.0], "travel_mm": 40.0},
     ],
 }
 
