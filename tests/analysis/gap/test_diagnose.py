@@ -71,8 +71,9 @@ def test_without_the_right_effect_the_answer_is_less_sure(
     assert "drag" in case.unknown.location
 
 
-def test_what_no_effect_explains_is_unknown_and_has_a_place(diagnosed: DiagnosedCampaigns) -> None:
-    diagnosis = diagnosed["unknown"].diagnosis
+@pytest.mark.parametrize("campaign", ["unknown", thorough("unknown of all")])
+def test_what_no_effect_explains_is_unknown_and_has_a_place(campaign: str, diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed[campaign].diagnosis
     assert (diagnosis.verdict, diagnosis.effects, diagnosis.model) == (Verdict.UNKNOWN, (), None)
     assert diagnosis.unknown is not None
     assert "force" in diagnosis.unknown.location
@@ -115,7 +116,7 @@ def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis,
     rig = parse_effects(["encoder_scale", "servo_lag", "mains_hum"])
     everything = amended.model_copy(update={"effects": (*amended.effects, *rig)})
     runs = simulated(everything)
-    again = diagnose(runs, CapsuleModel(everything), UNADVISED)
+    again = diagnose(runs, CapsuleModel(everything), OF_SOME)
     assert again.verdict is Verdict.NO_GAP
     assert probability(again, "no_gap") > 0.9
 
