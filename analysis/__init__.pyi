@@ -142,6 +142,7 @@ from .noise import BlockMeans as BlockMeans
 from .noise import NoiseModel as NoiseModel
 from .noise import average_in_blocks as average_in_blocks
 from .noise import estimate_noise as estimate_noise
+from .noise import solve_lower as solve_lower
 from .savgol import FilteredRun as FilteredRun
 from .savgol import SavgolSettings as SavgolSettings
 from .savgol import SavgolStream as SavgolStream

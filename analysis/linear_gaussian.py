@@ -22,6 +22,7 @@ from dragrig.analysis.noise import (
     added_white_in_motion,
     average_in_blocks,
     estimate_noise,
+    solve_lower,
 )
 from dragrig.analysis.selection import RunSelection
 from dragrig.config import AnalysisError
@@ -240,17 +241,13 @@ class Whitening:
     @classmethod
     def of(cls, noise_root: FloatArray, signatures: FloatArray) -> "Whitening":
         """Whiten with a noise factor and the signatures of the run's effects, shape `(B, k)`."""
-        from scipy.linalg import solve_triangular
-
-        run_effects = np.asarray(solve_triangular(noise_root, signatures, lower=True, check_finite=False))
+        run_effects = solve_lower(noise_root, signatures)
         directions, sizes, _ = np.linalg.svd(run_effects, full_matrices=False)
         return cls(noise_root, run_effects, np.asarray(directions), 1 - 1 / np.sqrt(1 + sizes**2))
 
     def whiten_noise(self, values: FloatArray) -> FloatArray:
         """Whiten against noise alone, `(B,)` or `(B, m)`."""
-        from scipy.linalg import solve_triangular
-
-        return np.asarray(solve_triangular(self.noise_root, values, lower=True, check_finite=False))
+        return solve_lower(self.noise_root, values)
 
     def whiten(self, values: FloatArray) -> FloatArray:
         """Whiten against the whole covariance, `(B,)` or `(B, m)`."""

@@ -218,11 +218,12 @@ def _sine_power(blocks: ResidualBlocks, coordinate: FloatArray, inside: BoolArra
     line = np.linalg.qr(np.stack((root, root * (coordinates - coordinates.mean())), axis=1))[0]
     residual = root * deviation
     residual = residual - line @ (line.T @ residual)
-    wave = np.exp(-2j * np.pi * rates[:, None] * coordinates) @ (root * residual)
-    share = 2 * np.abs(wave) ** 2 / weight.sum()
     max_gap = float(np.diff(np.sort(coordinates)).max())
     allowed = (rates * np.ptp(coordinates) >= MIN_PERIODS) & (rates * max_gap < 0.5)
-    return np.where(allowed, np.minimum(share, float(residual @ residual)), 0.0)
+    angles, summed = 2 * np.pi * rates[allowed, None] * coordinates, root * residual
+    powers = np.zeros_like(rates)
+    powers[allowed] = 2 * ((np.cos(angles) @ summed) ** 2 + (np.sin(angles) @ summed) ** 2) / weight.sum()
+    return np.minimum(powers, float(residual @ residual))
 
 
 FAST_HZ = 10.0

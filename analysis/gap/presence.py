@@ -18,7 +18,7 @@ from math import log
 
 import numpy as np
 
-from dragrig.analysis import Whitening
+from dragrig.analysis import Whitening, solve_lower
 from dragrig.analysis.gap.design import (
     NUISANCES,
     Candidate,
@@ -752,7 +752,7 @@ class _SetEvidence:
             return np.zeros((0, len(products))), 0.0
         precision = products[np.ix_(rows, rows)] * np.outer(sds, sds) + np.eye(rows.size)
         root = np.asarray(np.linalg.cholesky(precision), dtype=np.float64)
-        explained = np.asarray(np.linalg.solve(root, products[rows] * sds[:, None]), dtype=np.float64)
+        explained = solve_lower(root, products[rows] * sds[:, None])
         value = 0.5 * float(explained[:, 0] @ explained[:, 0]) - float(np.log(np.diag(root)).sum())
         value += sum(self.competition.causes[index].log_prior_odds for index, _ in causes)
         return explained, value + self._log_sign_probability(causes, root, explained[:, 0])
@@ -767,7 +767,7 @@ class _SetEvidence:
             if cause.direction is not None:
                 direction = np.zeros(len(root))
                 direction[first : first + cause.columns.size] = cause.direction
-                white = np.linalg.solve(root, direction)
+                white = solve_lower(root, direction)
                 total += float(log_ndtr(white @ solved / np.sqrt(white @ white))) + log(2.0)
             first += cause.columns.size
         return total
@@ -778,10 +778,12 @@ def _log_evidence(grams: FloatArray, moments: FloatArray, directions: FloatArray
     from scipy.special import log_ndtr
 
     width = grams.shape[1]
-    roots = np.linalg.cholesky(grams * (sizes**2)[:, None, None] + np.eye(width))
-    sides = np.stack((moments * sizes[:, None], directions), axis=2)
-    solved = np.linalg.solve(roots, sides)
-    fitted, along = solved[:, :, 0], solved[:, :, 1]
+    scaled = grams * (sizes**2)[:, None, None] + np.eye(width)
+    sides = np.stack((moments * sizes[:, None], directions), axis=1)
+    # In the root of a matrix with a border stands what solves for the border, whose corner only has to be large enough.
+    corners = (1.0 + (sides**2).sum(axis=(1, 2)))[:, None, None] * np.eye(2)
+    bordered = np.linalg.cholesky(np.block([[scaled, sides.transpose(0, 2, 1)], [sides, corners]]))
+    roots, fitted, along = bordered[:, :width, :width], bordered[:, width, :width], bordered[:, width + 1, :width]
     log_det = 2.0 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
     values = 0.5 * (fitted**2).sum(axis=1) - 0.5 * log_det
     spread = np.sqrt((along**2).sum(axis=1))

@@ -29,6 +29,7 @@ from dragrig.analysis import (
     estimate_noise,
     mask_spans,
     single_blas_thread,
+    solve_lower,
 )
 from dragrig.analysis.identification.identification import RelaxationFit, RelaxationResult, StrainLaw, ThirdBranchTest
 from dragrig.analysis.paper import WALL_UNITS
@@ -126,9 +127,7 @@ class ShearRecord:
 
     def rows(self, signals: FloatArray) -> FloatArray:
         """Whiten signals of shape `(B, n)`; one more column holds the prior of the zero."""
-        from scipy.linalg import solve_triangular
-
-        white = solve_triangular(self.noise_factor, signals.T, lower=True, check_finite=False).T
+        white = solve_lower(self.noise_factor, signals.T).T
         return np.hstack((white, np.zeros((len(signals), 1))))
 
     def zero(self) -> FloatArray:

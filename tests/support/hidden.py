@@ -6,44 +6,44 @@ from pathlib import Path
 
 import dragrig
 from dragrig.analysis.gap.run_data import choose_runs
-from dragrig.analysis.models.experiment import SOURCE_KEY, START_UNKNOWN_KEY, Experiment
+from dragrig.analysis.models.experiment import SOURCE_KEY, START_UNKNOWN_KEY
 from dragrig.analysis.selection import RunSelection
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
-from dragrig.sim_backend.blind import draw_campaign, write_campaign
+from dragrig.sim_backend.blind import BlindCampaign, draw_campaign, write_campaign
 
 PLAN = {
     "name": "short",
     "seed": 3,
     "steps": [
-        {"kind": "relaxation", "shear_strain": [0.5, 1.5], "hold_s": 10.0, "wait_s": 30.0},
+        {"kind": "relaxation", "shear_strain": 1.0, "hold_s": 10.0, "wait_s": 30.0},
         {"kind": "blank", "speed_mm_s": 20.0, "travel_mm": 40.0},
-        {"kind": "coulomb", "speed_mm_s": [1.0, 20.0], "travel_mm": 40.0},
-        {"kind": "drag", "speed_mm_s": [2.0, 10.0, 40.0], "travel_mm": 40.0, "repeats": 2},
+        {"kind": "coulomb", "speed_mm_s": [2.0, 20.0], "travel_mm": 40.0},
+        {"kind": "drag", "speed_mm_s": [2.0, 10.0, 40.0], "travel_mm": 40.0},
     ],
 }
 
 
 def hidden(folder: Path, seed: int, *effects: str, size: float | Sequence[float] = 1.0, every: int = 1) -> RunSelection:
     """Return some runs of a campaign of the blind plant, read back from its files."""
-    write_campaign(draw_campaign(seed, effects=effects, size=size), folder)
-    return thinned(choose_runs(folder), every)
+    write_campaign(thinned(draw_campaign(seed, effects=effects, size=size), every), folder)
+    return choose_runs(folder)
 
 
-def thinned(whole: RunSelection, every: int = 1) -> RunSelection:
+def thinned(campaign: BlindCampaign, every: int = 1) -> BlindCampaign:
     """Keep of each kind of run every so many speeds or strains, once, but 2 and 20 mm/s twice."""
-    groups: dict[str, dict[float, list[Experiment]]] = {}
-    for experiment in whole.experiments:
-        protocol = experiment.run.info.header.protocol
-        condition = float(str(protocol.get("shear_strain", protocol.get("speed_mm_s", 0.0))))
-        groups.setdefault(experiment.kind, {}).setdefault(condition, []).append(experiment)
-    kept = [
-        experiment
+    groups: dict[str, dict[float, list[int]]] = {}
+    for number, run in enumerate(campaign.runs):
+        condition = run.speed_mm_s if run.strain is None else run.strain
+        groups.setdefault(run.kind, {}).setdefault(condition, []).append(number)
+    kept = sorted(
+        number
         for conditions in groups.values()
         for condition in sorted(conditions, reverse=True)[::every]
-        for experiment in conditions[condition][: 2 if condition in {2.0, 20.0} else 1]
-    ]
-    return replace(whole, experiments=tuple(experiment for experiment in whole.experiments if experiment in kept))
+        for number in conditions[condition][: 2 if condition in {2.0, 20.0} else 1]
+    )
+    runs, variations = (tuple(of_run[number] for number in kept) for of_run in (campaign.runs, campaign.variations))
+    return replace(campaign, runs=runs, variations=variations)
 
 
 def simulated(model: FrictionModelSettings) -> RunSelection:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from diagnosed import EXAMPLE, UNADVISED, DiagnosedCampaigns
+from diagnosed import EXAMPLE, OF_SOME, UNADVISED, DiagnosedCampaigns
+from dragrig.analysis.gap import DiagnosisOptions
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.run_data import choose_runs
@@ -16,6 +17,7 @@ from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.present.diagnosis import diagnosis_json
 from hidden import hidden, simulated
 from places import CAMPAIGN
+from property_tests import thorough
 
 NUMBERED = {path.name.split("-")[1].removesuffix(".h5"): path for path in sorted(CAMPAIGN.glob("*.h5"))}
 
@@ -54,9 +56,12 @@ def test_an_effect_is_named_with_its_size_and_closes_the_gap(diagnosis: Diagnosi
     assert diagnosis.shrink.gap_after_mN < 0.5 * diagnosis.shrink.gap_before_mN
 
 
-def test_without_the_right_effect_the_answer_is_less_sure(diagnosed: DiagnosedCampaigns) -> None:
+@pytest.mark.parametrize("options", [OF_SOME, thorough(UNADVISED)], ids=["of some", "of all"])
+def test_without_the_right_effect_the_answer_is_less_sure(
+    options: DiagnosisOptions, diagnosed: DiagnosedCampaigns
+) -> None:
     runs, diagnosis = diagnosed["stribeck"].selection, diagnosed["stribeck"].diagnosis
-    case = diagnose(runs, MODEL, replace(UNADVISED, excluded=("stribeck",)))
+    case = diagnose(runs, MODEL, replace(options, excluded=(*options.excluded, "stribeck")))
     assert "stribeck" not in {hypothesis.hypothesis for hypothesis in case.ranking}
     if case.verdict is not Verdict.UNKNOWN:
         assert set(case.effects) <= {"adhesion", "film_depletion", "wall_lift_off"}
@@ -66,8 +71,9 @@ def test_without_the_right_effect_the_answer_is_less_sure(diagnosed: DiagnosedCa
     assert "drag" in case.unknown.location
 
 
-def test_what_no_effect_explains_is_unknown_and_has_a_place(diagnosed: DiagnosedCampaigns) -> None:
-    diagnosis = diagnosed["unknown"].diagnosis
+@pytest.mark.parametrize("campaign", ["unknown", thorough("unknown of all")])
+def test_what_no_effect_explains_is_unknown_and_has_a_place(campaign: str, diagnosed: DiagnosedCampaigns) -> None:
+    diagnosis = diagnosed[campaign].diagnosis
     assert (diagnosis.verdict, diagnosis.effects, diagnosis.model) == (Verdict.UNKNOWN, (), None)
     assert diagnosis.unknown is not None
     assert "force" in diagnosis.unknown.location
@@ -110,7 +116,7 @@ def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis,
     rig = parse_effects(["encoder_scale", "servo_lag", "mains_hum"])
     everything = amended.model_copy(update={"effects": (*amended.effects, *rig)})
     runs = simulated(everything)
-    again = diagnose(runs, CapsuleModel(everything), UNADVISED)
+    again = diagnose(runs, CapsuleModel(everything), OF_SOME)
     assert again.verdict is Verdict.NO_GAP
     assert probability(again, "no_gap") > 0.9
 
@@ -125,7 +131,7 @@ def test_the_amended_simulator_has_no_gap_to_its_own_model(diagnosis: Diagnosis,
 )
 def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], message: set[str]) -> None:
     runs = [experiment for experiment in choose_runs(CAMPAIGN).experiments if experiment.kind in kinds]
-    diagnosis = diagnose(choose_runs(experiment.run for experiment in runs), MODEL)
+    diagnosis = diagnose(choose_runs(experiment.run for experiment in runs), MODEL, OF_SOME)
     assert diagnosis.runs == len(runs)
     for name in message:
         assert any(sentence.startswith(name) for sentence in diagnosis.limitations)
@@ -135,7 +141,7 @@ def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], mes
 @pytest.mark.parametrize("kind", sorted(NUMBERED))
 def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
     experiment = next(experiment for experiment in choose_runs(CAMPAIGN).experiments if experiment.kind == kind)
-    diagnosis = diagnose(choose_runs([experiment.run]), MODEL, UNADVISED)
+    diagnosis = diagnose(choose_runs([experiment.run]), MODEL, OF_SOME)
     assert (diagnosis.runs, diagnosis.held_out, diagnosis.shrink) == (1, (), None)
     assert any("Too few runs to hold any out" in sentence for sentence in diagnosis.limitations)
     assert sum(hypothesis.probability for hypothesis in diagnosis.ranking) == pytest.approx(1.0)

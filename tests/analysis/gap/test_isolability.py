@@ -13,12 +13,14 @@ from dragrig.config.plan import Plan
 from dragrig.config.settings import to_toml
 from dragrig.present.html_page import render_page
 from dragrig.present.isolability import isolability_document
+from dragrig.sim_backend.effects import catalogue
 from places import CAMPAIGN
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-SLOW = ("encoder_scale", "servo_lag", "velocity_ripple")
+SOME = ("stribeck", "folds", "wall_lift_off", "adhesion", "force_drift", "mains_hum")
+WITHOUT_OTHERS = tuple(name for name in catalogue() if name not in SOME)
 DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}
 
 
@@ -28,7 +30,7 @@ def plan(*steps: dict[str, object]) -> Plan:
 
 @pytest.fixture(scope="module")
 def drags() -> Isolability:
-    return dragrig.isolability(plan(DRAGS), without=SLOW)
+    return dragrig.isolability(plan(DRAGS), without=WITHOUT_OTHERS)
 
 
 def test_runs_show_what_acts_in_them_and_nothing_else(drags: Isolability) -> None:
@@ -44,7 +46,7 @@ def test_runs_show_what_acts_in_them_and_nothing_else(drags: Isolability) -> Non
 def test_coulomb_runs_set_friction_apart_from_tack(drags: Isolability) -> None:
     # Tack needs the closed gut; what changes the friction coefficient shows in the open one too.
     both = dragrig.isolability(
-        plan(DRAGS, {"kind": "coulomb", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}), without=SLOW
+        plan(DRAGS, {"kind": "coulomb", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}), without=WITHOUT_OTHERS
     )
     alone, beside = drags.pair("stribeck", "adhesion"), both.pair("stribeck", "adhesion")
     assert alone is not None
@@ -55,7 +57,7 @@ def test_coulomb_runs_set_friction_apart_from_tack(drags: Isolability) -> None:
 
 
 def test_more_runs_show_smaller_effects(drags: Isolability) -> None:
-    twice = dragrig.isolability(plan({**DRAGS, "repeats": 3}), without=SLOW)
+    twice = dragrig.isolability(plan({**DRAGS, "repeats": 3}), without=WITHOUT_OTHERS)
     before, after = (
         {visibility.effect: visibility for visibility in isolability.visible_in("force")}
         for isolability in (drags, twice)
@@ -90,7 +92,7 @@ def test_near_ones_stand_together() -> None:
 
 def test_a_campaign_is_told_as_json_and_as_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report = tmp_path / "apart.html"
-    names = [label for name in SLOW for label in ("--without", name)]
+    names = [label for name in WITHOUT_OTHERS for label in ("--without", name)]
     assert main(["gap", "isolability", str(CAMPAIGN), "--json", "--quiet", "--report", str(report), *names]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["format"], answer["planned"], answer["duration_s"]) == ("dragrig-isolability", False, None)
@@ -105,7 +107,7 @@ def test_a_campaign_is_told_as_json_and_as_a_page(tmp_path: Path, capsys: pytest
 def test_a_plan_in_a_file_says_what_it_would_make(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(to_toml(plan(DRAGS)), "utf-8")
-    names = [label for name in SLOW for label in ("--without", name)]
+    names = [label for name in WITHOUT_OTHERS for label in ("--without", name)]
     assert main(["gap", "isolability", str(file), "--quiet", *names]) == 0
     text = capsys.readouterr().out
     assert "3 drag runs" in text

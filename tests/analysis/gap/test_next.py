@@ -23,11 +23,12 @@ from dragrig.present.diagnosis import diagnosis_document, diagnosis_json
 from dragrig.present.html_page import render_page
 from dragrig.present.terminal import document_text
 from dragrig.sim_backend.blind import RunList, draw_campaign, write_campaign
+from dragrig.sim_backend.effects import catalogue
 from listed_runs import table
 
 DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}
 BETWEEN = ("stribeck", "adhesion")
-OTHERS = ("encoder_scale", "servo_lag", "velocity_ripple")
+OTHERS = tuple(name for name in catalogue() if name not in BETWEEN)
 SPECIMEN = Specimen(name="jejunum")
 
 

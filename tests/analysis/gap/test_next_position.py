@@ -22,6 +22,7 @@ from dragrig.config.plan import Plan
 from dragrig.config.specimen import Specimen
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.effects.base import catalogue
+from property_tests import thorough
 
 SCALE = "encoder_scale:scale_error=0.003"
 LONG_RIPPLE = "velocity_ripple:pitch_mm=20,amplitude_mm=0.03"
@@ -33,6 +34,7 @@ OF_POSITION = replace(
     excluded=tuple(effect.id for effect in catalogue().values() if effect.has_force_signature),
 )
 """A diagnosis that tries no effect on the force."""
+ADVISED_OF_POSITION = replace(OF_POSITION, next_runs=ONE_RUN)
 MIXED = ("velocity_ripple:pitch_mm=5,amplitude_mm=0.03", "servo_lag:lag_s=0.004", "encoder_scale")
 
 
@@ -48,12 +50,10 @@ def found_in(runs: tuple[Run, ...]) -> PositionAnalysis:
     return analyse_position(choose_runs(runs).experiments, list(catalogue().values()))
 
 
-def advised_for_position(runs: tuple[Run, ...]) -> NextExperiment | None:
+def advised_for_position(runs: tuple[Run, ...], diagnosis: Diagnosis) -> NextExperiment | None:
     """The advice for the position alone: that for the force may tell more per minute of few runs."""
-    selection, position = choose_runs(runs), found_in(runs)
-    effects = [effect for effect in catalogue().values() if effect.has_force_signature]
-    probabilities = {entry.hypothesis: entry.probability for entry in diagnosis_of(runs, OF_POSITION).ranking}
-    return recommend_position_run(CapsuleStudy.of(selection, MODEL, effects), position, probabilities, ONE_RUN)
+    probabilities = {entry.hypothesis: entry.probability for entry in diagnosis.ranking}
+    return recommend_position_run(CapsuleStudy.of(choose_runs(runs), MODEL, ()), found_in(runs), probabilities, ONE_RUN)
 
 
 def margin(position: PositionAnalysis, truth: str) -> float:
@@ -62,11 +62,11 @@ def margin(position: PositionAnalysis, truth: str) -> float:
     return shares.pop(truth) - max(shares.values())
 
 
-@pytest.mark.parametrize("effect", [SCALE, pytest.param(LONG_RIPPLE, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("effect", [SCALE, thorough(LONG_RIPPLE)])
 def test_short_strokes_are_followed_by_the_run_that_tells_scale_from_ripple(effect: str, tmp_path: Path) -> None:
     truth = effect.split(":", 1)[0]
     thin = dragrig.simulate(plan(THIN), effects=[effect])
-    advised = advised_for_position(thin)
+    advised = advised_for_position(thin, diagnosis_of(thin, OF_POSITION))
     assert advised is not None
     (run,) = advised.runs
     assert set(run.about) == {"encoder_scale", "velocity_ripple"}
@@ -94,7 +94,7 @@ def test_no_run_is_advised_for_what_is_told_apart_already() -> None:
     runs = dragrig.simulate(plan(FULL), effects=["velocity_ripple"])
     settled = diagnosis_of(runs, OF_POSITION)
     assert settled.effects == ("velocity_ripple",)
-    assert advised_for_position(runs) is None
+    assert advised_for_position(runs, settled) is None
 
 
 def test_what_no_run_tells_apart_is_said() -> None:
@@ -106,7 +106,7 @@ def test_what_no_run_tells_apart_is_said() -> None:
 
 
 def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> None:
-    unnamed = diagnosis_of(dragrig.simulate(plan(FULL), effects=MIXED))
+    unnamed = diagnosis_of(dragrig.simulate(plan(FULL), effects=MIXED), ADVISED_OF_POSITION)
     assert unnamed.verdict is Verdict.UNKNOWN
     assert unnamed.next_experiment is not None
     (run,) = unnamed.next_experiment.runs
@@ -119,14 +119,17 @@ def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> No
 def test_no_new_motion_is_advised_where_the_stage_has_made_them_all() -> None:
     ways = [candidate.step.model_copy(update={"repeats": 1}) for candidate in motion_grid(Specimen(name="jejunum"))]
     everything = Plan(name="all", seed=4, steps=tuple(ways))
-    covered = diagnosis_of(dragrig.simulate(everything, effects=MIXED))
+    covered = diagnosis_of(dragrig.simulate(everything, effects=MIXED), ADVISED_OF_POSITION)
     assert covered.verdict is Verdict.UNKNOWN
     assert NO_NEW_MOTION in covered.limitations
 
 
 def test_the_more_doubtful_question_comes_first() -> None:
-    steps = {**FULL, "speed_mm_s": [0.5, 1.0, 4.0, 30.0]}
-    both = diagnosis_of(dragrig.simulate(plan(steps), effects=["stribeck:ratio=0.4,speed_mm_s=2", SCALE]))
+    steps = {**FULL, "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}
+    both = diagnosis_of(
+        dragrig.simulate(plan(steps), effects=["stribeck:ratio=0.4,speed_mm_s=2", SCALE]),
+        replace(ADVISED_OF_POSITION, excluded=tuple({*OF_POSITION.excluded} - {"stribeck", "adhesion"})),
+    )
     assert both.verdict is Verdict.SEVERAL
     assert "encoder_scale" in both.effects
     assert both.next_experiment is not None

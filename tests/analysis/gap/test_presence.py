@@ -122,8 +122,8 @@ def test_an_exchange_that_nobody_recorded_is_found_with_its_run_and_no_effect_na
 @pytest.mark.thorough
 def test_both_errors_of_a_position_are_named(tmp_path: Path) -> None:
     effects = ["encoder_scale", "velocity_ripple"]
-    write_campaign(draw_campaign(71012, effects=effects, size=[1.0, 1.0], plant="drawn"), tmp_path)
-    diagnosis = diagnose(thinned(choose_runs(tmp_path)), MODEL, UNADVISED)
+    write_campaign(thinned(draw_campaign(71012, effects=effects, size=[1.0, 1.0], plant="drawn")), tmp_path)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL, UNADVISED)
     assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, set(effects))
     budget = budget_of(diagnosis)
     assert min(budget.presence[name] for name in effects) > 0.9
@@ -144,7 +144,7 @@ def test_a_ripple_is_found_whatever_its_amplitude_does_with_speed(
     tmp_path: Path, seed: int, effect: str, size: float
 ) -> None:
     """In the first three campaigns it acts in motion alone, or above a speed; in the others there is none."""
-    write_campaign(draw_campaign(seed, effects=[effect], size=size, plant="drawn"), tmp_path)
+    write_campaign(thinned(draw_campaign(seed, effects=[effect], size=size, plant="drawn"), 2), tmp_path)
     best = analyse_position(choose_runs(tmp_path).experiments, tuple(catalogue().values())).model_classes[0]
     assert best.effect == effect
     assert best.held_out_share > 0.8
@@ -211,7 +211,7 @@ def causes(selection: RunSelection) -> set[str]:
 
 @pytest.fixture(scope="module")
 def ageing(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return hidden(tmp_path_factory.mktemp("ageing"), 20, "tissue_ageing", every=2)
+    return hidden(tmp_path_factory.mktemp("ageing"), 20, "tissue_ageing", every=4)
 
 
 def test_without_a_clock_nothing_of_the_session_competes(ageing: RunSelection) -> None:
