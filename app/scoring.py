@@ -308,7 +308,6 @@ _CONDITION_RATES = tuple(
 )
 """The same of campaigns under conditions, where an exam has such."""
 
-
 SHARE_TOLERANCE = 0.1
 PRESENCE_EDGES = (0.0, 0.1, 0.3, 0.5, 0.8, 0.95, 1.0)
 UNEXPLAINED = "unexplained"

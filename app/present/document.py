@@ -67,7 +67,6 @@ class FormattedNumber:
 Cell: TypeAlias = str | float | int | FormattedNumber | None
 """A word, a number in the column's unit, or None for what is not known."""
 
-
 ItemT = TypeVar("ItemT")
 FOUR_DIGITS = significant(4)
 

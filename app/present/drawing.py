@@ -143,7 +143,6 @@ def _installed_fonts() -> tuple[str, ...]:
 MARGIN_IN: Final = 0.25
 _BADGES = {"simulated": PURPLE, "hardware": BLUE, "external": GREY}
 
-
 _LAYOUT_DECIMALS = 9
 """Decimals of the figure's width and height to which axes are placed: a billionth is far below a pixel."""
 

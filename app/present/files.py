@@ -32,7 +32,6 @@ _MM_PER_POINT = 25.4 / 72
 _SVG_WIDTH = re.compile(r'\bwidth="([0-9.]+)pt"')
 _SVG_SIZE = re.compile(rb'\b(width|height)="([0-9.]+)pt"')
 
-
 PAPER_REPORT_FILE = "report.html"
 PAPER_MODEL_FILE = "model.toml"
 """The identified friction model, as the simulator loads it."""

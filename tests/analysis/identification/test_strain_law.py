@@ -1,5 +1,6 @@
 """Laws of the elements over strain: fitted with honest errors, and simulated again as the polynomials that they are."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -55,9 +56,19 @@ def test_a_model_file_keeps_its_polynomials_and_the_command_takes_it(tmp_path: P
     file = tmp_path / "own.toml"
     file.write_text(to_toml(polynomial()), encoding="utf-8")
     assert read_settings_file(FrictionModelSettings, file) == polynomial()
-    result = CliRunner().invoke(dragrig_group, ["model", "--model", str(file), "--out", str(tmp_path)])
+    published = tmp_path / "published.toml"
+    published.write_text("name = 'published'\ne1_scale = 1.3\n", encoding="utf-8")
+    of_own, of_eq14 = (forces_told(path) for path in (file, published))
+    assert of_own == pytest.approx(of_eq14)
+
+
+def forces_told(model: Path) -> dict[str, float]:
+    """Return what `dragrig model` says of a speed."""
+    words = ["model", "--model", str(model), "--speeds", "20", "--json"]
+    result = CliRunner().invoke(dragrig_group, words)
     assert result.exit_code == 0, result.output
-    assert "polynomials" in result.output
+    (row,) = json.loads(result.stdout)
+    return dict(row)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +185,7 @@ def test_laws_make_a_wall_unless_one_is_lacking_or_not_positive() -> None:
 
 
 def test_identified_saved_and_simulated_again_the_same_elements_come_back(tmp_path: Path) -> None:
-    common = ["rig.sampling.rate_hz=500", "rig.simulated.variation.run_stiffness=0"]
+    common = ["rig.sampling.rate_hz=250", "rig.simulated.variation.run_stiffness=0"]
     selection = select_loaded_runs(dragrig.simulate("relaxation", assignments=[*common, "model.wall='table1'"]))
     first = identify_relaxation(selection)
     model = FrictionModelSettings(wall="polynomial", wall_polynomials=wall_polynomials(first.laws))

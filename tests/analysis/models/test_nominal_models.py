@@ -27,10 +27,10 @@ from property_tests import examples
 TRUE = {"moving_mass_g": 1200.0, "viscous_mN_s_mm": 4.0, "coulomb_mN": 300.0, "offset_mN": 15.0}
 
 
-def simulated(seed: int, plan: str = "blank", **assigned: float) -> RunSelection:
-    answer = [f"rig.simulated.motor.{key}={value}" for key, value in assigned.items()]
+def simulated(seed: int, plan: str = "blank", *assigned: str, **motor: float) -> RunSelection:
+    answer = [f"rig.simulated.motor.{key}={value}" for key, value in motor.items()]
     common = [f"rig.simulated.seed={seed}", "rig.sampling.rate_hz=500"]
-    return select_loaded_runs(dragrig.simulate(plan, assignments=[*common, *answer]))
+    return select_loaded_runs(dragrig.simulate(plan, assignments=[*common, *assigned, *answer]))
 
 
 def strayed(fit: JointFit, truth: dict[str, float]) -> np.ndarray:
@@ -45,7 +45,7 @@ def blanks() -> RunSelection:
 
 @pytest.fixture(scope="module")
 def drags() -> RunSelection:
-    return simulated(2, "demo")
+    return simulated(2, "drag", "speed_mm_s=[2, 10, 40]", "way_back=by_hand")
 
 
 @pytest.mark.parametrize("rate", [500.0, 1000.0, 5000.0])

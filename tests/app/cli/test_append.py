@@ -132,6 +132,7 @@ kind = "drag"
 speed_mm_s = 10.0
 travel_mm = 12.0
 hold_s = 0.5
+way_back = "by_hand"
 """,
         "utf-8",
     )

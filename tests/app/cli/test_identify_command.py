@@ -160,6 +160,8 @@ def test_runs_that_determine_nothing_give_no_model(campaign: Path, capsys: pytes
 def test_a_fit_that_does_not_converge_ends_with_2_and_no_model(
     few: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for path in few.glob("*-drag.h5"):
+        path.unlink()
     monkeypatch.setattr("dragrig.analysis.linear_gaussian.MAX_PASSES", 1)
     for arguments in ([], ["--json"]):
         assert main(["identify", str(few), "--quiet", *arguments]) == 2

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -53,6 +54,21 @@ def run(
 ) -> Runner:
     monkeypatch.chdir(tmp_path)
     return Runner(monkeypatch, capsys)
+
+
+@pytest.fixture(scope="module")
+def made_once(tmp_path_factory: pytest.TempPathFactory, finished_here: None) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "c"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder.parent)
+        assert main(["run", *QUICK, "--yes", "--out", "c", "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture
+def campaign(made_once: Path, tmp_path: Path) -> Path:
+    """The folder `c` of a quick drag and its way back."""
+    return Path(shutil.copytree(made_once, tmp_path / "c"))
 
 
 def statuses(folder: Path) -> list[tuple[str, RunStatus]]:
@@ -106,15 +122,14 @@ def test_a_lab_runs_a_stored_rig_within_its_own_limits_and_says_so(run: Runner, 
     assert "guard.force_limit_mN is 100 in this lab, not 8000 as then." in resumed.err
 
 
-def test_a_torn_session_record_leaves_the_one_before(run: Runner, tmp_path: Path) -> None:
-    run(*QUICK, "--yes", "--out", "c")
-    record, newer = next((tmp_path / "c").glob("session-*")), tmp_path / "c" / "session-20990101-000000Z.toml"
+def test_a_torn_session_record_leaves_the_one_before(run: Runner, campaign: Path) -> None:
+    record, newer = next((campaign).glob("session-*")), campaign / "session-20990101-000000Z.toml"
     newer.write_bytes(record.read_bytes()[:300])
-    mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+    mark_bad(read_campaign(campaign).runs[0].path, "capsule slipped off")
     resumed = run.json_answer("--resume", "c", "--yes")
     assert newer.name in resumed.err
     assert "The session before it counts." in resumed.err
-    for path in (tmp_path / "c").glob("session-*"):
+    for path in (campaign).glob("session-*"):
         path.write_bytes(b"plan = [")
     assert newer.name in run.json_answer("--resume", "c", "--yes", code=2).err
 
@@ -233,20 +248,18 @@ def test_a_crashed_campaign_can_be_resumed(waiting: "subprocess.Popen[str]", run
     assert again["status"] == "complete"
 
 
-def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, tmp_path: Path) -> None:
-    run(*QUICK, "--yes", "--out", "c")
-    before = sorted((tmp_path / "c").iterdir())
-    with Recorder(tmp_path / "c" / "20260504-093000-drag-009.h5", header(order=9)):
+def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, campaign: Path) -> None:
+    before = sorted((campaign).iterdir())
+    with Recorder(campaign / "20260504-093000-drag-009.h5", header(order=9)):
         assert "is being recorded; go on" in run.json_answer("--resume", "c", "--yes", code=2).err
-    assert [path for path in sorted((tmp_path / "c").iterdir()) if "009" not in path.name] == before
+    assert [path for path in sorted((campaign).iterdir()) if "009" not in path.name] == before
 
 
-def test_a_run_marked_bad_is_made_again(run: Runner, tmp_path: Path) -> None:
-    run(*QUICK, "--yes", "--out", "c")
-    mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
+def test_a_run_marked_bad_is_made_again(run: Runner, campaign: Path) -> None:
+    mark_bad(read_campaign(campaign).runs[0].path, "capsule slipped off")
     made = run("--resume", "c", "--yes")
     assert [row["kind"] for row in made["runs"]] == ["drag", "return"]
-    *before, again, _ = sorted(read_campaign(tmp_path / "c").runs, key=lambda first: first.header.order)
+    *before, again, _ = sorted(read_campaign(campaign).runs, key=lambda first: first.header.order)
     assert all(entry.end_time is not None and entry.end_time < again.header.start_time for entry in before)
 
 
@@ -298,11 +311,10 @@ def test_an_impossible_plan_is_reported_before_anything_moves(
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_campaign_is_not_written_into_twice(run: Runner, tmp_path: Path) -> None:
-    run(*QUICK, "--yes", "--out", "c")
-    before = sorted((tmp_path / "c").iterdir())
+def test_a_campaign_is_not_written_into_twice(run: Runner, campaign: Path) -> None:
+    before = sorted((campaign).iterdir())
     assert "--resume" in run.json_answer(*QUICK, "--yes", "--out", "c", code=2).err
-    assert sorted((tmp_path / "c").iterdir()) == before
+    assert sorted((campaign).iterdir()) == before
 
 
 def test_a_backend_that_an_entry_point_adds_can_fail_in_words(

@@ -18,6 +18,7 @@ from dragrig.present.diagnosis_figures import location_figure
 from dragrig.present.document import PALE, VERMILLION
 from dragrig.present.files import save_figure
 from dragrig.rig.profile import FloatArray, Phase
+from property_tests import thorough
 from residuals import Planted, campaign
 
 
@@ -59,7 +60,7 @@ def panel(figure: Figure, title: str) -> Axes:
     return next(axes for axes in figure.axes if axes.get_title(loc="left").startswith(title))
 
 
-@pytest.mark.parametrize("planted", [fast, everything, None])
+@pytest.mark.parametrize("planted", [thorough(fast), everything, None])
 def test_every_word_is_inside_and_none_lies_on_another(planted: Planted | None) -> None:
     figure = drawn(planted)
     page = figure.bbox

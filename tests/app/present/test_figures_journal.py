@@ -42,9 +42,9 @@ def small_figure(*, narrow: bool = True) -> MatplotlibFigure:
     ("column", "width_mm", "endings"),
     [
         ("single", 85.0, ("png", "svg", "pdf")),
-        ("double", 180.0, ("svg", "pdf")),
+        ("double", 180.0, ("pdf",)),
         ("88", 88.0, ("svg",)),
-        thorough("double", 180.0, ("png",)),
+        thorough("double", 180.0, ("png", "svg")),
         thorough("88", 88.0, ("png", "pdf")),
     ],
 )

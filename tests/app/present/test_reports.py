@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 
-SOME = tuple(CAMPAIGN / f"{name}.h5" for name in ("001-relaxation", "005-blank", "010-drag", "014-drag"))
+SOME = tuple(CAMPAIGN / f"{name}.h5" for name in ("005-blank", "010-drag", "014-drag"))
 
 
 @pytest.fixture(scope="module")
