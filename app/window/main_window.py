@@ -70,6 +70,8 @@ COLLECT_INTERVAL_MS = 200
 _LEAST_MEANING_PX = 16
 """The banner's title says what matters; the rest of it gives way to the buttons."""
 _SHOW, _WHEEL, _POLISH = QEvent.Type.Show, QEvent.Type.Wheel, QEvent.Type.Polish
+_PRESS, _SHORTCUT = QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride
+_FILTERED = frozenset({_SHOW, _WHEEL, _POLISH, _PRESS, _SHORTCUT})
 MIN_WIDTH_PX, MIN_HEIGHT_PX = 940, 500
 """A Full HD screen at twice the size has 960 by 540; nothing that is shown asks for more."""
 
@@ -350,29 +352,31 @@ class MainWindow(QMainWindow):
 
         Tooltips are shown as text: Qt takes a note of somebody else's that looks like HTML for it.
         """
-        if event.type() is _POLISH and isinstance(watched, QLabel) and watched.inherits("QTipLabel"):
+        kind = event.type()
+        if kind not in _FILTERED:  # nearly all, and all come here
+            return False
+        if kind is _POLISH and isinstance(watched, QLabel) and watched.inherits("QTipLabel"):
             watched.setTextFormat(Qt.TextFormat.PlainText)
-        if isinstance(watched, QComboBox | QAbstractSpinBox) and event.type() in {_SHOW, _WHEEL}:
+        if isinstance(watched, QComboBox | QAbstractSpinBox) and kind in {_SHOW, _WHEEL}:
             # A wheel would give it the focus first.
             watched.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-            if event.type() is _WHEEL and not watched.hasFocus():
+            if kind is _WHEEL and not watched.hasFocus():
                 # What is around it scrolls instead.
                 event.ignore()
                 return True
         if self._undoes_form(watched, event):
             event.ignore()
             return True
-        pressed = event.type() in {QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride}
-        if pressed and isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.rig_busy:
-            if event.type() is QEvent.Type.KeyPress:
+        if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.rig_busy:
+            if kind is _PRESS:
                 self.run.stop("stopped by operator (Esc)")
             event.accept()
             return True
-        return super().eventFilter(watched, event)
+        return False
 
     def _undoes_form(self, watched: QObject, event: QEvent) -> bool:
         """Whether a key is the form's own undo, which takes back changes of lists and switches too."""
-        if event.type() is not QEvent.Type.ShortcutOverride or not isinstance(event, QKeyEvent):
+        if event.type() is not _SHORTCUT or not isinstance(event, QKeyEvent):
             return False
         inside = isinstance(watched, QWidget) and self.run.new.editor.isAncestorOf(watched)
         return inside and event.matches(QKeySequence.StandardKey.Undo)

@@ -187,7 +187,7 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
 
 
 def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow, until: Until) -> None:
-    fill(window, speed_mm_s="1")
+    fill(window, speed_mm_s="4")
     window.run.new.pace.setCurrentText("as fast as the real rig")
     cover = QWidget()
     press(window.run.new.start)
@@ -840,21 +840,3 @@ def test_settings_and_waiting_sessions_survive_closing_the_window(qtbot: QtBot, 
         assert len(second.run.queue.entries) == 1
     finally:
         second.close_in_order("the test is over")
-
-
-def test_a_reset_after_a_stop_asks_its_prompt(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:
-    """On a rig that needs hands; its double asks as it does."""
-    window = opened(qtbot, lab, tmp_path / "window.ini", backend="hardware", double=True, pace=7.0)
-    try:
-        assert window.run.new.chosen_pace == 7.0
-        press(window.stop_button)
-        press(window.reset)
-        until(window.notices.prompt.isVisible)
-        press(window.notices.answers[Answer.ABORT])
-        until(lambda: window.notices.complaint.isVisible() and window.reset.isEnabled())
-        press(window.reset)
-        until(window.notices.prompt.isVisible)
-        press(window.notices.answers[Answer.DONE])
-        until(lambda: window.guard.text() == "guard: armed")
-    finally:
-        window.close_in_order("the test is over")
