@@ -70,8 +70,7 @@ COLLECT_INTERVAL_MS = 200
 _LEAST_MEANING_PX = 16
 """The banner's title says what matters; the rest of it gives way to the buttons."""
 _SHOW, _WHEEL, _POLISH = QEvent.Type.Show, QEvent.Type.Wheel, QEvent.Type.Polish
-_PRESS, _SHORTCUT = QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride
-_FILTERED = frozenset({_SHOW, _WHEEL, _POLISH, _PRESS, _SHORTCUT})
+_FILTERED = frozenset({_SHOW, _WHEEL, _POLISH, QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride})
 MIN_WIDTH_PX, MIN_HEIGHT_PX = 940, 500
 """A Full HD screen at twice the size has 960 by 540; nothing that is shown asks for more."""
 
@@ -352,23 +351,22 @@ class MainWindow(QMainWindow):
 
         Tooltips are shown as text: Qt takes a note of somebody else's that looks like HTML for it.
         """
-        kind = event.type()
-        if kind not in _FILTERED:  # nearly all, and all come here
+        if event.type() not in _FILTERED:  # nearly all, and all come here
             return False
-        if kind is _POLISH and isinstance(watched, QLabel) and watched.inherits("QTipLabel"):
+        if event.type() is _POLISH and isinstance(watched, QLabel) and watched.inherits("QTipLabel"):
             watched.setTextFormat(Qt.TextFormat.PlainText)
-        if isinstance(watched, QComboBox | QAbstractSpinBox) and kind in {_SHOW, _WHEEL}:
+        if isinstance(watched, QComboBox | QAbstractSpinBox) and event.type() in {_SHOW, _WHEEL}:
             # A wheel would give it the focus first.
             watched.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-            if kind is _WHEEL and not watched.hasFocus():
+            if event.type() is _WHEEL and not watched.hasFocus():
                 # What is around it scrolls instead.
                 event.ignore()
                 return True
-        if self._undoes_form(watched, event):
+        if event.type() is QEvent.Type.ShortcutOverride and self._undoes_form(watched, event):
             event.ignore()
             return True
         if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.rig_busy:
-            if kind is _PRESS:
+            if event.type() is QEvent.Type.KeyPress:
                 self.run.stop("stopped by operator (Esc)")
             event.accept()
             return True
@@ -376,10 +374,8 @@ class MainWindow(QMainWindow):
 
     def _undoes_form(self, watched: QObject, event: QEvent) -> bool:
         """Whether a key is the form's own undo, which takes back changes of lists and switches too."""
-        if event.type() is not _SHORTCUT or not isinstance(event, QKeyEvent):
-            return False
         inside = isinstance(watched, QWidget) and self.run.new.editor.isAncestorOf(watched)
-        return inside and event.matches(QKeySequence.StandardKey.Undo)
+        return inside and isinstance(event, QKeyEvent) and event.matches(QKeySequence.StandardKey.Undo)
 
     def close_in_order(self, reason: str) -> None:
         """Close the window whatever is running: the stage is stopped first, and the run finished."""

@@ -379,7 +379,7 @@ def test_a_writer_that_never_ends_is_not_waited_for_without_end(
 _REBUILD = """
 import sys
 from dragrig import catalogue, run_listing
-catalogue._BATCH_S = run_listing.SETTLING_S = 0.0
+catalogue.BATCH_S = run_listing.SETTLING_S = 0.0
 from pathlib import Path
 def progress(done, of):
     print(done, flush=True)

@@ -21,7 +21,7 @@ FIRST = Plan.model_validate(
     }
 )
 EFFECT = "stribeck:ratio=0.3"
-MINUTES = 3.0
+MINUTES = 2.0
 """Rig time of the first plan and a batch after it."""
 HANDS_MIN = 7.0
 """Not what is usual."""

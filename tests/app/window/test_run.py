@@ -115,7 +115,7 @@ def test_position_is_absolute_with_the_limits_wherever_it_is_shown(window: MainW
     press(window.run.new.start)
     until(lambda: not window.run.session_running)
     until(lambda: live.run is not None and live.run.latest.phase == "hold")
-    for line, plot in ((preview._position_line, preview.position), (live._position, live.position)):
+    for line, plot in ((preview.position.lines[0], preview.position), (live.position.lines[0], live.position)):
         shown = line.drawn.getData()[1]
         assert (np.nanmin(shown), np.nanmax(shown)) == (pytest.approx(60.0, abs=0.1), pytest.approx(68.0, abs=0.1))
         assert plot.levels == (0.0, 150.0)
@@ -125,7 +125,7 @@ def test_position_is_absolute_with_the_limits_wherever_it_is_shown(window: MainW
 
 def test_a_plot_of_nothing_has_no_numbers(window: MainWindow) -> None:
     def numbers(plot: TimePlot) -> bool:
-        return bool(plot._item.getAxis("left").style["showValues"])
+        return bool(plot.widget.getPlotItem().getAxis("left").style["showValues"])
 
     fill(window, speed_mm_s="20")
     preview, live = window.run.preview, window.run.live
@@ -138,8 +138,8 @@ def test_a_plot_of_nothing_has_no_numbers(window: MainWindow) -> None:
     assert not numbers(live.force)
     fill(window, speed_mm_s="20")
     assert numbers(preview.speed)
-    assert preview.speed._item.getAxis("bottom").style["showValues"]
-    assert not preview.position._item.getAxis("bottom").style["showValues"]
+    assert preview.speed.widget.getPlotItem().getAxis("bottom").style["showValues"]
+    assert not preview.position.widget.getPlotItem().getAxis("bottom").style["showValues"]
 
 
 def test_what_came_while_another_tab_was_shown_is_drawn(window: MainWindow, until: Until) -> None:
@@ -149,9 +149,9 @@ def test_what_came_while_another_tab_was_shown_is_drawn(window: MainWindow, unti
     run.tabs.setCurrentWidget(run.queue_view)
     until(lambda: not run.session_running)
     until(lambda: live.run is not None and live.run.latest.phase == "hold")
-    assert live._speed.drawn.getData()[1] is None or not len(live._speed.drawn.getData()[1])
+    assert live.speed.lines[0].drawn.getData()[1] is None or not len(live.speed.lines[0].drawn.getData()[1])
     run.tabs.setCurrentWidget(live)
-    assert np.nanmax(live._speed.drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
+    assert np.nanmax(live.speed.lines[0].drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
 
 
 def test_a_plan_beyond_the_limits_cannot_be_started(window: MainWindow) -> None:
@@ -677,11 +677,11 @@ def test_the_preview_names_capsule_fixture_and_order(window: MainWindow) -> None
 def test_curves_go_with_the_plan_that_they_were_of(window: MainWindow) -> None:
     fill(window)
     preview = window.run.preview
-    assert len(preview._position_line.drawn.getData()[0]) > 2
+    assert len(preview.position.lines[0].drawn.getData()[0]) > 2
     window.run.new.editor.put("speed_mm_s", "fast")
     window.run.new.update_preview()
     assert preview.runs.rowCount() == 0
-    assert preview._position_line.drawn.getData()[0] is None or not len(preview._position_line.drawn.getData()[0])
+    assert preview.position.lines[0].drawn.getData()[0] is None or not len(preview.position.lines[0].drawn.getData()[0])
     assert preview.conditions.text() == ""
     fill(window)
 
@@ -765,7 +765,9 @@ def test_edits_survive_another_plan_and_can_be_taken_back(window: MainWindow, qt
 
 def test_what_was_removed_from_the_queue_can_be_put_back(window: MainWindow) -> None:
     view = window.run.queue_view
-    window.run.queue._removed.clear()
+    while view.back.isEnabled():  # of the tests before
+        press(view.back)
+    window.run.queue.entries.clear()
     for speed in ("10", "20", "40"):
         fill(window, speed_mm_s=speed)
         press(window.run.new.queue)
