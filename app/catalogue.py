@@ -50,7 +50,7 @@ SPARE_CONTENT_BYTES, RUN_CONTENT_BYTES = 1 << 20, 1 << 17
 GONE_FILES = 100
 """So many files, and half of a campaign, may be removed at once before all that is known of it counts as damaged."""
 _APPLICATION_ID = 0x64726167
-_BATCH_S = 1.0
+BATCH_S = 1.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _SCHEMA = {
     "folder": "CREATE TABLE folder (id INTEGER PRIMARY KEY, path BLOB NOT NULL UNIQUE, state TEXT NOT NULL, "
@@ -318,7 +318,7 @@ class _Catalogue:
             progress(done, total)
             ready.append((found, self._read(found, renamed.get(found.signature))))
             done += len(found.files)
-            if time.monotonic() - began_s > _BATCH_S:
+            if time.monotonic() - began_s > BATCH_S:
                 self._write(ready)
                 ready, began_s = [], time.monotonic()
         self._write(ready, gone)

@@ -166,8 +166,7 @@ class RigReadings(QWidget):
     def _set_old(self, *, old: bool) -> None:
         role = "old reading" if old else "reading"
         for reading in self.readings.values():
-            if reading.property("role") != role:
-                set_role(reading, role)
+            set_role(reading, role)
 
 
 RECENT_SPAN_S = 10.0

@@ -70,6 +70,7 @@ COLLECT_INTERVAL_MS = 200
 _LEAST_MEANING_PX = 16
 """The banner's title says what matters; the rest of it gives way to the buttons."""
 _SHOW, _WHEEL, _POLISH = QEvent.Type.Show, QEvent.Type.Wheel, QEvent.Type.Polish
+_FILTERED = frozenset({_SHOW, _WHEEL, _POLISH, QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride})
 MIN_WIDTH_PX, MIN_HEIGHT_PX = 940, 500
 """A Full HD screen at twice the size has 960 by 540; nothing that is shown asks for more."""
 
@@ -350,6 +351,8 @@ class MainWindow(QMainWindow):
 
         Tooltips are shown as text: Qt takes a note of somebody else's that looks like HTML for it.
         """
+        if event.type() not in _FILTERED:  # nearly all, and all come here
+            return False
         if event.type() is _POLISH and isinstance(watched, QLabel) and watched.inherits("QTipLabel"):
             watched.setTextFormat(Qt.TextFormat.PlainText)
         if isinstance(watched, QComboBox | QAbstractSpinBox) and event.type() in {_SHOW, _WHEEL}:
@@ -359,23 +362,20 @@ class MainWindow(QMainWindow):
                 # What is around it scrolls instead.
                 event.ignore()
                 return True
-        if self._undoes_form(watched, event):
+        if event.type() is QEvent.Type.ShortcutOverride and self._undoes_form(watched, event):
             event.ignore()
             return True
-        pressed = event.type() in {QEvent.Type.KeyPress, QEvent.Type.ShortcutOverride}
-        if pressed and isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.rig_busy:
+        if isinstance(event, QKeyEvent) and event.key() == Qt.Key.Key_Escape and self.run.rig_busy:
             if event.type() is QEvent.Type.KeyPress:
                 self.run.stop("stopped by operator (Esc)")
             event.accept()
             return True
-        return super().eventFilter(watched, event)
+        return False
 
     def _undoes_form(self, watched: QObject, event: QEvent) -> bool:
         """Whether a key is the form's own undo, which takes back changes of lists and switches too."""
-        if event.type() is not QEvent.Type.ShortcutOverride or not isinstance(event, QKeyEvent):
-            return False
         inside = isinstance(watched, QWidget) and self.run.new.editor.isAncestorOf(watched)
-        return inside and event.matches(QKeySequence.StandardKey.Undo)
+        return inside and isinstance(event, QKeyEvent) and event.matches(QKeySequence.StandardKey.Undo)
 
     def close_in_order(self, reason: str) -> None:
         """Close the window whatever is running: the stage is stopped first, and the run finished."""

@@ -58,7 +58,7 @@ class TimePlot:
         self._legend_lines: list[str] = []
         self.set_quantity(quantity, unit)
         item.getViewBox().sigResized.connect(lambda _: self._fit_texts())
-        self._lines: list[PlotLine] = []
+        self.lines: list[PlotLine] = []
         self._empty, self._times_shown = False, True
         self._follow_data()
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
@@ -74,7 +74,7 @@ class TimePlot:
         style = Qt.PenStyle.DashLine if dashed else Qt.PenStyle.SolidLine
         pen = pyqtgraph.mkPen(colour, width=width, style=style)
         made = PlotLine(self._item.plot(pen=pen, name=name or None, connect="finite", skipFiniteCheck=False))
-        self._lines.append(made)
+        self.lines.append(made)
         return made
 
     def title(self, *entries: tuple[str, str]) -> None:
@@ -129,9 +129,9 @@ class TimePlot:
 
     def remove_lines(self) -> None:
         """Remove all lines."""
-        for line in self._lines:
+        for line in self.lines:
             self._item.removeItem(line.drawn)
-        self._lines = []
+        self.lines = []
 
     def stage_limits(self, lowest_mm: float, highest_mm: float, *, in_view: bool = True) -> None:
         """Draw the limits of the stage, whose labels do not cover each other where they are close."""
@@ -199,7 +199,7 @@ class TimePlot:
 
     def fit(self) -> None:
         """Show all samples."""
-        ends = [line.ends for line in self._lines if line.ends is not None]
+        ends = [line.ends for line in self.lines if line.ends is not None]
         if ends:
             self.show_times(min(end[0] for end in ends), max(end[1] for end in ends))
         self._item.enableAutoRange(axis="y")
@@ -226,7 +226,7 @@ class TimePlot:
         """Redraw every line for the present time range, in a time independent of its length."""
         low, high = self.shown()
         columns = max(_MIN_COLUMNS, int(self._item.getViewBox().width()))
-        for line in self._lines:
+        for line in self.lines:
             line.redraw(low, high, columns)
         self._follow_data()
         # Now, not while painting: a new range would paint it twice.
@@ -234,7 +234,7 @@ class TimePlot:
 
     def _follow_data(self) -> None:
         """Show no numbers and no limits where nothing is drawn: they would be of nothing."""
-        empty = all(line.ends is None for line in self._lines)
+        empty = all(line.ends is None for line in self.lines)
         if empty == self._empty:
             return
         self._empty = empty

@@ -468,9 +468,10 @@ def bare_widget(layout: QLayout) -> QWidget:
 
 def set_role(widget: QWidget, role: str) -> None:
     """Change a widget's role and style."""
-    widget.setProperty("role", role)
-    widget.style().unpolish(widget)
-    widget.style().polish(widget)
+    if (widget.property("role") or "") != role:
+        widget.setProperty("role", role)
+        widget.style().unpolish(widget)
+        widget.style().polish(widget)
 
 
 def table(header: Sequence[str]) -> QTableWidget:

@@ -32,6 +32,13 @@ def campaign(first: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(first, tmp_path / "c"))
 
 
+@pytest.fixture(scope="module")
+def killed(first: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CampaignState]:
+    """A campaign whose session was killed while it recorded an appended drag, and what was seen just before."""
+    campaign = Path(shutil.copytree(first, tmp_path_factory.mktemp("killed") / "c"))
+    return campaign, killed_in_the_appended_part(campaign)
+
+
 def killed_in_the_appended_part(campaign: Path) -> CampaignState:
     """Append a drag that holds for minutes, and kill its session while it is recorded; return what was seen before."""
     words = ["run", "drag", "--append", str(campaign), "--yes", "--pace", "real"]
@@ -75,9 +82,9 @@ def test_a_session_that_is_refused_leaves_the_end_of_the_one_before(campaign: Pa
 
 
 def test_a_session_killed_in_the_appended_part_is_told_recovered_and_gone_on_with(
-    campaign: Path, capsys: pytest.CaptureFixture[str]
+    killed: tuple[Path, CampaignState], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    state = killed_in_the_appended_part(campaign)
+    campaign, state = Path(shutil.copytree(killed[0], tmp_path / "c")), killed[1]
     assert state.recording is not None
     assert (state.doing, state.run, state.runs, state.recording.order) == ("recording", 1, 2, 2)
     assert [run.order for run in state.finished] == [0, 1]
@@ -94,8 +101,10 @@ def test_a_session_killed_in_the_appended_part_is_told_recovered_and_gone_on_wit
     assert (after.doing, after.status, after.runs) == ("ended", "complete", 2)
 
 
-def test_runs_are_appended_after_a_killed_session_with_its_recording_finished_first(campaign: Path) -> None:
-    killed_in_the_appended_part(campaign)
+def test_runs_are_appended_after_a_killed_session_with_its_recording_finished_first(
+    killed: tuple[Path, CampaignState], tmp_path: Path
+) -> None:
+    campaign = Path(shutil.copytree(killed[0], tmp_path / "c"))
     told: list[str] = []
     made = dragrig.run("drag", append=campaign, tell=told.append, assignments=QUICK)
     assert [run.order for run in made.session.runs] == [3, 4]

@@ -19,6 +19,7 @@ from dragrig.config.errors import DragrigError, OutputError, RunFileError, Setti
 from dragrig.rig.runfile import mark_bad, read_info, read_run, write_run
 from dragrig.rig.runfile.campaigns import write_note
 from places import DATA
+from property_tests import thorough
 
 BYTES = b"k\xe4".decode("utf-8", "surrogateescape")
 FOREIGN_MAP = ("--map", "time=Time", "--map", "force=Force", "--map", "position=Position")
@@ -92,7 +93,7 @@ def test_all_commands_take_texts_by_one_type() -> None:
         ("table", f"c{BYTES}"),
         ("table", f"c{BYTES}", "--json"),
         ("compare", f"c{BYTES}/{BYTES}.h5", f"c{BYTES}/014-drag.h5", "--out", f"cmp{BYTES}"),
-        ("identify", f"c{BYTES}", "--out", f"i{BYTES}"),
+        thorough(("identify", f"c{BYTES}", "--out", f"i{BYTES}")),
         ("report", f"c{BYTES}/{BYTES}.h5", "--out", f"r{BYTES}"),
         ("watch", f"c{BYTES}", "--once"),
         ("recover", f"c{BYTES}"),

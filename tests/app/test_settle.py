@@ -40,7 +40,7 @@ from dragrig.session_state import session_lock
 from dragrig.setup import create_lab, resolve
 from engine_clients import listening
 from rig_faults import Person
-from settled import EFFECT, FIRST, MINUTES, begun_loop
+from settled import EFFECT, FIRST, HANDS_MIN, MINUTES, begun_loop
 
 SURE = OpenCauses({"stribeck": 0.99}, 0.0, 0.97, 0.1)
 SPECIMEN = Specimen(name="jejunum")
@@ -77,6 +77,7 @@ def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path, share
     assert json.loads(json.dumps(document.data))["settle"]["batches"][0]["plan"]["name"] == "few"
 
 
+@pytest.mark.thorough
 def test_a_killed_loop_goes_on_where_it_was(tmp_path: Path, shared_folder: Path) -> None:
     folder = Path(shutil.copytree(begun_loop(shared_folder), tmp_path / "killed"))
     command = [sys.executable, "-m", "dragrig", "gap", "settle", "--resume", str(folder), "--yes"]
@@ -318,19 +319,25 @@ def test_the_more_a_change_costs_the_more_a_run_must_tell_that_needs_one(hands_m
     assert [run.step.kind for run in greedy_search(Told(), candidates, budget)] == [first]
 
 
-def test_the_cost_of_hands_is_kept_and_holds_when_the_loop_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.thorough
+def test_the_command_takes_the_cost_of_hands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan, folder = tmp_path / "few.toml", tmp_path / "c"
     plan.write_text(to_toml(FIRST), "utf-8")
     # No time is left after the first runs, so that hardly any next ones are weighed.
     words = ["--minutes", "1.2", "--hands", "7", "--effect", EFFECT, "--out", str(folder), "--yes", "--json"]
     assert main(["gap", "settle", str(plan), *words]) == 0
     assert json.loads(capsys.readouterr().out)["settle"]["hands_min"] == 7.0
+    assert read_settle_record(folder).hands_min == 7.0
+
+
+def test_the_cost_of_hands_is_kept_and_holds_when_the_loop_goes_on(
+    tmp_path: Path, shared_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(begun_loop(shared_folder), tmp_path / "c"))
     record = read_settle_record(folder)
     budget = settle_request(folder, record).next_runs
     assert budget is not None
-    assert (record.hands_min, budget.hands_min) == (7.0, 7.0)
+    assert (record.hands_min, budget.hands_min) == (HANDS_MIN, HANDS_MIN)
     assert main(["gap", "settle", "--resume", str(folder), "--hands", "1"]) == 2
     assert "only --minutes may be changed" in capsys.readouterr().err
     older = json.loads((folder / SETTLE_FILE).read_text("utf-8"))

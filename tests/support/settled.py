@@ -21,8 +21,10 @@ FIRST = Plan.model_validate(
     }
 )
 EFFECT = "stribeck:ratio=0.3"
-MINUTES = 3.0
+MINUTES = 2.0
 """Rig time of the first plan and a batch after it."""
+HANDS_MIN = 7.0
+"""Not what is usual."""
 
 
 class StoppedError(Exception):
@@ -53,8 +55,8 @@ def begun_loop(shared: Path) -> Path:
 
             try:
                 dragrig.settle(
-                    FIRST, minutes=MINUTES, out=lab / "c", hands=SettleHands(mirror=lab / "mirror"),
-                    step=stop_when_decided, effects=[EFFECT], rig=lab / "rig.toml",
+                    FIRST, minutes=MINUTES, hands_min=HANDS_MIN, out=lab / "c", step=stop_when_decided,
+                    hands=SettleHands(mirror=lab / "mirror"), effects=[EFFECT], rig=lab / "rig.toml",
                 )  # fmt: skip
             except StoppedError:
                 shutil.move(lab, folder.parent)

@@ -118,6 +118,7 @@ def notebook_cells() -> list[str]:
     return ["".join(cell["source"]) for cell in code]
 
 
+@pytest.mark.thorough
 def test_the_code_of_the_example_notebook_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

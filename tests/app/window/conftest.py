@@ -1,10 +1,12 @@
-"""A lab folder and patience, for the tests of the window."""
+"""A lab folder, engines that start at once, and patience, for the tests of the window."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+from loaded_processes import loaded_processes
 from windows import WAIT_MS, Until, lab_in
 
 if TYPE_CHECKING:
@@ -15,6 +17,13 @@ if TYPE_CHECKING:
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A lab folder for a module's tests."""
     return lab_in(tmp_path_factory.mktemp("lab"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def starting_at_once() -> Iterator[None]:
+    """Start engines of a process that has loaded what they need."""
+    with loaded_processes():
+        yield
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """The page that diagnoses, carried to the end on a real campaign, and what its answer is good for on the run page."""
 
+import multiprocessing
 import re
 import shutil
 from collections.abc import Iterator
@@ -76,12 +77,11 @@ def test_a_running_diagnosis_can_be_cancelled(window: MainWindow, until: Until) 
     page = window.diagnose
     page.offer(str(CAMPAIGN))
     press(page.start)
-    work = page._process
-    assert work is not None
+    (work,) = (child for child in multiprocessing.active_children() if child.name == "dragrig-diagnosis")
     until(lambda: page.progress.maximum() > 0)
     press(page.cancel)
     assert page.state.text() == "Cancelled."
-    assert not work._process.is_alive()
+    assert not work.is_alive()
     assert page.start.isEnabled()
     assert page.results.diagnosis is None
 
@@ -185,10 +185,10 @@ def test_every_run_is_shown_before_and_after(window: MainWindow, diagnosed: Diag
     assert {force.file for force in forces} == {file.name for file in CAMPAIGN.glob("*.h5")}
     for at, view in enumerate(diagnosed.traces):
         results.runs.setCurrentIndex(at)
-        measured, before = (line.drawn.getData()[1] for line in results.above._lines[:2])
+        measured, before = (line.drawn.getData()[1] for line in results.above.lines[:2])
         np.testing.assert_array_equal(measured, view.measured)
         np.testing.assert_array_equal(before, view.before)
-        left = results.below._lines[0].drawn.getData()[1]
+        left = results.below.lines[0].drawn.getData()[1]
         np.testing.assert_allclose(left, view.measured - view.before)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from property_tests import thorough
 from windows import Until, dressed, press, require_qt
 
 require_qt()
@@ -80,10 +81,10 @@ def test_a_long_run_is_prepared_beside_the_gui_thread_and_then_drawn(
 
     monkeypatch.setattr(prepared_traces.DrawingKey, "drawing", noting)
     overlay.axis.setCurrentText("position")
-    assert overlay.channel_plot._lines == []
+    assert overlay.channel_plot.lines == []
     overlay.cursors.click()
     until(lambda: not prepared.busy)
-    assert len(overlay.channel_plot._lines) == 4
+    assert len(overlay.channel_plot.lines) == 4
     assert overlay.channel_plot.shown()[0] > 35.0, "the way is not fitted"
     values = [overlay.values.item(at, 1).text() for at in range(1, overlay.values.rowCount())]
     assert "no sample" not in values
@@ -175,9 +176,9 @@ def test_show_all_undoes_the_zoom(page: LookPage, until: Until) -> None:
 def test_the_channel_can_be_changed_and_the_raw_trace_hidden(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
     page.overlay.channel.setCurrentText("position")
-    assert len(page.overlay.channel_plot._lines) == 2
+    assert len(page.overlay.channel_plot.lines) == 2
     page.overlay.raw.click()
-    assert len(page.overlay.channel_plot._lines) == 1
+    assert len(page.overlay.channel_plot.lines) == 1
 
 
 def test_drags_at_several_speeds_lie_over_each_other_along_the_way(page: LookPage, until: Until) -> None:
@@ -185,7 +186,7 @@ def test_drags_at_several_speeds_lie_over_each_other_along_the_way(page: LookPag
     page.overlay.axis.setCurrentText("position")
     assert page.overlay.speed_plot.shown() == pytest.approx((40.0, 50.0), abs=0.5)
     page.overlay.raw.click()
-    for line, trace in zip(page.overlay.channel_plot._lines, page.overlay.traces, strict=True):
+    for line, trace in zip(page.overlay.channel_plot.lines, page.overlay.traces, strict=True):
         x, y = line.drawn.getData()
         assert (x.min(), x.max()) == pytest.approx((40.0, 50.0), abs=0.05)
         at = int(np.argmin(abs(trace.channels["position"] - 45.0)))
@@ -215,7 +216,7 @@ def test_steady_forces_are_those_of_the_table(page: LookPage, until: Until, fold
         assert float(page.steady.item(row, 2).text()) == pytest.approx(frame["steady_force_mN"][place], abs=0.01)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", ["CSV", *(thorough(name) for name in FORMATS if name != "CSV")])
 def test_selected_runs_are_exported_from_the_menu(page: LookPage, until: Until, name: str, tmp_path: Path) -> None:
     assert f"{name} …" in [action.text() for action in page.menu.actions()]
     choose(page, until, 0, 1)
@@ -228,7 +229,7 @@ def test_selected_runs_are_exported_from_the_menu(page: LookPage, until: Until, 
 def test_leaving_the_folder_field_keeps_what_is_selected(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
     page.browser.folder.editingFinished.emit()
-    assert not page.browser._listing.busy
+    assert not page.browser.busy
     assert len(page.browser.selected()) == 1
 
 
@@ -353,7 +354,7 @@ def test_a_diagnosis_is_shown_completely(diagnose: DiagnosePage) -> None:
     assert results.runs.count() == len(STRIBECK.traces)
     for at in range(results.runs.count()):
         results.runs.setCurrentIndex(at)
-        assert len(results.above._lines) == 3
+        assert len(results.above.lines) == 3
     assert results.view.findChildren(DrawnFigure)
     assert results.next.isEnabled() == (STRIBECK.next_experiment is not None)
 

@@ -83,6 +83,19 @@ def answer_all(window: MainWindow, until: Until) -> list[str]:
     return prompts
 
 
+def test_a_reset_after_a_stop_asks_its_prompt(shared: MainWindow, until: Until) -> None:
+    """On a rig that needs hands; its double asks as it does."""
+    assert shared.run.new.chosen_pace == 5.0
+    press(shared.stop_button)
+    until(shared.reset.isEnabled)
+    press(shared.reset)
+    until(shared.notices.prompt.isVisible)
+    press(shared.notices.answers[Answer.ABORT])
+    until(lambda: shared.notices.complaint.isVisible() and shared.reset.isEnabled())
+    arm(shared, until)
+    press(shared.notices.dismiss)
+
+
 def test_the_stage_is_driven_off_a_pressed_limit_switch(
     qtbot: QtBot, lab: Path, tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -115,7 +115,7 @@ def test_position_is_absolute_with_the_limits_wherever_it_is_shown(window: MainW
     press(window.run.new.start)
     until(lambda: not window.run.session_running)
     until(lambda: live.run is not None and live.run.latest.phase == "hold")
-    for line, plot in ((preview._position_line, preview.position), (live._position, live.position)):
+    for line, plot in ((preview.position.lines[0], preview.position), (live.position.lines[0], live.position)):
         shown = line.drawn.getData()[1]
         assert (np.nanmin(shown), np.nanmax(shown)) == (pytest.approx(60.0, abs=0.1), pytest.approx(68.0, abs=0.1))
         assert plot.levels == (0.0, 150.0)
@@ -125,7 +125,7 @@ def test_position_is_absolute_with_the_limits_wherever_it_is_shown(window: MainW
 
 def test_a_plot_of_nothing_has_no_numbers(window: MainWindow) -> None:
     def numbers(plot: TimePlot) -> bool:
-        return bool(plot._item.getAxis("left").style["showValues"])
+        return bool(plot.widget.getPlotItem().getAxis("left").style["showValues"])
 
     fill(window, speed_mm_s="20")
     preview, live = window.run.preview, window.run.live
@@ -138,8 +138,8 @@ def test_a_plot_of_nothing_has_no_numbers(window: MainWindow) -> None:
     assert not numbers(live.force)
     fill(window, speed_mm_s="20")
     assert numbers(preview.speed)
-    assert preview.speed._item.getAxis("bottom").style["showValues"]
-    assert not preview.position._item.getAxis("bottom").style["showValues"]
+    assert preview.speed.widget.getPlotItem().getAxis("bottom").style["showValues"]
+    assert not preview.position.widget.getPlotItem().getAxis("bottom").style["showValues"]
 
 
 def test_what_came_while_another_tab_was_shown_is_drawn(window: MainWindow, until: Until) -> None:
@@ -149,9 +149,9 @@ def test_what_came_while_another_tab_was_shown_is_drawn(window: MainWindow, unti
     run.tabs.setCurrentWidget(run.queue_view)
     until(lambda: not run.session_running)
     until(lambda: live.run is not None and live.run.latest.phase == "hold")
-    assert live._speed.drawn.getData()[1] is None or not len(live._speed.drawn.getData()[1])
+    assert live.speed.lines[0].drawn.getData()[1] is None or not len(live.speed.lines[0].drawn.getData()[1])
     run.tabs.setCurrentWidget(live)
-    assert np.nanmax(live._speed.drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
+    assert np.nanmax(live.speed.lines[0].drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
 
 
 def test_a_plan_beyond_the_limits_cannot_be_started(window: MainWindow) -> None:
@@ -187,7 +187,7 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
 
 
 def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow, until: Until) -> None:
-    fill(window, speed_mm_s="1")
+    fill(window, speed_mm_s="4")
     window.run.new.pace.setCurrentText("as fast as the real rig")
     cover = QWidget()
     press(window.run.new.start)
@@ -677,11 +677,11 @@ def test_the_preview_names_capsule_fixture_and_order(window: MainWindow) -> None
 def test_curves_go_with_the_plan_that_they_were_of(window: MainWindow) -> None:
     fill(window)
     preview = window.run.preview
-    assert len(preview._position_line.drawn.getData()[0]) > 2
+    assert len(preview.position.lines[0].drawn.getData()[0]) > 2
     window.run.new.editor.put("speed_mm_s", "fast")
     window.run.new.update_preview()
     assert preview.runs.rowCount() == 0
-    assert preview._position_line.drawn.getData()[0] is None or not len(preview._position_line.drawn.getData()[0])
+    assert preview.position.lines[0].drawn.getData()[0] is None or not len(preview.position.lines[0].drawn.getData()[0])
     assert preview.conditions.text() == ""
     fill(window)
 
@@ -765,7 +765,9 @@ def test_edits_survive_another_plan_and_can_be_taken_back(window: MainWindow, qt
 
 def test_what_was_removed_from_the_queue_can_be_put_back(window: MainWindow) -> None:
     view = window.run.queue_view
-    window.run.queue._removed.clear()
+    while view.back.isEnabled():  # of the tests before
+        press(view.back)
+    window.run.queue.entries.clear()
     for speed in ("10", "20", "40"):
         fill(window, speed_mm_s=speed)
         press(window.run.new.queue)
@@ -840,21 +842,3 @@ def test_settings_and_waiting_sessions_survive_closing_the_window(qtbot: QtBot, 
         assert len(second.run.queue.entries) == 1
     finally:
         second.close_in_order("the test is over")
-
-
-def test_a_reset_after_a_stop_asks_its_prompt(qtbot: QtBot, lab: Path, tmp_path: Path, until: Until) -> None:
-    """On a rig that needs hands; its double asks as it does."""
-    window = opened(qtbot, lab, tmp_path / "window.ini", backend="hardware", double=True, pace=7.0)
-    try:
-        assert window.run.new.chosen_pace == 7.0
-        press(window.stop_button)
-        press(window.reset)
-        until(window.notices.prompt.isVisible)
-        press(window.notices.answers[Answer.ABORT])
-        until(lambda: window.notices.complaint.isVisible() and window.reset.isEnabled())
-        press(window.reset)
-        until(window.notices.prompt.isVisible)
-        press(window.notices.answers[Answer.DONE])
-        until(lambda: window.guard.text() == "guard: armed")
-    finally:
-        window.close_in_order("the test is over")

@@ -1,0 +1,33 @@
+"""Processes forked of one that has loaded what an engine needs, which takes each of them seconds otherwise."""
+
+import multiprocessing
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+ENGINE = (
+    "dragrig.engine_host.server",
+    "dragrig.sim_backend.devices.simulated_backend",
+    "dragrig.rig.protocols.drag",
+    "dragrig.rig.protocols.relaxation",
+    "dragrig.rig.protocols.coulomb",
+    "dragrig.rig.protocols.blank",
+    "dragrig.analysis.measures",
+)
+
+
+@contextmanager
+def loaded_processes() -> Iterator[None]:
+    """Start engines and diagnoses in this way as long as this lasts, where the system can.
+
+    Engines of programs that tests start as processes of their own are spawned, as they are for people.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        yield
+        return
+    multiprocessing.set_forkserver_preload(list(ENGINE))
+    context = multiprocessing.get_context("forkserver")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(multiprocessing, "get_context", lambda _: context)
+        yield
