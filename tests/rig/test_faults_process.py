@@ -19,7 +19,7 @@ import pytest
 from dragrig.config.settings import to_toml
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile import read_campaign, read_run
+from dragrig.rig.runfile import read_campaign, read_info, read_run
 from dragrig.rig.runfile.model import RunStatus
 from places import SUPPORT, TESTS
 from remote_doubles import RemoteDoubles
@@ -88,7 +88,7 @@ def settings_words(*assignments: str) -> list[str]:
 def recorded(folder: Path) -> int:
     """How many samples are on disk right now."""
     paths = list(folder.glob("*.recording.h5"))
-    return read_run(paths[0]).info.samples if paths else 0
+    return read_info(paths[0]).samples if paths else 0
 
 
 def test_a_second_program_is_refused_and_sigterm_ends_the_first_in_good_order(faulty_rig: Bench, start: Start) -> None:
