@@ -56,7 +56,7 @@ class DriveDouble:
     that dialect is not known, or brings no drive's side.
     """
 
-    _watch_at_rest_s = 0.02
+    _watch_at_rest_s = 0.01
 
     def __init__(self, bench: SimulatedBench) -> None:
         self.bench = bench
@@ -65,8 +65,7 @@ class DriveDouble:
         self._side = find_drive_side(self._dialect, drive)
         self._lines = bench.rig.hardware.card.lines
         self._lock = threading.RLock()
-        self._ended = False
-        self._stirred = threading.Event()
+        self._ended = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="drive double", daemon=True)
         self._received_s = time.monotonic()
         self._parameters = dict(FACTORY_PARAMETERS)
@@ -84,8 +83,7 @@ class DriveDouble:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ended = True
-        self._stirred.set()
+        self._ended.set()
         self._watcher.join()
 
     @property
@@ -150,10 +148,8 @@ class DriveDouble:
                 self._end(Halt.SILENCE)
 
     def _watch(self) -> None:
-        while not self._ended:
-            # At rest every request polls as well, and one that moves it ends the wait.
-            self._stirred.wait(_WATCH_MOVING_S if self._moving() else self._watch_at_rest_s)
-            self._stirred.clear()
+        # At rest every request polls as well.
+        while not self._ended.wait(_WATCH_MOVING_S if self._moving() else self._watch_at_rest_s):
             self.poll()
 
     def _carry_out(self, request: Request) -> Reply:
@@ -165,7 +161,6 @@ class DriveDouble:
         if command is Command.READ and parameter is not None:
             return Reply(self._parameters[parameter])
         self._requests.append(request)
-        self._stirred.set()
         return Reply(refusal=self._change(command, parameter, value or 0.0))
 
     def _change(self, command: Command, parameter: Parameter | None, value: float) -> Refusal | None:

@@ -724,15 +724,10 @@ class SimulatedBench:
             lines, stage, faults = self.rig.hardware.card.lines, self.rig.stage, self.faults.active
             if line and line == lines.encoder_error:
                 return not faults.encoder_error
-            low, high = (
-                (lines.limit_high, lines.limit_low) if faults.switches_swapped else (lines.limit_low, lines.limit_high)
-            )
-            if line == high:
-                below = self.position_mm() < stage.highest_mm + SWITCH_OFFSET_MM
-                closed = below and not faults.limit_high_pressed
-            elif line == low:
-                above = self.position_mm() > stage.lowest_mm - SWITCH_OFFSET_MM
-                closed = above and not faults.limit_low_pressed
+            if line == (lines.limit_low if faults.switches_swapped else lines.limit_high):
+                closed = not faults.limit_high_pressed and self.position_mm() < stage.highest_mm + SWITCH_OFFSET_MM
+            elif line == (lines.limit_high if faults.switches_swapped else lines.limit_low):
+                closed = not faults.limit_low_pressed and self.position_mm() > stage.lowest_mm - SWITCH_OFFSET_MM
             elif line == lines.e_stop:
                 closed = not faults.e_stop_pressed
             else:

@@ -19,7 +19,7 @@ import pytest
 from dragrig.config.settings import to_toml
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile import read_campaign, read_run
+from dragrig.rig.runfile import read_campaign, read_info, read_run
 from dragrig.rig.runfile.model import RunStatus
 from places import SUPPORT, TESTS
 from remote_doubles import RemoteDoubles
@@ -54,6 +54,13 @@ def faulty_bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 
 
 @pytest.fixture
+def near_rig(tmp_path: Path) -> Iterator[Bench]:
+    """Doubles in this process."""
+    with bench(tmp_path) as entry:
+        yield entry
+
+
+@pytest.fixture
 def start(faulty_rig: Bench) -> Iterator[Callable[..., Program]]:
     """Return what starts `dragrig run`; whatever still runs in the end is killed."""
     started: list[Program] = []
@@ -81,7 +88,7 @@ def settings_words(*assignments: str) -> list[str]:
 def recorded(folder: Path) -> int:
     """How many samples are on disk right now."""
     paths = list(folder.glob("*.recording.h5"))
-    return read_run(paths[0]).info.samples if paths else 0
+    return read_info(paths[0]).samples if paths else 0
 
 
 def test_a_second_program_is_refused_and_sigterm_ends_the_first_in_good_order(faulty_rig: Bench, start: Start) -> None:
@@ -142,8 +149,8 @@ def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Benc
     assert_kept(run, remaining)
 
 
-def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(faulty_rig: Bench) -> None:
-    running = begin(faulty_rig, assignments=SOON_HUNG)
+def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(near_rig: Bench) -> None:
+    running = begin(near_rig, assignments=SOON_HUNG)
     held, let_go = threading.Event(), threading.Event()
 
     def hang(reading: Reading) -> None:
@@ -153,8 +160,8 @@ def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(f
 
     running.person.reads = hang  # type: ignore[method-assign]
     assert held.wait(PATIENCE_S)
-    struck = faulty_rig.look()
-    faulty_rig.until(lambda look: not look.moving)
+    struck = near_rig.look()
+    near_rig.until(lambda look: not look.moving)
     let_go.set()
     ended = running.end()
     run = only_run(ended.folder)
@@ -177,11 +184,11 @@ def fill(disk: Path) -> Path:
 FULL_DISK = ("disk full", "disk full to the last byte", "disk refuses data")
 
 
-def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Bench, small_disk: Path) -> None:
+def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(near_rig: Bench, small_disk: Path) -> None:
     folder = small_disk / "campaign"
-    running = begin(faulty_rig, out=folder, assignments=["rig.recording.reserve_mb=1", "speed_mm_s=3"])
+    running = begin(near_rig, out=folder, assignments=["rig.recording.reserve_mb=1", "speed_mm_s=3"])
     running.until_under_way()
-    struck = faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: running.alive)
+    struck = near_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: running.alive)
     remaining = recorded(folder)
     filler = fill(small_disk)
     ended = running.end()
@@ -190,7 +197,7 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(faulty_rig: Benc
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert not ended.stage.enabled
     filler.unlink()
-    assert_goes_on(faulty_rig, folder)
+    assert_goes_on(near_rig, folder)
     lost = next(info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
     assert_kept(read_run(lost.path), remaining)
     assert lost.status is RunStatus.RECOVERED or "MB are free" in lost.reason
@@ -233,7 +240,7 @@ class Person(NullOperator):
             print("moves", flush=True)
 
 plan, rig, folder = map(Path, sys.argv[1:])
-dragrig.run(plan, out=folder, rig=rig, double=True, person=Person()).session.require()
+dragrig.run(plan, out=folder, rig=rig, double=True, pace=2.0, person=Person()).session.require()
 mark_bad(read_campaign(folder).runs[0].path, "made again")
 dragrig.resume(folder, person=Person()).session.require()
 """

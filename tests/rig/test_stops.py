@@ -276,14 +276,20 @@ def test_wires_that_are_not_there_are_found_each_by_itself(homed: bool) -> None:
     assert looked.furthest_mm <= 2.0
 
 
-def test_a_wire_that_is_there_is_no_proof_of_another() -> None:
+@pytest.mark.parametrize(
+    ("faults", "missing"),
+    [
+        (
+            {"enable_not_wired": True, "drive_unwatched": True},
+            {"enable", "enable in motion", "watchdog in motion"},
+        ),
+        thorough({"relay_not_wired": True}, {"relay", "relay in motion"}),
+    ],
+)
+def test_a_wire_that_is_there_is_no_proof_of_another(faults: dict[str, bool], missing: set[str]) -> None:
     """Where only the relay works, the enable line is not held to work, nor the drive's own timeout."""
-    looked = Looked(rig_of(**HEARTBEAT), enable_not_wired=True, drive_unwatched=True)
-    failed = {name for name, finding in looked.found.items() if not finding.passed}
-    assert failed == {"enable", "enable in motion", "watchdog in motion"}
-    looked = Looked(rig_of(**HEARTBEAT), relay_not_wired=True)
-    failed = {name for name, finding in looked.found.items() if not finding.passed}
-    assert failed == {"relay", "relay in motion"}
+    looked = Looked(rig_of(**HEARTBEAT), **faults)
+    assert {name for name, finding in looked.found.items() if not finding.passed} == missing
 
 
 def test_a_person_may_keep_the_stage_from_moving_and_then_the_timeout_stays_untried() -> None:

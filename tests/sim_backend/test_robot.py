@@ -264,10 +264,17 @@ def test_a_drive_too_weak_for_the_gut_is_told_with_both_forces() -> None:
     assert told["drives"][0]["gut"]["speed_mm_s"] == 0
 
 
+BACKWARDS = ("--slow", "16000", "--fast", "4000", "--stroke", "10.8", "--json")
+
+
 def test_a_robot_that_a_drive_moves_backwards_is_told_so() -> None:
-    drive = ["--slow", "14543", "--fast", "1416", "--stroke", "10.9"]
-    told = json.loads(CliRunner().invoke(robot_command, [*drive, "--effect", "stribeck", "--json"]).stdout)
-    assert "In the gut it moves backwards at 1." in told["in_words"][1]
+    told = json.loads(CliRunner().invoke(robot_command, BACKWARDS).stdout)
+    assert "In the gut it moves backwards at 4." in told["in_words"][1]
+
+
+@pytest.mark.thorough
+def test_a_robot_that_moves_backwards_has_a_price_that_says_so() -> None:
+    told = json.loads(CliRunner().invoke(robot_command, [*BACKWARDS, "--effect", "stribeck"]).stdout)
     [price] = told["prices"]
     assert price["speed_mm_s"] < 0
     assert price["note"] == "the robot moves backwards with it"

@@ -61,7 +61,7 @@ way_back = "stay"
 MOVED_MM = 0.1
 STRUCK_FROM_MM = START_MM + PULSE_MM + 0.5
 PATIENCE_S = 600.0
-_LOOK_S = 0.02
+_LOOK_S = 0.05
 DOCS = ROOT / "docs" / "faults.md"
 
 # As patient as may be set, so that a busy machine is no fault.

@@ -12,6 +12,7 @@ from dragrig.rig.hardware.drive.monitor import _UNHEARD_GRACE_S
 from dragrig.sim_backend.doubles.simulated_bench import MISSED_BEATS, SimulatedBench
 from drive_ports import DrivePort
 from driving import ANY_PORT, PORTS, Driven, driven, until
+from property_tests import thorough
 from simulated import stroke
 from voltage_bench import velocity_rig, voltage_rig
 
@@ -65,14 +66,19 @@ def lose_link(rig: Driven, fault: str) -> tuple[float, float, LineLog]:
     return released_s - lost_s, rig.bench.position_mm() - at_mm, log
 
 
-@pytest.mark.parametrize("kind", PORTS)
+@pytest.mark.parametrize(
+    ("kind", "wiring"),
+    [
+        *(pytest.param(*port.values, "relay", id=f"{port.id}-relay", marks=port.marks) for port in PORTS),
+        pytest.param(ANY_PORT, "enable line", id="enable line"),
+    ],
+)
 @pytest.mark.parametrize("fault", ["drive_unplugged", "drive_cut_off"])
-@pytest.mark.parametrize("wiring", WIRINGS)
 def test_a_drive_that_is_heard_no_more_loses_its_power(kind: type[DrivePort], fault: str, wiring: str) -> None:
     _expect_power_gone(kind, fault, wiring, "nikki")
 
 
-@pytest.mark.parametrize("fault", ["drive_unplugged", "drive_cut_off"])
+@pytest.mark.parametrize("fault", ["drive_unplugged", thorough("drive_cut_off")])
 @pytest.mark.parametrize("dialect", ["copley", "modbus"])
 def test_a_drive_of_another_make_loses_its_power_as_soon(fault: str, dialect: str) -> None:
     _expect_power_gone(ANY_PORT, fault, "relay", dialect)
@@ -152,7 +158,7 @@ def test_a_beat_that_comes_too_late_gives_no_power_back_to_a_moving_stage(moving
             assert "the heartbeat came" in fault_seen.message
 
 
-@pytest.mark.parametrize("fault", ["drive_unplugged", "drive_cut_off"])
+@pytest.mark.parametrize("fault", [thorough("drive_unplugged"), "drive_cut_off"])
 def test_in_velocity_mode_the_voltage_brakes_and_the_power_goes(fault: str) -> None:
     rig_settings = velocity_rig(silence_s=0.6, reply_s=0.1)
     with voltage_rig(rig_settings) as rig:

@@ -21,6 +21,7 @@ from dragrig.rig.hardware.sync import FirstSample
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
 from drive_ports import DrivePort
 from driving import ANY_PORT, PORTS, RATE, BenchLines, Driven, driven, until
+from property_tests import thorough
 from simulated import NEVER, stroke
 
 LONG = stroke(travel_mm=100.0, speed_mm_s=50.0)
@@ -178,7 +179,9 @@ def test_homing_can_be_stopped_and_is_then_unknown() -> None:
             rig.stage.move(stroke())
 
 
-@pytest.mark.parametrize("trouble", [{"drive_garbled": True}, {"drive_silent": True}, {"drive_reply_late_s": 2.5}])
+@pytest.mark.parametrize(
+    "trouble", [{"drive_garbled": True}, thorough({"drive_silent": True}), {"drive_reply_late_s": 2.5}]
+)
 def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float]) -> None:
     with driven(reply_s=0.6, silence_s=2.0) as rig:
         rig.ready().sample(stroke(travel_mm=140.0, speed_mm_s=20.0))
@@ -306,14 +309,14 @@ def test_a_program_that_no_longer_looks_is_stopped_and_its_drive_fed_no_more() -
 
 
 def test_a_program_that_looks_is_left_alone() -> None:
-    profile = stroke(travel_mm=60.0, speed_mm_s=15.0)
-    with driven(hang_s=2.5) as rig:
+    profile = stroke(travel_mm=40.0, speed_mm_s=20.0)
+    with driven(hang_s=1.5) as rig:
         rig.ready().sample(profile)
         while rig.sync.moving:
             rig.watchdog.feed()
             time.sleep(0.01)
         assert rig.stage.fault is None
-        assert rig.bench.position_mm() == pytest.approx(60.0, abs=1e-3)
+        assert rig.bench.position_mm() == pytest.approx(40.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -465,7 +468,7 @@ def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:
         assert rig.drive.status.halt is Halt.TARGET
 
 
-@pytest.mark.parametrize("dialect", [{}, {"dialect": "modbus"}])
+@pytest.mark.parametrize("dialect", [{}, thorough({"dialect": "modbus"})])
 def test_a_motion_goes_on_though_load_makes_replies_late(dialect: dict[str, object]) -> None:
     with driven(reply_s=0.1, silence_s=2.0, **dialect) as rig:
         rig.ready()

@@ -82,47 +82,29 @@ def test_a_returning_mirror_gets_the_missing_files(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "runs").glob("*.h5")} <= set(made.mirrored.copied)
 
 
-def test_resuming_mirrors_the_earlier_runs(tmp_path: Path) -> None:
-    (tmp_path / "second").mkdir()
-    first = dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1])
-    assert first.mirrored is None
-    again = dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
-    assert again.mirrored is not None
-    assert again.mirrored.whole
-    assert {path.name for path in (tmp_path / "runs").glob("*.h5")} <= set(again.mirrored.copied)
-
-
 def test_the_campaigns_own_folder_is_refused_as_mirror(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is where the campaign itself goes"):
         dragrig.run("blank", out=tmp_path / "runs", mirror=tmp_path, assignments=FAST[:1])
     assert not (tmp_path / "runs").exists()
 
 
-def test_marks_on_runs_are_mirrored_with_them(tmp_path: Path) -> None:
+def test_resuming_mirrors_the_earlier_runs_with_their_marks_and_what_becomes_of_these(tmp_path: Path) -> None:
     (tmp_path / "second").mkdir()
-    dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1])
-    [first, *_] = sorted((tmp_path / "runs").glob("*.h5"))
-    mark_bad(first, "the capsule slipped")
-    mark = mark_path(first)
-    again = dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
-    assert again.mirrored is not None
-    assert mark.name in again.mirrored.copied
-    assert filecmp.cmp(mark, tmp_path / "second" / "runs" / mark.name, shallow=False)
-
-
-def test_marks_that_change_or_are_withdrawn_do_so_in_the_mirror(tmp_path: Path) -> None:
-    (tmp_path / "second").mkdir()
-    made = dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1], mirror=tmp_path / "second")
-    assert made.mirrored is not None
-    [first, *_] = sorted((tmp_path / "runs").glob("*.h5"))
-    copy = tmp_path / "second" / "runs" / mark_path(first).name
+    first = dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1])
+    assert first.mirrored is None
+    runs = sorted((tmp_path / "runs").glob("*.h5"))
+    mark = mark_path(runs[0])
+    copy = tmp_path / "second" / "runs" / mark.name
     for reason in ("the capsule slipped", "the specimen tore"):
-        mark_bad(first, reason)
+        mark_bad(runs[0], reason)
         again = dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
         assert again.mirrored is not None
         assert again.mirrored.whole, again.mirrored.missing
+        assert mark.name in again.mirrored.copied
         assert reason in copy.read_text("utf-8")
-    unmark(first)
+        assert filecmp.cmp(mark, copy, shallow=False)
+    assert {path.name for path in runs} <= {path.name for path in copy.parent.glob("*.h5")}
+    unmark(runs[0])
     dragrig.resume(tmp_path / "runs", mirror=tmp_path / "second")
     assert not copy.exists()
 

@@ -263,13 +263,17 @@ def test_a_request_that_is_none_gets_a_sentence_back(line: bytes) -> None:
         assert server.reply(line).error.startswith("Control of the doubles, ")
 
 
-def test_the_control_socket_sets_looks_and_refuses() -> None:
-    with RemoteDoubles(rig(1000.0), pace=5.0) as doubles:
+def test_the_control_socket_sets_looks_and_refuses_and_a_bystander_sees_a_silent_programs_stage_stop() -> None:
+    with RemoteDoubles(rig(1000.0), pace=2.0) as doubles, connected(card_port(doubles)) as options:
         assert doubles.control.stage().position_mm == doubles.rig().stage.start_mm
-        with (
-            connected(card_port(doubles)) as options,
-            nidaqmx.Task(grpc_options=options) as task,
-        ):
+        fall_silent_in_motion(doubles, options)
+        until(lambda: not doubles.control.stage().moving)
+        look = doubles.control.stage()
+        assert look.halt is Halt.SILENCE
+        assert look.position_mm < 100.0
+        assert look.speed_mm_s == 0.0
+        assert look.enabled
+        with nidaqmx.Task(grpc_options=options) as task:
             task.di_channels.add_di_chan("Dev1/port1/line1")
             doubles.control.set_faults(e_stop_pressed=True)
             doubles.control.set_faults(sensor_open=True)
@@ -378,29 +382,22 @@ class Caller:
         self._serial.close()
 
 
-def test_a_bystander_sees_how_the_stage_stops_when_the_program_falls_silent() -> None:
-    with RemoteDoubles(rig(1000.0), pace=2.0) as doubles, connected(card_port(doubles)) as options:
-        with nidaqmx.Task(grpc_options=options) as task:
-            task.do_channels.add_do_chan("Dev1/port1/line0")
-            task.write(True)
-        caller = Caller(doubles)
-        caller.ask(Command.SET, Parameter.HOMING_SPEED_MM_S, 50.0)
-        caller.ask(Command.ENABLE)
-        caller.ask(Command.HOME, value=-1.0)
+def fall_silent_in_motion(doubles: RemoteDoubles, options: nidaqmx.GrpcSessionOptions) -> None:
+    with nidaqmx.Task(grpc_options=options) as task:
+        task.do_channels.add_do_chan("Dev1/port1/line0")
+        task.write(True)
+    caller = Caller(doubles)
+    caller.ask(Command.SET, Parameter.HOMING_SPEED_MM_S, 50.0)
+    caller.ask(Command.ENABLE)
+    caller.ask(Command.HOME, value=-1.0)
+    status = caller.ask(Command.STATUS).status
+    while status is not None and not status.homed:
         status = caller.ask(Command.STATUS).status
-        while status is not None and not status.homed:
-            status = caller.ask(Command.STATUS).status
-        for parameter, value in ((Parameter.SPEED_MM_S, 10.0), (Parameter.ACCELERATION_MM_S2, 1000.0)):
-            caller.ask(Command.SET, parameter, value)
-        caller.ask(Command.SET, Parameter.SILENCE_S, 0.3)
-        caller.ask(Command.GO, value=140.0)
-        caller.close()
-        until(lambda: not doubles.control.stage().moving)
-        look = doubles.control.stage()
-        assert look.halt is Halt.SILENCE
-        assert look.position_mm < 100.0
-        assert look.speed_mm_s == 0.0
-        assert look.enabled
+    for parameter, value in ((Parameter.SPEED_MM_S, 10.0), (Parameter.ACCELERATION_MM_S2, 1000.0)):
+        caller.ask(Command.SET, parameter, value)
+    caller.ask(Command.SET, Parameter.SILENCE_S, 0.3)
+    caller.ask(Command.GO, value=140.0)
+    caller.close()
 
 
 def card_port(doubles: RemoteDoubles) -> int:
@@ -418,6 +415,7 @@ signal.pause() if hasattr(signal, "pause") else sys.stdin.read()
 """
 
 
+@pytest.mark.thorough
 def test_the_doubles_end_with_the_process_that_started_them() -> None:
     program, here = [sys.executable, "-c", PARENT], SUPPORT
     with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=here) as parent:
@@ -431,6 +429,7 @@ def test_the_doubles_end_with_the_process_that_started_them() -> None:
                 doubles.kill()
 
 
+@pytest.mark.thorough
 def test_doubles_that_cannot_start_say_so() -> None:
     with pytest.raises(DeviceError, match="before it was ready"):
         RemoteDoubles(rig(), pace=-1.0).start()
