@@ -253,13 +253,11 @@ class Whitening:
         """Whiten against the whole covariance, `(B,)` or `(B, m)`."""
         whitened = self.whiten_noise(values)
         along = self.directions.T @ whitened
-        shrinkage = self.shrinkage if along.ndim == 1 else self.shrinkage[:, None]
-        return np.asarray(whitened - self.directions @ (shrinkage * along))
+        return np.asarray(whitened - self.directions @ (self.shrinkage * along.T).T)
 
     def with_form_error(self, sd: FloatArray) -> "Whitening":
         """Add an independent error to each block mean, one standard deviation, shape `(B,)`."""
-        root = _noise_root(self.noise_root @ self.noise_root.T, sd)
-        return Whitening.of(root, self.noise_root @ self.run_effects)
+        return Whitening.of(_noise_root(self.noise_root @ self.noise_root.T, sd), self.noise_root @ self.run_effects)
 
     def posterior_run_effects(
         self, residual: FloatArray, slopes: FloatArray, covariance: FloatArray

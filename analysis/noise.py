@@ -503,13 +503,11 @@ class _AlikeRepeats:
         covariance = np.zeros((self.pairs.samples.size,) * 2)
         covariance[self.pairs.late, self.pairs.early] = 2.0 * noise.covariances(self.pairs)
         root = cholesky(covariance, lower=True, check_finite=False)
-        columns = np.hstack([np.column_stack((repeat.signatures, repeat.difference)) for repeat in self.repeats])
-        whitened = solve_lower(root, columns)
-        total, end = 2 * len(self.repeats) * float(np.log(np.diag(root)).sum()), 0
+        total = 2 * len(self.repeats) * float(np.log(np.diag(root)).sum())
         for repeat in self.repeats:
-            begin, end = end, end + repeat.signatures.shape[1] + 1
-            basis, triangle = np.linalg.qr(whitened[:, begin : end - 1])
-            residual = whitened[:, end - 1]
+            whitened = solve_lower(root, np.column_stack((repeat.signatures, repeat.difference)))
+            basis, triangle = np.linalg.qr(whitened[:, :-1])
+            residual = whitened[:, -1]
             total += float(residual @ residual - np.sum((basis.T @ residual) ** 2))
             total += 2 * float(np.log(np.abs(np.diag(triangle)) + 1e-300).sum())
         return total
@@ -626,9 +624,8 @@ def solve_lower(root: FloatArray, values: FloatArray) -> FloatArray:
     """Return the solution of a lower triangular system, for values of shape `(B,)` or `(B, m)`."""
     from scipy.linalg.blas import dtrsm
 
-    rows = np.atleast_2d(values.T)  # as BLAS has it, without a copy of values that are stored row by row
-    solved = np.asarray(dtrsm(1.0, root, rows, side=1, lower=1, trans_a=1), dtype=np.float64).T
-    return solved if values.ndim == 2 else solved[:, 0]
+    # The transposed system, for which BLAS needs no copy of values that are stored row by row.
+    return np.asarray(dtrsm(1.0, root, np.atleast_2d(values.T), side=1, lower=1, trans_a=1).T).reshape(values.shape)
 
 
 def _dense_likelihood(noise: NoiseModel, stacks: Sequence[tuple[_BlockLayout, FloatArray]]) -> float:
@@ -638,8 +635,7 @@ def _dense_likelihood(noise: NoiseModel, stacks: Sequence[tuple[_BlockLayout, Fl
     total = 0.0
     for layout, means in stacks:
         root = cholesky(toeplitz(noise.covariances(layout.pairs)), lower=True, check_finite=False)
-        columns = np.hstack((layout.polynomials, means.T))
-        whitened = solve_lower(root, columns)
+        whitened = solve_lower(root, np.hstack((layout.polynomials, means.T)))
         basis, triangle = np.linalg.qr(whitened[:, : layout.degree + 1])
         residual = whitened[:, layout.degree + 1 :]
         logs = np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(triangle))).sum()

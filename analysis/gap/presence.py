@@ -333,8 +333,7 @@ def collect_causes(
 def _smoothed_size(residual: FloatArray) -> FloatArray:
     from scipy.ndimage import uniform_filter1d
 
-    mean_square = uniform_filter1d(residual**2, SMOOTHING_BLOCKS, mode="nearest")
-    return np.asarray(np.sqrt(np.maximum(mean_square, 0.0)))
+    return np.asarray(np.sqrt(np.maximum(uniform_filter1d(residual**2, SMOOTHING_BLOCKS, mode="nearest"), 0.0)))
 
 
 def _compete(
@@ -784,8 +783,7 @@ def _log_evidence(grams: FloatArray, moments: FloatArray, directions: FloatArray
     corners = (1.0 + (sides**2).sum(axis=(1, 2)))[:, None, None] * np.eye(2)
     bordered = np.linalg.cholesky(np.block([[scaled, sides.transpose(0, 2, 1)], [sides, corners]]))
     roots, fitted, along = bordered[:, :width, :width], bordered[:, width, :width], bordered[:, width + 1, :width]
-    log_det = 2.0 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
-    values = 0.5 * (fitted**2).sum(axis=1) - 0.5 * log_det
+    values = 0.5 * (fitted**2).sum(axis=1) - np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
     spread = np.sqrt((along**2).sum(axis=1))
     signed = spread > 0
     ratio = np.divide((fitted * along).sum(axis=1), spread, out=np.zeros_like(spread), where=signed)

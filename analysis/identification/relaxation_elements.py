@@ -127,8 +127,7 @@ class ShearRecord:
 
     def rows(self, signals: FloatArray) -> FloatArray:
         """Whiten signals of shape `(B, n)`; one more column holds the prior of the zero."""
-        white = solve_lower(self.noise_factor, signals.T).T
-        return np.hstack((white, np.zeros((len(signals), 1))))
+        return np.hstack((solve_lower(self.noise_factor, signals.T).T, np.zeros((len(signals), 1))))
 
     def zero(self) -> FloatArray:
         """Row of a zero of 1 mN."""

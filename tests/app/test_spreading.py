@@ -5,7 +5,8 @@ import signal
 import sys
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -45,21 +46,25 @@ def require_nothing_lost_or_twice(folder: Path, result: list[bytes], answer: lis
         assert [path.name for path in folder.glob(f"{seed}-ended-*")] == [f"{seed}-ended-0"]
 
 
-def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_workers() -> None:
+@pytest.fixture(scope="module")
+def two() -> Iterator[Executor]:
+    with open_executor(2) as executor:
+        yield executor
+
+
+def test_results_are_the_same_bits_in_the_order_of_the_pieces_for_any_number_of_workers(two: Executor) -> None:
     with open_executor(1) as here:
         assert isinstance(here, SerialExecutor)
         alone = parallel_map(here, product, SEEDS)
-    with open_executor(2) as two:
-        assert parallel_map(two, product, SEEDS) == alone
+    assert parallel_map(two, product, SEEDS) == alone
     assert alone == [product(seed) for seed in SEEDS]
 
 
-def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(tmp_path: Path) -> None:
+def test_a_process_killed_midway_loses_nothing_and_does_nothing_twice(two: Executor, tmp_path: Path) -> None:
     answer: list[int] = []
     killer = kill_when_begun(tmp_path, answer, [])
-    with open_executor(2) as two:
-        pieces = [(tmp_path, seed) for seed in SEEDS]
-        result = parallel_map(two, traced, pieces, lambda piece, _: answer.append(piece[1]))
+    pieces = [(tmp_path, seed) for seed in SEEDS]
+    result = parallel_map(two, traced, pieces, lambda piece, _: answer.append(piece[1]))
     killer.join()
     require_nothing_lost_or_twice(tmp_path, result, answer, list(SEEDS))
 
@@ -95,9 +100,10 @@ def test_a_piece_that_takes_every_process_along_is_given_up_in_words(monkeypatch
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_what_a_piece_raises_comes_out_once_what_was_done_before_has_been_told(workers: int) -> None:
+def test_what_a_piece_raises_comes_out_once_what_was_done_before_has_been_told(workers: int, two: Executor) -> None:
     answer: list[tuple[int, int]] = []
-    with pytest.raises(ValueError, match="not liked"), open_executor(workers) as some:
+    some = two if workers == 2 else SerialExecutor()
+    with pytest.raises(ValueError, match="not liked"):
         parallel_map(some, failing, [0, 0, 0, 1], lambda piece, result: answer.append((piece, result)))
     assert answer == [(0, 0)] * len(answer)
     assert len(answer) >= 4 - workers
@@ -113,6 +119,17 @@ def test_workers_are_the_cores_unless_told() -> None:
         pass
 
 
+def test_a_dask_cluster_gives_the_same() -> None:
+    from distributed import LocalCluster
+
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        open_executor(scheduler=cluster.scheduler_address) as workers,
+    ):
+        assert parallel_map(workers, product, SEEDS) == [product(seed) for seed in SEEDS]
+
+
+@pytest.mark.thorough
 def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 The thorough tests try three times as many examples, and the other members.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -21,3 +22,8 @@ def examples(usual: int) -> int:
 def thorough(*values: object) -> Any:
     """Parameters of a case whose mechanism other cases of the same test show in the test line."""
     return pytest.param(*values, marks=pytest.mark.thorough)
+
+
+def every_third(members: Sequence[object]) -> list[object]:
+    """Return the members of a large family as cases: one of three in the test line, the others thorough."""
+    return [thorough(member) if number % 3 else member for number, member in enumerate(members)]

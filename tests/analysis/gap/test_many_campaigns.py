@@ -8,7 +8,11 @@ import pytest
 
 import dragrig
 from dragrig.cli import main
+from dragrig.sim_backend.effects import catalogue
 from places import CAMPAIGN
+
+WITHOUT = tuple(name for name in catalogue() if name != "stribeck")
+OF_ONE_EFFECT = [word for name in WITHOUT for word in ("--without", name)]
 
 
 @pytest.fixture
@@ -36,19 +40,19 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
 def test_diagnoses_are_those_of_each_campaign_by_itself_whoever_makes_them(
     three: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["gap", "diagnose", "first", "empty", "second", "--json", "--quiet"]
+    arguments = ["gap", "diagnose", "first", "empty", "second", "--json", "--quiet", *OF_ONE_EFFECT]
     assert main([*arguments, "--workers", "2"]) == 2
     answer = lines(capsys)
     assert [row["source"] for row in answer] == ["first", "empty", "second"]
     assert "no run file" in str(answer[1]["error"])
-    assert main(["gap", "diagnose", "second", "--json", "--quiet"]) == 0
+    assert main(["gap", "diagnose", "second", "--json", "--quiet", *OF_ONE_EFFECT]) == 0
     alone = json.loads(capsys.readouterr().out)
     del alone["timings_s"]
     assert {"source": "second", **alone} == answer[2]
 
 
 def test_what_cannot_be_diagnosed_is_told_and_the_others_go_on(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gap", "diagnose", "first", "empty", "--workers", "1"]) == 2
+    assert main(["gap", "diagnose", "first", "empty", "--workers", "1", *OF_ONE_EFFECT]) == 2
     output = capsys.readouterr()
     assert "no gap" in output.out
     assert "not diagnosed: empty: holds no run file" in output.out
@@ -75,6 +79,8 @@ def test_identifications_are_those_of_each_campaign_by_itself(three: Path, capsy
 
 
 def test_identifying_several_writes_each_its_own_files(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.rmtree(three / "first")
+    shutil.copytree(three / "second", three / "first")
     (three / "other").mkdir()
     (three / "second").rename(three / "other" / "first")
     arguments = ["identify", "first", "other/first", "--quiet", "--out", "made", "--workers", "1"]
@@ -99,7 +105,7 @@ def test_a_calibration_that_is_named_is_used_for_all(three: Path, capsys: pytest
 def test_python_gives_the_same(three: Path) -> None:
     heard: list[tuple[int, int]] = []
     diagnose_many = dragrig.diagnose_many(
-        ["first", three / "empty"], workers=1, progress=lambda *now: heard.append(now)
+        ["first", three / "empty"], workers=1, progress=lambda *now: heard.append(now), without=WITHOUT
     )
     assert diagnose_many[0].result is not None
     assert diagnose_many[0].result.verdict == "no_gap"

@@ -276,9 +276,7 @@ def test_an_amended_model_of_any_nominal_model_keeps_its_promise_or_not(
     of_ones_own: bool, own: Path, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run]
 ) -> None:
     own.write_text(OWN.replace("\nMODEL", FRICTION), "utf-8")
-    diagnosis = dragrig.diagnose(
-        asymmetric(blanks, 0.1), nominal=own if of_ones_own else "drive", without=UNLIKELY
-    )
+    diagnosis = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own if of_ones_own else "drive", without=UNLIKELY)
     file = save_amended_model(diagnosis, tmp_path / "amended.toml")
     assert file is not None
     verdict, size = judged(file, asymmetric(fresh_blanks, 0.1))

@@ -10,6 +10,7 @@ from dragrig.analysis.gap.diagnosis import GapLocation
 from dragrig.analysis.gap.excess import BANDS_HZ, BandPowers, ResidualBlocks, band_powers
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
 from dragrig.rig.profile import FloatArray, Phase
+from property_tests import thorough
 from residuals import SD, Planted, blocks, campaign
 
 
@@ -105,9 +106,9 @@ def test_a_disturbance_is_found_in_its_band() -> None:
         (ringing, "transient"),
     ],
 )
-def test_what_the_residual_is_a_function_of_is_said(planted: Planted, domain: str) -> None:
-    for seed in (1, 2):
-        assert localise(campaign(seed, planted), present=True).domain == domain
+@pytest.mark.parametrize("seed", [1, thorough(2)])
+def test_what_the_residual_is_a_function_of_is_said(planted: Planted, domain: str, seed: int) -> None:
+    assert localise(campaign(seed, planted), present=True).domain == domain
 
 
 def test_hum_is_seen_in_the_powers_of_the_whole_trace() -> None:

@@ -26,6 +26,7 @@ from dragrig.sim_backend.blind.blind_campaign import HiddenSpecimen, NoiseLevels
 from dragrig.sim_backend.blind.plant import PlantRecord, noise_free_run, recorded_run
 from dragrig.sim_backend.blind.run_plans import RunPlan
 from places import REFERENCE, ROOT
+from property_tests import every_third
 
 PUBLISHED = HiddenSpecimen(1.0, (1.0,) * 5, 0.082, 1.0, 60.0, 1.0, 60.0)
 FORCE_OF_SEED_7_MN = 65.96916933788414
@@ -112,12 +113,14 @@ def test_a_seed_means_the_same_campaign_in_every_version() -> None:
 
 def test_the_files_are_read_as_runs_and_say_nothing_of_what_is_hidden(tmp_path: Path) -> None:
     campaign = draw_campaign(11, effects=["stribeck"])
-    write_campaign(campaign, tmp_path)
-    files = sorted(tmp_path.glob("*.h5"))
-    assert 27 <= len(files) == len(campaign.runs) <= 31
-    kinds = [read_run(file).info.kind for file in files]
+    kinds = [run.kind for run in campaign.runs]
+    assert 27 <= len(kinds) <= 31
     assert [kinds.count(kind) for kind in ("relaxation", "coulomb")] == [4, 3]
     assert kinds.count("drag") >= 18
+    few = short(campaign)
+    write_campaign(few, tmp_path)
+    files = sorted(tmp_path.glob("*.h5"))
+    assert [read_run(file).info.kind for file in files] == [run.kind for run in few.runs]
     with h5py.File(files[-1]) as file:
         contents: list[str] = []
         file.visititems(lambda name, item: contents.append(f"{name} {dict(item.attrs)}"))
@@ -129,7 +132,7 @@ def strength(run: PlantRecord) -> float:
     return float(np.abs(run.force).mean() + np.abs(run.position).mean())
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", every_third(NAMES))
 def test_every_form_acts_where_it_says_on_its_own_channel_and_scales_with_size(name: str) -> None:
     plain = short(draw_campaign(3))
     for form in CATALOGUE.get(name) or OUTSIDE[name]:
