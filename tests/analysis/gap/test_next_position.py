@@ -115,9 +115,13 @@ def test_what_has_no_name_is_looked_at_where_the_stage_has_not_moved_yet() -> No
     assert "acceleration" in unnamed.next_experiment.reason
 
 
-@pytest.mark.thorough
-def test_no_new_motion_is_advised_where_the_stage_has_made_them_all() -> None:
-    ways = [candidate.step.model_copy(update={"repeats": 1}) for candidate in motion_grid(Specimen(name="jejunum"))]
+@pytest.mark.parametrize("every", [6, thorough(1)])
+def test_no_new_motion_is_advised_where_the_stage_has_made_them_all(
+    every: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grid = motion_grid(Specimen(name="jejunum"))[::every]
+    ways = [candidate.step.model_copy(update={"repeats": 1}) for candidate in grid]
+    monkeypatch.setattr("dragrig.analysis.gap.next_run.motion_grid", lambda *_, **__: grid)
     everything = Plan(name="all", seed=4, steps=tuple(ways))
     covered = diagnosis_of(dragrig.simulate(everything, effects=MIXED), ADVISED_OF_POSITION)
     assert covered.verdict is Verdict.UNKNOWN

@@ -92,13 +92,20 @@ def crowd(file: h5py.File) -> None:
 
 @pytest.mark.parametrize(("spoil", "why"), [(nest, "more than 32 deep"), (crowd, "more than 10000 names")])
 def test_a_run_file_of_endless_groups_is_refused_before_it_is_gone_through(
-    spoil: Callable[[h5py.File], None], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    spoil: Callable[[h5py.File], None],
+    why: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = finish(record(tmp_path / "run.h5", 1000))
     with h5py.File(path, "r+") as file:
         spoil(file)
+    gone_through: list[h5py.File] = []
+    monkeypatch.setattr("dragrig.rig.runfile.reader.refuse_foreign_storage", gone_through.append)
     assert main(["info", str(path)]) == 2
     assert why in capsys.readouterr().err
+    assert not gone_through
     measured = tmp_path / "measured.mat"
     shutil.copy(path, measured)
     if spoil is nest:
