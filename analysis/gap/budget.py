@@ -120,12 +120,12 @@ def gap_budget(
     entries, gap_mN = force.entries, force.gap_mN
     for line, rms_mN in lines_mN.items():
         if line in classification.effects:
-            entries = _with_line(entries, gap_mN, line, rms_mN, classification.marginal(line))
+            entries = with_line(entries, gap_mN, line, rms_mN, classification.marginal(line))
             gap_mN = float(np.hypot(gap_mN, rms_mN))
-    entries = () if classification.verdict is Verdict.NO_GAP else _without_unlikely_rivals(entries, causes.effects)
+    entries = () if classification.verdict is Verdict.NO_GAP else without_unlikely_rivals(entries, causes.effects)
     if in_position and position_share is not None:
         share = position_share[0]
-        interval = _with_form_error(*position_share)
+        interval = with_form_error(*position_share)
         rest = None if interval is None else (1.0 - interval[1], 1.0 - interval[0])
         if fitted_position in classification.effects:
             there = classification.marginal(fitted_position)
@@ -156,7 +156,7 @@ def presence_of_effects(
     return {name: min(max(value, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY) for name, value in presence.items()}
 
 
-def _without_unlikely_rivals(entries: Sequence[BudgetEntry], presence: Mapping[str, float]) -> tuple[BudgetEntry, ...]:
+def without_unlikely_rivals(entries: Sequence[BudgetEntry], presence: Mapping[str, float]) -> tuple[BudgetEntry, ...]:
     """Drop effects that could stand in for another by the competition of causes alone, and are unlikely by all."""
     return tuple(
         replace(
@@ -171,7 +171,7 @@ def _without_unlikely_rivals(entries: Sequence[BudgetEntry], presence: Mapping[s
     )
 
 
-def _with_line(
+def with_line(
     entries: tuple[BudgetEntry, ...], gap_mN: float, line: str, rms_mN: float, presence: float
 ) -> tuple[BudgetEntry, ...]:
     """Add a spectral line, which block means average out, to the parts of the rest of the gap."""
@@ -214,9 +214,9 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
     """
     competition, presence = causes.competition, causes.presence
     chosen = presence.most_likely_with(tuple(established), competition)
-    parts = _parts_of(competition, presence, chosen, established)
-    weights = _likely_explanations(causes, chosen, established)
-    first, *others = _held_out_explanations(
+    parts = parts_of(competition, presence, chosen, established)
+    weights = likely_explanations(causes, chosen, established)
+    first, *others = held_out_explanations(
         study, causes, established, (chosen, *(key for key in weights if key != chosen))
     )
     unnamed = parts.pop(UNEXPLAINED, ())
@@ -227,9 +227,9 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
         return ForceBudget((), float(np.sqrt(max(square - noise, 0.0) / duration)), held_out, ())
     shares = _shares(rows[None])[0].tolist()
     intervals = [
-        _with_form_error(share, interval)
+        with_form_error(share, interval)
         for share, interval in zip(
-            (*shares, 1.0 - sum(shares)), _share_intervals((first, *others), weights, tuple(parts)), strict=True
+            (*shares, 1.0 - sum(shares)), share_intervals((first, *others), weights, tuple(parts)), strict=True
         )
     ]
     sizes = np.sqrt(rows.sum(axis=0)[4 + len(parts) :] / duration).tolist()
@@ -241,7 +241,7 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
             intervals[number],
             sizes[number],
             presence=established.get(cause, _presence_of_part(presence, competition, members)),
-            what=_words_of(competition, members) if cause in {MODEL, SPECIMEN} else "",
+            what=words_of(competition, members) if cause in {MODEL, SPECIMEN} else "",
             not_separable_from=_not_separable(cause, chosen, competition, presence) if cause in established else (),
         )
         for number, (cause, members) in enumerate(parts.items())
@@ -249,7 +249,7 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
     entries.sort(key=lambda entry: -entry.share)
     left_mN = float(np.sqrt(max(rest - noise, 0.0) / duration))
     left = BudgetEntry(
-        UNEXPLAINED, "force", 1.0 - sum(shares), intervals[-1], left_mN, what=_words_of(competition, unnamed)
+        UNEXPLAINED, "force", 1.0 - sum(shares), intervals[-1], left_mN, what=words_of(competition, unnamed)
     )
     gap_mN = float(np.sqrt((square - noise) / duration))
     runs = tuple(_contributions_to_run(study, index, split, tuple(parts)) for index, split in enumerate(contributions))
@@ -277,7 +277,7 @@ def _presence_of_part(presence: Presence, competition: ForceCompetition, causes:
     return max(presence.probabilities[competition.causes[index].name] for index, _ in causes)
 
 
-def _parts_of(
+def parts_of(
     competition: ForceCompetition, presence: Presence, chosen: CauseSet, established: Mapping[str, float]
 ) -> dict[str, CauseSet]:
     """Group the causes of a set into parts of the budget; what is not established belongs to the unexplained rest."""
@@ -303,7 +303,8 @@ def _parts_of(
     return parts
 
 
-def _words_of(competition: Competition, causes: CauseSet) -> str:
+def words_of(competition: Competition, causes: CauseSet) -> str:
+    """Return the words for the causes of a set, once for causes that share them."""
     return ", ".join(dict.fromkeys(competition.causes[index].words for index, _ in causes))
 
 
@@ -356,7 +357,7 @@ class _Explanation:
         return np.asarray(shares[square - noise > MIN_GAP_OVER_NOISE * noise])
 
 
-def _likely_explanations(
+def likely_explanations(
     causes: CausesOfGap, chosen: CauseSet, established: Mapping[str, float]
 ) -> dict[CauseSet, float]:
     """Return the most likely sets of causes that explain the runs, with their probabilities.
@@ -395,7 +396,7 @@ def _likely_explanations(
     return {key: weights[key] / total for key in likely}
 
 
-def _held_out_explanations(
+def held_out_explanations(
     study: Study, causes: CausesOfGap, established: Mapping[str, float], sets: Sequence[CauseSet]
 ) -> list[_Explanation]:
     """Predict every run from fits to the others, and split its gap by each set of causes."""
@@ -427,7 +428,7 @@ def _held_out_explanation(
     competition = causes.competition
     design = competition.design
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
-    parts = _parts_of(competition, causes.presence, key, established)
+    parts = parts_of(competition, causes.presence, key, established)
     unnamed = parts.pop(UNEXPLAINED, ())
     columns, sds, members = _columns_of_parts(competition, [*parts.values(), unnamed])
     chosen = np.append(np.arange(1 + nuisances.size), 1 + nuisances.size + np.searchsorted(used, columns))
@@ -529,7 +530,7 @@ def _shares(rows: FloatArray) -> FloatArray:
     return np.asarray(total[:, 4 : 4 + parts] / gap[:, None])
 
 
-def _with_form_error(share: float, interval: tuple[float, float] | None) -> tuple[float, float] | None:
+def with_form_error(share: float, interval: tuple[float, float] | None) -> tuple[float, float] | None:
     """Widen an interval by what the form of an effect leaves to others, or takes from them."""
     if interval is None:
         return None
@@ -537,7 +538,7 @@ def _with_form_error(share: float, interval: tuple[float, float] | None) -> tupl
     return share - float(np.hypot(share - low, FORM_SHARE)), share + float(np.hypot(high - share, FORM_SHARE))
 
 
-def _share_intervals(
+def share_intervals(
     explanations: Sequence[_Explanation], weights: Mapping[CauseSet, float], parts: Sequence[str], seed: int = 0
 ) -> list[tuple[float, float] | None]:
     """Return 95 % intervals of the share of each part, and last of the rest.

@@ -171,7 +171,7 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
     effects = active_effects(model)
     if not effects:
         raise AnalysisError(f"model {model.name} has no effects: there is nothing to evaluate.")
-    given, selection = selection, _without_diagnosed(selection, model)
+    given, selection = selection, without_diagnosed(selection, model)
     if session_starts(selection.experiments) is None:
         # Without a clock nothing is known of the session, neither the presence nor the absence of such an effect.
         unseen = [active.effect for active in effects if active.effect.coordinate is Coordinate.SESSION]
@@ -213,7 +213,7 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
     )
 
 
-def _without_diagnosed(selection: RunSelection, model: ModelSettings) -> RunSelection:
+def without_diagnosed(selection: RunSelection, model: ModelSettings) -> RunSelection:
     """Return the runs that took no part in the diagnosis: what a model was made from always keeps its promise."""
     diagnosed = frozenset(model.diagnosed.run_ids) if model.diagnosed else frozenset()
     fresh = tuple(entry for entry in selection.experiments if entry.run.info.header.run_id not in diagnosed)
@@ -293,7 +293,7 @@ class _ForceEvaluation:
     def sizes(self) -> Iterator[RelativeEffectSize]:
         """Yield the relative size of each effect: where chi-square is least, the other effects' sizes being free."""
         random = np.random.default_rng(0)
-        samples = _run_weights(len(self.forces), random)
+        samples = run_weights(len(self.forces), random)
         for number, active in enumerate(self.effects):
             grid, grams = self.grids[number], self._grams(number)
             value, standard_error = _best_size(grid, grams.sum(axis=1), self._precision)
@@ -430,7 +430,7 @@ def _resized(model: ModelSettings, effect: Effect, relative: float) -> ModelSett
     return model.model_copy(update={"effects": effects})
 
 
-def _run_weights(runs: int, random: np.random.Generator) -> FloatArray:
+def run_weights(runs: int, random: np.random.Generator) -> FloatArray:
     """Return weights of the runs in each bootstrap sample, of mean 1, shape `(BOOTSTRAP_SAMPLES, runs)`.
 
     Whole counts would leave out an effect that few runs show, as of two relaxations, from every seventh sample; these
@@ -519,7 +519,7 @@ def _size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> R
     )
     if not runs or not products[:, 0].any():
         return _unseen(candidate.effect)
-    power, moment = (_run_weights(len(runs), np.random.default_rng(0)) @ products).T
+    power, moment = (run_weights(len(runs), np.random.default_rng(0)) @ products).T
     low, high = np.quantile(moment / np.maximum(power, 1e-12), (0.025, 0.975)).tolist()
     total, along = products.sum(axis=0).tolist()
     variance = float(np.mean([run.noise_variance for run in runs]))

@@ -180,7 +180,7 @@ def _require_one_rig(fits: Sequence[SpecimenFit]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Information:
+class Likelihoods:
     """What the runs of each of `S` specimens say of `P` parameters in prior units, without any prior.
 
     The likelihood of a specimen's parameters `z` is exp(h·z - z·L·z / 2).
@@ -237,7 +237,7 @@ class _Information:
 
     @cached_property
     def informed(self) -> FloatArray:
-        """Information of all specimens on each parameter were all others known, shape `(P,)`."""
+        """Likelihoods of all specimens on each parameter were all others known, shape `(P,)`."""
         return np.asarray(np.einsum("spp->p", self.matrices))
 
 
@@ -252,7 +252,7 @@ def _information_of(joint: JointFit, scales: PriorScales) -> tuple[FloatArray, F
     return known @ np.diag(gained[gained > 0]) @ known.T, known @ (known.T @ (precision @ scales.deviations(values)))
 
 
-def _restricted_maximum(information: _Information, free: BoolArray) -> FloatArray:
+def _restricted_maximum(information: Likelihoods, free: BoolArray) -> FloatArray:
     """Return the spreads of largest restricted likelihood; only those that are free are not 0."""
     from scipy.optimize import minimize
 
@@ -279,7 +279,7 @@ class _Spread:
     p_value: float
 
     @classmethod
-    def of(cls, information: _Information, best: FloatArray, place: int) -> "_Spread":
+    def of(cls, information: Likelihoods, best: FloatArray, place: int) -> "_Spread":
         from scipy.special import chdtrc
 
         spread = best.copy()
@@ -336,7 +336,7 @@ def _pool_joint_fits(
             for name, estimate in known.items()
             if name not in own[place] or estimate.standard_error < own[place][name].standard_error
         }
-    information = _Information(matrices, vectors, np.ones(len(parameters)))
+    information = Likelihoods(matrices, vectors, np.ones(len(parameters)))
     best = _restricted_maximum(information, _free_spreads(information, parameters, specimens))
     return (
         _pooled_parameters(information, best, parameters, scales, specimens, own),
@@ -344,14 +344,14 @@ def _pool_joint_fits(
     )
 
 
-def _free_spreads(information: _Information, parameters: Sequence[Parameter], specimens: Sequence[str]) -> BoolArray:
+def _free_spreads(information: Likelihoods, parameters: Sequence[Parameter], specimens: Sequence[str]) -> BoolArray:
     """Return of which parameters a spread can be seen, shape `(P,)`."""
     of_rig = np.array([parameter.of_rig for parameter in parameters])
     # Nothing is known of what no run depends on: it has neither mean nor spread.
     return np.asarray(~of_rig & (information.informed > 0) & (len(specimens) >= MIN_SPECIMENS))
 
 
-def _inseparable(information: _Information, best: FloatArray, parameters: Sequence[Parameter]) -> Iterator[str]:
+def _inseparable(information: Likelihoods, best: FloatArray, parameters: Sequence[Parameter]) -> Iterator[str]:
     _, covariance = information.mean(best)
     sd = np.sqrt(np.diag(covariance))
     for group in correlated_groups(covariance / np.outer(sd, sd)):
@@ -362,7 +362,7 @@ def _inseparable(information: _Information, best: FloatArray, parameters: Sequen
 
 
 def _pooled_parameters(
-    information: _Information,
+    information: Likelihoods,
     best: FloatArray,
     parameters: Sequence[Parameter],
     scales: PriorScales,
@@ -385,7 +385,7 @@ def _pooled_parameters(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PooledParameter:
-    information: _Information
+    information: Likelihoods
     best: FloatArray
     place: int
     parameter: Parameter
@@ -479,7 +479,7 @@ def _pool_coulomb(
         parameter = Parameter(name, "1", nominal, unit, positive=positive, meaning=meaning)
         scales = PriorScales.of([parameter])
         precision = (scales.slopes(values) / errors) ** 2
-        information = _Information(precision[:, :, None], precision * scales.deviations(values), np.full(1, 100.0))
+        information = Likelihoods(precision[:, :, None], precision * scales.deviations(values), np.full(1, 100.0))
         own = [{name: estimates[specimen]} for specimen in tested]
         best = _restricted_maximum(information, np.ones(1, dtype=np.bool_))
         yield from _pooled_parameters(information, best, [parameter], scales, tested, own)

@@ -161,8 +161,7 @@ def _mapped_values(
     table: ForeignTable, mapped: Mapping[str, _MappedColumn], settings: ImportSettings
 ) -> tuple[dict[str, FloatArray], list[str]]:
     """Return the converted columns by quantity, and remarks on counters that wrapped."""
-    values: dict[str, FloatArray] = {}
-    told: list[str] = []
+    values, told = dict[str, FloatArray](), list[str]()
     for name, source in mapped.items():
         numbers = table.numbers(source.column, whole=settings.missing == "refuse")
         if name in COUNTED_QUANTITIES:

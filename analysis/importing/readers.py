@@ -145,10 +145,9 @@ def read_workbook(path: Path, settings: ImportSettings) -> tuple[ForeignTable, .
         book = CalamineWorkbook.from_path(str(path))
         sheets = {name: book.get_sheet_by_name(name).to_python(skip_empty_area=False) for name in book.sheet_names}
     by_tabs = settings.model_copy(update={"delimiter": "tab"})
-    tables: list[ForeignTable] = []
-    told: list[str] = []
+    tables, told = list[ForeignTable](), list[str]()
     for name, rows in sheets.items():
-        text = "\n".join("\t".join(_cell_text(cell) for cell in row) for row in rows)
+        text = "\n".join("\t".join(cell_text(cell) for cell in row) for row in rows)
         if not text.strip():
             continue
         in_one_column = all(sum(map(bool, row)) <= 1 for row in rows)
@@ -165,7 +164,8 @@ def read_workbook(path: Path, settings: ImportSettings) -> tuple[ForeignTable, .
     return (replace(tables[0], remarks=(*tables[0].remarks, *told)), *tables[1:])
 
 
-def _cell_text(cell: object) -> str:
+def cell_text(cell: object) -> str:
+    """Return a workbook's cell as text: a duration in hours, minutes and seconds, a date as ISO 8601 has it."""
     if isinstance(cell, timedelta):
         minutes, seconds = divmod(cell.total_seconds(), 60)
         return f"{int(minutes // 60)}:{int(minutes % 60):02}:{seconds:09.6f}"

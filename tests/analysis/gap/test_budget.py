@@ -234,18 +234,18 @@ def test_intervals_widen_with_what_else_explains_the_runs_and_with_the_form() ->
     assert doubtful.share_95ci is not None
     assert doubtful.share_95ci[0] < 0.2 < sure.share_95ci[0]
     assert sure.share_95ci[1] - sure.share >= 0.09
-    assert budget._with_form_error(0.5, (0.5, 0.5)) == pytest.approx((0.41, 0.59))
-    assert budget._with_form_error(0.5, (0.38, 0.9)) == pytest.approx(
+    assert budget.with_form_error(0.5, (0.5, 0.5)) == pytest.approx((0.41, 0.59))
+    assert budget.with_form_error(0.5, (0.38, 0.9)) == pytest.approx(
         (0.5 - np.hypot(0.12, 0.09), 0.5 + np.hypot(0.4, 0.09))
     )
-    assert budget._with_form_error(0.5, (0.6, 0.4)) == pytest.approx((0.41, 0.59))
-    assert budget._with_form_error(0.5, None) is None
+    assert budget.with_form_error(0.5, (0.6, 0.4)) == pytest.approx((0.41, 0.59))
+    assert budget.with_form_error(0.5, None) is None
 
 
 def test_likely_explanations_drop_what_may_not_be_there() -> None:
     """Their weights are the tempered odds of the compared sets with what is established, times what is trusted."""
     _, causes = prepared()
-    weights = budget._likely_explanations(causes, CHOSEN, ESTABLISHED)
+    weights = budget.likely_explanations(causes, CHOSEN, ESTABLISHED)
     assert sum(weights.values()) == pytest.approx(1.0)
     expected: dict[CauseSet, float] = {}
     for key, value in {CHOSEN: 30.0, ((0, 1), (2, 0), (3, 1)): 29.0}.items():
@@ -258,13 +258,13 @@ def test_likely_explanations_drop_what_may_not_be_there() -> None:
     assert set(weights) == set(expected)
     for key, weight in weights.items():
         assert weight == pytest.approx(expected[key] / total)
-    unsure = budget._likely_explanations(replace(causes, effects={"stribeck": 0.6, "adhesion": 0.3}), CHOSEN, {})
+    unsure = budget.likely_explanations(replace(causes, effects={"stribeck": 0.6, "adhesion": 0.3}), CHOSEN, {})
     assert sum(weight for key, weight in unsure.items() if (0, 1) in key) < 0.9
     sure = replace(causes.presence, probabilities={**PROBABILITIES, "exchange": 0.9995}, log_odds={((5, 0),): 9.0})
-    assert budget._likely_explanations(replace(causes, presence=sure), ((5, 0),), {}) == {((5, 0),): 1.0}
+    assert budget.likely_explanations(replace(causes, presence=sure), ((5, 0),), {}) == {((5, 0),): 1.0}
     likely = replace(sure, probabilities={**PROBABILITIES, "exchange": 0.998})
-    assert budget._likely_explanations(replace(causes, presence=likely), ((5, 0),), {}) == {((5, 0),): 0.5, (): 0.5}
-    nothing = budget._likely_explanations(causes, CHOSEN, {"stribeck": 0.95, "payload_inertia": 0.9})
+    assert budget.likely_explanations(replace(causes, presence=likely), ((5, 0),), {}) == {((5, 0),): 0.5, (): 0.5}
+    nothing = budget.likely_explanations(causes, CHOSEN, {"stribeck": 0.95, "payload_inertia": 0.9})
     assert max(nothing, key=lambda key: nothing[key]) in expected
     assert set(nothing) <= {key for key in expected if set(key) <= set(CHOSEN)} | {CHOSEN[:1]}
 
@@ -316,11 +316,11 @@ def test_the_budget_joins_lines_and_position_to_the_force() -> None:
 
 
 def test_a_line_alone_is_the_whole_gap_and_no_line_changes_nothing() -> None:
-    line, rest = budget._with_line((), 0.0, "mains_hum", 2.0, 0.9)
+    line, rest = budget.with_line((), 0.0, "mains_hum", 2.0, 0.9)
     assert line == BudgetEntry("mains_hum", "force", 1.0, None, 2.0, presence=0.9)
     assert rest == BudgetEntry(UNEXPLAINED, "force", 0.0, None, 0.0)
     given = (BudgetEntry(UNEXPLAINED, "force", 1.0, None, 0.0),)
-    assert budget._with_line(given, 0.0, "mains_hum", 0.0, 0.9) is given
+    assert budget.with_line(given, 0.0, "mains_hum", 0.0, 0.9) is given
 
 
 def test_every_effect_has_a_probability_that_is_never_sure() -> None:
@@ -339,31 +339,31 @@ def test_every_effect_has_a_probability_that_is_never_sure() -> None:
 def test_a_rival_that_is_unlikely_by_all_is_none() -> None:
     entry = BudgetEntry("stribeck", "force", 0.9, None, 1.0, not_separable_from=("adhesion", "payload_inertia"))
     presence = {"stribeck": 0.9, "adhesion": 0.9 * exp(-2.99), "payload_inertia": 0.9 * exp(-3.01)}
-    (kept,) = budget._without_unlikely_rivals((entry,), presence)
+    (kept,) = budget.without_unlikely_rivals((entry,), presence)
     assert kept.not_separable_from == ("adhesion",)
 
 
 def test_parts_are_called_by_what_is_likely() -> None:
     _, causes = prepared()
     everything: CauseSet = ((0, 1), (1, 0), (2, 0), (3, 1), (4, 0), (5, 0))
-    found = budget._parts_of(causes.competition, causes.presence, everything, ESTABLISHED)
+    found = budget.parts_of(causes.competition, causes.presence, everything, ESTABLISHED)
     assert found == {
         "stribeck": ((0, 1), (1, 0)), MODEL: ((2, 0),), SPECIMEN: ((3, 1),), UNEXPLAINED: ((4, 0), (5, 0)),
     }  # fmt: skip
     unlikely = replace(causes.presence, probabilities=dict.fromkeys(PROBABILITIES, 0.5))
-    found = budget._parts_of(causes.competition, unlikely, everything, {})
+    found = budget.parts_of(causes.competition, unlikely, everything, {})
     assert found == {UNEXPLAINED: everything}
     likely = replace(causes.presence, probabilities=dict.fromkeys(PROBABILITIES, 0.51))
-    found = budget._parts_of(causes.competition, likely, everything, {})
+    found = budget.parts_of(causes.competition, likely, everything, {})
     assert found == {UNEXPLAINED: ((0, 1), (1, 0), (4, 0)), MODEL: ((2, 0),), SPECIMEN: ((3, 1), (5, 0))}
-    words = budget._words_of(causes.competition, everything)
+    words = budget.words_of(causes.competition, everything)
     assert words == "stribeck, speed in the gut, laws of the model, gain of a run, adhesion, exchange"
 
 
 def test_shares_are_sampled_over_runs_and_over_what_these_leave_open() -> None:
     study, causes = prepared()
     study.problem.noises = [SimpleNamespace(white=4.0, slow_sd=0.1)] * RUNS
-    (explanation,) = budget._held_out_explanations(study, causes, ESTABLISHED, [CHOSEN])  # type: ignore[arg-type]
+    (explanation,) = budget.held_out_explanations(study, causes, ESTABLISHED, [CHOSEN])  # type: ignore[arg-type]
     names = ("stribeck", "not there", SPECIMEN)
     found = explanation.sampled_shares(4000, names, np.random.default_rng(1))
     values = np.concatenate([
@@ -388,7 +388,7 @@ def test_shares_are_sampled_over_runs_and_over_what_these_leave_open() -> None:
 
 def test_what_an_explanation_keeps_of_each_run_is_its_moments_with_the_gap() -> None:
     study, causes = prepared()
-    (explanation,) = budget._held_out_explanations(study, causes, ESTABLISHED, [CHOSEN])  # type: ignore[arg-type]
+    (explanation,) = budget.held_out_explanations(study, causes, ESTABLISHED, [CHOSEN])  # type: ignore[arg-type]
     assert (explanation.causes, explanation.parts, explanation.held_out) == (CHOSEN, tuple(PARTS), True)
     assert explanation.members.tolist() == [0, 0, 1, 1, 2]
     for run, coefficients, moments in zip(explanation.runs, explanation.coefficients, explanation.moments, strict=True):
@@ -396,9 +396,9 @@ def test_what_an_explanation_keeps_of_each_run_is_its_moments_with_the_gap() -> 
             explained = sum(coefficients[member] * moments[member] for member in members)
             assert explained == pytest.approx(float(run.weights_s @ (run.parts[number] * run.gap)))
     few = [replace(explanation, runs=explanation.runs[:2])]
-    assert budget._share_intervals(few, {CHOSEN: 1.0}, tuple(PARTS)) == [None] * 4
-    assert budget._share_intervals([explanation], {CHOSEN: 0.4}, tuple(PARTS)) == [None] * 4
-    whole = budget._share_intervals([explanation], {CHOSEN: 1.0}, tuple(PARTS))
+    assert budget.share_intervals(few, {CHOSEN: 1.0}, tuple(PARTS)) == [None] * 4
+    assert budget.share_intervals([explanation], {CHOSEN: 0.4}, tuple(PARTS)) == [None] * 4
+    whole = budget.share_intervals([explanation], {CHOSEN: 1.0}, tuple(PARTS))
     sampled = explanation.sampled_shares(1000, tuple(PARTS), np.random.default_rng(0))
     with_rest = np.column_stack((sampled, 1.0 - sampled.sum(axis=1)))
     np.testing.assert_allclose(whole, np.quantile(with_rest, (0.025, 0.975), axis=0).T)

@@ -303,10 +303,10 @@ def test_runs_of_the_diagnosis_are_left_out_and_all_of_them_refused() -> None:
     ids = tuple(entry.run.info.header.run_id for entry in selection.experiments)
     assert MODEL.diagnosed is not None
     known = MODEL.model_copy(update={"diagnosed": MODEL.diagnosed.model_copy(update={"run_ids": ids[:3]})})
-    left = evaluation._without_diagnosed(selection, known)
+    left = evaluation.without_diagnosed(selection, known)
     assert [entry.run.info.header.run_id for entry in left.experiments] == list(ids[3:])
     fresh = MODEL.model_copy(update={"diagnosed": None})
-    assert evaluation._without_diagnosed(selection, fresh).experiments == selection.experiments
+    assert evaluation.without_diagnosed(selection, fresh).experiments == selection.experiments
     every = MODEL.model_copy(update={"diagnosed": MODEL.diagnosed.model_copy(update={"run_ids": ids})})
     with pytest.raises(AnalysisError) as caught:
         evaluate(selection, every)

@@ -11,7 +11,7 @@ import pytest
 from diagnosed import UNADVISED
 from dragrig.analysis.gap import GapReduction, ModelEvaluation, PromiseVerdict, R2BeforeAfter, RelativeEffectSize
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.evaluation import _run_weights
+from dragrig.analysis.gap.evaluation import run_weights
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL as CAPSULE
 from dragrig.api import gap_evaluate
@@ -198,7 +198,7 @@ def test_the_page_says_that_its_runs_are_simulated() -> None:
 
 
 def test_no_bootstrap_sample_leaves_out_the_one_run_that_shows_an_effect() -> None:
-    weights = _run_weights(18, np.random.default_rng(0))
+    weights = run_weights(18, np.random.default_rng(0))
     assert weights.min() > 0
     assert np.allclose(weights.mean(axis=1), 1.0)
     assert np.var(weights) == pytest.approx(1.0, abs=0.15)

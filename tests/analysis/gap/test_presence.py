@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from diagnosed import UNADVISED, DiagnosedCampaigns
-from dragrig.analysis.gap.budget import CausesOfGap, _likely_explanations
+from dragrig.analysis.gap.budget import CausesOfGap, likely_explanations
 from dragrig.analysis.gap.classifier import combined_presence, restate
 from dragrig.analysis.gap.design import Candidate
 from dragrig.analysis.gap.diagnose import diagnose
@@ -276,7 +276,7 @@ def test_intervals_know_of_explanations_without_what_may_not_be_there() -> None:
     established = {"folds": 0.97, "adhesion": 0.6}
     causes = causes_that_may_be(established)
     chosen = ((0, 0), (1, 0), (2, 0))
-    weights = _likely_explanations(causes, chosen, established)
+    weights = likely_explanations(causes, chosen, established)
 
     def probability(number: int) -> float:
         return sum(weight for key, weight in weights.items() if number in {index for index, _ in key})

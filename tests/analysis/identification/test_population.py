@@ -16,7 +16,7 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2, multivariate_normal, norm
 
 from dragrig.analysis import Exclusion, Identification, JointFit, ParameterEstimate, SpecimenFit, pool_specimens
-from dragrig.analysis.identification.population import Population, PopulationParameter, _Information
+from dragrig.analysis.identification.population import Likelihoods, Population, PopulationParameter
 from dragrig.analysis.linear_gaussian import PriorScales
 from dragrig.analysis.models.nominal_model import Parameter
 from dragrig.cli import main
@@ -236,7 +236,7 @@ def test_deviations_integrated_out_are_those_of_one_dense_gaussian() -> None:
     roots = random.normal(size=(count, size, size))
     matrices, vectors = roots @ np.swapaxes(roots, 1, 2) + np.eye(size), random.normal(size=(count, size))
     prior_sd, spread = np.array([1.0, 2.5]), np.array([0.7, 1.4])
-    found = _Information(matrices, vectors, prior_sd)
+    found = Likelihoods(matrices, vectors, prior_sd)
     # The unknowns are the means and each specimen's deviations from them.
     precision = np.zeros((size * (count + 1), size * (count + 1)))
     seen = np.zeros(len(precision))

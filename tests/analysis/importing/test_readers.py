@@ -14,7 +14,7 @@ from pyarrow import feather, parquet
 
 from dragrig.analysis.importing import file_kinds
 from dragrig.analysis.importing.import_settings import ImportSettings
-from dragrig.analysis.importing.readers import _cell_text, read_foreign, text_of
+from dragrig.analysis.importing.readers import cell_text, read_foreign, text_of
 from dragrig.config import ImportDataError
 
 MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
@@ -247,7 +247,7 @@ def test_what_is_no_text_is_said_with_its_line(tmp_path: Path, content: bytes, e
     ],
 )
 def test_cells_become_text_as_a_person_writes_it(cell_value: object, text: str) -> None:
-    assert _cell_text(cell_value) == text
+    assert cell_text(cell_value) == text
 
 
 def test_tables_within_a_sheet_carry_its_name(tmp_path: Path) -> None:
