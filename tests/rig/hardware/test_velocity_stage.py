@@ -56,8 +56,9 @@ def rig(room: Room[VoltageRig]) -> Iterator[VoltageRig]:
     rig.stage.disable()
     until(lambda: rig.bench.powered)
     rig.stage.enable()
-    if away_mm := rig.stage.state().position_mm:
-        rig.stage.move(stroke(-away_mm, 100.0))
+    # It creeps by some counts meanwhile: to its very end it may be asked beyond it.
+    if (away_mm := rig.stage.state().position_mm) > 0.04:
+        rig.stage.move(stroke(0.02 - away_mm, 100.0))
         rig.await_standstill()
 
 
