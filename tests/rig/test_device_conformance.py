@@ -15,7 +15,7 @@ from dragrig.rig.devices import MAX_BLOCK_S, Backend, BackendRequest, read_idle
 from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, Phase, Piece
 from dragrig.sim_backend.devices import open_backend
 from dragrig.sim_backend.doubles.backend import open_backend as open_double
-from driving import Room, until
+from driving import Room, is_back, until
 from property_tests import thorough
 from simulated import NEVER, PATIENT, acquire, begin, blocks, record, rest, settings, stroke
 from voltage_bench import LEAD_S, open_voltage_rig, velocity_rig
@@ -151,11 +151,8 @@ def backend(rig: RigUnderTest, room: Room[Backend]) -> Iterator[Backend]:
     backend.stage.stop()
     until(lambda: not backend.stage.state().moving)
     backend.stage.enable()
-    # A stage that is told speeds creeps by some counts meanwhile: to its very end it may be asked beyond it.
-    spare_mm = 0.2 * rig.position_tolerance_mm
-    if (away_mm := backend.stage.state().position_mm) > 2 * spare_mm:
-        backend.stage.move(stroke(travel_mm=spare_mm - away_mm))
-        until(lambda: not backend.stage.state().moving)
+    near_mm = min(0.01, 0.5 * rig.position_tolerance_mm)
+    until(lambda: is_back(backend.stage, lambda away_mm: stroke(travel_mm=-away_mm), near_mm))
 
 
 def wait_for(rig: RigUnderTest, backend: Backend, profile: MotionProfile) -> None:

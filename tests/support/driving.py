@@ -3,14 +3,15 @@
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import pytest
 
+from dragrig.config.errors import DeviceError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.rig.devices import Backend
+from dragrig.rig.devices import Backend, Stage
 from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.monitor import StageDevices, Watchdog
@@ -38,6 +39,19 @@ def until(condition: Callable[[], bool], within_s: float = 600.0) -> float:
         assert time.monotonic() - began < within_s, "it never happened"
         time.sleep(0.01)
     return time.monotonic() - began
+
+
+def is_back(stage: Stage, stroke: Callable[[float], MotionProfile], near_mm: float = 0.01) -> bool:
+    """Tell whether a stage stands at its zero; if it does not, move it there.
+
+    A stage that is told speeds creeps by some counts between a look and the motion, which then may end beyond its
+    travel and is refused: look again.
+    """
+    state = stage.state()
+    if not state.moving and abs(state.position_mm) > near_mm:
+        with suppress(DeviceError):
+            stage.move(stroke(state.position_mm))
+    return not state.moving and abs(state.position_mm) <= near_mm
 
 
 class Room(Generic[Opened]):

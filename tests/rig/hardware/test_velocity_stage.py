@@ -19,7 +19,7 @@ from dragrig.rig.hardware.dialects.base import Parameter
 from dragrig.rig.hardware.drive.velocity_loop import MotionCommand, SpeedController
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
 from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM
-from driving import Room, until
+from driving import Room, is_back, until
 from property_tests import thorough
 from remote_doubles import RemoteDoubles
 from simulated import NEVER, acquire, begin, blocks, record, session, settings, stroke
@@ -56,10 +56,7 @@ def rig(room: Room[VoltageRig]) -> Iterator[VoltageRig]:
     rig.stage.disable()
     until(lambda: rig.bench.powered)
     rig.stage.enable()
-    # It creeps by some counts meanwhile: to its very end it may be asked beyond it.
-    if (away_mm := rig.stage.state().position_mm) > 0.04:
-        rig.stage.move(stroke(0.02 - away_mm, 100.0))
-        rig.await_standstill()
+    until(lambda: is_back(rig.stage, lambda away_mm: stroke(-away_mm, 100.0)))
 
 
 def wavy(duration_s: float = 1.0) -> MotionProfile:
@@ -101,7 +98,8 @@ def test_the_force_is_that_of_the_simulated_rig(rig: VoltageRig) -> None:
         assert got[part].mean() == pytest.approx(expected[part].mean(), abs=3.0)
 
 
-def test_holds_its_place_comes_back_when_pushed_and_trips_when_pushed_away(rig: VoltageRig) -> None:
+def test_holds_its_place_comes_back_when_pushed_and_trips_when_pushed_away(cold: VoltageRig) -> None:
+    rig = cold.ready()
     rig.stage.move(stroke(10.0))
     rig.await_standstill()
     rig.clock.sleep(1.5, NEVER)
