@@ -303,8 +303,7 @@ def _extra_channels(
     stated_units
         By the identity of a column, the unit that a map states.
     """
-    extra: dict[str, ForeignColumn] = {}
-    told: list[str] = []
+    extra, told = dict[str, ForeignColumn](), list[str]()
     for number, column in enumerate(table.columns, start=1):
         if any(column is known for known in used):
             continue

@@ -50,11 +50,11 @@ def read_mat(path: Path) -> tuple[ForeignTable, ...]:
         # One by one: objects have their names elsewhere, and would replace each other.
         streams = [file] if is_version_4 else [stream for _, stream in varmats_from_mat(file)]
         variables: dict[str, object] = {}
-        contents = [loadmat(stream) for stream in streams]  # type: ignore[arg-type]  # the stubs know paths alone
-        for name, value in (variable for content in contents for variable in content.items()):
+        # The stubs of SciPy before 1.18 know paths alone, and its objects have their names among their fields.
+        for name, value in (item for stream in streams for item in loadmat(stream).items()):  # type: ignore[arg-type]
             if name and not name.startswith("__"):
-                is_object = isinstance(value, MatlabOpaque)
-                own_name = value["s0"].item().decode() if is_object else name
+                named_within = isinstance(value, MatlabOpaque) and "s0" in (value.dtype.names or ())
+                own_name = value["s0"].item().decode() if named_within else name
                 variables[own_name] = _plain(own_name, value)
         return tables_of(path, variables)
 
@@ -65,7 +65,8 @@ def _plain(name: str, value: object) -> object:
     from scipy.sparse import issparse
 
     if isinstance(value, MatlabOpaque):
-        return _object(name, value["s2"].item().decode())
+        before_1_18 = "s2" in (value.dtype.names or ())
+        return _object(name, value["s2"].item().decode() if before_1_18 else str(value["_Class"].item()))
     if isinstance(value, MatlabFunction) or issparse(value) or not isinstance(value, np.ndarray):
         return Unread(_NO_TABLE)
     if value.dtype.names:
