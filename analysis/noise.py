@@ -621,7 +621,7 @@ def _coarser(layout: _BlockLayout, means: FloatArray) -> tuple[_BlockLayout, Flo
 
 
 def solve_lower(root: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the solution of a lower triangular system, for values of shape `(B,)` or `(B, m)`."""
+    """Solve a lower triangular system with a root of shape `(B, B)`, for values of shape `(B,)` or `(B, m)`."""
     from scipy.linalg.blas import dtrsm
 
     # The transposed system, for which BLAS needs no copy of values that are stored row by row.

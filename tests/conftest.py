@@ -28,6 +28,7 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ.setdefault("PYTEST_QT_API", "pyside6")
 
 from disks import is_root, mounted
+from places import ROOT
 from windows import lacking
 
 if TYPE_CHECKING:
@@ -61,7 +62,9 @@ def is_thorough(config: pytest.Config) -> bool:
 def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
     """Have a single process compile the tests where that was never done, for all others would compile the same."""
     if hasattr(session.config, "workerinput"):
-        compiled = session.config.cache.mkdir("compiled") / sys.implementation.cache_tag
+        cache = ROOT / ".pytest_cache"
+        cache.mkdir(exist_ok=True)
+        compiled = cache / f"compiled-{sys.implementation.cache_tag}"
         with FileLock(f"{compiled}.lock"):
             if not compiled.exists():
                 result = yield

@@ -36,7 +36,7 @@ from dragrig.config.errors import AnalysisError, RunFileError
 from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
 from dragrig.rig.runfile import mark_bad, read_run
 from dragrig.rig.runfile.model import Run, RunStatus
-from places import CAMPAIGN
+from places import CAMPAIGN, copied_runs
 from true_model import TRUE_MODEL
 
 
@@ -66,14 +66,6 @@ def measure(pair: RunPair, name: str) -> MeasureDifference:
 def with_force(run: Run, change: Callable[[np.ndarray], np.ndarray]) -> Run:
     force = np.asarray(change(np.asarray(run.trace.force, dtype=float).copy()))
     return replace(run, trace=replace(run.trace, channels={**run.trace.channels, "force": force}))
-
-
-def practice(folder: Path, *names: str) -> Path:
-    """Copy some runs of the campaign into a folder."""
-    folder.mkdir()
-    for name in names:
-        shutil.copy(CAMPAIGN / name, folder)
-    return folder
 
 
 def beyond(result: Comparison) -> list[str]:
@@ -199,7 +191,7 @@ def test_the_true_model_explains_a_foreign_campaign_and_the_papers_does_not() ->
 
 
 def test_bad_aborted_and_unreadable_runs_are_left_out_with_the_reason(tmp_path: Path) -> None:
-    first, folder = (practice(tmp_path / name, "005-blank.h5", "010-drag.h5") for name in "ab")
+    first, folder = (copied_runs(tmp_path / name, "005-blank.h5", "010-drag.h5") for name in "ab")
     mark_bad(folder / "010-drag.h5", "capsule slipped")
     (folder / "999-drag.h5").write_bytes(b"no run")
     comparison = dragrig.compare(first, folder)
@@ -240,7 +232,7 @@ def test_missing_numbers_leave_out_what_needs_them_and_nothing_else() -> None:
 
 
 def test_the_same_campaign_twice_and_several_specimens_are_said(tmp_path: Path) -> None:
-    few = practice(tmp_path / "few", "005-blank.h5", "010-drag.h5", "014-drag.h5")
+    few = copied_runs(tmp_path / "few", "005-blank.h5", "010-drag.h5", "014-drag.h5")
     comparison = dragrig.compare(few, few)
     assert any("compared with itself" in remark for remark in comparison.remarks)
     assert not beyond(comparison)
@@ -305,8 +297,8 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    practice(tmp_path / "a", "005-blank.h5", "010-drag.h5")
-    practice(tmp_path / "b", "005-blank.h5", "010-drag.h5", "014-drag.h5")
+    copied_runs(tmp_path / "a", "005-blank.h5", "010-drag.h5")
+    copied_runs(tmp_path / "b", "005-blank.h5", "010-drag.h5", "014-drag.h5")
     (tmp_path / "a" / "compared-with-b").mkdir()
     assert main(["compare", "a", "b"]) == 0
     out = capsys.readouterr().out
@@ -329,7 +321,7 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
 
 
 def test_a_run_file_is_never_changed(tmp_path: Path) -> None:
-    folder = practice(tmp_path / "a", "005-blank.h5")
+    folder = copied_runs(tmp_path / "a", "005-blank.h5")
     before = {path.name: path.read_bytes() for path in folder.glob("*.h5")}
     assert main(["compare", str(folder / "005-blank.h5"), "--model", "paper", "--out", str(tmp_path / "out")]) == 0
     assert {path.name: path.read_bytes() for path in folder.glob("*.h5")} == before

@@ -15,7 +15,7 @@ from dragrig.analysis.export import ExportSelection, export_content
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.runfile import read_mark, read_run
-from places import CAMPAIGN
+from places import copied_runs
 
 
 class Command:
@@ -44,10 +44,7 @@ def command(capsys: pytest.CaptureFixture[str]) -> Command:
 def practice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A run of each kind."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "c").mkdir()
-    for name in ("001-relaxation.h5", "005-blank.h5", "008-coulomb.h5", "010-drag.h5"):
-        shutil.copy(CAMPAIGN / name, tmp_path / "c")
-    return tmp_path / "c"
+    return copied_runs(tmp_path / "c", "001-relaxation.h5", "005-blank.h5", "008-coulomb.h5", "010-drag.h5")
 
 
 def test_filter_stores_the_result_beside_the_raw_trace(command: Command, practice: Path) -> None:

@@ -14,7 +14,7 @@ from dragrig.cli import main
 from dragrig.config.errors import AnalysisError
 from dragrig.rig.runfile import mark_bad, read_run
 from dragrig.rig.runfile.model import Run
-from places import CAMPAIGN
+from places import CAMPAIGN, copied_runs
 
 
 @pytest.fixture
@@ -25,11 +25,7 @@ def campaign(tmp_path: Path) -> Path:
 @pytest.fixture
 def few(tmp_path: Path) -> Path:
     """A Coulomb run and two drags, which take a third of the time."""
-    folder = tmp_path / "few"
-    folder.mkdir()
-    for name in ("008-coulomb.h5", "010-drag.h5", "018-drag.h5"):
-        shutil.copy(CAMPAIGN / name, folder)
-    return folder
+    return copied_runs(tmp_path / "few", "008-coulomb.h5", "010-drag.h5", "018-drag.h5")
 
 
 def test_the_model_that_was_identified_runs_the_simulator(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:

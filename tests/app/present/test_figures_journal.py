@@ -3,7 +3,6 @@
 import io
 import os
 import re
-import shutil
 import time
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from dragrig.present.document import (
 from dragrig.present.drawing import MM_PER_INCH, figure_style, new_figure
 from dragrig.present.files import save_figure, svg_text, write_picture
 from dragrig.sim_backend.effects.base import catalogue
-from places import CAMPAIGN
+from places import CAMPAIGN, copied_runs
 from property_tests import thorough
 
 PT_PER_MM = 72 / MM_PER_INCH
@@ -102,10 +101,7 @@ def test_letters_are_those_of_print_and_there_is_no_title(tmp_path: Path) -> Non
 
 
 def test_a_diagnosis_writes_its_figures_beside_a_page_for_the_screen(tmp_path: Path) -> None:
-    campaign = tmp_path / "campaign"
-    campaign.mkdir()
-    for name in ("005-blank.h5", "010-drag.h5", "018-drag.h5"):
-        shutil.copy(CAMPAIGN / name, campaign)
+    campaign = copied_runs(tmp_path / "campaign", "005-blank.h5", "010-drag.h5", "018-drag.h5")
     left_out = [word for effect in catalogue() if effect != "stribeck" for word in ("--without", effect)]
     assert main(["gap", "diagnose", str(campaign), "--figures", str(tmp_path / "made"), "--picture-format", "pdf",
                  "--column", "double", "--report", str(tmp_path / "gap.html"), "-q", *left_out]) == 0  # fmt: skip

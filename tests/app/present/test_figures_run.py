@@ -30,7 +30,7 @@ from dragrig.present.run_figures import WIDTH_IN, run_figure
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile import mark_bad, read_run
 from dragrig.rig.runfile.model import FilteredTrace, Run, RunEvent, RunStatus
-from places import CAMPAIGN
+from places import CAMPAIGN, copied_runs
 from property_tests import thorough
 
 
@@ -418,10 +418,7 @@ def test_show_says_where_each_picture_is_and_writes_over_none(tmp_path: Path) ->
 
 
 def test_show_draws_a_folder_and_its_overview(tmp_path: Path) -> None:
-    folder = tmp_path / "camp"
-    folder.mkdir()
-    for name in ("005-blank.h5", "014-drag.h5"):
-        shutil.copy(CAMPAIGN / name, folder)
+    folder = copied_runs(tmp_path / "camp", "005-blank.h5", "014-drag.h5")
     answer = json.loads(invoke(str(folder), "--json", "--out", str(tmp_path / "out")))
     assert [Path(row["source"]).name for row in answer] == ["005-blank.h5", "014-drag.h5", "camp"]
     assert all(Path(row["picture"]).read_bytes().startswith(b"\x89PNG") for row in answer)

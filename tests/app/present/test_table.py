@@ -31,7 +31,7 @@ from dragrig.present.document import FormattedNumber
 from dragrig.present.run import measures_table
 from dragrig.present.terminal import document_text
 from dragrig.rig.runfile import mark_bad, read_run
-from places import CAMPAIGN
+from places import CAMPAIGN, copied_runs
 
 
 @pytest.fixture
@@ -44,11 +44,7 @@ def campaign(tmp_path: Path) -> Path:
 @pytest.fixture
 def three(tmp_path: Path) -> Path:
     """A blank run and two drags at 60 mm/s."""
-    folder = tmp_path / "three"
-    folder.mkdir()
-    for name in ("005-blank.h5", "014-drag.h5", "018-drag.h5"):
-        shutil.copy(CAMPAIGN / name, folder)
-    return folder
+    return copied_runs(tmp_path / "three", "005-blank.h5", "014-drag.h5", "018-drag.h5")
 
 
 def test_every_run_has_a_row_in_order(campaign: Path) -> None:

@@ -2,7 +2,6 @@
 
 import multiprocessing
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 
 from diagnoses import ALL, RIPPLE_AND_AGEING, STRIBECK, TOGETHER, without_pictures
-from places import CAMPAIGN
+from places import CAMPAIGN, copied_runs
 from windows import BUSY, WAIT_MS, Until, dressed, lab_in, press, require_qt
 
 require_qt()
@@ -133,10 +132,8 @@ def test_a_diagnosis_shows_everything_that_the_terminal_prints(qtbot: QtBot, dia
 
 
 def test_a_specimen_is_identified_and_reported_on(window: MainWindow, until: Until, tmp_path: Path) -> None:
-    page, campaign = window.diagnose, tmp_path / "practice"
-    campaign.mkdir()
-    for name in ("001-relaxation.h5", "008-coulomb.h5", "010-drag.h5"):
-        shutil.copy(CAMPAIGN / name, campaign)
+    page = window.diagnose
+    campaign = copied_runs(tmp_path / "practice", "001-relaxation.h5", "008-coulomb.h5", "010-drag.h5")
     page.offer(str(campaign))
     press(page.identify)
     assert not page.report.isEnabled()
