@@ -1,10 +1,11 @@
 """Independent tasks in this process, in worker processes that may be killed, or on a Dask cluster."""
 
+import asyncio
 import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -287,6 +288,27 @@ def _exit_with_parent() -> None:
         _exit(1)
 
 
+class _ClusterExecutor(Executor):
+    """Submits tasks to a Dask cluster; whatever is not done when its client closes is dropped.
+
+    The executor of `Client.get_executor` reads the status of a task once its result is there, and fails where the
+    worker that made it was lost in between.
+    """
+
+    def __init__(self, client: "Client") -> None:
+        self._client = client
+
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        """Submit a task, which must pickle."""
+        task = self._client.submit(fn, *args, pure=False, **kwargs)
+        loop: asyncio.AbstractEventLoop = self._client.loop.asyncio_loop  # type: ignore[union-attr]
+        return asyncio.run_coroutine_threadsafe(_result_of(task), loop)
+
+
+async def _result_of(task: Awaitable[R]) -> R:
+    return await task
+
+
 @contextmanager
 def dask_executor(address: str) -> Iterator[Executor]:
     """Yield the executor of the cluster whose scheduler is at an address, such as `tcp://127.0.0.1:8786`.
@@ -302,6 +324,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
     """
     try:
         from distributed import Client, KilledWorker
+        from distributed.comm.core import CommClosedError
     except ImportError as error:
         raise SettingsError(
             f"--scheduler {address}: Dask is not installed here; install dragrig[dask], or leave --scheduler out."
@@ -316,14 +339,13 @@ def dask_executor(address: str) -> Iterator[Executor]:
     with client:
         _require_same_version(client, address)
         try:
-            with client.get_executor(pure=False) as executor:  # type: ignore[no-untyped-call]
-                yield executor
+            yield _ClusterExecutor(client)
         except KilledWorker as error:
             raise WorkerError(
                 f"--scheduler {address}: {error.allowed_failures + 1} workers ended while they worked on the same "
                 "task; check that there is memory for it."
             ) from error
-        except CancelledError as error:
+        except (CancelledError, CommClosedError) as error:
             raise WorkerError(
                 f"--scheduler {address}: the cluster went away; what is done is saved, so repeat the command once it "
                 "is back."

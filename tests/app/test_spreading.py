@@ -123,7 +123,7 @@ def test_a_dask_cluster_gives_the_same() -> None:
     from distributed import LocalCluster
 
     with (
-        LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
         open_executor(scheduler=cluster.scheduler_address) as workers,
     ):
         assert parallel_map(workers, product, SEEDS) == [product(seed) for seed in SEEDS]
@@ -144,6 +144,25 @@ def test_a_dask_cluster_whose_worker_is_killed_midway_gives_the_same(
         killer.join()
     # What a worker had done but not yet handed over when it was killed is done anew by another.
     require_nothing_lost_or_twice(tmp_path, result, answer, done_before)
+
+
+@pytest.mark.thorough
+def test_a_cluster_that_goes_away_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 100)
+    with dask_cluster(1) as address:
+        from distributed import Client
+
+        with Client(address, set_as_default=False) as client:
+            scheduler = client.run_on_scheduler(os.getpid)
+        finished: list[int] = []
+
+        def told(piece: tuple[Path, int], _: bytes) -> None:
+            finished.append(piece[1])
+            os.kill(scheduler, signal.SIGKILL)
+
+        with pytest.raises(WorkerError, match="the cluster went away"), open_executor(scheduler=address) as workers:
+            parallel_map(workers, traced, [(tmp_path, seed) for seed in SEEDS], told)
+    assert finished
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "abc://x:1"])
