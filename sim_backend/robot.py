@@ -186,16 +186,8 @@ class Resistance(Protocol):
         """Return the distance to where the resistance jumps."""
         ...
 
-    def advance(
-        self,
-        direction: int,
-        start_s: float,
-        width_s: float,
-        position_mm: FloatArray,
-        speed_mm_s: FloatArray,
-        end_mm: float,
-    ) -> None:
-        """Take over a finished panel."""
+    def advance(self, slip: "Slip") -> None:
+        """Take over a finished panel of a slip."""
         ...
 
     def moved(self, time_s: float, way_mm: float) -> Self:
@@ -232,16 +224,8 @@ class _HardSurface:
         del direction, position_mm
         return np.inf
 
-    def advance(
-        self,
-        direction: int,
-        start_s: float,
-        width_s: float,
-        position_mm: FloatArray,
-        speed_mm_s: FloatArray,
-        end_mm: float,
-    ) -> None:
-        del direction, start_s, width_s, position_mm, speed_mm_s, end_mm
+    def advance(self, slip: "Slip") -> None:
+        del slip
 
     def moved(self, time_s: float, way_mm: float) -> Self:
         del time_s, way_mm
@@ -422,36 +406,30 @@ class _GutWall:
         number = int(np.searchsorted(self.jumps_mm, equator + nearest)) - (direction < 0)
         return abs(float(self.jumps_mm[number]) - equator) if 0 <= number < self.jumps_mm.size else np.inf
 
-    def advance(
-        self,
-        direction: int,
-        start_s: float,
-        width_s: float,
-        position_mm: FloatArray,
-        speed_mm_s: FloatArray,
-        end_mm: float,
-    ) -> None:
+    def advance(self, slip: "Slip") -> None:
+        direction = slip.direction
         if direction != self.leading:
-            if self.way_left(direction, end_mm) <= EVENT_TOLERANCE_MM:
+            if self.way_left(direction, slip.end_mm) <= EVENT_TOLERANCE_MM:
                 self.leading = direction
                 self.led_s = float(self.touched_s[-1 if direction > 0 else 0])
             return
-        end = float(self._lead(direction, np.array([end_mm]))[0])
+        end = float(self._lead(direction, np.array([slip.end_mm]))[0])
         travel = abs(end - self.lead_mm)
         if travel <= EVENT_TOLERANCE_MM:
             return
         points = next((count for count, reach in WALL_POINTS if travel < reach), NODES)
         times, weights, values = _wall_points(points)
-        z, touched = self._lead(direction, values @ position_mm), start_s + width_s * times
-        length = width_s * weights * np.maximum(values @ speed_mm_s, 0.0)
+        position = slip.start_mm + direction * (values @ slip.travel_mm)
+        z, touched = self._lead(direction, position), slip.start_s + slip.width_s * times
+        length = slip.width_s * weights * np.maximum(values @ slip.speed_mm_s, 0.0)
         jumps = self.jumps_mm
-        if start_s - self.led_s > MIN_PANEL_S:
+        if slip.start_s - self.led_s > MIN_PANEL_S:
             z = np.concatenate(([self.lead_mm, self.lead_mm], z))
-            touched = np.concatenate(([self.led_s, start_s], touched))
+            touched = np.concatenate(([self.led_s, slip.start_s], touched))
             length = np.concatenate(([0.0, 0.0], length))
             jump = self.lead_mm if direction > 0 else self.lead_mm - self.reach_mm
             jumps = np.append(jumps, jump) if direction > 0 else np.insert(jumps, 0, jump)
-        self.lead_mm, self.led_s = end, start_s + width_s
+        self.lead_mm, self.led_s = end, slip.end_s
         if direction > 0:
             kept = self.z_mm >= end - self.reach_mm
             self.z_mm = np.concatenate((self.z_mm[kept], z))
@@ -911,10 +889,8 @@ class Walker:
 
     def _take(self, panel: Slip) -> None:
         self.slips.append(panel)
-        positions = panel.start_mm + panel.direction * panel.travel_mm
-        end = panel.end_mm
-        self.resistance.advance(panel.direction, panel.start_s, panel.width_s, positions, panel.speed_mm_s, end)
-        self.position_mm = end
+        self.resistance.advance(panel)
+        self.position_mm = panel.end_mm
         stopped = panel.end_speed_mm_s <= 2 * self._tolerance_mm_s
         self.velocity_mm_s = 0.0 if stopped else panel.direction * panel.end_speed_mm_s
 
