@@ -265,16 +265,19 @@ class Study(ABC):
         """Return the uncertainty of each run's predicted block means beside noise, one standard deviation, `(B,)`."""
         return self.problem.uncertainties(z)
 
-    def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray | None:
-        """Return which blocks count for the size of a gap, shape `(B,)`; None, all of them, by default.
+    def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray:
+        """Return which blocks count for the size of a gap: those known from the motion better than a sample's noise.
+
+        Where no block is that certain, as in a motion that is nowhere steady, those that are as certain as usual count.
 
         Parameters
         ----------
         motion_sd
             Uncertainty of each block from the measured motion [mN], shape `(B,)`.
         """
-        del number, motion_sd
-        return None
+        noise = float(np.hypot(self.problem.noises[number].white, self.runs[number].block_data.moving_white))
+        known = motion_sd <= noise
+        return known if known.any() else motion_sd <= float(np.median(motion_sd))
 
     def amended_settings(self, z: FloatArray) -> ModelSettings | None:
         """Return the model with fitted values, to which found effects can be added; None by default."""

@@ -75,18 +75,16 @@ def gap_of_run(
     before: tuple[FloatArray, Whitening],
     after: tuple[FloatArray, Whitening],
     zero_sd: float,
-    informative: BoolArray | None = None,
+    informative: BoolArray,
     max_own_sigmas: float = MAX_OWN_SIGMAS,
 ) -> RunGap:
     """Compare residuals of a run before and after, each with its whitening, shapes `(B,)`.
 
     What a run may be off by is removed from both residuals, for each by itself: run factors within `max_own_sigmas` of
     the scatter of repeats, and the zero offset. Factors of the model with the effect taken from both residuals would
-    give the effect itself back as a gap that it then closes. Blocks count if `informative`, by default all.
+    give the effect itself back as a gap that it then closes. Blocks count if `informative`.
     """
-    weights = run.coordinates.width_s
-    if informative is not None and informative.any():
-        weights = np.where(informative, weights, 0.0)
+    weights = np.where(informative, run.coordinates.width_s, 0.0)
     share = weights / weights.sum()
     floor = noise.white**2 + noise.slow_sd**2 + float(share @ motion_sd**2)
     residuals = []

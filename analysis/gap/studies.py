@@ -50,7 +50,7 @@ from dragrig.analysis.gap.naming_limits import (
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_data_of
 from dragrig.analysis.gap.spectral_lines import add_known_hum_to_noise, known_effects, without_hum
 from dragrig.config import AmendedModelSettings, AnalysisError, Fixture, FrictionModelSettings
-from dragrig.rig import SIGNALS, BoolArray, Contact, FloatArray
+from dragrig.rig import SIGNALS, Contact, FloatArray
 from dragrig.sim_backend.effects import (
     SIMULATED_NOMINAL,
     Channel,
@@ -517,15 +517,6 @@ class PredictedStudy(Study):
         run, values = self.runs[number], self.problem.scales.values(z)
         predictor, time_s = run.block_data.predictor, run.block_data.blocks.nodes_s
         return predicted_scene(run, predictor.predict(values, time_s).total, predictor.parts(values, time_s)), 1.0
-
-    def informative_blocks(self, number: int, motion_sd: FloatArray) -> BoolArray:
-        """Return blocks whose uncertainty from the motion is below the noise of a single sample.
-
-        Where no block is that certain, as in a motion that is nowhere steady, those that are as certain as usual count.
-        """
-        noise = float(np.hypot(self.problem.noises[number].white, self.runs[number].block_data.moving_white))
-        known = motion_sd <= noise
-        return known if known.any() else motion_sd <= float(np.median(motion_sd))
 
     def naming_obstacle(self, design: Design) -> str:
         """Return why these runs do not establish a design's candidates."""

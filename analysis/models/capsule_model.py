@@ -101,6 +101,9 @@ MOTION_TIMING_S, COMMAND_TIMING_S = 0.005, 0.001
 over the last counts of a stop at 400 mm/s², which its encoder cannot show."""
 MOVING_VELOCITY_ERROR_MM_S, CREEP_VELOCITY_ERROR_MM_S = 0.15, 0.05
 """Error of the velocity from 1 µm counts within some 30 ms: of a stage that moves, and of one that creeps."""
+SETTLING_S = 0.008
+"""Time in which the error of the velocity decays before and after a start or stop that follows its command: a position
+loop of 20 Hz gives way to friction by a fraction of a count, so that friction sets in and fades gradually."""
 RELAXED_SHARE = 1e-9
 """The force of a wall that has relaxed to this share no longer depends on the contact's age."""
 
@@ -349,14 +352,19 @@ class SlidingPredictor(Predictor):
         parts = self._parts(dict(zip(self.names, values.tolist(), strict=True)), shifted)
         before, now, after = np.split(parts.viscous + parts.coulomb, 3)
         by_timing = np.maximum(np.abs(before - now), np.abs(after - now))
-        return by_timing if self.follows_command else np.hypot(by_timing, self._creep_uncertainty(now, time_s))
+        return np.hypot(by_timing, self._creep_uncertainty(now, time_s))
 
     def _creep_uncertainty(self, friction: FloatArray, time_s: FloatArray) -> FloatArray:
         """Uncertainty of friction where the stage creeps more slowly than its encoder can show."""
         velocity, width = self.motion.velocity(time_s), self.settings.regularisation_mm_s
-        has_started = time_s >= self.motion.breaks_s[np.argmax(self.motion.signs != 0)]
+        moves = np.concatenate(([False], self.motion.signs != 0, [False]))
+        turns_s = self.motion.breaks_s[moves[1:] != moves[:-1]]
         error = np.where(velocity == 0, CREEP_VELOCITY_ERROR_MM_S, MOVING_VELOCITY_ERROR_MM_S)
+        if self.follows_command:
+            since_turn_s = np.abs(time_s[:, None] - turns_s).min(axis=1, initial=np.inf)
+            error = error * np.exp(-since_turn_s / SETTLING_S)
         sides = [np.abs(np.tanh((velocity + side * error) / width) - np.tanh(velocity / width)) for side in (-1.0, 1.0)]
+        has_started = time_s >= turns_s.min(initial=np.inf)
         return np.asarray(np.where(has_started, np.maximum(*sides), 0.0) * np.abs(friction).max(initial=0.0))
 
     def _prepared(self, values: Mapping[str, float]) -> PreparedForce:
