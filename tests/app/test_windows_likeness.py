@@ -11,9 +11,9 @@ POSIX_ONLY = ("termios", "fcntl", "pty", "resource")
 BLOCK = f"import sys\nfor name in {POSIX_ONLY!r}:\n    sys.modules[name] = None\n"
 SPAWN = """
 import multiprocessing, sys
-from dragrig.cli import main
 
 def work(lines, codes):
+    from dragrig.cli import main
     codes.put([main(line.split()) for line in lines])
 
 if __name__ == "__main__":

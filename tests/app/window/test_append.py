@@ -169,7 +169,7 @@ def test_a_campaign_that_is_read_too_late_is_not_added_to(
     assert not form.start.isEnabled()
     form.destination.adds.setChecked(False)
     assert form.start.isEnabled()
-    form.destination._files.finish()
+    form.destination.files.finish()
     QApplication.processEvents()
     assert form.destination.read is None
     assert not window.run.preview.conditions.text().startswith("Added")

@@ -42,15 +42,34 @@ def remembered(tmp_path: Path) -> StoredSettings:
     return StoredSettings(QSettings(str(tmp_path / "window.ini"), QSettings.Format.IniFormat))
 
 
-@pytest.fixture
-def page(qapp: QApplication, folder: Path, remembered: StoredSettings, until: Until) -> Iterator[LookPage]:
+@pytest.fixture(scope="module")
+def shared(qapp: QApplication, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LookPage]:
+    """One page for many tests: to lay it out takes longer than what most of them look at."""
     dressed()
-    made = LookPage(folder, remembered)
+    settings = QSettings(str(tmp_path_factory.mktemp("settings") / "window.ini"), QSettings.Format.IniFormat)
+    made = LookPage(folder, StoredSettings(settings))
     made.show()
-    until(lambda: bool(runs_of(made)))
     yield made
     made.keep()
     made.close()
+
+
+@pytest.fixture
+def page(shared: LookPage, folder: Path, until: Until) -> LookPage:
+    """A page on the two drags that shows nothing yet, as it is at first."""
+    shared.browser.tree.clearSelection()
+    until(lambda: not shared.overlay.traces and not shared.steady.rowCount())
+    if shared.browser.folder.text() != str(folder):
+        shared.browser.open_folder(str(folder))
+    overlay = shared.overlay
+    overlay.window_ms.put(50.0)
+    overlay.order.put(3)
+    overlay.axis.setCurrentText("time")
+    overlay.raw.setChecked(True)
+    overlay.cursors.setChecked(False)
+    listed = [str(folder / "first")]
+    until(lambda: [item.toolTip(0) for item in top_items(shared.browser.tree)] == listed and len(runs_of(shared)) == 4)
+    return shared
 
 
 def runs_of(page: LookPage) -> list[QTreeWidgetItem]:
@@ -152,7 +171,7 @@ def test_an_impossible_filter_is_reported(page: LookPage, until: Until) -> None:
 def test_cursors_show_values_and_their_difference(page: LookPage, until: Until) -> None:
     choose(page, until, 0)
     page.overlay.cursors.click()
-    first, second = page.overlay._cursors
+    first, second = page.overlay.cursor_lines
     first.place(1.0)
     second.place(1.5)
     values = page.overlay.values
@@ -264,7 +283,7 @@ def test_the_list_follows_what_is_recorded_and_keeps_what_is_selected(
     for run in later:
         shutil.copy(run, tmp_path / "old")
     (tmp_path / "new").mkdir()
-    until(lambda: str(tmp_path / "new") in page.browser._changes.directories())
+    until(lambda: str(tmp_path / "new") in page.browser.changes.directories())
     shutil.copy(first, tmp_path / "new")
     until(lambda: len(runs_of(page)) == 4 and len(top_items(page.browser.tree)) == 2)
     assert [item.text(0) for item in top_items(page.browser.tree)] == ["old", "new"]
@@ -325,7 +344,7 @@ def test_a_later_export_does_not_drop_an_earlier_one(page: LookPage, until: Unti
     for name in FORMATS:
         (tmp_path / name).mkdir()
         page.export_to(tmp_path / name, name)
-    until(lambda: not page._exporting.busy)
+    until(lambda: not page.exporting.busy)
     assert [len(list((tmp_path / name).iterdir())) for name in FORMATS] == [2] * len(FORMATS)
 
 

@@ -1,4 +1,4 @@
-"""Run files finished without a second process, for the tests of commands that make runs."""
+"""Run files finished without a second process, for the tests that make runs."""
 
 import sys
 from collections.abc import Iterator
