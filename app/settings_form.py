@@ -126,6 +126,7 @@ class RigSettingsForm(Form):
         return problem
 
     def path_of(self, number: int) -> tuple[str, ...]:
+        """Return the keys that lead to a group's table in the file."""
         name = self.groups[number].name
         return () if name == _WHOLE else tuple(name.split("."))
 

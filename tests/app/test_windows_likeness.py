@@ -43,7 +43,7 @@ def test_posix_only_modules_are_really_out_of_reach(windows_like: dict[str, str]
 def test_spawned_commands_need_no_posix(windows_like: dict[str, str], tmp_path: Path) -> None:
     lines = [
         "init lab",
-        "run drag --yes --out c --set travel_mm=10",
+        "run drag --yes --out c --set travel_mm=10 --set way_back=stay --set wait_s=0",
         "filter c",
         "export c --format parquet",
         "table c",

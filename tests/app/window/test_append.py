@@ -20,6 +20,7 @@ from dragrig.window.new_session import NewSession
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import top_items
 
+pytestmark = pytest.mark.usefixtures("finished_here")
 QUICK = ("travel_mm=5", "hold_s=0.5", "rest_s=0.5")
 
 
