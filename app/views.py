@@ -274,14 +274,10 @@ def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]
     order = [key for key in properties if key not in _HIDDEN_KEYS and not _is_group(model, key)]
     if issubclass(model, RunProtocol):
         order.sort(key=lambda key: key in RunProtocol.model_fields)
-    required, descriptions = frozenset(schema.get("required", ())), field_descriptions(model)
+    required, about = frozenset(schema.get("required", ())), field_descriptions(model)
     return tuple(
         _form_field(
-            key,
-            _resolved_schema(properties[key], shared),
-            descriptions.get(key, ""),
-            sweeps=sweeps,
-            required=key in required,
+            key, _resolved_schema(properties[key], shared), about.get(key, ""), sweeps=sweeps, required=key in required
         )
         for key in order
     )

@@ -45,7 +45,7 @@ def test_spawned_commands_need_no_posix(windows_like: dict[str, str], tmp_path: 
         "init lab",
         "run drag --yes --out c --set travel_mm=10 --set way_back=stay --set wait_s=0",
         "filter c",
-        "export c --format parquet",
+        "export c",
         "table c",
         "mark c --bad windy",
         "recover c",
@@ -55,4 +55,4 @@ def test_spawned_commands_need_no_posix(windows_like: dict[str, str], tmp_path: 
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr.splitlines()[-1] == str([0] * len(lines)).encode(), done.stderr
-    assert {path.suffix for path in (tmp_path / "c").iterdir()} >= {".h5", ".toml", ".parquet"}
+    assert {path.suffix for path in (tmp_path / "c").iterdir()} >= {".h5", ".toml", ".csv"}
