@@ -344,7 +344,7 @@ class _ForceEvaluation:
             products.append(white.T @ white)
         return float(np.sqrt(max(_refitted_chi2(np.sum(products, axis=0), self._precision), 0.0)))
 
-    def _refitted(self, *, with_effects: bool) -> list[FloatArray]:
+    def refitted(self, *, with_effects: bool) -> list[FloatArray]:
         """Return the residuals of each run, the specimen's parameters fitted, `(B,)`."""
         residuals = [
             design.residual if with_effects else design.residual + force
@@ -368,7 +368,7 @@ class _ForceEvaluation:
         before, after = (
             sum(
                 float(np.sum(design.whitening.whiten(residual) ** 2))
-                for design, residual in zip(self.amended.runs, self._refitted(with_effects=with_effects), strict=True)
+                for design, residual in zip(self.amended.runs, self.refitted(with_effects=with_effects), strict=True)
             )
             for with_effects in (False, True)
         )
@@ -400,7 +400,7 @@ class _ForceEvaluation:
 
     def refitted_gaps(self) -> list[RunGap]:
         """Return residuals without and with the effects, the specimen's parameters fitted to these runs for each."""
-        return self._gaps(self._refitted(with_effects=False), self._refitted(with_effects=True))
+        return self._gaps(self.refitted(with_effects=False), self._refitted(with_effects=True))
 
     def predicted_gaps(self) -> list[RunGap]:
         """Return residuals as predicted by the model fitted without effects and the amended one; nothing is fitted."""

@@ -114,7 +114,7 @@ def test_an_effect_explains_its_share_of_chi_square() -> None:
         ])  # fmt: skip
         fitted = np.linalg.solve(values[:, 1:].T @ values[:, 1:] + np.diag(PRECISION), values[:, 1:].T @ values[:, 0])
         chi2.append(float(np.sum((values[:, 0] - values[:, 1:] @ fitted) ** 2)))
-        residuals = found._refitted(with_effects=with_effects)
+        residuals = found.refitted(with_effects=with_effects)
         for run, force, residual in zip(found.amended.runs, found.promised_forces, residuals, strict=True):
             whole = run.residual + (0.0 if with_effects else force)
             np.testing.assert_allclose(residual, whole - run.columns @ fitted)

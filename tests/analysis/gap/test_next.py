@@ -60,7 +60,13 @@ def test_what_is_recommended_keeps_its_promise(next_experiment: NextExperiment) 
     assert after.separation > 1.5 * before.separation
 
 
-def test_no_run_is_advised_where_nothing_is_open() -> None:
+@pytest.fixture
+def coarse_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare every fifth of the candidate runs."""
+    monkeypatch.setattr("dragrig.analysis.gap.next_run.full_grid", lambda specimen: full_grid(specimen)[::5])
+
+
+def test_no_run_is_advised_where_nothing_is_open(coarse_grid: None) -> None:
     relaxations = {"kind": "relaxation", "shear_strain": [0.5, 1.0, 2.0], "hold_s": 20.0}
     both = plan(relaxations, DRAGS)
     assert dragrig.next_experiment(both, between=("folds", "hyperelastic_wall"), minutes=5.0) is None
@@ -147,7 +153,7 @@ def without_figures(document: Document) -> Document:
 
 
 def test_the_command_prints_json_and_refuses_what_is_no_effect(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, coarse_grid: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, out = tmp_path / "mine.toml", tmp_path / "next.toml"
     file.write_text(to_toml(plan(DRAGS)), "utf-8")
