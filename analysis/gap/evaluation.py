@@ -400,7 +400,7 @@ class _ForceEvaluation:
 
     def refitted_gaps(self) -> list[RunGap]:
         """Return residuals without and with the effects, the specimen's parameters fitted to these runs for each."""
-        return self._gaps(self.refitted(with_effects=False), self._refitted(with_effects=True))
+        return self._gaps(self.refitted(with_effects=False), self.refitted(with_effects=True))
 
     def predicted_gaps(self) -> list[RunGap]:
         """Return residuals as predicted by the model fitted without effects and the amended one; nothing is fitted."""

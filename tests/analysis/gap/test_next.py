@@ -1,6 +1,7 @@
 """`dragrig gap next`: which runs to make next, and whether they keep what is promised of them."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,7 +39,15 @@ def plan(*steps: dict[str, object]) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def next_experiment() -> NextExperiment:
+def coarse_grid() -> Iterator[None]:
+    """Compare every third of the candidate runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dragrig.analysis.gap.next_run.full_grid", lambda specimen: full_grid(specimen)[::3])
+        yield
+
+
+@pytest.fixture(scope="module")
+def next_experiment(coarse_grid: None) -> NextExperiment:
     next_experiment = dragrig.next_experiment(plan(DRAGS), between=BETWEEN, minutes=5.0)
     assert next_experiment is not None
     return next_experiment
@@ -58,12 +67,6 @@ def test_what_is_recommended_keeps_its_promise(next_experiment: NextExperiment) 
     assert after is not None
     assert after.sin2 > 2 * before.sin2
     assert after.separation > 1.5 * before.separation
-
-
-@pytest.fixture
-def coarse_grid(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compare every fifth of the candidate runs."""
-    monkeypatch.setattr("dragrig.analysis.gap.next_run.full_grid", lambda specimen: full_grid(specimen)[::5])
 
 
 def test_no_run_is_advised_where_nothing_is_open(coarse_grid: None) -> None:
