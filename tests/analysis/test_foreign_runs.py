@@ -330,6 +330,7 @@ def heavy_strokes(folder: Path, asymmetry: float) -> Path:
     return runs
 
 
+@pytest.mark.thorough
 def test_a_heavy_stage_on_a_smooth_motion_shows_friction_that_differs_with_direction(tmp_path: Path) -> None:
     result = diagnosed(heavy_strokes(tmp_path, 0.1), "drive", trying=("stribeck", "direction_asymmetry"))
     assert result.effects == ("direction_asymmetry",), result.ranking[:3]

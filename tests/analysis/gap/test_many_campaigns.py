@@ -69,9 +69,12 @@ def test_a_file_for_one_campaign_is_not_made_of_several(
     assert "takes a single campaign, not 2" in capsys.readouterr().err
 
 
-def test_identifications_are_those_of_each_campaign_by_itself(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("workers", ["1", thorough("2")])
+def test_identifications_are_those_of_each_campaign_by_itself(
+    workers: str, three: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ["identify", "first", "empty", "second", "--quiet"]
-    assert main([*arguments, "--json", "--workers", "2"]) == 2
+    assert main([*arguments, "--json", "--workers", workers]) == 2
     answer = lines(capsys)
     assert [row["source"] for row in answer] == ["first", "empty", "second"]
     assert "no run file" in str(answer[1]["error"])
