@@ -36,6 +36,7 @@ from dragrig.rig.operator import Answer, NullOperator, Prompt, reset_guard
 from dragrig.setup import create_lab, resolve_rig
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+from property_tests import thorough
 from rig_faults import Bench
 
 PACE = 20.0
@@ -129,14 +130,14 @@ def test_a_rig_that_is_wired_as_it_should_be_passes() -> None:
 @pytest.mark.parametrize(
     ("fault", "failed", "said"),
     [
-        ("switches_swapped", {"lower limit switch", "upper limit switch"}, "in its place"),
+        thorough("switches_swapped", {"lower limit switch", "upper limit switch"}, "in its place"),
         (
             "switches_normally_open",
             {"switches at rest", "e-stop", "lower limit switch", "upper limit switch", "enable"},
             "normally open",
         ),
         ("enable_not_wired", {"enable", "enable in motion"}, "stays on"),
-        ("encoder_stuck", {"encoder"}, "does not count"),
+        thorough("encoder_stuck", {"encoder"}, "does not count"),
     ],
 )
 def test_wrong_wires_of_the_bench_are_found_and_nothing_else(fault: str, failed: set[str], said: str) -> None:

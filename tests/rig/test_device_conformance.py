@@ -103,8 +103,8 @@ RIGS = {
 }
 
 
-# What that drive lacks is in the line too: tests/rig/hardware/test_dialect.py, test_serial_stage.py.
-LONG = {"hardware with a drive that lacks whatever may be lacking"}
+# What is theirs alone is in the line: tests/rig/hardware/test_dialect.py, test_serial_stage.py, test_velocity_stage.py.
+LONG = {"hardware with a drive that lacks whatever may be lacking", "hardware by voltage on its doubles"}
 
 
 @pytest.fixture(

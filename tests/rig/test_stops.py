@@ -311,7 +311,7 @@ def test_a_patient_timeout_is_tried_more_slowly_over_the_same_way() -> None:
     ("fault", "said"),
     [
         ({"e_stop_pressed": True}, "emergency stop is pressed"),
-        ({"drive_alarm": "overcurrent"}, "see what else stopped it"),
+        thorough({"drive_alarm": "overcurrent"}, "see what else stopped it"),
     ],
 )
 def test_what_else_stops_the_drive_while_nobody_asks_it_is_no_proof_of_its_timeout(

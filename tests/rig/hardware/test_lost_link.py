@@ -73,7 +73,7 @@ def lose_link(rig: Driven, fault: str) -> tuple[float, float, LineLog]:
         pytest.param(ANY_PORT, "enable line", id="enable line"),
     ],
 )
-@pytest.mark.parametrize("fault", ["drive_unplugged", "drive_cut_off"])
+@pytest.mark.parametrize("fault", [thorough("drive_unplugged"), "drive_cut_off"])
 def test_a_drive_that_is_heard_no_more_loses_its_power(kind: type[DrivePort], fault: str, wiring: str) -> None:
     _expect_power_gone(kind, fault, wiring, "nikki")
 

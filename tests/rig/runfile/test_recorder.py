@@ -35,7 +35,7 @@ from dragrig.rig.runfile.recorder import (
     rebuild,
 )
 from places import SUPPORT
-from property_tests import examples
+from property_tests import examples, thorough
 from runfiles import START, arrays, blocks, header, record
 
 
@@ -292,7 +292,7 @@ print("done", first)
 """
 
 
-@pytest.mark.parametrize("watch", ["watched", "blind"])
+@pytest.mark.parametrize("watch", [thorough("watched"), "blind"])
 def test_a_full_disk_is_reported_and_what_was_recorded_is_kept(small_disk: Path, tmp_path: Path, watch: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FILLER, str(small_disk), str(SUPPORT), watch],
