@@ -216,6 +216,7 @@ def without_record(lab: Path) -> Iterator[None]:
         record.unlink(missing_ok=True)
 
 
+@pytest.mark.thorough
 def test_a_press_that_is_over_before_the_answer_counts(faulty_rig: Bench) -> None:
     with without_record(faulty_rig.lab):
         record = api.commission(person=Hand(faulty_rig), rig=str(faulty_rig.lab / "rig.toml"))

@@ -1,6 +1,9 @@
 """Faults of program and computer: ended, killed, frozen, hung, met by another, disk full, time put back, no driver."""
 
+import io
+import json
 import mmap
+import os
 import shutil
 import signal
 import struct
@@ -14,11 +17,13 @@ from pathlib import Path
 
 import pytest
 
+from dragrig.cli import main
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile import read_campaign, read_info, read_run, recover
 from dragrig.rig.runfile.model import RunStatus
 from places import SUPPORT, TESTS
+from remote_doubles import StageStatus
 from rig_faults import (
     DOCS,
     FAR_MM,
@@ -107,61 +112,70 @@ class ShiftedClock:
 HOUR, HALF_AN_HOUR = timedelta(hours=1), timedelta(minutes=30)
 
 
-def test_a_second_program_is_refused_and_sigterm_ends_the_first_in_good_order_though_its_clock_is_put_back(
+def test_a_second_program_is_refused_and_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(
     faulty_rig: Bench, start: Start, tmp_path: Path
 ) -> None:
+    """Nor does it matter that the clock is put back by an hour while the first one runs."""
     clock, began = ShiftedClock(tmp_path), datetime.now().astimezone()
     clock.put(HOUR)
-    slow = settings_words("speed_mm_s=3")
-    first = start("plan.toml", "--out", folder := faulty_rig.folder(), *slow, **clock.environment)
-    first.until_under_way()
+    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=4"))
+    program = start(*words, "--out", folder := faulty_rig.folder(), **clock.environment)
+    struck = program.until_under_way()
     clock.put(timedelta())
     second = begin(faulty_rig).end()
     assert second.exit_code == 5
     assert sentence("two programs on one rig").fullmatch(second.message), second.message
-    assert str(first.process.pid) in second.message
+    assert str(program.process.pid) in second.message
     assert not second.folder.exists()
-    struck = faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: first.alive)
-    assert struck.moving
-    remaining = recorded(folder)
-    first.process.send_signal(signal.SIGTERM)
-    code, printed, answer = first.end()
-    run = only_run(folder)
-    assert (code, printed["status"], run.info.status) == (3, "aborted", RunStatus.ABORTED)
-    assert sentence("SIGTERM").fullmatch(answer), answer
-    assert printed["reason"] == run.info.reason == "ended by SIGTERM"
-    assert run.info.checks["lost_samples"] == 0
-    look = faulty_rig.look()
-    assert_stopped(struck, look, Halt.STOP)
-    assert not look.enabled
-    assert_kept(run, remaining)
-    if clock.environment:
-        assert abs(run.info.header.start_time - began - HOUR) < HALF_AN_HOUR
-    assert run.info.end_time is not None
-    took = run.info.end_time - run.info.header.start_time
-    assert timedelta(seconds=run.info.samples / 1000) <= took < HALF_AN_HOUR
-    # The clock of this program is an hour behind what the first one had when it began.
-    assert_goes_on(faulty_rig, folder)
-    earlier, later = sorted(read_campaign(folder).runs, key=lambda info: info.header.order)
-    assert earlier.end_time is not None
-    assert later.header.start_time >= earlier.end_time
-    assert later.path.name > earlier.path.name
-
-
-def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_rig: Bench, start: Start) -> None:
-    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=3"))
-    program = start(*words, "--out", folder := faulty_rig.folder())
-    struck = program.until_under_way()
     faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: program.alive)
     remaining = recorded(folder)
     program.process.kill()
     look = faulty_rig.until(lambda look: not look.moving)
     assert_stopped(struck, look, Halt.SILENCE, FAR_MM)
-    recover(folder)
-    (lost,) = read_campaign(folder).runs
+    # To this program it is an hour earlier than it was to the first one.
+    assert_goes_on(faulty_rig, folder)
+    lost, later = sorted(read_campaign(folder).runs, key=lambda info: info.header.order)
     assert lost.status is RunStatus.RECOVERED
     assert sentence("SIGKILL").fullmatch(lost.reason), lost.reason
     assert_kept(read_run(lost.path), remaining)
+    if clock.environment:
+        assert abs(lost.header.start_time - began - HOUR) < HALF_AN_HOUR
+    assert later.header.start_time >= lost.header.start_time + timedelta(seconds=lost.samples / 1000)
+    assert later.path.name > lost.path.name
+
+
+def test_sigterm_ends_a_run_in_good_order(
+    near_rig: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, struck = near_rig.folder(), list[StageStatus]()
+    monkeypatch.chdir(near_rig.lab)
+    monkeypatch.setattr(sys, "stdin", io.StringIO("done\n" * 20))
+
+    def strike() -> None:
+        near_rig.until_under_way()
+        struck.append(near_rig.until(lambda _: recorded(folder) > ON_DISK))
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    # A run that has ended before must not take the tests with it.
+    earlier = signal.signal(signal.SIGTERM, lambda *_: None)
+    striking = threading.Thread(target=strike)
+    striking.start()
+    try:
+        code = main(["run", "plan.toml", "--json", "--out", str(folder), "--set", "speed_mm_s=3"])
+    finally:
+        striking.join()
+        signal.signal(signal.SIGTERM, earlier)
+    told = capsys.readouterr()
+    printed, answer = json.loads(told.out), told.err.splitlines()[-1].removeprefix("dragrig: ")
+    run = only_run(folder)
+    assert (code, printed["status"], run.info.status) == (3, "aborted", RunStatus.ABORTED)
+    assert sentence("SIGTERM").fullmatch(answer), answer
+    assert printed["reason"] == run.info.reason == "ended by SIGTERM"
+    assert run.info.checks["lost_samples"] == 0
+    look = near_rig.look()
+    assert_stopped(struck[0], look, Halt.STOP)
+    assert not look.enabled
+    assert_kept(run, ON_DISK)
 
 
 @pytest.mark.thorough

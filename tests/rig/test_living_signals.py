@@ -170,7 +170,7 @@ def test_a_healthy_run_is_left_alone(rig: Rig) -> None:
     ("fault", "warning"),
     [
         ({"force_dead": True}, "did not change when the stage moved"),
-        ({"force_inverted": True}, "acts along the motion"),
+        thorough({"force_inverted": True}, "acts along the motion"),
         ({"encoder_lost_share": 0.01}, r"differ by -0\.24"),
         thorough({"encoder_lost_share": -0.01}, r"differ by \+0\.24"),
     ],
@@ -219,6 +219,7 @@ def test_a_cable_that_is_pulled_in_mid_stroke_marks_a_run_of_5000_samples_a_seco
         pulled(made, floats, warnings)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("added", [{"force_tone_mN": 6.0, "force_tone_hz": 50.0}])
 def test_hum_that_begins_within_a_run_is_told_from_hum_before_it(rig: Rig, added: dict[str, float]) -> None:
     outcome = rig.run(**added)
@@ -229,6 +230,7 @@ def test_hum_that_begins_within_a_run_is_told_from_hum_before_it(rig: Rig, added
     assert not [warning for warning in steady.checks.warnings if "began" in warning]
 
 
+@pytest.mark.thorough
 def test_in_velocity_mode_the_drives_own_position_tells_what_the_card_lost() -> None:
     settings = velocity_rig()
     with voltage_rig(settings) as backend:

@@ -169,7 +169,7 @@ def test_the_check_of_a_rig_fails_where_nothing_but_a_person_is_left() -> None:
 WIRINGS: list[tuple[dict[str, object], dict[str, float | bool], dict[str, float]]] = [
     ({"enable": ""}, {}, {"watchdog": 0.5}),
     ({"enable": "port1/line0"}, {"drive_unwatched": True}, {"watchdog": -1, "enable": 0.01}),
-    (
+    thorough(
         {"enable": "port1/line0"},
         {"drive_unwatched": True, "enable_opens_s": 0.3},
         {"watchdog": -1, "enable": 0.3},

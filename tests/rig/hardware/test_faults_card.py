@@ -248,4 +248,3 @@ def test_a_card_that_another_program_has_is_left_to_it(faulty_rig: Bench) -> Non
         assert not ended.stage.enabled
         assert task.name
     connection.close()
-    assert_goes_on(faulty_rig, ended.folder)
