@@ -259,15 +259,19 @@ def test_the_real_rig_asks_once_for_a_look_and_again_when_wires_change(faulty_ri
         assert asked(faulty_rig, Cautious(), "rig.hardware.card.encoder.z=") == 1
 
 
+def found_lacking(rig: str, *names: str) -> CommissioningRecord:
+    """What a look stores that found some signals wrong."""
+    return CommissioningRecord(
+        made_at=datetime.now().astimezone(),
+        made_on="hardware",
+        wiring=wiring_key(resolve_rig(rig=rig).rig),
+        signals=tuple(CommissionedSignal(name=name, passed=False, detail="does not work") for name in names),
+    )
+
+
 def test_a_look_that_found_faults_is_asked_about_and_what_it_found_stays(faulty_rig: Bench) -> None:
     with without_record(faulty_rig.lab):
-        found = CommissionedSignal(name="encoder", passed=False, detail="does not count")
-        record = CommissioningRecord(
-            made_at=datetime.now().astimezone(),
-            made_on="hardware",
-            wiring=wiring_key(resolve_rig(rig=str(faulty_rig.lab / "rig.toml")).rig),
-            signals=(found,),
-        )
+        record = found_lacking(str(faulty_rig.lab / "rig.toml"), "encoder")
         write_commissioning(faulty_rig.lab, record)
         person = Cautious()
         assert asked(faulty_rig, person) == 1
@@ -275,7 +279,7 @@ def test_a_look_that_found_faults_is_asked_about_and_what_it_found_stays(faulty_
         assert asked(faulty_rig, Cautious()) == 0
         stored = read_commissioning(faulty_rig.lab)
         assert stored is not None
-        assert stored.signals == (found,)
+        assert stored.signals == record.signals
 
 
 class Agreeing(NullOperator):
@@ -290,7 +294,6 @@ class Agreeing(NullOperator):
 
 
 def test_a_look_that_finds_nothing_wired_has_long_fast_runs_refused_and_the_record_says_why(faulty_rig: Bench) -> None:
-    faulty_rig.inject(drive_unwatched=True, enable_not_wired=True)
     rig, plan = str(faulty_rig.lab / "rig.toml"), faulty_rig.lab / "plan.toml"
     far = ("travel_mm=130",)
     with without_record(faulty_rig.lab):
@@ -298,12 +301,7 @@ def test_a_look_that_finds_nothing_wired_has_long_fast_runs_refused_and_the_reco
         assert before.findings == ()
         assert "untried" in " ".join(before.remarks)
         assert "without it by up to 130.0 mm" in " ".join(before.remarks)
-        api.commission(person=Agreeing(), rig=rig)
-        stored = read_commissioning(faulty_rig.lab)
-        assert stored is not None
-        signals = {signal.name: signal for signal in stored.signals}
-        assert not signals["enable"].passed
-        assert not signals["watchdog in motion"].passed
+        write_commissioning(faulty_rig.lab, found_lacking(rig, "enable", "watchdog", "watchdog in motion"))
         person, folder = Agreeing(), faulty_rig.folder()
         with pytest.raises(PlanError, match=r"speed to 2\.9 mm/s"):
             api.run(plan, rig=rig, out=folder, person=person, assignments=far)

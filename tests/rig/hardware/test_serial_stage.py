@@ -15,7 +15,6 @@ from dragrig.config.rig import DriveSettings
 from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Reply, Request
 from dragrig.rig.hardware.dialects.nikki import NikkiDialect
-from dragrig.rig.hardware.drive.monitor import Monitor
 from dragrig.rig.hardware.drive.position_mode import split_into_strokes
 from dragrig.rig.hardware.sync import FirstSample
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
@@ -268,9 +267,8 @@ def test_a_drive_that_hears_nothing_more_stops_by_itself() -> None:
     with driven(silence_s=1.5) as rig:
         rig.ready().sample(stroke(travel_mm=100.0, speed_mm_s=12.0))
         until(lambda: is_under_way(rig))
-        monitor: Monitor = rig.stage._monitor
-        monitor.close()
-        until(lambda: not rig.bench.moving)
+        with rig.stage.withholding(polls=True):
+            until(lambda: not rig.bench.moving)
         assert rig.bench.position_mm() < 90.0
         assert rig.drive.status.halt is Halt.SILENCE
         state = rig.stage.state()
