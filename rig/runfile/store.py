@@ -121,10 +121,8 @@ class FolderStore:
         stays a recording that `dragrig recover` finishes.
         """
         finisher, self._finisher = self._finisher, Finisher(self._on_finished)
-        try:
+        with contextlib.closing(finisher):
             self._await_finished(finisher)
-        finally:
-            finisher.close()
 
     def _await_finished(self, finisher: Finisher) -> None:
         results: tuple[FinishResult, ...] = ()

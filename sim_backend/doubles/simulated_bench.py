@@ -72,10 +72,9 @@ class Carriage:
 
     def followed(self, time_s: float, pieces: Sequence[Piece]) -> "Carriage":
         """Return the motion that continues with `pieces` from a time on, with the speed at that time."""
-        starts = self.profile.start_s
-        past = list(self.profile.pieces()[: np.searchsorted(starts, time_s - _TIME_TOLERANCE_S)])
+        past = list(self.profile.pieces()[: np.searchsorted(self.profile.start_s, time_s - _TIME_TOLERANCE_S)])
         if past:
-            last_s = time_s - starts.item(len(past) - 1)
+            last_s = time_s - self.profile.start_s.item(len(past) - 1)
             past[-1] = replace(past[-1], duration_s=min(past[-1].duration_s, last_s))
         rest_s = time_s - self.profile.duration_s
         if rest_s > 0:
