@@ -85,7 +85,7 @@ class RigSettingsForm(Form):
         document = tomlkit.parse(self.path.read_text("utf-8-sig"))
         for (number, key), value in self._changes(values).items():
             table: Table = document
-            for part in self._path_of(number):
+            for part in self.path_of(number):
                 table = table.setdefault(part, tomlkit.table())  # type: ignore[assignment]  # as above
             table[key] = value
         settings = parse(RigSettings, document.unwrap(), str(self.path))
@@ -99,7 +99,7 @@ class RigSettingsForm(Form):
             for field in group.fields:
                 text = texts[field.key].strip()
                 if text != own[number][field.key].strip():
-                    default = _group_of(defaults, self._path_of(number)).model_dump(mode="json")[field.key]
+                    default = _group_of(defaults, self.path_of(number)).model_dump(mode="json")[field.key]
                     changes[number, field.key] = _value(field, text, group.name, default)
         return changes
 
@@ -107,7 +107,7 @@ class RigSettingsForm(Form):
         """Return all settings with these changes."""
         table = self.settings.model_dump(mode="json", exclude_none=True)
         for (number, key), value in changes.items():
-            table = merge_tables(table, nested_table((*self._path_of(number), key), value))
+            table = merge_tables(table, nested_table((*self.path_of(number), key), value))
         return table
 
     def title(self, number: int) -> str:
@@ -118,21 +118,22 @@ class RigSettingsForm(Form):
         """Return a sentence with the labels of the keys that it names, of other groups with that group."""
         for other, group in enumerate(self.groups):
             for field in group.fields:
-                path = re.escape(".".join((*self._path_of(other), field.key)))
+                path = re.escape(".".join((*self.path_of(other), field.key)))
                 problem = re.sub(rf"(?<![\w.]){path}(?!\w)", f"{field.name} ({self.title(other)})", problem)
         for field in self.groups[number].fields:
             if "_" in field.key:
                 problem = re.sub(rf"(?<![\w.]){field.key}(?!\w)", field.name, problem)
         return problem
 
-    def _path_of(self, number: int) -> tuple[str, ...]:
+    def path_of(self, number: int) -> tuple[str, ...]:
+        """Return the keys that lead to a group's table in the file."""
         name = self.groups[number].name
         return () if name == _WHOLE else tuple(name.split("."))
 
     def _place_of(self, path: tuple[str, ...], problem: str) -> FieldPlace:
         """Return the field that a mistake is about: that of its path, or the first that its sentence names."""
         places = {
-            (*self._path_of(number), field.key): (number, field.key)
+            (*self.path_of(number), field.key): (number, field.key)
             for number, group in enumerate(self.groups)
             for field in group.fields
         }
@@ -140,7 +141,7 @@ class RigSettingsForm(Form):
             if path[:length] in places:
                 return places[path[:length]]
         for number, group in enumerate(self.groups):
-            key = first_key_named(group, problem.replace(".", " ")) if self._path_of(number) == path else None
+            key = first_key_named(group, problem.replace(".", " ")) if self.path_of(number) == path else None
             if key is not None:
                 return number, key
         # About tables among each other: it names keys with their tables.

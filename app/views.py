@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import cache
 from math import inf
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -259,6 +260,7 @@ def _step_form(step: PlanStep, where: str, beside: Path | None) -> FormGroup:
     return FormGroup(step.kind, (protocol.__doc__ or "").strip().splitlines()[0], fields, values)
 
 
+@cache
 def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]:
     """Return the fields of a settings class from its schema, without its inner groups.
 
@@ -272,14 +274,10 @@ def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]
     order = [key for key in properties if key not in _HIDDEN_KEYS and not _is_group(model, key)]
     if issubclass(model, RunProtocol):
         order.sort(key=lambda key: key in RunProtocol.model_fields)
-    required, descriptions = frozenset(schema.get("required", ())), field_descriptions(model)
+    required, about = frozenset(schema.get("required", ())), field_descriptions(model)
     return tuple(
         _form_field(
-            key,
-            _resolved_schema(properties[key], shared),
-            descriptions.get(key, ""),
-            sweeps=sweeps,
-            required=key in required,
+            key, _resolved_schema(properties[key], shared), about.get(key, ""), sweeps=sweeps, required=key in required
         )
         for key in order
     )

@@ -99,11 +99,9 @@ class MotionProfile:
 
     def pieces(self) -> tuple[Piece, ...]:
         """Return the pieces of this profile, as `from_pieces` takes them."""
-        durations = np.diff(np.append(self.start_s, self.duration_s))
-        return tuple(
-            Piece(float(duration), float(acceleration), Phase(int(phase)))
-            for duration, acceleration, phase in zip(durations, self.acceleration_mm_s2, self.phase, strict=True)
-        )
+        durations = np.diff(np.append(self.start_s, self.duration_s)).tolist()
+        phases = map(Phase, self.phase.tolist())
+        return tuple(map(Piece, durations, self.acceleration_mm_s2.tolist(), phases))
 
     @cached_property
     def motion_ends_s(self) -> float:

@@ -179,20 +179,20 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
         model = model.model_copy(update={"effects": tuple(entry for entry in model.effects if entry.id not in ids)})
     else:
         unseen = []
-    forces = _ForceEvaluation.of(selection, model)
-    sizes = [*forces.sizes(), *map(_unseen, unseen)]
+    forces = ForceEvaluation.of(selection, model)
+    sizes = [*forces.sizes(), *map(unseen_effect_size, unseen)]
     gaps, predicted = forces.refitted_gaps(), forces.predicted_gaps()
     reduction = reduction_over_runs(gaps)
     achieved: float | None
     interval: tuple[float, float] | None
-    achieved, interval = _closed(np.array([gap.sums for gap in gaps]))
+    achieved, interval = closed_share(np.array([gap.sums for gap in gaps]))
     errors = [run for run in position_errors(selection.experiments) if run.error_mm.size]
     for active in effects:
         if active.effect.channel is Channel.POSITION:
             candidate = Candidate(active.effect, active.values)
-            sizes.append(_size_in_position(candidate, errors))
+            sizes.append(size_in_position(candidate, errors))
             if len(effects) == 1 and errors:
-                achieved, interval = _closed(_position_sums(candidate, errors))
+                achieved, interval = closed_share(position_sums(candidate, errors))
                 reduction = replace(reduction, closed=achieved, closed_95ci=interval)
         elif active.effect.id == hum_effect().id:
             sizes.append(_size_of_hum(active.effect, active.values, selection))
@@ -231,7 +231,7 @@ def _rms_before_after(gaps: Sequence[RunGap]) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class _ForceEvaluation:
+class ForceEvaluation:
     """Fresh runs linearised about the amended model, and the force of each effect in them at several sizes.
 
     Attributes
@@ -256,7 +256,8 @@ class _ForceEvaluation:
     promised_forces: tuple[FloatArray, ...]
 
     @classmethod
-    def of(cls, selection: RunSelection, model: ModelSettings) -> "_ForceEvaluation":
+    def of(cls, selection: RunSelection, model: ModelSettings) -> "ForceEvaluation":
+        """Return what runs say of the effects of an amended model that act on the force."""
         study = _study(selection, model)
         bare = model.model_copy(update={"effects": (), "diagnosed": None})
         fitted_without = bare.with_values(model.diagnosed.nominal) if model.diagnosed else bare
@@ -272,9 +273,9 @@ class _ForceEvaluation:
             chain = without_hum(EffectChain.of(settings))
             return [np.asarray(run.block_means(added_force(chain, scene, gain))) for run, scene, gain in scenes]
 
-        grids = tuple(tuple(size for size in SIZE_GRID if _is_allowed(active, size)) for active in acting)
+        grids = tuple(tuple(size for size in SIZE_GRID if is_allowed_size(active, size)) for active in acting)
         resized = [
-            [force(_resized(model, active.effect, size)) for size in grid]
+            [force(resized_model(model, active.effect, size)) for size in grid]
             for active, grid in zip(acting, grids, strict=True)
         ]
         return cls(
@@ -296,9 +297,9 @@ class _ForceEvaluation:
         samples = run_weights(len(self.forces), random)
         for number, active in enumerate(self.effects):
             grid, grams = self.grids[number], self._grams(number)
-            value, standard_error = _best_size(grid, grams.sum(axis=1), self._precision)
+            value, standard_error = best_size(grid, grams.sum(axis=1), self._precision)
             resampled = [
-                _best_size(grid, np.einsum("r,srij->sij", weights, grams), self._precision)[0] for weights in samples
+                best_size(grid, np.einsum("r,srij->sij", weights, grams), self._precision)[0] for weights in samples
             ]
             low, high = np.quantile(resampled, (0.025, 0.975)).tolist()
             statistical = NORMAL_95 * standard_error
@@ -342,9 +343,9 @@ class _ForceEvaluation:
             columns = self._promised_force(number, run), self._columns(number, run)
             white = design.whitening.whiten(np.column_stack(columns))
             products.append(white.T @ white)
-        return float(np.sqrt(max(_refitted_chi2(np.sum(products, axis=0), self._precision), 0.0)))
+        return float(np.sqrt(max(refitted_chi2(np.sum(products, axis=0), self._precision), 0.0)))
 
-    def _refitted(self, *, with_effects: bool) -> list[FloatArray]:
+    def refitted(self, *, with_effects: bool) -> list[FloatArray]:
         """Return the residuals of each run, the specimen's parameters fitted, `(B,)`."""
         residuals = [
             design.residual if with_effects else design.residual + force
@@ -368,7 +369,7 @@ class _ForceEvaluation:
         before, after = (
             sum(
                 float(np.sum(design.whitening.whiten(residual) ** 2))
-                for design, residual in zip(self.amended.runs, self._refitted(with_effects=with_effects), strict=True)
+                for design, residual in zip(self.amended.runs, self.refitted(with_effects=with_effects), strict=True)
             )
             for with_effects in (False, True)
         )
@@ -400,7 +401,7 @@ class _ForceEvaluation:
 
     def refitted_gaps(self) -> list[RunGap]:
         """Return residuals without and with the effects, the specimen's parameters fitted to these runs for each."""
-        return self._gaps(self._refitted(with_effects=False), self._refitted(with_effects=True))
+        return self._gaps(self.refitted(with_effects=False), self.refitted(with_effects=True))
 
     def predicted_gaps(self) -> list[RunGap]:
         """Return residuals as predicted by the model fitted without effects and the amended one; nothing is fitted."""
@@ -409,13 +410,13 @@ class _ForceEvaluation:
         )
 
 
-def _is_allowed(active: ActiveEffect, relative: float) -> bool:
+def is_allowed_size(active: ActiveEffect, relative: float) -> bool:
     """Whether the parameter of an effect's size may have this size, relative to the promised one."""
     parameter = active.effect.size
     return relative in {0.0, 1.0} or parameter.allows(relative * active.values[parameter.name])
 
 
-def _resized(model: ModelSettings, effect: Effect, relative: float) -> ModelSettings:
+def resized_model(model: ModelSettings, effect: Effect, relative: float) -> ModelSettings:
     """Return the model with an effect at a relative size; without the effect where that is 0."""
 
     def parameters(settings: EffectSettings) -> Mapping[str, float]:
@@ -439,15 +440,15 @@ def run_weights(runs: int, random: np.random.Generator) -> FloatArray:
     return np.asarray(random.dirichlet(np.ones(runs), BOOTSTRAP_SAMPLES) * runs)
 
 
-def _refitted_chi2(gram: FloatArray, precision: FloatArray) -> float:
+def refitted_chi2(gram: FloatArray, precision: FloatArray) -> float:
     """Return chi-square of the first column, the others fitted under their prior."""
     moments = gram[1:, 0]
     return float(gram[0, 0] - moments @ np.linalg.solve(gram[1:, 1:] + np.diag(precision), moments))
 
 
-def _best_size(grid: Sequence[float], grams: FloatArray, precision: FloatArray) -> tuple[float, float]:
+def best_size(grid: Sequence[float], grams: FloatArray, precision: FloatArray) -> tuple[float, float]:
     """Return the size at which chi-square is least, and its standard error, by a parabola through the lowest sizes."""
-    chi2 = np.array([_refitted_chi2(gram, precision) for gram in grams])
+    chi2 = np.array([refitted_chi2(gram, precision) for gram in grams])
     lowest = int(np.clip(np.argmin(chi2), 1, len(grid) - 2))
     near = slice(lowest - 1, lowest + 2)
     curvature, slope, _ = np.polyfit(grid[near], chi2[near], 2).tolist()
@@ -474,7 +475,7 @@ def _on_same_blocks(study: Study, reference: Study) -> Study:
     return replace(study, problem=problem, runs=run_data_of(channels))
 
 
-def _closed(sums: FloatArray) -> tuple[float, tuple[float, float]]:
+def closed_share(sums: FloatArray) -> tuple[float, tuple[float, float]]:
     """Return the share of the gap that closes, and its interval over runs.
 
     Parameters
@@ -492,21 +493,17 @@ def _closed(sums: FloatArray) -> tuple[float, tuple[float, float]]:
     return share(sums.sum(axis=0)), (low, high)
 
 
-def _position_sums(candidate: Candidate, runs: Sequence[PositionErrors]) -> FloatArray:
-    return np.array(
-        [
-            (
-                1.0,
-                float(np.mean(run.error_mm**2)),
-                float(np.mean((run.error_mm - predicted_position_error(candidate, run)) ** 2)),
-                run.noise_variance,
-            )
-            for run in runs
-        ]
-    )
+def position_sums(candidate: Candidate, runs: Sequence[PositionErrors]) -> FloatArray:
+    """Return the sums of `closed_share` for an effect on the position, in mm², every run weighing alike."""
+    rows = []
+    for run in runs:
+        left = run.error_mm - predicted_position_error(candidate, run)
+        rows.append((1.0, float(np.mean(run.error_mm**2)), float(np.mean(left**2)), run.noise_variance))
+    return np.array(rows)
 
 
-def _size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> RelativeEffectSize:
+def size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> RelativeEffectSize:
+    """Return the size of an effect on the position relative to the promised one, with its interval over runs."""
     predictions = [predicted_position_error(candidate, run) for run in runs]
     # Weighted as in the fit of a diagnosis: an effect that grows otherwise with speed than the catalogue's has another
     # size in the fastest runs, which would decide alone.
@@ -518,7 +515,7 @@ def _size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> R
         ]
     )
     if not runs or not products[:, 0].any():
-        return _unseen(candidate.effect)
+        return unseen_effect_size(candidate.effect)
     power, moment = (run_weights(len(runs), np.random.default_rng(0)) @ products).T
     low, high = np.quantile(moment / np.maximum(power, 1e-12), (0.025, 0.975)).tolist()
     total, along = products.sum(axis=0).tolist()
@@ -529,7 +526,7 @@ def _size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> R
     )
 
 
-def _unseen(effect: Effect) -> RelativeEffectSize:
+def unseen_effect_size(effect: Effect) -> RelativeEffectSize:
     """Return the size of an effect of which these runs show nothing, neither its presence nor its absence."""
     return RelativeEffectSize(effect.id, 0.0, *SIZE_LIMITS, 0.0)
 
@@ -540,7 +537,7 @@ def _size_of_hum(effect: Effect, values: Mapping[str, float], selection: RunSele
     promised = values[effect.size.name]
     detectable = detectable_line_amplitude(selection.experiments, channel, MIN_HUM_LLR)
     if detectable is None or promised <= 0:
-        return _unseen(effect)
+        return unseen_effect_size(effect)
     amplitude = find_spectral_lines(selection.experiments, channel).mains.amplitude
     half = detectable / promised
     size = amplitude / promised

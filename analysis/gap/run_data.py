@@ -49,7 +49,7 @@ MAX_RUNS = 75
 CONDITION_SETTINGS = ("shear_strain", "speed_mm_s", "travel_mm")
 
 
-def spread_over_session(runs: Sequence[RunInfo], max_runs: int = MAX_RUNS) -> list[RunInfo]:
+def spread_over_session(runs: Sequence[RunInfo], max_runs: int) -> list[RunInfo]:
     """Return at most `max_runs` runs, in their order.
 
     Conditions get equal shares; what rare ones leave goes to the others. Within a condition runs are evenly spaced in
@@ -103,7 +103,7 @@ def choose_runs(
 
         def choice(runs: Sequence[RunInfo]) -> list[RunInfo]:
             usable.extend(runs)
-            return spread_over_session(runs)
+            return spread_over_session(runs, MAX_RUNS)
 
         selection = _with_count_remark(select_runs(folder, chosen_specimen, progress, choice), len(usable))
     else:
@@ -111,9 +111,8 @@ def choose_runs(
         infos = [run.info for run in runs]
         chosen_specimen, left_out, choice_remarks = _main_specimen(infos, infos, specimen)
         selection = select_loaded_runs(runs, chosen_specimen)
-        paths = {
-            info.path for info in spread_over_session([experiment.run.info for experiment in selection.experiments])
-        }
+        loaded = [experiment.run.info for experiment in selection.experiments]
+        paths = {info.path for info in spread_over_session(loaded, MAX_RUNS)}
         spread = tuple(experiment for experiment in selection.experiments if experiment.run.info.path in paths)
         selection = _with_count_remark(replace(selection, experiments=spread), len(selection.experiments))
     return _with_one_sensor(

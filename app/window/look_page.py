@@ -106,12 +106,12 @@ class RunBrowser(QWidget):
         self._opening = FileWorker(self.complained.emit, self)
         self._campaign_to_select: Path | None = None
         self._listed_folder = ""
-        self._changes = QFileSystemWatcher(self)
+        self.changes = QFileSystemWatcher(self)
         self._again_soon = QTimer(self)
         self._again_soon.setSingleShot(True)
         self._again_soon.setInterval(_FOLLOW_DELAY_MS)
         self._again_soon.timeout.connect(self._follow)
-        self._changes.directoryChanged.connect(lambda _: self._again_soon.start())
+        self.changes.directoryChanged.connect(lambda _: self._again_soon.start())
         layout = column(
             row(self.folder, self.choose, self.again, stretch={0: 1}),
             self.tree,
@@ -170,7 +170,7 @@ class RunBrowser(QWidget):
     def close_down(self) -> None:
         """Finish reading."""
         self._again_soon.stop()
-        self._changes.blockSignals(True)
+        self.changes.blockSignals(True)
         self._listing.drop()
         self._opening.drop()
         self._marking.finish()
@@ -238,11 +238,11 @@ class RunBrowser(QWidget):
         around = {root, *(folder.parent for folder in folders)} if root.is_dir() else {root.parent}
         inside = {folder for parent in around if root.is_dir() for folder in parent.iterdir()}
         wanted = {str(folder) for folder in (*around, *inside, *folders) if folder.is_dir()}
-        watched = self._changes.directories()
+        watched = self.changes.directories()
         if left := list(wanted.difference(watched)):
-            self._changes.addPaths(left)
+            self.changes.addPaths(left)
         if left := [folder for folder in watched if folder not in wanted]:
-            self._changes.removePaths(left)
+            self.changes.removePaths(left)
 
     def _load_runs(self, item: QTreeWidgetItem) -> None:
         if item.childCount() == 0:
@@ -370,7 +370,7 @@ class TraceOverlay(QWidget):
         self.prepared = PreparedTraces(self)
         self.prepared.ready.connect(self._draw_prepared)
         self._once_drawn: Callable[[], None] | None = None
-        self._cursors = tuple(
+        self.cursor_lines = tuple(
             self.channel_plot.cursor(name, colour, lambda _: self._show_cursor_values())
             for name, colour in (("A", BLACK), ("B", VERMILLION))
         )
@@ -478,11 +478,11 @@ class TraceOverlay(QWidget):
 
     def place_cursors(self, first_s: float, second_s: float) -> None:
         """Move both cursors."""
-        for cursor, time_s in zip(self._cursors, (first_s, second_s), strict=True):
+        for cursor, time_s in zip(self.cursor_lines, (first_s, second_s), strict=True):
             cursor.place(time_s, visible=self.cursors.isChecked())
 
     def _add_shortcuts(self) -> None:
-        first, second = self._cursors
+        first, second = self.cursor_lines
         for keys, action in (
             ("Ctrl++", lambda: self.speed_plot.zoom(0.5)),
             ("Ctrl+-", lambda: self.speed_plot.zoom(2.0)),
@@ -523,7 +523,7 @@ class TraceOverlay(QWidget):
         if not self.cursors.isChecked():
             return
         name = self.channel.currentText()
-        first, second = (cursor.time_s for cursor in self._cursors)
+        first, second = (cursor.time_s for cursor in self.cursor_lines)
         axis, crossings = self.axis.currentText(), self.prepared.of(self._crossings())
         rows = [(f"{axis} ({_AXIS_UNITS[axis]})", f"{first:.4f}", f"{second:.4f}", f"{second - first:.4f}")]
         for index, trace in enumerate(self.traces):
@@ -594,7 +594,7 @@ class LookPage(QWidget):
         self._selected: list[ShownRun] = []
         self._traces = FileWorker(self._refused, self)
         self._table = FileWorker(self._refused, self)
-        self._exporting = FileWorker(self._refused, self)
+        self.exporting = FileWorker(self._refused, self)
         splitter = QSplitter(Qt.Orientation.Horizontal)
         splitter.addWidget(card(self.browser))
         right = QWidget()
@@ -624,13 +624,13 @@ class LookPage(QWidget):
         self.overlay.prepared.drop()
         self._traces.drop()
         self._table.drop()
-        self._exporting.finish()
+        self.exporting.finish()
 
     def export_to(self, folder: Path, name: str) -> None:
         """Write the selected runs to a folder."""
         paths, kind = [run.path for run in self._selected], FORMATS[name]
         self.state.setText("Exporting the selected runs …")
-        self._exporting.do_too(lambda: export_shown_runs(paths, folder, kind), self._exported)
+        self.exporting.do_too(lambda: export_shown_runs(paths, folder, kind), self._exported)
 
     def _show_selected(self, runs: Sequence[ShownRun]) -> None:
         self._selected = list(runs)

@@ -223,7 +223,7 @@ class CampaignChoice(QWidget):
         layout = column(self.adds, self.chosen)
         layout.setContentsMargins(0, 0, 8, 0)
         self.setLayout(layout)
-        self._files = FileWorker(self._refuse, self)
+        self.files = FileWorker(self._refuse, self)
         self._typed = QTimer(self)
         self._typed.setSingleShot(True)
         self._typed.timeout.connect(self.read_again)
@@ -248,12 +248,12 @@ class CampaignChoice(QWidget):
         missing = "Choose the campaign that the runs are added to." if self.adds.isChecked() and path is None else ""
         self._show(None, missing, reading=path is not None)
         if path is not None:
-            self._files.do(lambda: campaign_to_extend(path), self._take)
+            self.files.do(lambda: campaign_to_extend(path), self._take)
 
     def finish(self) -> None:
         """Finish reading."""
         self._typed.stop()
-        self._files.drop()
+        self.files.drop()
 
     def _toggle(self, adds: bool) -> None:
         self.chosen.setVisible(adds)

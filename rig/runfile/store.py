@@ -111,7 +111,7 @@ class FolderStore:
 
     def read(self, order: int) -> Run:
         """Return a run of this session, once every closed run is in its final place; raises as `settle`."""
-        self.settle()
+        self._await_finished(self._finisher)
         return read_run(self._paths[order])
 
     def settle(self) -> None:
@@ -121,12 +121,15 @@ class FolderStore:
         stays a recording that `dragrig recover` finishes.
         """
         finisher, self._finisher = self._finisher, Finisher(self._on_finished)
+        with contextlib.closing(finisher):
+            self._await_finished(finisher)
+
+    def _await_finished(self, finisher: Finisher) -> None:
         results: tuple[FinishResult, ...] = ()
         progress = (-1, -1)
         while (now := (finisher.pending, self._part_bytes())) != progress and finisher.pending:
             progress = now
             results += finisher.wait(self._max_stall_s)
-        finisher.close()
         self.finished.extend(results)
         for result in results:
             if result.error is not None:

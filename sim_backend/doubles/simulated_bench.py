@@ -72,11 +72,10 @@ class Carriage:
 
     def followed(self, time_s: float, pieces: Sequence[Piece]) -> "Carriage":
         """Return the motion that continues with `pieces` from a time on, with the speed at that time."""
-        past = [
-            replace(piece, duration_s=min(piece.duration_s, time_s - start))
-            for piece, start in zip(self.profile.pieces(), self.profile.start_s.tolist(), strict=True)
-            if start < time_s - _TIME_TOLERANCE_S
-        ]
+        past = list(self.profile.pieces()[: np.searchsorted(self.profile.start_s, time_s - _TIME_TOLERANCE_S)])
+        if past:
+            last_s = time_s - self.profile.start_s.item(len(past) - 1)
+            past[-1] = replace(past[-1], duration_s=min(past[-1].duration_s, last_s))
         rest_s = time_s - self.profile.duration_s
         if rest_s > 0:
             past.append(stationary_piece(rest_s, Phase.HOLD))

@@ -154,7 +154,7 @@ def test_a_run_there_and_back_is_not_said_to_go_one_way(tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     runs.mkdir()
     dragrig.import_run(table(tmp_path, columns), runs, specimen="steel")
-    result = diagnosed(runs, plain_model(tmp_path))
+    result = diagnosed(runs, plain_model(tmp_path), trying=SOME)
     assert not any("one way" in limitation for limitation in result.limitations)
     told = "" if result.unknown is None else result.unknown.dependence
     assert "every run" not in told
@@ -167,7 +167,7 @@ def test_a_motion_lost_in_noise_divides_by_nothing(tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     runs.mkdir()
     dragrig.import_run(table(tmp_path, columns), runs, specimen="steel")
-    assert diagnosed(runs, plain_model(tmp_path)).runs == 1
+    assert diagnosed(runs, plain_model(tmp_path), trying=SOME).runs == 1
 
 
 def test_a_joint_where_the_motion_reverses_has_a_time_of_its_own() -> None:
@@ -265,7 +265,7 @@ def test_a_relaxation_one_mode_too_short_is_no_drift_of_the_sensor(
 
 
 def test_a_model_that_declares_its_relaxation_is_tried_with_a_further_one(tmp_path: Path, known_noise: None) -> None:
-    runs = relaxing_strips(tmp_path, 1.0, (2.0, 3.0, 4.0, 5.0, 6.0))
+    runs = relaxing_strips(tmp_path, 1.0, (2.0, 4.0, 6.0))
     result = diagnosed(runs, strip_model(tmp_path, DECLARED), trying=("extra_relaxation", *SOME))
     assert result.effects == ("extra_relaxation",), result.ranking[:3]
     assert not any("specimen" in limitation for limitation in result.limitations)
@@ -330,15 +330,17 @@ def heavy_strokes(folder: Path, asymmetry: float) -> Path:
     return runs
 
 
+@pytest.mark.thorough
 def test_a_heavy_stage_on_a_smooth_motion_shows_friction_that_differs_with_direction(tmp_path: Path) -> None:
-    result = diagnosed(heavy_strokes(tmp_path, 0.1), "drive", trying=SOME)
+    result = diagnosed(heavy_strokes(tmp_path, 0.1), "drive", trying=("stribeck", "direction_asymmetry"))
     assert result.effects == ("direction_asymmetry",), result.ranking[:3]
     (size,) = result.ranking[0].parameters
     assert size.value == pytest.approx(0.1, abs=0.02)
 
 
-def test_a_heavy_stage_on_a_smooth_motion_shows_nothing_else(tmp_path: Path) -> None:
-    result = diagnosed(heavy_strokes(tmp_path, 0.0), "drive")
+@pytest.mark.parametrize("trying", [SOME, thorough(tuple(catalogue()))], ids=["some", "all"])
+def test_a_heavy_stage_on_a_smooth_motion_shows_nothing_else(trying: tuple[str, ...], tmp_path: Path) -> None:
+    result = diagnosed(heavy_strokes(tmp_path, 0.0), "drive", trying=trying)
     assert not result.effects, result.ranking[:3]
 
 
@@ -403,8 +405,9 @@ ODD: dict[str, tuple[Callable[[Columns], Columns], dict[str, float]]] = {
 """What is odd of a recording, and the options of its import."""
 
 
-@pytest.mark.parametrize("name", ODD)
-def test_any_recording_gets_a_diagnosis_or_one_sentence(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("trying", [SOME, thorough(tuple(catalogue()))], ids=["some", "all"])
+@pytest.mark.parametrize("name", [thorough(name) if name == "metres" else name for name in ODD])
+def test_any_recording_gets_a_diagnosis_or_one_sentence(name: str, trying: tuple[str, ...], tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     runs.mkdir()
     change, options = ODD[name]
@@ -415,7 +418,7 @@ def test_any_recording_gets_a_diagnosis_or_one_sentence(name: str, tmp_path: Pat
     for nominal in (plain_model(tmp_path), "drive", "capsule"):
         told = ""
         try:
-            assert diagnosed(runs, nominal).runs == 1
+            assert diagnosed(runs, nominal, trying=trying).runs == 1
         except DragrigError as error:
             told = str(error)
         assert "\n" not in told
@@ -437,7 +440,7 @@ def test_presliding_is_found_whatever_unit_the_travel_is_counted_in(
 ) -> None:
     runs = tmp_path / "runs"
     runs.mkdir()
-    for number, (speed, travel) in enumerate([(5, 20), (10, 20), (20, 20), (40, 20), (5, 10), (20, 10)]):
+    for number, (speed, travel) in enumerate([(5, 10), (10, 20), (20, 20), (40, 20)]):
         time = np.arange(0.0, travel / speed + 1.5, 1 / RATE_HZ)
         position = stroke_mm(time, speed, travel, rest_s=0.5)
         bristle = 1.0 - np.exp(-position / length_mm)
@@ -445,7 +448,7 @@ def test_presliding_is_found_whatever_unit_the_travel_is_counted_in(
         force = 500.0 * bristle + 3.0 * velocity + np.random.default_rng(number).normal(0.0, 2.0, time.size)
         columns = {"time_s": time, "motor_force_mN": force, "position_mm": unit * position}
         dragrig.import_run(table(tmp_path, columns, f"{number}.csv"), runs, specimen="joint")
-    result = diagnosed(runs, "drive", trying=("presliding", *SOME))
+    result = diagnosed(runs, "drive", trying=("presliding", "stribeck", "direction_asymmetry"))
     assert "presliding" in result.effects, [(found.hypothesis, found.probability) for found in result.ranking[:4]]
     values = {parameter.name.split(".")[-1]: parameter.value for parameter in result.ranking[0].parameters}
     # The shortest is five counts of the encoder long.

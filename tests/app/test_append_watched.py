@@ -21,6 +21,9 @@ from dragrig.watch import CampaignState, CampaignWatch
 from runfiles import START, header
 from simulated import QUICK
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+INTERPRETER = sys.executable
+
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -44,7 +47,7 @@ def killed_in_the_appended_part(campaign: Path) -> CampaignState:
     words = ["run", "drag", "--append", str(campaign), "--yes", "--pace", "real"]
     settings = ("hold_s=300", "wait_s=0", *QUICK[::2])
     session = subprocess.Popen(
-        [sys.executable, "-m", "dragrig", *words, *(word for item in settings for word in ("--set", item))],
+        [INTERPRETER, "-m", "dragrig", *words, *(word for item in settings for word in ("--set", item))],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

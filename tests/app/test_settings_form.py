@@ -37,7 +37,7 @@ def told(form: RigSettingsForm, **texts: str) -> dict[str, str]:
 
 def test_every_setting_of_the_schema_is_in_the_form(rig: Path) -> None:
     form = rig_settings_form(rig)
-    keys = {(*form._path_of(number), field.key) for number, group in enumerate(form.groups) for field in group.fields}
+    keys = {(*form.path_of(number), field.key) for number, group in enumerate(form.groups) for field in group.fields}
 
     def leaves(table: dict[str, object], path: tuple[str, ...] = ()) -> set[tuple[str, ...]]:
         found: set[tuple[str, ...]] = set()

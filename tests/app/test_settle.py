@@ -39,9 +39,12 @@ from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
 from dragrig.session_state import session_lock
 from dragrig.setup import create_lab, resolve
 from engine_clients import listening
+from loaded_processes import loaded_processes
 from rig_faults import Person
 from settled import EFFECT, FIRST, HANDS_MIN, MINUTES, begun_loop
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+INTERPRETER = sys.executable
 SURE = OpenCauses({"stribeck": 0.99}, 0.0, 0.97, 0.1)
 SPECIMEN = Specimen(name="jejunum")
 BEGUN = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
@@ -80,7 +83,7 @@ def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path, share
 @pytest.mark.thorough
 def test_a_killed_loop_goes_on_where_it_was(tmp_path: Path, shared_folder: Path) -> None:
     folder = Path(shutil.copytree(begun_loop(shared_folder), tmp_path / "killed"))
-    command = [sys.executable, "-m", "dragrig", "gap", "settle", "--resume", str(folder), "--yes"]
+    command = [INTERPRETER, "-m", "dragrig", "gap", "settle", "--resume", str(folder), "--yes"]
     loop = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     # Killed once the second batch has a run, while it is made or just after.
     first = len(resolve(FIRST, backend="simulated").programme().runs)
@@ -244,7 +247,7 @@ def on_the_double(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A campaign of a run on the double of the real rig, one of whose two drags is missing, with decisions in it."""
     lab = tmp_path_factory.mktemp("lab")
     create_lab(lab)
-    drag = {**DRAG, "wait_s": 0.0, "speed_mm_s": [10.0, 5.0], "travel_mm": 5.0, "way_back": "stay"}
+    drag = {**DRAG, "wait_s": 0.0, "speed_mm_s": [20.0, 10.0], "travel_mm": 2.0, "way_back": "stay"}
     plan = Plan.model_validate({"name": "short", "steps": [drag]})
     made = dragrig.run(
         plan,
@@ -268,7 +271,10 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_no_other_backend_goes_on_with_a_campaign(on_the_double: Path) -> None:
     before = contents(on_the_double)
-    with listening(RigSelection(rig=on_the_double.parent / "rig.toml", backend="simulated")) as host:
+    with (
+        loaded_processes(),
+        listening(RigSelection(rig=on_the_double.parent / "rig.toml", backend="simulated")) as host,
+    ):
         for words, job in (
             ("made on the double of hardware; open the window for that", SessionJob(1, "", resume=on_the_double)),
             (

@@ -43,6 +43,8 @@ from dragrig.watch import (
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+INTERPRETER = sys.executable
 PLAN = """
 name = "two"
 [[steps]]
@@ -68,7 +70,7 @@ class Onlooker(NullOperator):
     def ask(self, prompt: Prompt) -> Answer:
         self.asked.append(CampaignWatch(self._folder).look())
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "dragrig", "watch", str(self._folder.parent), "--every", "0.05"],
+            [INTERPRETER, "-m", "dragrig", "watch", str(self._folder.parent), "--every", "0.05"],
             stdout=subprocess.PIPE,
             text=True,
         )

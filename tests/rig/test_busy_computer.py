@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import RigSettings
@@ -85,23 +85,20 @@ def test_an_emergency_stop_is_seen_while_a_reply_is_awaited() -> None:
         rig.bench.faults.clear()
 
 
-def never_look(stage: object) -> None:
-    """Keep the monitor's threads from looking at the switches again, as on a computer that does not run them."""
+@contextmanager
+def unseen(stage: object) -> Iterator[Callable[[], None]]:
+    """Return what keeps the monitor from looking at the switches again, as on a computer that does not run it."""
     assert isinstance(stage, MonitoredStage)
-    monitor = stage._monitor
-    monitor._interval_s, polled_s = 3600.0, 0.0
-    while polled_s != monitor._polled_s:
-        # The wait in progress has the time between two looks from before.
-        polled_s = monitor._polled_s
-        time.sleep(0.1)
+    with ExitStack() as held:
+        yield lambda: held.enter_context(stage.withholding(polls=True))
 
 
 def test_an_emergency_stop_that_the_guard_sees_first_is_no_silent_encoder() -> None:
     settings = rig_settings(2.0, 5.0, encoder_silent_mm=0.4, following_error_mm=0.5)
-    with ready(settings) as (backend, faults):
+    with ready(settings) as (backend, faults), unseen(backend.stage) as never_look:
 
         def press() -> None:
-            never_look(backend.stage)
+            never_look()
             faults.inject(e_stop_pressed=True)
 
         outcome = run(backend, settings, press, far=True)
@@ -111,11 +108,11 @@ def test_an_emergency_stop_that_the_guard_sees_first_is_no_silent_encoder() -> N
 
 def test_an_emergency_stop_that_the_velocity_loop_sees_first_is_no_following_error() -> None:
     settings = velocity_rig()
-    with voltage_rig(settings) as backend:
+    with voltage_rig(settings) as backend, unseen(backend.stage) as never_look:
         backend.ready()
 
         def press() -> None:
-            never_look(backend.stage)
+            never_look()
             backend.bench.faults.inject(e_stop_pressed=True)
 
         outcome = run(backend, settings, press, far=True)

@@ -36,6 +36,7 @@ from dragrig.rig.operator import Answer, NullOperator, Prompt, reset_guard
 from dragrig.setup import create_lab, resolve_rig
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+from property_tests import thorough
 from rig_faults import Bench
 
 PACE = 20.0
@@ -129,14 +130,14 @@ def test_a_rig_that_is_wired_as_it_should_be_passes() -> None:
 @pytest.mark.parametrize(
     ("fault", "failed", "said"),
     [
-        ("switches_swapped", {"lower limit switch", "upper limit switch"}, "in its place"),
+        thorough("switches_swapped", {"lower limit switch", "upper limit switch"}, "in its place"),
         (
             "switches_normally_open",
             {"switches at rest", "e-stop", "lower limit switch", "upper limit switch", "enable"},
             "normally open",
         ),
         ("enable_not_wired", {"enable", "enable in motion"}, "stays on"),
-        ("encoder_stuck", {"encoder"}, "does not count"),
+        thorough("encoder_stuck", {"encoder"}, "does not count"),
     ],
 )
 def test_wrong_wires_of_the_bench_are_found_and_nothing_else(fault: str, failed: set[str], said: str) -> None:
@@ -215,6 +216,7 @@ def without_record(lab: Path) -> Iterator[None]:
         record.unlink(missing_ok=True)
 
 
+@pytest.mark.thorough
 def test_a_press_that_is_over_before_the_answer_counts(faulty_rig: Bench) -> None:
     with without_record(faulty_rig.lab):
         record = api.commission(person=Hand(faulty_rig), rig=str(faulty_rig.lab / "rig.toml"))
@@ -257,15 +259,19 @@ def test_the_real_rig_asks_once_for_a_look_and_again_when_wires_change(faulty_ri
         assert asked(faulty_rig, Cautious(), "rig.hardware.card.encoder.z=") == 1
 
 
+def found_lacking(rig: str, *names: str) -> CommissioningRecord:
+    """What a look stores that found some signals wrong."""
+    return CommissioningRecord(
+        made_at=datetime.now().astimezone(),
+        made_on="hardware",
+        wiring=wiring_key(resolve_rig(rig=rig).rig),
+        signals=tuple(CommissionedSignal(name=name, passed=False, detail="does not work") for name in names),
+    )
+
+
 def test_a_look_that_found_faults_is_asked_about_and_what_it_found_stays(faulty_rig: Bench) -> None:
     with without_record(faulty_rig.lab):
-        found = CommissionedSignal(name="encoder", passed=False, detail="does not count")
-        record = CommissioningRecord(
-            made_at=datetime.now().astimezone(),
-            made_on="hardware",
-            wiring=wiring_key(resolve_rig(rig=str(faulty_rig.lab / "rig.toml")).rig),
-            signals=(found,),
-        )
+        record = found_lacking(str(faulty_rig.lab / "rig.toml"), "encoder")
         write_commissioning(faulty_rig.lab, record)
         person = Cautious()
         assert asked(faulty_rig, person) == 1
@@ -273,7 +279,7 @@ def test_a_look_that_found_faults_is_asked_about_and_what_it_found_stays(faulty_
         assert asked(faulty_rig, Cautious()) == 0
         stored = read_commissioning(faulty_rig.lab)
         assert stored is not None
-        assert stored.signals == (found,)
+        assert stored.signals == record.signals
 
 
 class Agreeing(NullOperator):
@@ -288,7 +294,6 @@ class Agreeing(NullOperator):
 
 
 def test_a_look_that_finds_nothing_wired_has_long_fast_runs_refused_and_the_record_says_why(faulty_rig: Bench) -> None:
-    faulty_rig.inject(drive_unwatched=True, enable_not_wired=True)
     rig, plan = str(faulty_rig.lab / "rig.toml"), faulty_rig.lab / "plan.toml"
     far = ("travel_mm=130",)
     with without_record(faulty_rig.lab):
@@ -296,12 +301,7 @@ def test_a_look_that_finds_nothing_wired_has_long_fast_runs_refused_and_the_reco
         assert before.findings == ()
         assert "untried" in " ".join(before.remarks)
         assert "without it by up to 130.0 mm" in " ".join(before.remarks)
-        api.commission(person=Agreeing(), rig=rig)
-        stored = read_commissioning(faulty_rig.lab)
-        assert stored is not None
-        signals = {signal.name: signal for signal in stored.signals}
-        assert not signals["enable"].passed
-        assert not signals["watchdog in motion"].passed
+        write_commissioning(faulty_rig.lab, found_lacking(rig, "enable", "watchdog", "watchdog in motion"))
         person, folder = Agreeing(), faulty_rig.folder()
         with pytest.raises(PlanError, match=r"speed to 2\.9 mm/s"):
             api.run(plan, rig=rig, out=folder, person=person, assignments=far)

@@ -158,7 +158,7 @@ def test_a_capsule_that_slips_is_reported_with_its_time(at_s: float, drop: float
     assert any("slipped" in warning for warning in seen.warnings)
 
 
-@pytest.mark.parametrize("strain", [0.5, thorough(1.0), thorough(1.5), 2.0])
+@pytest.mark.parametrize("strain", [thorough(0.5), thorough(1.0), thorough(1.5), 2.0])
 def test_a_wall_that_relaxes_is_not_taken_for_slip(strain: float) -> None:
     for seed in range(10):
         assert relaxing(seed, strain).values["slip_time_s"] == -1.0
@@ -176,8 +176,8 @@ def test_the_shipped_plans_on_the_simulated_rig_are_marked_by_nothing(plan: str)
 def test_the_simulated_walls_relaxation_is_not_taken_for_slip() -> None:
     import dragrig
 
-    runs = dragrig.simulate("relaxation", assignments=["repeats=3", "rig.data.root='.'"])
+    runs = dragrig.simulate("relaxation", assignments=["rig.data.root='.'"])
     slips = [run.info.checks["slip_time_s"] for run in runs if run.info.kind == "relaxation"]
-    assert slips == [-1.0] * 12
+    assert slips == [-1.0] * 4
     assert RigSettings().sampling.rate_hz == RATE
     assert FrictionModelSettings().wall == "eq14"

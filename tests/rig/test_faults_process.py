@@ -1,5 +1,7 @@
 """Faults of program and computer: ended, killed, frozen, hung, met by another, disk full, time put back, no driver."""
 
+import io
+import json
 import mmap
 import os
 import shutil
@@ -8,7 +10,6 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from ctypes.util import find_library
 from datetime import datetime, timedelta
@@ -16,23 +17,22 @@ from pathlib import Path
 
 import pytest
 
-from dragrig.config.settings import to_toml
+from dragrig.cli import main
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile import read_campaign, read_info, read_run
+from dragrig.rig.runfile import read_campaign, read_info, read_run, recover
 from dragrig.rig.runfile.model import RunStatus
 from places import SUPPORT, TESTS
-from remote_doubles import RemoteDoubles
+from remote_doubles import StageStatus
 from rig_faults import (
     DOCS,
     FAR_MM,
     PATIENCE_S,
-    PLAN,
-    RIG,
     SOON_HUNG,
     SOON_SILENT,
     Bench,
     Program,
+    ServedDoubles,
     assert_goes_on,
     assert_kept,
     assert_reported,
@@ -48,8 +48,8 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the signals tha
 
 @pytest.fixture(scope="module")
 def faulty_bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """Doubles in a process of their own, which outlive a program that is killed."""
-    with bench(tmp_path_factory.mktemp("lab"), RemoteDoubles) as entry:
+    """Doubles that outlive a program that is killed."""
+    with bench(tmp_path_factory.mktemp("lab"), ServedDoubles) as entry:
         yield entry
 
 
@@ -91,44 +91,91 @@ def recorded(folder: Path) -> int:
     return read_info(paths[0]).samples if paths else 0
 
 
-def test_a_second_program_is_refused_and_sigterm_ends_the_first_in_good_order(faulty_rig: Bench, start: Start) -> None:
-    first = start("plan.toml", "--out", folder := faulty_rig.folder(), "--set", "speed_mm_s=0.4")
-    first.until_under_way()
+class ShiftedClock:
+    """The time of day of a program that is started with `environment`, moved while it runs where that is possible."""
+
+    def __init__(self, folder: Path) -> None:
+        self.environment: dict[str, str] = {}
+        library, file = folder / "shift.so", folder / "shift"
+        file.write_bytes(bytes(8))
+        with file.open("r+b") as opened:
+            self._map = mmap.mmap(opened.fileno(), 8)
+        if sys.platform == "linux" and shutil.which("cc"):
+            words = ["cc", "-shared", "-fPIC", "-O1", "-o", library, SUPPORT / "wall_clock_shift.c", "-ldl"]
+            if not subprocess.run(words, capture_output=True, check=False).returncode:
+                self.environment = {"LD_PRELOAD": str(library), "CLOCK_SHIFT": str(file)}
+
+    def put(self, shift: timedelta) -> None:
+        self._map[:8] = struct.pack("q", round(shift.total_seconds()))
+
+
+HOUR, HALF_AN_HOUR = timedelta(hours=1), timedelta(minutes=30)
+
+
+def test_a_second_program_is_refused_and_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(
+    faulty_rig: Bench, start: Start, tmp_path: Path
+) -> None:
+    """Nor does it matter that the clock is put back by an hour while the first one runs."""
+    clock, began = ShiftedClock(tmp_path), datetime.now().astimezone()
+    clock.put(HOUR)
+    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=4"))
+    program = start(*words, "--out", folder := faulty_rig.folder(), **clock.environment)
+    struck = program.until_under_way()
+    clock.put(timedelta())
     second = begin(faulty_rig).end()
     assert second.exit_code == 5
     assert sentence("two programs on one rig").fullmatch(second.message), second.message
-    assert str(first.process.pid) in second.message
+    assert str(program.process.pid) in second.message
     assert not second.folder.exists()
-    struck = faulty_rig.look()
-    assert struck.moving
-    remaining = recorded(folder)
-    first.process.send_signal(signal.SIGTERM)
-    code, printed, answer = first.end()
-    run = only_run(folder)
-    assert (code, printed["status"], run.info.status) == (3, "aborted", RunStatus.ABORTED)
-    assert sentence("SIGTERM").fullmatch(answer), answer
-    assert printed["reason"] == run.info.reason == "ended by SIGTERM"
-    assert run.info.checks["lost_samples"] == 0
-    look = faulty_rig.look()
-    assert_stopped(struck, look, Halt.STOP)
-    assert not look.enabled
-    assert_kept(run, max(remaining, 1000))
-
-
-def test_sigkill_leaves_the_drive_to_stop_by_itself_and_the_data_on_disk(faulty_rig: Bench, start: Start) -> None:
-    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=3"))
-    program = start(*words, "--out", folder := faulty_rig.folder())
-    struck = program.until_under_way()
     faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: program.alive)
     remaining = recorded(folder)
     program.process.kill()
     look = faulty_rig.until(lambda look: not look.moving)
     assert_stopped(struck, look, Halt.SILENCE, FAR_MM)
+    # To this program it is an hour earlier than it was to the first one.
     assert_goes_on(faulty_rig, folder)
-    (lost,) = (info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
+    lost, later = sorted(read_campaign(folder).runs, key=lambda info: info.header.order)
     assert lost.status is RunStatus.RECOVERED
     assert sentence("SIGKILL").fullmatch(lost.reason), lost.reason
     assert_kept(read_run(lost.path), remaining)
+    if clock.environment:
+        assert abs(lost.header.start_time - began - HOUR) < HALF_AN_HOUR
+    assert later.header.start_time >= lost.header.start_time + timedelta(seconds=lost.samples / 1000)
+    assert later.path.name > lost.path.name
+
+
+def test_sigterm_ends_a_run_in_good_order(
+    near_rig: Bench, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, struck = near_rig.folder(), list[StageStatus]()
+    monkeypatch.chdir(near_rig.lab)
+    monkeypatch.setattr(sys, "stdin", io.StringIO("done\n" * 20))
+
+    def strike() -> None:
+        near_rig.until_under_way()
+        struck.append(near_rig.until(lambda _: recorded(folder) > ON_DISK))
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    # A run that has ended before must not take the tests with it.
+    earlier = signal.signal(signal.SIGTERM, lambda *_: None)
+    striking = threading.Thread(target=strike)
+    striking.start()
+    try:
+        code = main(["run", "plan.toml", "--json", "--out", str(folder), "--set", "speed_mm_s=3"])
+    finally:
+        striking.join()
+        signal.signal(signal.SIGTERM, earlier)
+    told = capsys.readouterr()
+    printed, answer = json.loads(told.out), told.err.splitlines()[-1].removeprefix("dragrig: ")
+    run = only_run(folder)
+    assert (code, printed["status"], run.info.status) == (3, "aborted", RunStatus.ABORTED)
+    assert sentence("SIGTERM").fullmatch(answer), answer
+    assert printed["reason"] == run.info.reason == "ended by SIGTERM"
+    assert run.info.checks["lost_samples"] == 0
+    look = near_rig.look()
+    assert_stopped(struck[0], look, Halt.STOP)
+    assert not look.enabled
+    assert_kept(run, ON_DISK)
 
 
 @pytest.mark.thorough
@@ -197,84 +244,10 @@ def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(near_rig: Bench,
     assert_stopped(struck, ended.stage, Halt.STOP)
     assert not ended.stage.enabled
     filler.unlink()
-    assert_goes_on(near_rig, folder)
-    lost = next(info for info in read_campaign(folder).runs if info.status is not RunStatus.COMPLETE)
+    recover(folder)
+    (lost,) = read_campaign(folder).runs
     assert_kept(read_run(lost.path), remaining)
     assert lost.status is RunStatus.RECOVERED or "MB are free" in lost.reason
-
-
-class ShiftedClock:
-    """The time of day of a program that is started with `environment`, moved while it runs."""
-
-    def __init__(self, folder: Path) -> None:
-        library, source = folder / "shift.so", SUPPORT / "wall_clock_shift.c"
-        made = subprocess.run(
-            ["cc", "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], capture_output=True, check=False
-        )
-        if made.returncode:
-            pytest.skip("nothing to preload can be compiled here")
-        file = folder / "shift"
-        file.write_bytes(bytes(8))
-        with file.open("r+b") as opened:
-            self._map = mmap.mmap(opened.fileno(), 8)
-        self.environment = {"LD_PRELOAD": str(library), "CLOCK_SHIFT": str(file)}
-
-    def put(self, shift_s: int) -> None:
-        self._map[:8] = struct.pack("q", shift_s)
-
-
-SHIFTED_PROGRAM = """
-import sys
-from pathlib import Path
-import dragrig
-from dragrig.rig.operator import Answer, NullOperator
-from dragrig.rig.runfile import mark_bad, read_campaign
-
-class Person(NullOperator):
-    moved = False
-    def ask(self, prompt):
-        return Answer.DONE
-    def reads(self, reading):
-        if not self.moved and float(reading.channels["position"][-1]) > 1.0:
-            self.moved = True
-            print("moves", flush=True)
-
-plan, rig, folder = map(Path, sys.argv[1:])
-dragrig.run(plan, out=folder, rig=rig, double=True, pace=2.0, person=Person()).session.require()
-mark_bad(read_campaign(folder).runs[0].path, "made again")
-dragrig.resume(folder, person=Person()).session.require()
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux" or not shutil.which("cc"), reason="needs LD_PRELOAD and a C compiler")
-def test_a_clock_that_is_put_back_changes_no_time_and_no_order(tmp_path: Path) -> None:
-    clock = ShiftedClock(tmp_path)
-    plan, rig, folder = (tmp_path / name for name in ("plan.toml", "rig.toml", "campaign"))
-    plan.write_text(PLAN, "utf-8")
-    rig.write_text(to_toml(RIG), "utf-8")
-    began = datetime.now().astimezone()
-    words = [sys.executable, "-c", SHIFTED_PROGRAM, plan, rig, folder]
-    with subprocess.Popen(
-        words, cwd=tmp_path, env={**os.environ, **clock.environment}, stdout=subprocess.PIPE, text=True
-    ) as program:
-        assert program.stdout is not None
-        assert program.stdout.readline() == "moves\n"
-        clock.put(-3600)
-        program.stdout.read()
-    assert program.returncode == 0
-    earlier, later = sorted(read_campaign(folder).runs, key=lambda run: run.header.order)
-    first = read_run(earlier.path)
-    assert_kept(first, first.info.samples)
-    assert earlier.end_time is not None
-    took = earlier.end_time - earlier.header.start_time
-    assert timedelta(seconds=earlier.samples / 1000) <= took < timedelta(minutes=30)
-    assert abs(earlier.header.start_time - began) < timedelta(minutes=30)
-    assert later.header.start_time >= earlier.end_time
-    assert later.path.name > earlier.path.name
-    seen = subprocess.run(
-        ["date", "+%s"], env={**clock.environment, "PATH": "/bin:/usr/bin"}, capture_output=True, text=True, check=True
-    )
-    assert abs(int(seen.stdout) - (time.time() - 3600)) < 1800, "the clock was never put back"
 
 
 @pytest.mark.skipif(find_library("nidaqmx") is not None, reason="this computer has NI's driver")

@@ -134,14 +134,14 @@ def rig(shared: Rig) -> Rig:
     ("fault", "row"),
     [
         ({"force_frozen": True}, "force input dead"),
-        ({"force_constant_V": 4.9}, "force input dead"),
-        ({"force_constant_V": 1e-9}, "force input dead"),
+        thorough({"force_constant_V": 4.9}, "force input dead"),
+        thorough({"force_constant_V": 1e-9}, "force input dead"),
         ({"force_added_mN": 9850.0}, "force over range"),
         ({"force_added_mN": 8500.0}, "force over the limit"),
         ({"sensor_open": True}, "force sensor's wire broken"),
-        ({"encoder_added_counts": 100}, "encoder loses counts"),
+        thorough({"encoder_added_counts": 100}, "encoder loses counts"),
         ({"encoder_added_counts": -400}, "encoder loses counts"),
-        ({"encoder_jitter_counts": 200}, "encoder loses counts"),
+        thorough({"encoder_jitter_counts": 200}, "encoder loses counts"),
         ({"encoder_error": True}, "encoder's error line"),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(f"{key}={of}" for key, of in value.items()),
@@ -170,7 +170,7 @@ def test_a_healthy_run_is_left_alone(rig: Rig) -> None:
     ("fault", "warning"),
     [
         ({"force_dead": True}, "did not change when the stage moved"),
-        ({"force_inverted": True}, "acts along the motion"),
+        thorough({"force_inverted": True}, "acts along the motion"),
         ({"encoder_lost_share": 0.01}, r"differ by -0\.24"),
         thorough({"encoder_lost_share": -0.01}, r"differ by \+0\.24"),
     ],
@@ -190,7 +190,7 @@ FLOATS = [
     ),
     thorough({"force_floats_hum_mN": 6.0}, ["noise or hum began within the run: 4"]),
     thorough({"force_floats_drift_mN_s": 40.0}, ["did not change when the stage stopped"]),
-    ({}, ["did not change when the stage stopped"]),
+    thorough({}, ["did not change when the stage stopped"]),
 ]
 
 
@@ -219,6 +219,7 @@ def test_a_cable_that_is_pulled_in_mid_stroke_marks_a_run_of_5000_samples_a_seco
         pulled(made, floats, warnings)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("added", [{"force_tone_mN": 6.0, "force_tone_hz": 50.0}])
 def test_hum_that_begins_within_a_run_is_told_from_hum_before_it(rig: Rig, added: dict[str, float]) -> None:
     outcome = rig.run(**added)
@@ -229,6 +230,7 @@ def test_hum_that_begins_within_a_run_is_told_from_hum_before_it(rig: Rig, added
     assert not [warning for warning in steady.checks.warnings if "began" in warning]
 
 
+@pytest.mark.thorough
 def test_in_velocity_mode_the_drives_own_position_tells_what_the_card_lost() -> None:
     settings = velocity_rig()
     with voltage_rig(settings) as backend:
@@ -282,6 +284,7 @@ def test_a_measured_rail_makes_a_saturated_amplifier_an_overload() -> None:
     assert outcome.reason.startswith(f"{TripCause.SENSOR_OVERLOAD}: force input ai0 is at 5.00 V")
 
 
+@pytest.mark.thorough
 def test_a_rig_that_was_calibrated_knows_an_amplifier_that_saturates_where_nobody_measured(
     tmp_path: Path,
 ) -> None:
@@ -298,21 +301,21 @@ def test_a_rig_that_was_calibrated_knows_an_amplifier_that_saturates_where_nobod
     assert outcome.reason.startswith(f"{TripCause.SENSOR_DEAD}: force input ai0 shows ")
 
 
-def test_with_a_known_noise_a_dead_amplifier_and_a_pull_down_are_found() -> None:
+@pytest.mark.parametrize("fault", ["force_dead", thorough("sensor_open")])
+def test_with_a_known_noise_a_dead_amplifier_or_a_pull_down_is_found(fault: str) -> None:
     noisy = {"noise": {"white_mN": 20.0}}
     with rig_with(wired({"least_noise_uV": 450.0, "unplugged": "zero"}, simulated=noisy)) as made:
         assert made.run().status is RunStatus.COMPLETE
-        for fault in ("force_dead", "sensor_open"):
-            made.make_ready()
-            outcome = made.run(**{fault: True})
-            assert outcome.reason.startswith(f"{TripCause.SENSOR_DEAD}: ")
+        made.make_ready()
+        outcome = made.run(**{fault: True})
+        assert outcome.reason.startswith(f"{TripCause.SENSOR_DEAD}: ")
 
 
 def monitor_of(settings: RigSettings, rate_hz: float, alive_uV: float = 0.0) -> ForceInputMonitor:
     return ForceInputMonitor(settings, NoiseLimits(settings, alive_uV, rate_hz), rate_hz)
 
 
-@pytest.mark.parametrize("rate_hz", [thorough(100.0), 1000.0, 25_000.0])
+@pytest.mark.parametrize("rate_hz", [thorough(100.0), 1000.0, thorough(25_000.0)])
 @pytest.mark.parametrize("range_V", [0.2, thorough(1.0), thorough(5.0), 10.0])
 def test_a_sensor_quieter_than_the_converter_is_alive_in_every_range(range_V: float, rate_hz: float) -> None:
     settings = RigSettings.model_validate({"hardware": {"card": {"force": {"range_V": range_V}}}})

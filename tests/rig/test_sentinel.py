@@ -165,6 +165,8 @@ def test_a_drifted_sentinel_is_measured_once_more_and_then_the_operator_decides(
     by_order = {run.header.order: run for run in campaign.runs}
     assert [order for order, run in sorted(by_order.items()) if run.is_sentinel] == [0, 6, 8, 12]
     assert not campaign.marks
+    assert len(RunQuery(kind="sentinel").of(campaign)) == 4
+    assert len(RunQuery(kind="drag").of(campaign)) > 4
     assert "measured once more, decided by the operator" in read_note(by_order[6].path)
     assert "go on, decided by the operator" in read_note(by_order[8].path)
     # What was known of the specimen when a run began stands in its file.
@@ -175,6 +177,7 @@ def test_a_drifted_sentinel_is_measured_once_more_and_then_the_operator_decides(
     assert "sentinel_decision" not in by_order[2].header.entry
 
 
+@pytest.mark.thorough
 def test_within_its_bound_nobody_is_asked(tmp_path: Path) -> None:
     person = Decides()
     made(tmp_path / "c", person, {"drift_percent": 60.0}, repeats=1)

@@ -18,14 +18,12 @@ from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.stops import HAND_S, RELEASE_S, RunOn, Stops, assess_stops, check_stops
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
-from driving import driven, until
+from driving import Stall, driven, until
 from property_tests import thorough
 from simulated import stroke
 
 HEARTBEAT = {"heartbeat": "port1/line4"}
 LIMITS = StageLimits(0.0, 150.0, 100.0, 3000.0)
-LATE_S = 0.25
-"""How much later a busy machine may see what happened."""
 
 
 def rig_of(silence_s: float = 0.5, mode: str = "position", **lines: object) -> RigSettings:
@@ -169,7 +167,7 @@ def test_the_check_of_a_rig_fails_where_nothing_but_a_person_is_left() -> None:
 WIRINGS: list[tuple[dict[str, object], dict[str, float | bool], dict[str, float]]] = [
     ({"enable": ""}, {}, {"watchdog": 0.5}),
     ({"enable": "port1/line0"}, {"drive_unwatched": True}, {"watchdog": -1, "enable": 0.01}),
-    (
+    thorough(
         {"enable": "port1/line0"},
         {"drive_unwatched": True, "enable_opens_s": 0.3},
         {"watchdog": -1, "enable": 0.3},
@@ -187,21 +185,19 @@ def test_the_way_after_a_dead_cable_is_what_the_check_says(
     lines: dict[str, object], faults: dict[str, float | bool], seen_s: dict[str, float]
 ) -> None:
     speed_mm_s = 40.0
-    for _ in range(4):
-        with driven(lines=lines, silence_s=0.5, reply_s=0.1) as rig:
-            rig.bench.faults.inject(**faults)
-            rig.ready().stage.move(stroke(travel_mm=145.0, speed_mm_s=speed_mm_s))
-            until(lambda: rig.bench.speed_mm_s() > 0.99 * speed_mm_s)
+    with driven(lines=lines, silence_s=0.5, reply_s=0.1) as rig:
+        rig.bench.faults.inject(**faults)
+        rig.ready().stage.move(stroke(travel_mm=145.0, speed_mm_s=speed_mm_s))
+        until(lambda: rig.bench.speed_mm_s() > 0.99 * speed_mm_s)
+        with Stall() as stall:
             at_mm = rig.bench.position_mm()
             rig.bench.faults.inject(drive_cut_off=True)
             until(lambda: not rig.bench.moving)
             way_mm = rig.bench.position_mm() - at_mm
-            said_mm = assessed(rig.bench.rig, **seen_s).on_link.way_mm(speed_mm_s)
-        assert way_mm > 0.7 * said_mm
-        # A busy machine may hold up what would stop it.
-        if way_mm <= said_mm:
-            return
-    pytest.fail(f"it went on by {way_mm:.1f} mm, and {said_mm:.1f} mm are said")
+        said_mm = assessed(rig.bench.rig, **seen_s).on_link.way_mm(speed_mm_s)
+    assert way_mm > 0.7 * said_mm
+    # A busy machine holds up what would stop it: the program's threads and the doubles'.
+    assert way_mm <= said_mm + 3 * stall.longest_s * speed_mm_s
 
 
 def test_without_any_of_them_a_dead_cable_leaves_the_stage_to_the_end_of_its_stroke() -> None:
@@ -252,15 +248,17 @@ class Looked:
 
 
 def test_what_stops_the_drive_is_proven_with_its_time_at_rest_and_at_1_mm_s() -> None:
-    looked = Looked(rig_of(**HEARTBEAT), relay_opens_s=0.4, enable_opens_s=0.2)
+    with Stall() as stall:
+        looked = Looked(rig_of(**HEARTBEAT), relay_opens_s=0.4, enable_opens_s=0.2)
+    late_s = 0.1 + 3 * stall.longest_s
     assert looked.asked[-2:] == [STANDSTILL_PROMPT, MOTION_PROMPT]
     assert all(finding.passed for finding in looked.found.values()), looked.found
     for name, took_s in (("enable", 0.2), ("relay", 0.4), ("watchdog", 0.5)):
         moving = looked.found[f"{name} in motion"]
-        assert took_s - 0.01 <= moving.after_s <= took_s + LATE_S
+        assert took_s - 0.01 <= moving.after_s <= took_s + late_s
         assert " mm on" in moving.detail
-    assert 0.19 <= looked.found["enable"].after_s <= 0.2 + LATE_S
-    assert 0.39 <= looked.found["relay"].after_s <= 0.4 + LATE_S
+    assert 0.19 <= looked.found["enable"].after_s <= 0.2 + late_s
+    assert 0.39 <= looked.found["relay"].after_s <= 0.4 + late_s
     assert looked.found["watchdog"].after_s == 0
     assert looked.furthest_mm <= 2.0
 
@@ -301,9 +299,10 @@ def test_a_person_may_keep_the_stage_from_moving_and_then_the_timeout_stays_untr
 
 
 def test_a_patient_timeout_is_tried_more_slowly_over_the_same_way() -> None:
-    looked = Looked(rig_of(silence_s=1.5, enable=""))
+    with Stall() as stall:
+        looked = Looked(rig_of(silence_s=1.5, enable=""))
     assert looked.found["watchdog in motion"].passed
-    assert 1.4 <= looked.found["watchdog in motion"].after_s <= 1.5 + LATE_S
+    assert 1.4 <= looked.found["watchdog in motion"].after_s <= 1.6 + 3 * stall.longest_s
     assert looked.furthest_mm <= 2.0
 
 
@@ -311,7 +310,7 @@ def test_a_patient_timeout_is_tried_more_slowly_over_the_same_way() -> None:
     ("fault", "said"),
     [
         ({"e_stop_pressed": True}, "emergency stop is pressed"),
-        ({"drive_alarm": "overcurrent"}, "see what else stopped it"),
+        thorough({"drive_alarm": "overcurrent"}, "see what else stopped it"),
     ],
 )
 def test_what_else_stops_the_drive_while_nobody_asks_it_is_no_proof_of_its_timeout(

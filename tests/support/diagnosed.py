@@ -20,10 +20,15 @@ from places import CAMPAIGN
 
 UNADVISED = DiagnosisOptions(next_runs=None)
 """A diagnosis without the search for the next run, which takes a third of its time."""
-SOME = ("adhesion", "film_depletion", "wall_lift_off", "stribeck", "force_drift", "encoder_scale")
-"""Effects that a diagnosis tries which is about something else than telling all effects of the catalogue apart."""
-OF_SOME = replace(UNADVISED, excluded=tuple(effect for effect in catalogue() if effect not in SOME))
-"""The same, of some effects alone, which takes half the time."""
+
+
+def trying(*effects: str) -> DiagnosisOptions:
+    """Return options for a diagnosis that tries these effects alone."""
+    return replace(UNADVISED, excluded=tuple(effect for effect in catalogue() if effect not in effects))
+
+
+OF_SOME = trying("adhesion", "film_depletion", "wall_lift_off", "stribeck", "force_drift", "encoder_scale")
+"""Of some effects, in half the time, for what is about something else than telling all of the catalogue apart."""
 
 
 @dataclass(frozen=True)
@@ -34,20 +39,26 @@ class Secret:
     ----------
     every
         Of how many speeds and strains one is kept.
+    sizes
+        Of the effects, each of its usual one.
     """
 
     seed: int
     every: int
     effects: tuple[str, ...] = ()
     options: DiagnosisOptions = UNADVISED
+    sizes: tuple[float, ...] | float = 1.0
 
 
 SECRETS = {
-    "nothing": Secret(11, 3),
-    "stribeck": Secret(12, 3, ("stribeck",)),
-    "strayed position": Secret(14, 3, ("encoder_scale",)),
-    "two effects": Secret(21, 2, ("film_depletion", "force_drift")),
-    "unknown": Secret(18, 4, ("stick_slip",), OF_SOME),
+    "nothing": Secret(11, 3, options=OF_SOME),
+    "stribeck": Secret(12, 5, ("stribeck",)),
+    "strayed position": Secret(14, 5, ("encoder_scale",), OF_SOME),
+    "two effects": Secret(
+        43, 4, ("mains_hum", "force_drift"), trying("mains_hum", "force_drift", "stribeck", "adhesion"), (2.0, 1.0)
+    ),
+    "two effects of all": Secret(21, 2, ("film_depletion", "force_drift")),
+    "unknown": Secret(18, 4, ("stick_slip",), trying("stribeck", "film_depletion", "wall_lift_off")),
     "unknown of all": Secret(18, 2, ("stick_slip",)),
     "unknown law": Secret(12, 2, ("wall_seam",)),
 }
@@ -108,5 +119,5 @@ def write_hidden(folder: Path, secret: Secret) -> None:
     """Write the runs of a blind campaign; the folder is there once they all are."""
     if not folder.exists():
         begun = Path(mkdtemp(dir=folder.parent))
-        hidden(begun, secret.seed, *secret.effects, every=secret.every)
+        hidden(begun, secret.seed, *secret.effects, size=secret.sizes, every=secret.every)
         begun.rename(folder)

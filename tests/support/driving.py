@@ -1,11 +1,12 @@
 """What the tests of the drive share: a drive's double on a port, and what talks to it."""
 
 import os
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, Self, TypeVar
 
 import pytest
 
@@ -26,6 +27,7 @@ from drive_ports import DrivePort, PtyPort, SocketPort
 from simulated import settings
 
 RATE = 1000.0
+_NAP_S = 0.002
 Opened = TypeVar("Opened", bound=Backend)
 PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")),
          pytest.param(SocketPort, id="socket"), pytest.param(DoublePort, id="in process")]  # fmt: skip
@@ -39,6 +41,29 @@ def until(condition: Callable[[], bool], within_s: float = 600.0) -> float:
         assert time.monotonic() - began < within_s, "it never happened"
         time.sleep(0.01)
     return time.monotonic() - began
+
+
+class Stall:
+    """The longest time for which this busy machine kept a thread from waking up, while the context lasts."""
+
+    def __init__(self) -> None:
+        self.longest_s = 0.0
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _watch(self) -> None:
+        slept_s = time.monotonic()
+        while not self._ended.wait(_NAP_S):
+            woken_s = time.monotonic()
+            self.longest_s, slept_s = max(self.longest_s, woken_s - slept_s - _NAP_S), woken_s
 
 
 def is_back(stage: Stage, stroke: Callable[[float], MotionProfile], near_mm: float = 0.01) -> bool:

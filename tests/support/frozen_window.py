@@ -1,7 +1,7 @@
 """A window whose Qt thread can be held, in a process of its own.
 
-`python frozen_window.py LAB FOLDER` shows it with a slow run under way into FOLDER: it says on standard output what
-happens, a line each, and its Qt thread sleeps for `HELD_S` when it gets SIGUSR1.
+`python frozen_window.py LAB FOLDER` has one, not shown, with a slow run under way into FOLDER: it says on standard
+output what happens, a line each, and its Qt thread sleeps for `HELD_S` when it gets SIGUSR1.
 """
 
 import signal
@@ -30,7 +30,6 @@ def main(lab: Path, folder: Path) -> None:
     application = qt_application()
     stored = StoredSettings(QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat))
     window = MainWindow(RigSelection(rig=lab / "rig.toml", backend="simulated"), lab, stored, LIMITS)
-    window.show()
 
     def take(event: object) -> None:
         if isinstance(event, SessionFinished):
@@ -49,7 +48,12 @@ def main(lab: Path, folder: Path) -> None:
     beginning.start(100)
     window.engine.event_received.connect(take)
     signal.signal(signal.SIGUSR1, lambda *_: time.sleep(HELD_S))
-    signal.signal(signal.SIGTERM, lambda *_: window.close_in_order("the test is over"))
+
+    def end() -> None:
+        window.close_in_order("the test is over")
+        application.quit()
+
+    signal.signal(signal.SIGTERM, lambda *_: end())
     application.exec()
 
 

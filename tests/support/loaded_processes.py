@@ -7,6 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 ENGINE = (
+    "unaided_engine",
     "dragrig.engine_host.server",
     "dragrig.sim_backend.devices.simulated_backend",
     "dragrig.rig.protocols.drag",

@@ -21,6 +21,7 @@ from typing import Any, Self
 import numpy as np
 
 import dragrig as api
+from card_server import CardServer
 from dragrig.campaign_session import Made
 from dragrig.config.errors import DragrigError
 from dragrig.config.friction_model import FrictionModelSettings
@@ -40,7 +41,7 @@ from dragrig.sim_backend.doubles.drive_double import make_drive_double
 from dragrig.sim_backend.doubles.simulated_bench import ActiveFaults, DoubleClock, SimulatedBench
 from drive_ports import SocketPort
 from places import ROOT
-from remote_doubles import RemoteDoubles, StageStatus
+from remote_doubles import DoublePorts, StageStatus, with_double_ports
 from remote_server import inject_faults, stage_status
 from simulated import settings
 
@@ -138,7 +139,7 @@ class NearDoubles:
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        self._open.enter_context(installed(Card(self._bench, self._bench.put_out)))
+        self._plug_in(Card(self._bench, self._bench.put_out))
         self._open.enter_context(self._drive)
         self._port = self._open.enter_context(SocketPort(self._drive)).address
         return self
@@ -160,12 +161,25 @@ class NearDoubles:
     def set_faults(self, **faults: Any) -> None:
         inject_faults(self._bench.faults, faults)
 
+    def _plug_in(self, card: Card) -> None:
+        self._open.enter_context(installed(card))
+
+
+class ServedDoubles(NearDoubles):
+    """Doubles in this process that programs in others reach, the card at its server, and that outlive these."""
+
+    def rig(self) -> RigSettings:
+        return with_double_ports(self._given, DoublePorts(card=self._server.port, drive=self._port, control=0))
+
+    def _plug_in(self, card: Card) -> None:
+        self._server = self._open.enter_context(CardServer(card))
+
 
 @dataclass
 class Bench:
     """Doubles, and a lab folder whose rig they are."""
 
-    doubles: RemoteDoubles | NearDoubles
+    doubles: NearDoubles
     lab: Path
     _folders: int = field(default=0)
 
@@ -202,7 +216,7 @@ class Bench:
 
 
 @contextmanager
-def bench(lab: Path, kind: type[RemoteDoubles] | type[NearDoubles] = NearDoubles) -> Iterator[Bench]:
+def bench(lab: Path, kind: type[NearDoubles] = NearDoubles) -> Iterator[Bench]:
     with kind(RIG) as doubles:
         (lab / "rig.toml").write_text(to_toml(doubles.rig()), "utf-8")
         (lab / "plan.toml").write_text(PLAN, "utf-8")

@@ -8,6 +8,7 @@ from filelock import FileLock
 import dragrig
 from dragrig.analysis.gap import SettleRecord
 from dragrig.api import SettleHands
+from dragrig.config import RIG_FILE
 from dragrig.config.plan import Plan
 from dragrig.setup import create_lab
 
@@ -31,6 +32,22 @@ class StoppedError(Exception):
     pass
 
 
+def little_lab(folder: Path) -> Path:
+    """Make a lab whose rig is short and samples rarely: few runs can be made on it, and each is soon weighed."""
+    create_lab(folder)
+    rig = folder / RIG_FILE
+    text = rig.read_text("utf-8")
+    for usual, little in (
+        ("[sampling]\nrate_hz = 1000.0", "[sampling]\nrate_hz = 200.0"),
+        ("lowest_mm = 0.0\n", "lowest_mm = 40.0\n"),
+        ("highest_mm = 150.0\n", "highest_mm = 70.0\n"),
+    ):
+        assert text.count(usual) == 1, usual
+        text = text.replace(usual, little)
+    rig.write_text(text, "utf-8")
+    return folder
+
+
 def begun_loop(shared: Path) -> Path:
     """Return a campaign whose first runs are diagnosed and whose next batch is decided, but not made.
 
@@ -45,8 +62,7 @@ def begun_loop(shared: Path) -> Path:
     folder = shared / "begun loop" / "c"
     with FileLock(shared / "begun loop.lock"):
         if not folder.is_dir():
-            lab = shared / "begun loop in the making"
-            create_lab(lab)
+            lab = little_lab(shared / "begun loop in the making")
             (lab / "mirror").mkdir()
 
             def stop_when_decided(record: SettleRecord) -> None:

@@ -293,12 +293,13 @@ def test_pictures_show_both_sides() -> None:
     assert "Steady force" not in texts(comparison_overview_figure(alone))
 
 
-def test_the_command_prints_writes_and_ends_well_when_they_differ(
+def test_the_command_prints_writes_changes_no_run_and_ends_well_when_they_differ(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     copied_runs(tmp_path / "a", "005-blank.h5", "010-drag.h5")
     copied_runs(tmp_path / "b", "005-blank.h5", "010-drag.h5", "014-drag.h5")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.h5")}
     (tmp_path / "a" / "compared-with-b").mkdir()
     assert main(["compare", "a", "b"]) == 0
     out = capsys.readouterr().out
@@ -310,6 +311,8 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
     frame = pd.read_csv(folder / "comparison.csv")
     assert list(frame.columns) == list(comparison_frame(dragrig.compare("a", "b")).columns)
     assert list((tmp_path / "a" / "compared-with-b").iterdir()) == []
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.h5")} == before
+    assert read_run(tmp_path / "a" / "010-drag.h5").filtered is None
     assert main(["compare", "a/010-drag.h5", "--model", "table1", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["pairs"][0]["verdict"] == "differs"
@@ -318,11 +321,3 @@ def test_the_command_prints_writes_and_ends_well_when_they_differ(
     assert "either a second campaign" in capsys.readouterr().err
     assert main(["compare", "a", "--model", "papr"]) == 2
     assert "did you mean paper?" in capsys.readouterr().err
-
-
-def test_a_run_file_is_never_changed(tmp_path: Path) -> None:
-    folder = copied_runs(tmp_path / "a", "005-blank.h5")
-    before = {path.name: path.read_bytes() for path in folder.glob("*.h5")}
-    assert main(["compare", str(folder / "005-blank.h5"), "--model", "paper", "--out", str(tmp_path / "out")]) == 0
-    assert {path.name: path.read_bytes() for path in folder.glob("*.h5")} == before
-    assert read_run(folder / "005-blank.h5").filtered is None

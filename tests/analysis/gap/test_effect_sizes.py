@@ -12,19 +12,19 @@ from dragrig.analysis.gap.design import Candidate
 from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter
 from dragrig.analysis.gap.evaluation import (
     SIZE_GRID,
+    ForceEvaluation,
     ModelEvaluation,
     PromiseVerdict,
     RelativeEffectSize,
-    _best_size,
-    _closed,
-    _ForceEvaluation,
-    _is_allowed,
-    _position_sums,
-    _refitted_chi2,
-    _resized,
-    _size_in_position,
-    _unseen,
+    best_size,
+    closed_share,
     evaluate,
+    is_allowed_size,
+    position_sums,
+    refitted_chi2,
+    resized_model,
+    size_in_position,
+    unseen_effect_size,
 )
 from dragrig.analysis.gap.position_channel import PositionErrors
 from dragrig.config import AnalysisError, FrictionModelSettings, find_settings, parse_effects
@@ -44,7 +44,7 @@ WHITENINGS = tuple(
 GRID = (-1.0, 0.0, 0.5, 1.0, 1.5, 2.0, 3.0)
 
 
-def forces_of(true_sizes: tuple[float, float]) -> _ForceEvaluation:
+def forces_of(true_sizes: tuple[float, float]) -> ForceEvaluation:
     """Return runs in which two effects have these sizes, as seen about the amended model that promises 1 of each."""
     residuals = (
         SIGNATURES @ (np.array(true_sizes) - 1.0) + COLUMNS @ np.array([0.4, -0.3])
@@ -64,10 +64,10 @@ def forces_of(true_sizes: tuple[float, float]) -> _ForceEvaluation:
     )
     effects = tuple(SimpleNamespace(effect=SimpleNamespace(id=name)) for name in ("folds", "adhesion"))
     amended = SimpleNamespace(runs=runs, prior_precision=PRECISION)
-    return _ForceEvaluation(None, amended, None, effects, (GRID, GRID), tried, promised)  # type: ignore[arg-type]
+    return ForceEvaluation(None, amended, None, effects, (GRID, GRID), tried, promised)  # type: ignore[arg-type]
 
 
-def normal_equations(found: _ForceEvaluation, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+def normal_equations(found: ForceEvaluation, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return gram and moment of both effects' sizes, as prior 10 wide, and the specimen's parameters."""
     gram, moment = np.diag([0.0, 0.01, *PRECISION]), np.zeros(4)
     for number, run in enumerate(found.amended.runs):
@@ -79,7 +79,7 @@ def normal_equations(found: _ForceEvaluation, weights: FloatArray) -> tuple[Floa
     return gram, moment
 
 
-def size_of_first(found: _ForceEvaluation, weights: FloatArray) -> float:
+def size_of_first(found: ForceEvaluation, weights: FloatArray) -> float:
     """Of the first effect, whose size has no prior, as that is tried on a grid; that of the other has one about 0."""
     gram, moment = normal_equations(found, weights)
     # The others' sizes are relative to the promised force, of which residuals have one already.
@@ -114,7 +114,7 @@ def test_an_effect_explains_its_share_of_chi_square() -> None:
         ])  # fmt: skip
         fitted = np.linalg.solve(values[:, 1:].T @ values[:, 1:] + np.diag(PRECISION), values[:, 1:].T @ values[:, 0])
         chi2.append(float(np.sum((values[:, 0] - values[:, 1:] @ fitted) ** 2)))
-        residuals = found._refitted(with_effects=with_effects)
+        residuals = found.refitted(with_effects=with_effects)
         for run, force, residual in zip(found.amended.runs, found.promised_forces, residuals, strict=True):
             whole = run.residual + (0.0 if with_effects else force)
             np.testing.assert_allclose(residual, whole - run.columns @ fitted)
@@ -131,13 +131,13 @@ def test_a_parabola_through_the_lowest_sizes_gives_size_and_error() -> None:
 
     sizes = np.array(GRID)
     for best in (0.7, 2.6, -0.5, 3.4):
-        size, error = _best_size(GRID, grams(5.0 + 4.0 * (sizes - best) ** 2), np.ones(1))
+        size, error = best_size(GRID, grams(5.0 + 4.0 * (sizes - best) ** 2), np.ones(1))
         assert (size, error) == (pytest.approx(best), pytest.approx(0.5))
-    assert _best_size(GRID, grams(5.0 - sizes**2), np.ones(1)) == (0.0, 10.0)
-    assert _best_size(GRID, grams(5.0 + 1e-3 * (sizes - 60.0) ** 2), np.ones(1)) == (10.0, 10.0)
-    assert _best_size(GRID, grams(5.0 + 1e-3 * (sizes + 60.0) ** 2), np.ones(1))[0] == -5.0
+    assert best_size(GRID, grams(5.0 - sizes**2), np.ones(1)) == (0.0, 10.0)
+    assert best_size(GRID, grams(5.0 + 1e-3 * (sizes - 60.0) ** 2), np.ones(1)) == (10.0, 10.0)
+    assert best_size(GRID, grams(5.0 + 1e-3 * (sizes + 60.0) ** 2), np.ones(1))[0] == -5.0
     gram = np.array([[9.0, 2.0], [2.0, 3.0]])
-    assert _refitted_chi2(gram, np.array([1.0])) == pytest.approx(9.0 - 4.0 / 4.0)
+    assert refitted_chi2(gram, np.array([1.0])) == pytest.approx(9.0 - 4.0 / 4.0)
 
 
 @pytest.mark.parametrize(
@@ -185,13 +185,13 @@ def test_a_model_keeps_its_promise_where_every_effect_does(
 def test_the_share_that_closes_is_of_the_gap_above_the_floor() -> None:
     """Weight, and mean squares before, after and of the floor times it, of four runs."""
     sums = np.array([[1.0, 10.0, 3.0, 1.0], [2.0, 12.0, 8.0, 2.0], [1.0, 4.0, 2.0, 1.0], [4.0, 50.0, 10.0, 4.0]])
-    share, (low, high) = _closed(sums)
+    share, (low, high) = closed_share(sums)
     assert share == pytest.approx((76.0 - 23.0) / (76.0 - 8.0))
     random = np.random.default_rng(0)
     drawn = [sums[picked].sum(axis=0) for picked in random.integers(4, size=(500, 4))]
     shares = [(entry[1] - entry[2]) / (entry[1] - entry[3]) for entry in drawn]
     assert (low, high) == pytest.approx(tuple(np.quantile(shares, (0.025, 0.975))))
-    without_gap, _ = _closed(np.array([[2.0, 2.1, 2.5, 2.0]]))
+    without_gap, _ = closed_share(np.array([[2.0, 2.1, 2.5, 2.0]]))
     assert without_gap == pytest.approx((2.1 - 2.5) / (0.44 * 2.0))
 
 
@@ -212,7 +212,7 @@ def position_errors_of(size: float, seed: int, noise_mm: float = 0.002, blocks: 
 def test_a_size_in_position_weighs_all_runs_alike() -> None:
     runs = [position_errors_of(size, seed) for size, seed in ((1.0, 1), (1.2, 2), (0.9, 3))]
     predictions = [evaluation.predicted_position_error(PROMISED, run) for run in runs]
-    found = _size_in_position(PROMISED, runs)
+    found = size_in_position(PROMISED, runs)
     products = []
     for run, prediction in zip(runs, predictions, strict=True):
         weight = 1 / (float(np.sqrt(np.mean(run.error_mm**2))) + run.encoder_count_mm) ** 2 / run.error_mm.size
@@ -227,7 +227,7 @@ def test_a_size_in_position_weighs_all_runs_alike() -> None:
     squares = sum(float(prediction @ prediction) for prediction in predictions)
     variance = float(np.mean([run.noise_variance for run in runs]))
     assert found.d_prime == pytest.approx(np.sqrt(squares / variance))
-    sums = _position_sums(PROMISED, runs)
+    sums = position_sums(PROMISED, runs)
     for row, run, prediction in zip(sums, runs, predictions, strict=True):
         assert row == pytest.approx([
             1.0, np.mean(run.error_mm**2), np.mean((run.error_mm - prediction) ** 2), run.noise_variance,
@@ -236,10 +236,10 @@ def test_a_size_in_position_weighs_all_runs_alike() -> None:
 
 def test_runs_that_cannot_show_an_effect_tell_neither_presence_nor_absence() -> None:
     nothing = RelativeEffectSize("encoder_scale", 0.0, -5.0, 10.0, 0.0)
-    assert _unseen(SCALE) == nothing
-    assert _size_in_position(PROMISED, []) == nothing
+    assert unseen_effect_size(SCALE) == nothing
+    assert size_in_position(PROMISED, []) == nothing
     still = replace(position_errors_of(1.0, 1), command_mm=np.zeros(40))
-    assert _size_in_position(PROMISED, [still]) == nothing
+    assert size_in_position(PROMISED, [still]) == nothing
     assert nothing.verdict is PromiseVerdict.NO_POWER
 
 
@@ -248,16 +248,16 @@ MODEL = find_settings(FrictionModelSettings, "model", str(DATA / "amended-breaka
 
 def test_an_effect_is_tried_at_the_sizes_that_it_may_have() -> None:
     (active,) = active_effects(MODEL)
-    allowed = [size for size in SIZE_GRID if _is_allowed(active, size)]
+    allowed = [size for size in SIZE_GRID if is_allowed_size(active, size)]
     assert allowed == [size for size in SIZE_GRID if size >= 0.0]
-    assert _is_allowed(active, 0.0)
-    assert _is_allowed(active, 1.0)
-    twice = _resized(MODEL, active.effect, 2.0)
+    assert is_allowed_size(active, 0.0)
+    assert is_allowed_size(active, 1.0)
+    twice = resized_model(MODEL, active.effect, 2.0)
     assert dict(twice.effects[0].parameters) == {"ratio": pytest.approx(2 * 0.5707235), "slip_mm": 0.161375}
-    assert _resized(MODEL, active.effect, 0.0).effects == ()
+    assert resized_model(MODEL, active.effect, 0.0).effects == ()
     both = MODEL.model_copy(update={"effects": (*MODEL.effects, *parse_effects(["force_drift"]))})
-    assert [entry.id for entry in _resized(both, active.effect, 0.0).effects] == ["force_drift"]
-    assert _resized(both, active.effect, 0.5).effects[1] == both.effects[1]
+    assert [entry.id for entry in resized_model(both, active.effect, 0.0).effects] == ["force_drift"]
+    assert resized_model(both, active.effect, 0.5).effects[1] == both.effects[1]
 
 
 FEW = ("001-relaxation.h5", "008-coulomb.h5", "010-drag.h5", "018-drag.h5")

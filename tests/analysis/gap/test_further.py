@@ -1,12 +1,11 @@
-"""A second effect beside a strong one, and beside hum: seen where the first does little, and not made of its form."""
+"""A second effect beside a strong one: seen where the first does little, and not made of its form."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from diagnosed import OF_SOME, UNADVISED
+from diagnosed import UNADVISED
 from dragrig.analysis.gap import forward_selection
 from dragrig.analysis.gap.design import Candidate, Design, ParameterPoint, Study, gain_of_step, linearise
 from dragrig.analysis.gap.diagnose import diagnose
@@ -19,8 +18,6 @@ from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.sim_backend.effects.base import catalogue
 from hidden import hidden
 from places import CAMPAIGN
-
-HUM_AND_SOME = replace(OF_SOME, excluded=tuple({*OF_SOME.excluded} - {"mains_hum"}))
 
 
 @pytest.fixture(scope="module")
@@ -84,11 +81,6 @@ def test_a_weak_effect_is_named_beside_a_strong_one(tmp_path: Path, seed: int, s
     """What the strong one's foreign form leaves is larger than the weak one, and is not called an effect."""
     diagnosis = diagnose(hidden(tmp_path, seed, strong, weak, size=(1.5, 0.4)), MODEL, UNADVISED)
     assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, {strong, weak})
-
-
-def test_an_effect_is_named_beside_hum_that_is_louder(tmp_path: Path) -> None:
-    diagnosis = diagnose(hidden(tmp_path, 43, "mains_hum", "force_drift", every=3), MODEL, HUM_AND_SOME)
-    assert (diagnosis.verdict, set(diagnosis.effects)) == (Verdict.SEVERAL, {"mains_hum", "force_drift"})
 
 
 def test_the_nominal_model_converges_before_an_effect_is_tried(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:

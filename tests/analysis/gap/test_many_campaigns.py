@@ -10,6 +10,7 @@ import dragrig
 from dragrig.cli import main
 from dragrig.sim_backend.effects import catalogue
 from places import CAMPAIGN
+from property_tests import thorough
 
 WITHOUT = tuple(name for name in catalogue() if name != "stribeck")
 OF_ONE_EFFECT = [word for name in WITHOUT for word in ("--without", name)]
@@ -37,11 +38,12 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, object]]:
     return answer
 
 
+@pytest.mark.parametrize("workers", ["1", thorough("2")])
 def test_diagnoses_are_those_of_each_campaign_by_itself_whoever_makes_them(
-    three: Path, capsys: pytest.CaptureFixture[str]
+    workers: str, three: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["gap", "diagnose", "first", "empty", "second", "--json", "--quiet", *OF_ONE_EFFECT]
-    assert main([*arguments, "--workers", "2"]) == 2
+    assert main([*arguments, "--workers", workers]) == 2
     answer = lines(capsys)
     assert [row["source"] for row in answer] == ["first", "empty", "second"]
     assert "no run file" in str(answer[1]["error"])
@@ -67,9 +69,12 @@ def test_a_file_for_one_campaign_is_not_made_of_several(
     assert "takes a single campaign, not 2" in capsys.readouterr().err
 
 
-def test_identifications_are_those_of_each_campaign_by_itself(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("workers", ["1", thorough("2")])
+def test_identifications_are_those_of_each_campaign_by_itself(
+    workers: str, three: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = ["identify", "first", "empty", "second", "--quiet"]
-    assert main([*arguments, "--json", "--workers", "2"]) == 2
+    assert main([*arguments, "--json", "--workers", workers]) == 2
     answer = lines(capsys)
     assert [row["source"] for row in answer] == ["first", "empty", "second"]
     assert "no run file" in str(answer[1]["error"])
@@ -80,6 +85,7 @@ def test_identifications_are_those_of_each_campaign_by_itself(three: Path, capsy
 
 def test_identifying_several_writes_each_its_own_files(three: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.rmtree(three / "first")
+    (three / "second" / "014-drag.h5").unlink()
     shutil.copytree(three / "second", three / "first")
     (three / "other").mkdir()
     (three / "second").rename(three / "other" / "first")

@@ -1,6 +1,7 @@
 """`dragrig gap next`: which runs to make next, and whether they keep what is promised of them."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,7 +39,15 @@ def plan(*steps: dict[str, object]) -> Plan:
 
 
 @pytest.fixture(scope="module")
-def next_experiment() -> NextExperiment:
+def coarse_grid() -> Iterator[None]:
+    """Compare every third of the candidate runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dragrig.analysis.gap.next_run.full_grid", lambda specimen: full_grid(specimen)[::3])
+        yield
+
+
+@pytest.fixture(scope="module")
+def next_experiment(coarse_grid: None) -> NextExperiment:
     next_experiment = dragrig.next_experiment(plan(DRAGS), between=BETWEEN, minutes=5.0)
     assert next_experiment is not None
     return next_experiment
@@ -60,7 +69,7 @@ def test_what_is_recommended_keeps_its_promise(next_experiment: NextExperiment) 
     assert after.separation > 1.5 * before.separation
 
 
-def test_no_run_is_advised_where_nothing_is_open() -> None:
+def test_no_run_is_advised_where_nothing_is_open(coarse_grid: None) -> None:
     relaxations = {"kind": "relaxation", "shear_strain": [0.5, 1.0, 2.0], "hold_s": 20.0}
     both = plan(relaxations, DRAGS)
     assert dragrig.next_experiment(both, between=("folds", "hyperelastic_wall"), minutes=5.0) is None
@@ -147,7 +156,7 @@ def without_figures(document: Document) -> Document:
 
 
 def test_the_command_prints_json_and_refuses_what_is_no_effect(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, coarse_grid: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, out = tmp_path / "mine.toml", tmp_path / "next.toml"
     file.write_text(to_toml(plan(DRAGS)), "utf-8")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosed import UNADVISED
+from diagnosed import OF_SOME
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.run_data import choose_runs
@@ -15,16 +15,15 @@ from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.blind import draw_campaign, write_campaign
 from effect_scenes import scene
 from hidden import thinned
+from property_tests import thorough
 
 SUMS_THE_CONTACT_COARSELY, STEPS_A_RAMP_COARSELY = 1839364650, 269666675
 
 
-@pytest.mark.parametrize(
-    "seed", [SUMS_THE_CONTACT_COARSELY, pytest.param(STEPS_A_RAMP_COARSELY, marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize("seed", [SUMS_THE_CONTACT_COARSELY, thorough(STEPS_A_RAMP_COARSELY)])
 def test_what_another_programme_sums_coarsely_is_not_seen_as_a_gap(seed: int, tmp_path: Path) -> None:
-    write_campaign(thinned(draw_campaign(seed, rough=True), 2), tmp_path)
-    diagnosis = diagnose(choose_runs(tmp_path), MODEL, UNADVISED)
+    write_campaign(thinned(draw_campaign(seed, rough=True), 3), tmp_path)
+    diagnosis = diagnose(choose_runs(tmp_path), MODEL, OF_SOME)
     assert (diagnosis.verdict, diagnosis.effects) == (Verdict.NO_GAP, ())
 
 

@@ -20,6 +20,7 @@ from dragrig.rig.profile import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import SIGNALS
 from dragrig.sim_backend.effects import catalogue
+from property_tests import thorough
 
 COULOMB_MN, VISCOUS_MN_S_MM = 300.0, 4.0
 RATE = "rig.sampling.rate_hz=500"
@@ -112,7 +113,8 @@ def own(tmp_path: Path) -> Path:
 
 
 def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
-    diagnosis = dragrig.diagnose(blanks, nominal="drive")
+    without = set(UNLIKELY) - {"channel_latency"} - NOT_OF_A_STAGE
+    diagnosis = dragrig.diagnose(blanks, nominal="drive", without=without)
     assert diagnosis.verdict is Verdict.NO_GAP
     assert {"direction_asymmetry", "stribeck", "channel_latency"} <= hypotheses(diagnosis)
     assert not hypotheses(diagnosis) & NOT_OF_A_STAGE
@@ -124,7 +126,7 @@ def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
 
 @pytest.mark.parametrize(
     "asymmetry",
-    [pytest.param(-0.1, marks=pytest.mark.thorough), 0.05, pytest.param(0.2, marks=pytest.mark.thorough)],
+    [thorough(-0.1), 0.05, thorough(0.2)],
 )
 def test_friction_that_differs_with_direction_is_named_with_its_size(asymmetry: float, blanks: list[Run]) -> None:
     diagnosis = dragrig.diagnose(asymmetric(blanks, asymmetry), nominal="drive")
@@ -203,10 +205,10 @@ def test_runs_without_motor_force_are_told_in_one_sentence(blanks: list[Run]) ->
 
 
 def test_a_model_of_ones_own_is_tried_with_effects_of_the_sensor(own: Path, blanks: list[Run]) -> None:
-    assert dragrig.diagnose(blanks, nominal=own).verdict is Verdict.NO_GAP
-    drift = dragrig.diagnose(drifting(blanks), nominal=own)
+    assert dragrig.diagnose(blanks, nominal=own, without=UNLIKELY).verdict is Verdict.NO_GAP
+    drift = dragrig.diagnose(drifting(blanks), nominal=own, without=UNLIKELY)
     assert drift.effects == ("force_drift",)
-    foreign = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own)
+    foreign = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own, without=UNLIKELY)
     assert foreign.verdict is Verdict.UNKNOWN
     assert foreign.unknown is not None
     assert "motor force of blank runs" in foreign.unknown.location
@@ -255,7 +257,7 @@ def test_a_model_that_is_no_use_is_told_in_one_sentence(
 
 
 def test_a_capsules_campaign_may_be_of_blank_runs_alone(blanks: list[Run]) -> None:
-    diagnosis = dragrig.diagnose(blanks)
+    diagnosis = dragrig.diagnose(blanks, without=set(UNLIKELY) - {"peristalsis"})
     assert diagnosis.verdict is Verdict.NO_GAP
     assert "peristalsis" not in hypotheses(diagnosis)
 
@@ -269,7 +271,7 @@ def judged(model: Path, runs: list[Run]) -> tuple[str, float]:
 
 @pytest.mark.parametrize(
     "of_ones_own",
-    [pytest.param(False, marks=pytest.mark.thorough), True],
+    [thorough(False), thorough(True)],
     ids=["drive", "own model"],
 )
 def test_an_amended_model_of_any_nominal_model_keeps_its_promise_or_not(
@@ -331,17 +333,18 @@ def cogging(runs: list[Run], amplitude_mN: float, pitch_mm: float) -> list[Run]:
 
 
 @pytest.mark.parametrize(
-    ("amplitude_mN", "pitch_mm"),
-    [
-        (5.0, 12.0),
-        pytest.param(20.0, 27.0, marks=pytest.mark.thorough),
-        pytest.param(60.0, 1.3, marks=pytest.mark.thorough),
-    ],
+    ("amplitude_mN", "pitch_mm", "without"),
+    [(5.0, 12.0, UNLIKELY), thorough(5.0, 12.0, ()), thorough(20.0, 27.0, ()), thorough(60.0, 1.3, ())],
 )
 def test_cogging_is_named_with_its_pitch_and_found_again(
-    amplitude_mN: float, pitch_mm: float, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run]
+    amplitude_mN: float,
+    pitch_mm: float,
+    without: tuple[str, ...],
+    tmp_path: Path,
+    blanks: list[Run],
+    fresh_blanks: list[Run],
 ) -> None:
-    diagnosis = dragrig.diagnose(cogging(blanks, amplitude_mN, pitch_mm), nominal="drive")
+    diagnosis = dragrig.diagnose(cogging(blanks, amplitude_mN, pitch_mm), nominal="drive", without=without)
     assert diagnosis.effects == ("cogging",)
     amplitude, pitch, _ = diagnosis.ranking[0].parameters
     assert amplitude.value == pytest.approx(amplitude_mN, rel=0.05)

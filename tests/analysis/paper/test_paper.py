@@ -196,7 +196,7 @@ class Made:
             return list(csv.DictReader(file))
 
 
-SPEEDS = (0.5, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
 # Its runs before the drags are those of the whole programme.
 SHORT_PLAN = f"""
 name = "paper"
@@ -212,13 +212,13 @@ travel_mm = 40.0
 wait_s = 5.0
 [[steps]]
 kind = "coulomb"
-speed_mm_s = 0.5
-travel_mm = 40.0
+speed_mm_s = 1.0
+travel_mm = 20.0
 tare_s = 1.0
 [[steps]]
 kind = "drag"
 speed_mm_s = {list(SPEEDS)}
-travel_mm = 40.0
+travel_mm = 20.0
 way_back = "by_hand"
 """
 WHOLE_RUNS = {"relaxation": 4, "blank": 2, "coulomb": 1, "drag": 22, "return": 29}

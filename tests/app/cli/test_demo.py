@@ -14,22 +14,15 @@ from property_tests import thorough
 SHORT_PLAN = """
 name = "short"
 [[steps]]
-kind = "blank"
-speed_mm_s = 40.0
-travel_mm = 20.0
-wait_s = 5.0
-[[steps]]
-kind = "relaxation"
-shear_strain = 1.0
-hold_s = 5.0
-[[steps]]
 kind = "coulomb"
 speed_mm_s = 10.0
 travel_mm = 10.0
+way_back = "stay"
 [[steps]]
 kind = "drag"
 speed_mm_s = 40.0
 travel_mm = 20.0
+start_mm = 40.0
 """
 
 
@@ -61,7 +54,7 @@ def test_the_demonstration_leaves_runs_filtered_exported_and_drawn(
     (folder,) = (tmp_path / "dragrig-demo").iterdir()
     runs = read_campaign(folder).runs
     own = [run for run in runs if run.kind != "return"]
-    assert [run.kind for run in own] == [*ONE_OF_EACH, *(() if plan == "short" else ("drag", "drag"))]
+    assert [run.kind for run in own] == [*(("coulomb", "drag") if plan == "short" else (*ONE_OF_EACH, "drag", "drag"))]
     for run in runs:
         filtered = read_run(run.path).filtered
         assert filtered is not None

@@ -37,7 +37,7 @@ from dragrig.rig.runfile.model import (
     Run,
     RunStatus,  # fmt: skip
 )
-from engine_clients import PATIENCE_S, Listener, listening, plan
+from engine_clients import PATIENCE_S, Listener, hold_the_interpreter, listening, plan
 from places import SUPPORT
 
 CLIENT = SUPPORT / "engine_clients.py"
@@ -90,12 +90,13 @@ def line_with(process: "subprocess.Popen[str]", word: str) -> str:
     return rest.strip()
 
 
-def test_a_client_blocked_for_five_seconds_loses_no_sample(tmp_path: Path) -> None:
-    with client(tmp_path / "c", 5.5, 5.0) as process:
-        line_with(process, "moving")
-        assert float(line_with(process, "held")) >= 5.0
-        assert line_with(process, "ended") == "complete"
-    assert process.returncode == 0
+def test_a_client_blocked_for_five_seconds_loses_no_sample(tmp_path: Path, heard: Listener) -> None:
+    heard.client.ask(StartSession(SessionJob(1, plan(10.0 / 5.5, 10.0), pace="real", out=tmp_path / "c")))
+    heard.until_samples(400)
+    begun_s = time.monotonic()
+    hold_the_interpreter(5.0)
+    assert time.monotonic() - begun_s >= 5.0
+    assert heard.until(SessionFinished) == SessionFinished(1, RunStatus.COMPLETE, "", tmp_path / "c")
     run = only_run(tmp_path / "c")
     assert run.info.status is RunStatus.COMPLETE
     assert run.info.samples > 5500

@@ -251,6 +251,7 @@ def test_what_a_killed_exam_had_begun_to_write_is_cleared_once_it_goes_on(
     assert len(list((out / "campaigns" / "0001").glob("*.h5"))) >= 27
 
 
+@pytest.mark.thorough
 def test_what_a_killed_worker_had_begun_to_write_is_cleared_by_its_exam(tmp_path: Path) -> None:
     out = tmp_path / "exam"
     make_few_runs(out, 1, 5, "fresh")

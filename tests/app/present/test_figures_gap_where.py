@@ -60,7 +60,7 @@ def panel(figure: Figure, title: str) -> Axes:
     return next(axes for axes in figure.axes if axes.get_title(loc="left").startswith(title))
 
 
-@pytest.mark.parametrize("planted", [thorough(fast), everything, None])
+@pytest.mark.parametrize("planted", [thorough(fast), everything, thorough(None)])
 def test_every_word_is_inside_and_none_lies_on_another(planted: Planted | None) -> None:
     figure = drawn(planted)
     page = figure.bbox
@@ -95,6 +95,7 @@ def test_without_a_gap_it_says_so() -> None:
     assert message.count("no excess here") == 5
 
 
+@pytest.mark.thorough
 def test_it_is_the_same_picture_each_time(tmp_path: Path) -> None:
     first, second = (save_figure(drawn(fast), tmp_path / f"{name}.png").read_bytes() for name in "ab")
     assert first == second

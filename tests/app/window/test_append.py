@@ -20,6 +20,7 @@ from dragrig.window.new_session import NewSession
 from dragrig.window.session_queue import QueueState
 from dragrig.window.widgets import top_items
 
+pytestmark = pytest.mark.usefixtures("finished_here")
 QUICK = ("travel_mm=5", "hold_s=0.5", "rest_s=0.5")
 
 
@@ -169,7 +170,7 @@ def test_a_campaign_that_is_read_too_late_is_not_added_to(
     assert not form.start.isEnabled()
     form.destination.adds.setChecked(False)
     assert form.start.isEnabled()
-    form.destination._files.finish()
+    form.destination.files.finish()
     QApplication.processEvents()
     assert form.destination.read is None
     assert not window.run.preview.conditions.text().startswith("Added")

@@ -24,7 +24,6 @@ from dragrig.analysis.gap.diagnosis import Diagnosis
 from dragrig.engine_host.messages import RigSelection
 from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.diagnosis_sentences import verdict_sentences
-from dragrig.present.files import drawn
 from dragrig.present.gap_budget import budget_sentences
 from dragrig.present.terminal import document_text
 from dragrig.views import CompletedDiagnosis
@@ -158,7 +157,7 @@ def test_the_budget_is_the_first_page_of_a_diagnosis(qtbot: QtBot) -> None:
     diagnosis = replace(TOGETHER, traces=(), budget=RIPPLE_AND_AGEING)
     results = DiagnosisResults()
     qtbot.addWidget(results)
-    results.show_diagnosis(CompletedDiagnosis(diagnosis, drawn(diagnosis_document(diagnosis))))
+    results.show_diagnosis(CompletedDiagnosis(diagnosis, without_pictures(diagnosis_document(diagnosis), but="budget")))
     assert results.view.answer.text() == budget_sentences(RIPPLE_AND_AGEING)[0]
     assert results.view.tabs.tabText(0) == "The budget"
     page = results.view.tabs.widget(0)

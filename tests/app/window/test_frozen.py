@@ -52,7 +52,7 @@ def until(done: Callable[[], bool]) -> None:
     end_s = time.monotonic() + PATIENCE_S
     while not done():
         assert time.monotonic() < end_s
-        time.sleep(0.02)
+        time.sleep(0.1)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals on Windows")
@@ -65,7 +65,7 @@ def test_a_window_that_does_not_respond_has_the_stage_stopped(held: str, tmp_pat
         try:
             assert window.stdout is not None
             host = psutil.Process(int(window.stdout.readline()))
-            until(lambda: moved_s(folder) > 2.5)
+            until(lambda: moved_s(folder) > 1.0)
             begun_s = moved_s(folder)
             # The other threads of a window whose Qt thread is busy live on.
             window.send_signal(signal.SIGSTOP if held == "stopped" else signal.SIGUSR1)
@@ -91,6 +91,7 @@ def test_a_window_has_a_second_to_respond_while_the_stage_moves() -> None:
 
 def test_a_dialog_that_waits_for_its_answer_stops_no_run(qtbot: QtBot, tmp_path: Path) -> None:
     window = opened(qtbot, lab_in(tmp_path / "lab"), tmp_path / "window.ini", SilenceLimits(3.0, 600.0))
+    window.go_to(window.rig)  # to draw a run takes longer than to make it
     try:
         press(window.reset)
         qtbot.waitUntil(lambda: window.guard.text() == "guard: armed", timeout=WAIT_MS)

@@ -151,9 +151,9 @@ def test_keys_zoom_plots_and_move_cursors(window: MainWindow, qtbot: QtBot) -> N
     assert overlay.speed_plot.shown()[0] > low
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_C, alt)
     qtbot.waitUntil(overlay.cursors.isChecked, timeout=WAIT_MS)
-    first, second = (cursor.time_s for cursor in overlay._cursors)
+    first, second = (cursor.time_s for cursor in overlay.cursor_lines)
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_Right, alt)
     qtbot.keyClick(overlay.cursors, Qt.Key.Key_Left, alt | Qt.KeyboardModifier.ShiftModifier)
-    assert overlay._cursors[0].time_s > first
-    assert overlay._cursors[1].time_s < second
+    assert overlay.cursor_lines[0].time_s > first
+    assert overlay.cursor_lines[1].time_s < second
     overlay.cursors.setChecked(False)

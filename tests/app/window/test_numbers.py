@@ -19,17 +19,14 @@ from dragrig.rig.operator import Answer
 from dragrig.window.main_window import MainWindow
 from dragrig.window.number_field import NumberField
 from dragrig.window.widgets import column
+from property_tests import thorough
 from typed_in_locale import LOCALES, typed_in
 
 PER_LOCALE = 360
 
 
-def locales(*in_line: str) -> list[object]:
-    """Return all locales, those of the test line and those that the thorough tests add."""
-    return [pytest.param(name, marks=() if name in in_line else pytest.mark.thorough) for name in LOCALES]
-
-
-@pytest.mark.parametrize("locale", locales("de_DE"))
+@pytest.mark.thorough
+@pytest.mark.parametrize("locale", LOCALES)
 def test_numbers_typed_under_a_locale_are_those_that_are_sent(locale: str) -> None:
     outcome = typed_in(locale, PER_LOCALE)
     assert (outcome.locale, outcome.decimal_mark) == (locale, "." if locale == "en_US" else ",")
@@ -39,7 +36,7 @@ def test_numbers_typed_under_a_locale_are_those_that_are_sent(locale: str) -> No
     assert outcome.sent == []
 
 
-@pytest.fixture(params=locales("de_DE"))
+@pytest.fixture(params=[name if name == "de_DE" else thorough(name) for name in LOCALES])
 def window(request: pytest.FixtureRequest, qtbot: QtBot, tmp_path: Path) -> Iterator[MainWindow]:
     before = QLocale()
     QLocale.setDefault(QLocale(str(request.param)))

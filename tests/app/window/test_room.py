@@ -178,6 +178,7 @@ def test_a_short_message_takes_one_line(window: MainWindow) -> None:
     assert text.height() < 2 * text.fontMetrics().lineSpacing()
 
 
+@pytest.mark.thorough
 def test_it_opens_on_a_small_screen_at_twice_the_size(tmp_path: Path) -> None:
     script = f"""
 import sys

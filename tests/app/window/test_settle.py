@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from windows import WAIT_MS, Until, lab_in, opened, press, require_qt
+from windows import WAIT_MS, Until, opened, press, require_qt
 
 require_qt()
 
@@ -23,8 +23,9 @@ from dragrig.rig import read_campaign
 from dragrig.setup import resolve
 from dragrig.window.main_window import MainWindow
 from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
-from settled import EFFECT, FIRST, begun_loop
+from settled import EFFECT, FIRST, begun_loop, little_lab
 
+pytestmark = pytest.mark.usefixtures("finished_here")
 REASON = "A drag at 5 mm/s is expected to tell 0.4 of 1 bit."
 
 
@@ -32,7 +33,7 @@ REASON = "A drag at 5 mm/s is expected to tell 0.4 of 1 bit."
 def window(
     request: pytest.FixtureRequest, qapp: QApplication, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[MainWindow]:
-    lab = lab_in(tmp_path_factory.mktemp("lab"))
+    lab = little_lab(tmp_path_factory.mktemp("lab"))
     bot = QtBot(request)
     made = opened(bot, lab, lab / "window.ini")
     press(made.reset)

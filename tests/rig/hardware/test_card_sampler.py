@@ -247,6 +247,7 @@ def test_card_taken_by_another_program_or_absent() -> None:
         assert indices(under_test.record(rest(0.1)))[-1] == 99
 
 
+@pytest.mark.thorough
 def test_without_nis_driver_one_sentence_says_what_to_install() -> None:
     script = (
         "from dragrig.config.errors import DeviceError\n"

@@ -56,7 +56,7 @@ def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_ri
         thorough("force over range", {"force_added_mN": 9950.0}, (), assert_goes_on),
         thorough("force over the limit", {"force_added_mN": RIG.guard.force_limit_mN + 500.0}, (), None),
         thorough("force sensor's wire broken", {"sensor_open": True}, (), None),
-        ("force input dead", {"force_constant_V": 4.9}, (), None),
+        thorough("force input dead", {"force_constant_V": 4.9}, (), None),
         thorough("encoder loses counts", {"encoder_added_counts": -400}, (), assert_goes_on),
         thorough("encoder's error line", {"encoder_error": True}, (), assert_goes_on),
         thorough("card delivers no samples", {"card_stalled": True}, SOON_STALE, None),
@@ -195,6 +195,7 @@ def test_the_files_uncertainty_of_the_start_covers_a_drive_that_sets_out_late(fa
     assert stated_s >= moved_s[1] - moved_s[0] - 0.002
 
 
+@pytest.mark.thorough
 def test_a_file_has_the_rate_that_the_card_really_makes(faulty_rig: Bench) -> None:
     ended = begin(faulty_rig, assignments=["rig.sampling.rate_hz=3000"]).end()
     assert ended.exit_code == 0, ended.message
@@ -247,4 +248,3 @@ def test_a_card_that_another_program_has_is_left_to_it(faulty_rig: Bench) -> Non
         assert not ended.stage.enabled
         assert task.name
     connection.close()
-    assert_goes_on(faulty_rig, ended.folder)

@@ -35,7 +35,7 @@ from rig_faults import (
         thorough("serial replies late", {"drive_reply_late_s": 8.0}, Halt.STOP, SOON_UNANSWERED, assert_goes_on),
         thorough("serial replies garbled", {"drive_garbled": True}, Halt.STOP, SOON_UNANSWERED, None),
         thorough("serial adapter gone in motion", {"drive_unplugged": True}, Halt.SILENCE, SOON_SILENT, assert_goes_on),
-        ("serial plug pulled in motion", {"drive_cut_off": True}, Halt.SILENCE, SOON_CUT_OFF, assert_goes_on),
+        ("serial plug pulled in motion", {"drive_cut_off": True}, Halt.SILENCE, SOON_CUT_OFF, None),
         thorough("drive alarm", {"drive_alarm": "overheating"}, Halt.ALARM, (), assert_goes_on),
         ("e-stop pressed", {"e_stop_pressed": True}, Halt.EMERGENCY_STOP, (), None),
         thorough("limit switch pressed", {"limit_high_pressed": True}, Halt.LIMIT_SWITCH, (), None),

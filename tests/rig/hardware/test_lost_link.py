@@ -11,7 +11,7 @@ from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.hardware.drive.monitor import _UNHEARD_GRACE_S
 from dragrig.sim_backend.doubles.simulated_bench import MISSED_BEATS, SimulatedBench
 from drive_ports import DrivePort
-from driving import ANY_PORT, PORTS, Driven, driven, until
+from driving import ANY_PORT, PORTS, Driven, Stall, driven, until
 from property_tests import thorough
 from simulated import stroke
 from voltage_bench import velocity_rig, voltage_rig
@@ -73,7 +73,7 @@ def lose_link(rig: Driven, fault: str) -> tuple[float, float, LineLog]:
         pytest.param(ANY_PORT, "enable line", id="enable line"),
     ],
 )
-@pytest.mark.parametrize("fault", ["drive_unplugged", "drive_cut_off"])
+@pytest.mark.parametrize("fault", [thorough("drive_unplugged"), "drive_cut_off"])
 def test_a_drive_that_is_heard_no_more_loses_its_power(kind: type[DrivePort], fault: str, wiring: str) -> None:
     _expect_power_gone(kind, fault, wiring, "nikki")
 
@@ -85,25 +85,24 @@ def test_a_drive_of_another_make_loses_its_power_as_soon(fault: str, dialect: st
 
 
 def _expect_power_gone(kind: type[DrivePort], fault: str, wiring: str, dialect: str) -> None:
-    # A busy machine may hold up any of them, though hardly all.
-    for _ in range(4):
-        drive = {"dialect": dialect, **DIALECTS[dialect]}
-        with driven(kind, lines=WIRINGS[wiring], silence_s=SILENCE_S, reply_s=0.1, **drive) as rig:
+    drive = {"dialect": dialect, **DIALECTS[dialect]}
+    with driven(kind, lines=WIRINGS[wiring], silence_s=SILENCE_S, reply_s=0.1, **drive) as rig:
+        with Stall() as stall:
             released_s, travelled_mm, _ = lose_link(rig, fault)
-            assert rig.drive.status.halt is Halt.DISABLED
-            assert travelled_mm < 60.0
-            fault_seen = rig.stage.fault
-            assert fault_seen is not None
-            assert fault_seen.cause is TripCause.DRIVE_FAULT
-            assert "check" in fault_seen.message
-            until(lambda: not rig.sync.moving)
-            with pytest.raises(DeviceError):
-                rig.stage.enable()
-        relay_s = MISSED_BEATS * 0.05 if wiring == "relay" else 0.0
-        coasted_mm = SPEED_MM_S**2 / (2 * 250.0)
-        if released_s <= SILENCE_S + 0.1 and travelled_mm <= SPEED_MM_S * (SILENCE_S + 0.1 + relay_s) + coasted_mm:
-            return
-    pytest.fail(f"power stayed for {released_s:.2f} s, and the stage went on for {travelled_mm:.1f} mm")
+        assert rig.drive.status.halt is Halt.DISABLED
+        fault_seen = rig.stage.fault
+        assert fault_seen is not None
+        assert fault_seen.cause is TripCause.DRIVE_FAULT
+        assert "check" in fault_seen.message
+        until(lambda: not rig.sync.moving)
+        with pytest.raises(DeviceError):
+            rig.stage.enable()
+    relay_s = MISSED_BEATS * 0.05 if wiring == "relay" else 0.0
+    coasted_mm = SPEED_MM_S**2 / (2 * 250.0)
+    # The program's threads and the doubles' may all be late.
+    late_s = 0.1 + 3 * stall.longest_s
+    assert released_s <= SILENCE_S + late_s
+    assert travelled_mm <= SPEED_MM_S * (SILENCE_S + late_s + relay_s) + coasted_mm
 
 
 def test_a_drive_that_is_heard_again_moves_again() -> None:

@@ -17,11 +17,12 @@ HOLDER = """
 import sys
 from dragrig.config.rig import HardwareSettings
 from dragrig.rig.hardware.backend import RigLock
-with RigLock(HardwareSettings(), sys.argv[1]):
-    print("held", flush=True)
+for _ in range(2):
+    with RigLock(HardwareSettings(), sys.argv[1]):
+        print("held", flush=True)
+        sys.stdin.readline()
+    print("let go", flush=True)
     sys.stdin.readline()
-print("let go", flush=True)
-sys.stdin.readline()
 """
 
 
@@ -31,7 +32,7 @@ def rig(device: str = "Dev1", port: str = "COM1") -> HardwareSettings:
 
 @pytest.fixture
 def holder(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
-    """Another program that is at the rig, lets it go at a line on its standard input and lives on to the next."""
+    """Another program that is at the rig, lets it go at a line on its standard input, and comes back at the next."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -44,27 +45,29 @@ def holder(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
         process.communicate()
 
 
-def test_a_second_program_is_refused_and_told_who_holds_the_rig_until_it_is_let_go(
-    holder: "subprocess.Popen[str]", tmp_path: Path
+def told(holder: "subprocess.Popen[str]") -> str:
+    """Give the other program a line, and return its answer."""
+    assert holder.stdin is not None
+    assert holder.stdout is not None
+    holder.stdin.write("\n")
+    holder.stdin.flush()
+    return holder.stdout.readline()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+def test_a_second_program_is_refused_and_told_who_holds_the_rig_until_it_is_let_go_or_its_holder_killed(
+    holder: "subprocess.Popen[str]", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(DeviceError, match=rf"Dev1 and COM1: process {holder.pid} uses this rig") as refused:
         RigLock(rig(), str(tmp_path))
     assert str(refused.value).count(".") == 1
     RigLock(rig(port="COM2"), str(tmp_path)).close()
     RigLock(rig(device="Dev2"), str(tmp_path)).close()
-    assert holder.stdin is not None
-    assert holder.stdout is not None
-    holder.stdin.write("\n")
-    holder.stdin.flush()
-    assert holder.stdout.readline() == "let go\n"
+    assert told(holder) == "let go\n"
     RigLock(rig(), str(tmp_path)).close()
     assert holder.poll() is None
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
-def test_a_lock_is_no_file_that_somebody_could_plant_or_remove_and_a_killed_program_holds_none(
-    holder: "subprocess.Popen[str]", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    assert told(holder) == "held\n"
+    # It is no file that somebody could plant or remove.
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     if sys.platform == "linux":  # a file elsewhere
         assert not list(tmp_path.iterdir())

@@ -28,7 +28,7 @@ name = "short"
 kind = "relaxation"
 shear_strain = 0.5
 ramp_speed_mm_s = 10.0
-hold_s = 2.0
+hold_s = 1.0
 rest_s = 0.5
 prompt = "Fit a specimen"
 
@@ -36,7 +36,7 @@ prompt = "Fit a specimen"
 kind = "drag"
 speed_mm_s = 10.0
 travel_mm = 10.0
-hold_s = 2.0
+hold_s = 1.0
 rest_s = 0.5
 prompt = "Lay the gut on the foam"
 """

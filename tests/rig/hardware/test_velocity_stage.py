@@ -89,6 +89,7 @@ def test_follows_any_profile_from_the_first_sample_on(rig: VoltageRig) -> None:
         assert rig.drive.parameter(parameter) == pytest.approx(value, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_the_force_is_that_of_the_simulated_rig(rig: VoltageRig) -> None:
     acquisition = acquire(stroke(30.0, 40.0, rest_s=0.2, hold_s=0.3))
     expected = record(session(), acquisition)["force"]
@@ -258,7 +259,7 @@ def test_a_limit_switch_is_left_by_one_slow_move(rig: VoltageRig) -> None:
     assert rig.stage.fault is None
 
 
-@pytest.mark.parametrize("start_mm", [0.5, -SWITCH_OFFSET_MM - 1.0])
+@pytest.mark.parametrize("start_mm", [thorough(0.5), -SWITCH_OFFSET_MM - 1.0])
 def test_homing_finds_the_index_pulse_from_either_side_of_the_switch(cold: VoltageRig, start_mm: float) -> None:
     cold.bench.place(start_mm)
     cold.stage.disable()

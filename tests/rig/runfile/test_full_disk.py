@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import RunStatus
@@ -25,6 +26,7 @@ def recorded_samples(folder: Path) -> int:
     return read_run(recordings[0]).info.samples if recordings else 0
 
 
+@pytest.mark.thorough
 def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(small_disk: Path, tmp_path: Path) -> None:
     folder = small_disk / "campaign"
     command = [sys.executable, "-m", "dragrig", "run", "drag", "--pace", "real", "--yes", "--out", str(folder)]

@@ -20,7 +20,7 @@ from property_tests import thorough
 from runfiles import arrays, blocks, header, record
 
 BOUND_S = 0.25
-CRUCIAL = ("flushing", "copying", "placed")
+CRUCIAL = ("flushing", "copying")
 """Steps of recording, finishing and cleaning up, one of each."""
 
 

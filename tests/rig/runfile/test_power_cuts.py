@@ -19,7 +19,7 @@ from power_cuts import Recorded, lost_s, record_on_emulated_disk
 from runfiles import arrays, header, record
 
 MAX_LAG_S = 0.3
-CUTS = 12
+CUTS = 6
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_a_power_cut_before_the_first_sample_leaves_nothing_that_recover_complai
     (tmp_path / "recorded").mkdir()
     recorded = record_on_emulated_disk(tmp_path / "recorded", seed=2, max_lag_s=0.5, duration_s=0.1)
     draw, empty = random.Random(2), 0
-    for number in range(2 * CUTS):
+    for number in range(3 * CUTS):
         folder = tmp_path / str(number)
         folder.mkdir()
         recorded.disk.cut(draw.uniform(recorded.begun_s, recorded.offers[0][0]), folder, draw)

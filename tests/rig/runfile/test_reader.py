@@ -7,7 +7,9 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import h5py
 import numpy as np
@@ -53,8 +55,18 @@ REQUIRED_OBJECTS = [
 ]  # fmt: skip
 
 
+@cache
+def run_of(samples: int) -> bytes:
+    with TemporaryDirectory() as folder:
+        path = write_run(
+            Path(folder) / "run.h5", header(), arrays(0, samples), events=[RunEvent(0.1, "phase", "accelerate ±")]
+        )
+        return path.read_bytes()
+
+
 def whole(path: Path, samples: int = 400) -> Path:
-    return write_run(path, header(), arrays(0, samples), events=[RunEvent(0.1, "phase", "accelerate ±")])
+    path.write_bytes(run_of(samples))
+    return path
 
 
 def refused(path: Path) -> str:
@@ -577,7 +589,7 @@ def test_nothing_is_written_over(tmp_path: Path) -> None:
     path = whole(tmp_path / "run.h5")
     before = path.read_bytes()
     with pytest.raises(OutputError, match="already"):
-        whole(path)
+        write_run(path, header(), arrays(0, 400))
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.h5"]
 
@@ -610,7 +622,7 @@ def test_what_could_not_be_read_back_is_not_written(
 
 def test_an_unwritable_folder_is_reported_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be written to"):
-        whole(tmp_path / "missing" / "run.h5")
+        write_run(tmp_path / "missing" / "run.h5", header(), arrays(0, 400))
 
 
 def test_names_sort_by_time_and_refuse_odd_kinds() -> None:

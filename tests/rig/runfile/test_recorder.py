@@ -35,7 +35,7 @@ from dragrig.rig.runfile.recorder import (
     rebuild,
 )
 from places import SUPPORT
-from property_tests import examples
+from property_tests import examples, thorough
 from runfiles import START, arrays, blocks, header, record
 
 
@@ -292,7 +292,7 @@ print("done", first)
 """
 
 
-@pytest.mark.parametrize("watch", ["watched", "blind"])
+@pytest.mark.parametrize("watch", [thorough("watched"), "blind"])
 def test_a_full_disk_is_reported_and_what_was_recorded_is_kept(small_disk: Path, tmp_path: Path, watch: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FILLER, str(small_disk), str(SUPPORT), watch],
@@ -520,20 +520,24 @@ def test_a_sync_that_fails_is_raised_by_the_next_request(tmp_path: Path, monkeyp
         syncer.request()
 
 
+def threads_of(name: str) -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == name]
+
+
 def test_every_request_is_synced_before_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[Path] = []
     monkeypatch.setattr(recorder, "sync_file", synced.append)
     target = tmp_path / "journal"
     syncer = FileSyncer(target)
-    assert {thread.name for thread in syncer._threads} == {"sync of journal"}
-    assert all(thread.daemon for thread in syncer._threads)
+    threads = threads_of("sync of journal")
+    assert {thread.daemon for thread in threads} == {True}
     syncer.close()
     assert synced == []
     syncer = FileSyncer(target)
     syncer.request()
     syncer.close()
     assert synced == [target]
-    assert not any(thread.is_alive() for thread in syncer._threads)
+    assert threads_of("sync of journal") == []
 
 
 ENDING = RunEnding(RunStatus.TRIPPED, "force", START, {"lost_samples": 3})
@@ -701,7 +705,8 @@ def test_a_disk_that_does_not_answer_is_not_waited_for_for_ever(
         f"{tmp_path / 'run.recording.h5'}: the disk has not taken the last samples for 0.05 s; what it has taken is "
         "kept: check the disk, then `dragrig recover`"
     )
+    (thread,) = threads_of("recorder of run.recording.h5")
+    assert thread.daemon
     answers.set()
-    recording._thread.join(60.0)
-    assert not recording._thread.is_alive()
-    assert (recording._thread.name, recording._thread.daemon) == ("recorder of run.recording.h5", True)
+    thread.join(600.0)
+    assert not thread.is_alive()

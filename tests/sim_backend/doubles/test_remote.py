@@ -263,6 +263,7 @@ def test_a_request_that_is_none_gets_a_sentence_back(line: bytes) -> None:
         assert server.reply(line).error.startswith("Control of the doubles, ")
 
 
+@pytest.mark.thorough
 def test_the_control_socket_sets_looks_and_refuses_and_a_bystander_sees_a_silent_programs_stage_stop() -> None:
     with RemoteDoubles(rig(1000.0), pace=2.0) as doubles, connected(card_port(doubles)) as options:
         assert doubles.control.stage().position_mm == doubles.rig().stage.start_mm
@@ -288,6 +289,7 @@ def test_the_control_socket_sets_looks_and_refuses_and_a_bystander_sees_a_silent
         assert psutil.Process(doubles.process_id).wait(600) in {0, None}
 
 
+@pytest.mark.thorough
 def test_the_sampler_records_through_another_process_and_says_when_that_is_gone() -> None:
     with RemoteDoubles(rig(1000.0), pace=2.0) as doubles:
         connection = Connection(doubles.rig().hardware.card)

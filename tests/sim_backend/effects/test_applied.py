@@ -162,7 +162,7 @@ def test_a_ripple_in_speed_shows_in_the_force_and_in_the_motor() -> None:
 def test_effects_go_by_the_clock_that_the_files_tell_through_tares_and_after_a_resumption(tmp_path: Path) -> None:
     frequency = 0.25
     hum = EffectSettings(id="mains_hum", parameters={"frequency_hz": frequency, "amplitude_mN": 50.0})
-    quick = (*SILENT, *SAME, "travel_mm=5", "hold_s=3", "tare_s=0.5", "repeats=3", "wait_s=7.3")
+    quick = (*SILENT, *SAME, "travel_mm=5", "hold_s=1", "tare_s=0.5", "repeats=2", "wait_s=17.3")
     folder = tmp_path / "c"
     dragrig.simulate("blank", out=folder, effects=[hum], assignments=quick)
     made_before = read_campaign(folder).runs
@@ -200,7 +200,7 @@ def test_effects_bear_a_long_hold() -> None:
     (run,) = dragrig.simulate(
         "relaxation",
         effects=["force_drift", "servo_lag", "arm_compliance"],
-        assignments=[*SILENT, *SAME, "hold_s=300", "rig.sampling.rate_hz=50", "shear_strain=1"],
+        assignments=[*SILENT, *SAME, "hold_s=100", "rig.sampling.rate_hz=20", "shear_strain=1"],
     )[:1]
     assert np.isfinite(run.trace.force).all()
 

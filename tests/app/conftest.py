@@ -1,5 +1,6 @@
-"""Run files finished without a second process, for the tests of commands that make runs."""
+"""Run files finished without a second process, for the tests that make runs."""
 
+import multiprocessing.spawn  # noqa: F401  # it keeps the interpreter that it finds
 import sys
 from collections.abc import Iterator
 
