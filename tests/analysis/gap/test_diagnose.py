@@ -16,7 +16,7 @@ from dragrig.api.gap import save_amended_model
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.present.diagnosis import diagnosis_json
 from hidden import hidden, simulated
-from places import CAMPAIGN
+from places import CAMPAIGN, DATA
 from property_tests import thorough
 
 NUMBERED = {path.name.split("-")[1].removesuffix(".h5"): path for path in sorted(CAMPAIGN.glob("*.h5"))}
@@ -40,6 +40,16 @@ def test_a_campaign_without_a_gap_says_what_would_have_been_seen(diagnosed: Diag
     assert set(nothing.where.location("channel").shares.values()) == {0.0}
     assert nothing.shrink is not None
     assert nothing.shrink.closed is None
+
+
+def test_a_stage_that_gives_way_by_less_than_a_count_has_no_compliant_arm() -> None:
+    """Runs of somebody else's plant: a jerk-limited motion under a position loop that answers to the force.
+
+    Its friction fades within some milliseconds of a stop where the command stops at once, and nothing else is wrong.
+    """
+    yielding = diagnose(choose_runs(DATA / "yielding_stage"), MODEL, UNADVISED)
+    assert (yielding.verdict, yielding.effects) == (Verdict.NO_GAP, ())
+    assert probability(yielding, "arm_compliance") < 0.1
 
 
 def test_an_effect_is_named_with_its_size_and_closes_the_gap(diagnosis: Diagnosis) -> None:
