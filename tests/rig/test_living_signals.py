@@ -29,6 +29,7 @@ from dragrig.rig.runfile.model import Attribute, RunEvent, RunStatus
 from dragrig.setup import create_lab
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
+from driving import Stall
 from property_tests import thorough
 from rig_faults import sentence
 from simulated import acquire, stroke
@@ -265,17 +266,19 @@ def test_a_jog_after_which_drive_and_encoder_disagree_says_so(rig: Rig) -> None:
 
 
 def test_the_recorded_uncertainty_covers_a_drive_that_starts_late(rig: Rig) -> None:
-    stated = {}
+    stated, stalled_s = {}, {}
     for late_s in (0.0, 0.045):
         rig.faults.inject(drive_starts_late_s=late_s)
         sink = Kept()
-        assert rig.run(Contact.NONE, sink).status is RunStatus.COMPLETE
+        with Stall() as stall:
+            assert rig.run(Contact.NONE, sink).status is RunStatus.COMPLETE
+        stalled_s[late_s] = stall.longest_s
         stated[late_s] = float(sink.entry["command_t0_uncertainty_s"])
         rig.backend.stage.disable()
         rig.backend.stage.enable()
         rig.backend.stage.home()
-    assert stated[0.0] < 0.04
-    assert 0.045 <= stated[0.045] < 0.09
+    assert stated[0.0] < 0.04 + stalled_s[0.0]
+    assert 0.045 <= stated[0.045] < 0.09 + stalled_s[0.045]
 
 
 def test_a_measured_rail_makes_a_saturated_amplifier_an_overload() -> None:

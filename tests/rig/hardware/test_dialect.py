@@ -34,7 +34,7 @@ from dragrig.rig.runfile.model import RunStatus
 from dragrig.setup import create_lab
 from dragrig.sim_backend.doubles.drive_sides import DriveSide, find_drive_side
 from drive_ports import DrivePort
-from driving import ANY_PORT, PORTS, driven, until
+from driving import ANY_PORT, PORTS, Stall, driven, until
 from modbus_peer import PymodbusPort
 from places import ROOT
 from simulated import settings, stroke
@@ -436,10 +436,11 @@ def test_a_drive_without_a_silence_timeout_is_never_asked_for_one() -> None:
 def test_a_start_in_several_frames_is_as_certain_as_its_last_one() -> None:
     with driven(ANY_PORT, **SPOKEN["copley"]) as rig:
         rig.ready().bench.faults.inject(drive_reply_late_s=0.3)
-        rig.sample(stroke(travel_mm=2.0, rest_s=2.0))
-        until(lambda: not rig.sync.moving)
+        with Stall() as stall:
+            rig.sample(stroke(travel_mm=2.0, rest_s=2.0))
+            until(lambda: not rig.sync.moving)
         # Three frames, of which the last takes 0.3 s.
-        assert 0.15 < rig.stage.start_uncertainty_s < 0.6
+        assert 0.15 < rig.stage.start_uncertainty_s < 0.6 + stall.longest_s
         assert rig.drive.requests[-1] == Request(Command.GO, value=2.0)
 
 
