@@ -19,13 +19,13 @@ from dragrig.rig.hardware.dialects.base import Parameter
 from dragrig.rig.hardware.drive.velocity_loop import MotionCommand, SpeedController
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece
 from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM
-from driving import Room, is_back, until
+from driving import Room, Stall, is_back, until
 from property_tests import thorough
 from remote_doubles import RemoteDoubles
 from simulated import NEVER, acquire, begin, blocks, record, session, settings, stroke
 from voltage_bench import LEAD_S, RATE, VoltageRig, open_voltage_rig, velocity_rig, voltage_rig
 
-FOLLOWS_MM = 0.1
+FOLLOWS_MM, FASTEST_MM_S = 0.1, 100.0
 STANDS_MM = 0.02
 LONG = stroke(travel_mm=120.0, speed_mm_s=40.0, hold_s=0.3)
 
@@ -71,11 +71,13 @@ def wavy(duration_s: float = 1.0) -> MotionProfile:
 
 def test_follows_any_profile_from_the_first_sample_on(rig: VoltageRig) -> None:
     for order, profile in enumerate((stroke(60.0, 100.0, 3000.0, hold_s=0.4), wavy(), stroke(-20.0, 20.0, hold_s=0.4))):
-        got = record(rig, acquire(profile, order))
+        with Stall() as stall:
+            got = record(rig, acquire(profile, order))
         samples = profile.samples(RATE)
         assert got.blocks[-1].end_index == samples
         off_mm = np.abs(got["position"] - profile.position(np.arange(samples) / RATE))
-        assert off_mm.max() <= FOLLOWS_MM
+        # While a busy machine holds the loop up, the stage goes on as it was told last.
+        assert off_mm.max() <= FOLLOWS_MM + FASTEST_MM_S * stall.longest_s
         assert off_mm[-1] <= STANDS_MM
         assert rig.stage.start_uncertainty_s == pytest.approx(0.001)
     assert rig.stage.fault is None
