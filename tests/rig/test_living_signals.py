@@ -278,7 +278,8 @@ def test_the_recorded_uncertainty_covers_a_drive_that_starts_late(rig: Rig) -> N
         rig.backend.stage.enable()
         rig.backend.stage.home()
     assert stated[0.0] < 0.04 + stalled_s[0.0]
-    assert 0.045 <= stated[0.045] < 0.09 + stalled_s[0.045]
+    # Late against the sample clock, which a busy machine may start late as well.
+    assert 0.045 - stalled_s[0.045] <= stated[0.045] < 0.09 + stalled_s[0.045]
 
 
 def test_a_measured_rail_makes_a_saturated_amplifier_an_overload() -> None:
