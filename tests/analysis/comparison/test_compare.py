@@ -311,8 +311,6 @@ def test_the_command_prints_writes_changes_no_run_and_ends_well_when_they_differ
     frame = pd.read_csv(folder / "comparison.csv")
     assert list(frame.columns) == list(comparison_frame(dragrig.compare("a", "b")).columns)
     assert list((tmp_path / "a" / "compared-with-b").iterdir()) == []
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*.h5")} == before
-    assert read_run(tmp_path / "a" / "010-drag.h5").filtered is None
     assert main(["compare", "a/010-drag.h5", "--model", "table1", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["pairs"][0]["verdict"] == "differs"
@@ -321,3 +319,5 @@ def test_the_command_prints_writes_changes_no_run_and_ends_well_when_they_differ
     assert "either a second campaign" in capsys.readouterr().err
     assert main(["compare", "a", "--model", "papr"]) == 2
     assert "did you mean paper?" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.h5")} == before
+    assert read_run(tmp_path / "a" / "010-drag.h5").filtered is None
