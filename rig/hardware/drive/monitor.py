@@ -13,7 +13,7 @@ looks at the switches while the other waits.
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 
 from dragrig.config import DeviceError, RigSettings, reason_of
@@ -86,6 +86,8 @@ class Monitor:
         Stops the stage; must return at once.
     may_beat
         Whether the heartbeat goes on; without it the relay opens.
+    ending
+        Held while a movement and the tolerance of a switch end, which are one step for whoever holds it.
     """
 
     def __init__(
@@ -94,8 +96,9 @@ class Monitor:
         poll_drive: Callable[[], Trip | None],
         stop: Callable[[], None],
         may_beat: Callable[[], bool],
+        ending: AbstractContextManager[object],
     ) -> None:
-        self._poll_drive_status, self._stop, self._may_beat = poll_drive, stop, may_beat
+        self._poll_drive_status, self._stop, self._may_beat, self._ending = poll_drive, stop, may_beat, ending
         self._link, self._lines = devices.link, devices.lines
         self._sync, self._watchdog = devices.sync, devices.watchdog
         self._silence_s = devices.settings.hardware.drive.silence_s
@@ -143,14 +146,14 @@ class Monitor:
         """Read switches and drive now, and return what forbids motion."""
         with self._polling:
             # Read before the drive answers, which may have stopped by itself already: the program's own stop follows.
-            moved = self._sync.moving
-            by_switches = self._poll_switches()
+            moved, tolerated = self._moving_and_tolerated()
+            by_switches = self._poll_switches(tolerated)
             if by_switches is not None:
                 self._report(self._latched or by_switches, moved=moved)
             by_drive = self._poll_drive()
             if by_drive is not None and by_switches is None:
                 # A switch that was pressed in between explains the stop better than the drive, which has stopped by it.
-                by_switches = self._poll_switches()
+                by_switches = self._poll_switches(tolerated)
             self._report(self._latched or by_switches or by_drive, moved=moved)
             return self._fault
 
@@ -169,7 +172,7 @@ class Monitor:
         """
         first, self._latched = self._latched is None, self._latched or trip
         self._report(self._latched, moved=self._sync.moving)
-        if first and (pressed := self._poll_switches()) and pressed.cause is TripCause.EMERGENCY_STOP:
+        if first and (pressed := self._poll_switches(self._tolerated)) and pressed.cause is TripCause.EMERGENCY_STOP:
             self._fault = self._latched = pressed
 
     def clear(self) -> None:
@@ -254,9 +257,14 @@ class Monitor:
         self._ended.wait(min(_MAX_POWER_CHECK_S, self._beat_s / 2))
 
     def _look_at_switches(self) -> None:
-        moved = self._sync.moving
-        if (pressed := self._poll_switches()) is not None:
+        moved, tolerated = self._moving_and_tolerated()
+        if (pressed := self._poll_switches(tolerated)) is not None:
             self._report(self._latched or pressed, moved=moved)
+
+    def _moving_and_tolerated(self) -> tuple[bool, TripCause | None]:
+        # Taken apart, the end of a motion off a switch would look like a motion onto it.
+        with self._ending:
+            return self._sync.moving, self._tolerated
 
     def _release_power_if_late(self, now_s: float) -> None:
         late_s = now_s - self._beaten_s
@@ -321,9 +329,9 @@ class Monitor:
             self._stop_sent = True
             self._stop()
 
-    def _poll_switches(self) -> Trip | None:
+    def _poll_switches(self, tolerated: TripCause | None) -> Trip | None:
         try:
-            return self._lines.read_switches().trip(ignoring=self._tolerated)
+            return self._lines.read_switches().trip(ignoring=tolerated)
         except DeviceError as error:
             # Switches that cannot be read count as pressed.
             return Trip(TripCause.CARD_FAULT, reason_of(error))

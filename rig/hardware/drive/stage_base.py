@@ -122,7 +122,8 @@ class DriveTracker:
     def __init__(self, devices: StageDevices, self_stop_s: float, on_over: Callable[[], None]) -> None:
         self._link, self._sync, self._on_over = devices.link, devices.sync, on_over
         self._self_stop_s = self_stop_s
-        self._lock = threading.RLock()
+        self._lock = self.ending = threading.RLock()
+        """`ending`: held while a movement ends."""
         self._movement: Movement | None = None
         self._stop_trip: Trip | None = None
         self._answered_s = time.monotonic()
@@ -264,7 +265,7 @@ class MonitoredStage(ABC):
         self._override: TravelEnd | None = None
         self._trial_due = True
         self._tracker = DriveTracker(devices, self_stop_s, self._end_override)
-        self._monitor = Monitor(devices, self._tracker.poll, self.stop, self._may_beat)
+        self._monitor = Monitor(devices, self._tracker.poll, self.stop, self._may_beat, self._tracker.ending)
 
     @property
     def limits(self) -> StageLimits:

@@ -73,7 +73,7 @@ def test_replies_that_come_late_are_waited_for_within_the_silence_of_the_drive(
     with linked(reply_s=0.2, silence_s=2.0, **spoken) as (drive, link):
         link.set(Parameter.SPEED_MM_S, 9.0)
         link.exchange(Request(Command.ENABLE))
-        assert link.late_replies == 0
+        late_before = link.late_replies
         drive.bench.faults.inject(drive_reply_late_s=late_s)
         for _ in range(3):
             assert link.exchange(Request(Command.READ, Parameter.SPEED_MM_S)).value == pytest.approx(9.0)
@@ -81,7 +81,7 @@ def test_replies_that_come_late_are_waited_for_within_the_silence_of_the_drive(
             link.exchange(GO)
         assert drive.requests.count(GO) == 1
         # A request of several frames has as many replies.
-        assert link.late_replies >= 4
+        assert link.late_replies >= late_before + 4
 
 
 def test_a_stop_does_not_wait_for_the_late_reply_to_a_move() -> None:
@@ -107,6 +107,7 @@ def test_a_stop_does_not_wait_for_the_late_reply_to_a_move() -> None:
 def test_a_lost_link_is_no_late_reply_and_known_before_the_drive_stops_by_itself() -> None:
     with linked(reply_s=0.2, silence_s=1.0) as (drive, link):
         link.exchange(STATUS)
+        late_before = link.late_replies
         drive.bench.faults.inject(drive_silent=True)
         began_s = time.monotonic()
         with pytest.raises(NoReplyError):
@@ -116,7 +117,7 @@ def test_a_lost_link_is_no_late_reply_and_known_before_the_drive_stops_by_itself
         until(lambda: link.unheard_s > 1.0)
         drive.bench.faults.clear()
         link.exchange(STATUS)
-        assert link.late_replies == 0
+        assert link.late_replies == late_before
 
 
 def test_a_stop_goes_out_at_once_although_no_reply_can_be_told_from_a_late_one() -> None:
@@ -167,8 +168,9 @@ def talker(says: bytes, unasked: bool = False) -> Iterator[str]:
         client, _ = listener.accept()
         with suppress(OSError), client:
             while unasked or client.recv(100):
+                # Unasked as fast as the line takes it: whoever listens never hears it pause, however busy the computer.
                 client.sendall(says)
-                time.sleep(0.01)
+                time.sleep(0 if unasked else 0.01)
 
     thread = threading.Thread(target=talk)
     with listener:
@@ -196,19 +198,22 @@ def test_bytes_that_cannot_be_read_lead_to_the_settings_in_their_order(dialect: 
 def test_a_drive_that_goes_on_sending_unasked_is_told() -> None:
     with talker(b"v 1\r", unasked=True) as port:
         link = DriveLink(DriveSettings(port=port, reply_s=0.05, dialect="copley"), find_dialect("copley"))
-        # On a busy computer the talker may pause for as long as the link listens.
-        exchanges = (link.exchange(STATUS) for _ in range(50))
         with pytest.raises(NoReplyError, match="goes on sending without being asked"):
-            list(exchanges)
+            link.exchange(STATUS)
         link.close()
 
 
 @pytest.mark.parametrize(
     ("spoken", "message"),
-    [({}, "nothing came.*station"), (MODBUS, "nothing came.*station"), (COPLEY, "station, which did not answer.*baud")],
+    [
+        ({"reply_s": 0.15}, "nothing came.*station"),
+        ({"reply_s": 0.15, **MODBUS}, "nothing came.*station"),
+        # Here the drive on the cable answers at once for the station.
+        ({"reply_s": 2.0, "silence_s": 5.0, **COPLEY}, "station, which did not answer.*baud"),
+    ],
 )
 def test_a_wrong_station_is_not_taken_for_the_drive(spoken: dict[str, object], message: str) -> None:
-    with linked(reply_s=0.15, program={"station": 5}, **spoken) as (drive, link):
+    with linked(program={"station": 5}, **spoken) as (drive, link):
         for request in (STATUS, GO, STOP):
             with pytest.raises(NoReplyError, match=message):
                 link.exchange(request)

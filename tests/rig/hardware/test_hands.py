@@ -3,6 +3,7 @@
 import ctypes
 import re
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,6 +18,9 @@ from dragrig.rig.calibration import fit_encoder, fit_force
 from dragrig.rig.devices import BackendRequest, TravelEnd, TripCause
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
+from dragrig.rig.hardware.drive.position_mode import PositionModeStage
+from dragrig.rig.hardware.lines import CardLines, SwitchStates
+from dragrig.rig.hardware.sync import MotionSamplingSync
 from dragrig.rig.manual import ManualControl, measure_loads, measure_pushed_travel
 from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.reading import Reading
@@ -167,6 +171,42 @@ def test_a_person_homes_jogs_and_gets_off_a_limit_switch(bench: Bench) -> None:
     checks = [prompt for prompt in bench.prompts if "Check the rig" in prompt.text or "origin" in prompt.text]
     assert len(checks) >= 5
     assert all(prompt.hands for prompt in checks)
+
+
+def test_a_switch_seen_late_after_a_motion_off_it_is_not_taken_for_a_motion_onto_it(
+    room: Room[DoubleBackend], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = RIG.hardware.card.lines.model_copy(update={"heartbeat_s": 1.0})
+    card = RIG.hardware.card.model_copy(update={"lines": lines})
+    rig = RIG.model_copy(update={"hardware": RIG.hardware.model_copy(update={"card": card})})
+    stands, late_looks, stopped_by = threading.Event(), list[bool](), list[str]()
+    set_moving, read_switches, stop = MotionSamplingSync.set_moving, CardLines.read_switches, PositionModeStage.stop
+
+    def note_standstill(sync: MotionSamplingSync, moving: bool) -> None:
+        set_moving(sync, moving)
+        (stands.clear if moving else stands.set)()
+
+    def read_late(lines: CardLines) -> SwitchStates:
+        if threading.current_thread().name == "drive power" and not stands.is_set():
+            late_looks.append(stands.wait(2.0))
+        return read_switches(lines)
+
+    def note_stop(stage: PositionModeStage) -> None:
+        stopped_by.append(threading.current_thread().name)
+        stop(stage)
+
+    monkeypatch.setattr(MotionSamplingSync, "set_moving", note_standstill)
+    monkeypatch.setattr(PositionModeStage, "stop", note_stop)
+    with another(room, rig, rig.guard) as made:
+        made.manual.jog(10.0, 20.0)
+        made.faults.inject(limit_high_pressed=True)
+        begin = made.manual.position_mm
+        # Polls that come late have the switches looked at in between, by the thread that keeps the power.
+        made.faults.inject(drive_reply_late_s=0.05)
+        monkeypatch.setattr(CardLines, "read_switches", read_late)
+        assert made.manual.jog(-1.0, override=TravelEnd.HIGH) == pytest.approx(begin - 1.0, abs=0.01)
+    assert any(late_looks)
+    assert set(stopped_by) == {threading.current_thread().name}
 
 
 @pytest.mark.parametrize("late_s", [thorough(0.06), 0.4])
