@@ -352,8 +352,7 @@ def _compete(
         for number, of_run in zip(chosen, rows, strict=True):
             run = design.runs[number]
             values = np.column_stack((run.residual, run.columns[:, nuisances], columns[of_run][:, acting]))
-            white = whitenings[number].whiten(values)
-            gram += white.T @ white
+            gram += whitenings[number].gram(values)
         places = np.concatenate((np.arange(1 + nuisances.size), 1 + nuisances.size + acting))
         total[np.ix_(places, places)] += gram
     products = schur_complement(
@@ -421,8 +420,7 @@ def _add_exchanges(
     for index in by_time:
         run = design.runs[index]
         values = np.column_stack((run.residual, run.columns[:, nuisances], beside[of_run == index]))
-        white = whitenings[index].whiten(values)
-        grams.append(white.T @ white)
+        grams.append(whitenings[index].gram(values))
     later = np.cumsum(grams[::-1], axis=0)[::-1]
     chosen: dict[int, None] = {}
     for count in {0, fitted.size}:
