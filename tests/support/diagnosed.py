@@ -55,10 +55,10 @@ SECRETS = {
     "stribeck": Secret(12, 5, ("stribeck",)),
     "strayed position": Secret(14, 5, ("encoder_scale",), OF_SOME),
     "two effects": Secret(
-        43, 4, ("mains_hum", "force_drift"), trying("mains_hum", "force_drift", "stribeck", "adhesion"), (2.0, 1.0)
+        43, 4, ("mains_hum", "force_drift"), trying("mains_hum", "force_drift", "stribeck"), (2.0, 1.0)
     ),
     "two effects of all": Secret(21, 2, ("film_depletion", "force_drift")),
-    "unknown": Secret(18, 4, ("stick_slip",), trying("stribeck", "film_depletion", "wall_lift_off")),
+    "unknown": Secret(18, 5, ("stick_slip",), trying("stribeck")),
     "unknown of all": Secret(18, 2, ("stick_slip",)),
     "unknown law": Secret(12, 2, ("wall_seam",)),
 }

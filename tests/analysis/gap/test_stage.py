@@ -24,6 +24,8 @@ from property_tests import thorough
 
 COULOMB_MN, VISCOUS_MN_S_MM = 300.0, 4.0
 RATE = "rig.sampling.rate_hz=500"
+
+
 def all_but(*effects: str) -> tuple[str, ...]:
     """Return what a test leaves out of a diagnosis that is about something else than telling effects apart."""
     return tuple(name for name in catalogue() if name not in effects)
@@ -346,7 +348,12 @@ def cogging(runs: list[Run], amplitude_mN: float, pitch_mm: float) -> list[Run]:
 
 @pytest.mark.parametrize(
     ("amplitude_mN", "pitch_mm", "without"),
-    [(5.0, 12.0, all_but("cogging", "velocity_ripple", "stribeck")), thorough(5.0, 12.0, ()), thorough(20.0, 27.0, ()), thorough(60.0, 1.3, ())],
+    [
+        (5.0, 12.0, all_but("cogging", "velocity_ripple", "stribeck")),
+        thorough(5.0, 12.0, ()),
+        thorough(20.0, 27.0, ()),
+        thorough(60.0, 1.3, ()),
+    ],
 )
 def test_cogging_is_named_with_its_pitch_and_found_again(
     amplitude_mN: float,
