@@ -16,7 +16,6 @@ from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.selection import RunSelection
 from dragrig.sim_backend.effects import catalogue
 from hidden import hidden
-from places import CAMPAIGN
 
 UNADVISED = DiagnosisOptions(next_runs=None)
 """A diagnosis without the search for the next run, which takes a third of its time."""
@@ -62,8 +61,6 @@ SECRETS = {
     "unknown of all": Secret(18, 2, ("stick_slip",)),
     "unknown law": Secret(12, 2, ("wall_seam",)),
 }
-EXAMPLE = "example"
-"""The campaign in the test data, of eight runs without a gap."""
 
 
 @dataclass(frozen=True)
@@ -103,15 +100,12 @@ class DiagnosedCampaigns:
         return self._known[name]
 
     def _made(self, name: str) -> Diagnosed:
-        runs = CAMPAIGN if name == EXAMPLE else self._folder / name
+        runs = self._folder / name
         result = self._folder / f"{name}.pickle"
         with FileLock(self._folder / f"{name}.lock"):
             if not result.exists():
-                options = UNADVISED
-                if name != EXAMPLE:
-                    options = SECRETS[name].options
-                    write_hidden(runs, SECRETS[name])
-                result.write_bytes(pickle.dumps(diagnose(choose_runs(runs), MODEL, options)))
+                write_hidden(runs, SECRETS[name])
+                result.write_bytes(pickle.dumps(diagnose(choose_runs(runs), MODEL, SECRETS[name].options)))
         return Diagnosed(runs, pickle.loads(result.read_bytes()))
 
 

@@ -127,14 +127,14 @@ def test_what_follows_the_measured_force_is_told_as_such() -> None:
     assert law.text.endswith("·F [mN], measured force F in mN")
 
 
-@pytest.mark.parametrize("seeds", [range(100, 106), thorough(range(106, 130))], ids=["some", "others"])
+@pytest.mark.parametrize("seeds", [range(100, 102), thorough(range(102, 130))], ids=["some", "others"])
 def test_noise_has_no_law(seeds: range) -> None:
     assert not [seed for seed in seeds if law_of(campaign(seed)) is not None]
 
 
 @pytest.mark.parametrize("planted", [in_one_run, its_own_in_every_run])
 def test_what_other_runs_do_not_have_is_no_law(planted: Planted) -> None:
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         blocks = campaign(seed, planted)
         assert localise(blocks).rms > 1.0
         assert law_of(blocks) is None
