@@ -97,7 +97,7 @@ def test_the_plan_file_of_a_campaign_that_strays_is_taken(tmp_path: Path, capsys
 
 
 def test_no_run_is_advised_for_what_is_told_apart_already() -> None:
-    runs = dragrig.simulate(plan(FULL), effects=["velocity_ripple"])
+    runs = dragrig.simulate(plan({**FULL, "travel_mm": 12.0}), effects=["velocity_ripple"])
     settled = diagnosis_of(runs, OF_POSITION)
     assert settled.effects == ("velocity_ripple",)
     assert advised_for_position(runs, settled) is None
