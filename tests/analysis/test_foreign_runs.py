@@ -265,7 +265,7 @@ def test_a_relaxation_one_mode_too_short_is_no_drift_of_the_sensor(
 
 
 def test_a_model_that_declares_its_relaxation_is_tried_with_a_further_one(tmp_path: Path, known_noise: None) -> None:
-    runs = relaxing_strips(tmp_path, 1.0, (2.0, 4.0, 6.0))
+    runs = relaxing_strips(tmp_path, 1.0, (2.0, 6.0))
     result = diagnosed(runs, strip_model(tmp_path, DECLARED), trying=("extra_relaxation", *SOME))
     assert result.effects == ("extra_relaxation",), result.ranking[:3]
     assert not any("specimen" in limitation for limitation in result.limitations)

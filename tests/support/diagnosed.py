@@ -57,7 +57,7 @@ SECRETS = {
         43, 4, ("mains_hum", "force_drift"), trying("mains_hum", "force_drift", "stribeck"), (2.0, 1.0)
     ),
     "two effects of all": Secret(21, 2, ("film_depletion", "force_drift")),
-    "unknown": Secret(18, 5, ("stick_slip",), trying("stribeck")),
+    "unknown": Secret(18, 4, ("stick_slip",), trying("stribeck")),
     "unknown of all": Secret(18, 2, ("stick_slip",)),
     "unknown law": Secret(12, 2, ("wall_seam",)),
 }

@@ -44,6 +44,7 @@ def test_it_has_what_a_diagnosis_needs() -> None:
                for run in runs if run.protocol.kind == "motion")  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_its_coulomb_runs_tell_friction_from_tack_better_than_those_of_paper() -> None:
     pair = ("stribeck", "adhesion")
     others = [name for name in catalogue() if name not in pair]

@@ -96,6 +96,7 @@ def test_the_plan_file_of_a_campaign_that_strays_is_taken(tmp_path: Path, capsys
     assert main(["check", str(out)]) == 0
 
 
+@pytest.mark.thorough
 def test_no_run_is_advised_for_what_is_told_apart_already() -> None:
     runs = dragrig.simulate(plan({**FULL, "travel_mm": 12.0}), effects=["velocity_ripple"])
     settled = diagnosis_of(runs, OF_POSITION)

@@ -205,11 +205,7 @@ def test_beside_a_spectral_line_the_probabilities_still_sum_to_one() -> None:
 
 
 def causes(selection: RunSelection) -> set[str]:
-    tried = [
-        effect
-        for effect in catalogue().values()
-        if effect.has_force_signature and (effect.coordinate is Coordinate.SESSION or effect.id == "stribeck")
-    ]
+    tried = [effect for effect in catalogue().values() if effect.id in {"tissue_ageing", "force_drift", "stribeck"}]
     study = prepare_study(selection, MODEL, tried)
     return {cause.name for cause in prepare_competition(search_effects(study)).causes}
 
