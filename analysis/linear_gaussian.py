@@ -256,15 +256,16 @@ class Whitening:
         return np.asarray(whitened - self.directions @ (self.shrinkage * along.T).T)
 
     def gram(self, values: FloatArray) -> FloatArray:
-        """Return the products of whitened columns with each other, shape `(B, m)` to `(m, m)`.
+        """Return the products of whitened columns with each other, shape `(B, m)` to `(m, m)`."""
+        total = np.zeros((values.shape[1],) * 2)
+        self.add_gram(total, values)
+        return total
 
-        A column of zeros, as of an effect that does not act in the run, takes no time.
-        """
+    def add_gram(self, total: FloatArray, values: FloatArray) -> None:
+        """Add these products; a column of zeros, as of an effect that does not act in the run, takes no time."""
         acting = np.flatnonzero(values.any(axis=0))
         white = self.whiten(values[:, acting])
-        gram = np.zeros((values.shape[1],) * 2)
-        gram[np.ix_(acting, acting)] = white.T @ white
-        return gram
+        total[np.ix_(acting, acting)] += white.T @ white
 
     def with_form_error(self, sd: FloatArray) -> "Whitening":
         """Add an independent error to each block mean, one standard deviation, shape `(B,)`."""

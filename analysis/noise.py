@@ -668,9 +668,9 @@ def _beside_polynomials(layout: _BlockLayout, whitened: FloatArray, log_root: fl
     `log_root` is half the log determinant of the covariance of the block means of a stretch.
     """
     count = layout.degree + 1
-    triangle = np.linalg.qr(whitened, mode="r")
+    triangle = np.asarray(np.linalg.qr(whitened, mode="r"), dtype=np.float64)
     logs = log_root + float(np.log(np.abs(np.diag(triangle)[:count])).sum())
-    return float(np.sum(triangle[count:, count:] ** 2)) + 2 * (whitened.shape[1] - count) * logs
+    return float(np.sum(triangle[count:, count:] ** 2) + 2 * (whitened.shape[1] - count) * logs)
 
 
 BLOCK_GROWTH = 0.1

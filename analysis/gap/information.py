@@ -186,7 +186,7 @@ def forecast(search: ForceSearchResult, further: Study) -> tuple[BudgetForecast,
     ]
     total = np.zeros((1 + nuisances.size + columns.shape[1],) * 2)
     for run, whitening, values in zip(design.runs[:count], whitenings, values_of_run, strict=False):
-        total += whitening.gram(np.column_stack((run.residual, values)))
+        whitening.add_gram(total, np.column_stack((run.residual, values)))
     posterior = _Posterior(total, design.prior_precision[nuisances], design.prior_mean[nuisances], causes)
     column_rows = np.arange(1 + nuisances.size, len(total))
     products = schur_complement(design, total, nuisances, column_rows, 1 + np.arange(nuisances.size))
