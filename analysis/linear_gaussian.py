@@ -255,6 +255,18 @@ class Whitening:
         along = self.directions.T @ whitened
         return np.asarray(whitened - self.directions @ (self.shrinkage * along.T).T)
 
+    def gram(self, values: FloatArray) -> FloatArray:
+        """Return the products of whitened columns with each other, shape `(B, m)` to `(m, m)`."""
+        total = np.zeros((values.shape[1],) * 2)
+        self.add_gram(total, values)
+        return total
+
+    def add_gram(self, total: FloatArray, values: FloatArray) -> None:
+        """Add these products; a column of zeros, as of an effect that does not act in the run, takes no time."""
+        acting = np.flatnonzero(values.any(axis=0))
+        white = self.whiten(values[:, acting])
+        total[np.ix_(acting, acting)] += white.T @ white
+
     def with_form_error(self, sd: FloatArray) -> "Whitening":
         """Add an independent error to each block mean, one standard deviation, shape `(B,)`."""
         return Whitening.of(_noise_root(self.noise_root @ self.noise_root.T, sd), self.noise_root @ self.run_effects)

@@ -636,10 +636,7 @@ def _dense_likelihood(noise: NoiseModel, stacks: Sequence[tuple[_BlockLayout, Fl
     for layout, means in stacks:
         root = cholesky(toeplitz(noise.covariances(layout.pairs)), lower=True, check_finite=False)
         whitened = solve_lower(root, np.hstack((layout.polynomials, means.T)))
-        basis, triangle = np.linalg.qr(whitened[:, : layout.degree + 1])
-        residual = whitened[:, layout.degree + 1 :]
-        logs = np.log(np.diag(root)).sum() + np.log(np.abs(np.diag(triangle))).sum()
-        total += float(np.sum(residual**2) - np.sum((basis.T @ residual) ** 2) + 2 * len(means) * logs)
+        total += _beside_polynomials(layout, whitened, float(np.log(np.diag(root)).sum()))
     return total
 
 
@@ -649,7 +646,8 @@ def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: Float
     The innovation of a block, its mean less what the correlation predicts from the block before, is correlated with
     its neighbours alone: the covariance of innovations is a band, with the same determinant.
     """
-    from scipy.linalg import cholesky_banded, solve_banded
+    from scipy.linalg import cholesky_banded
+    from scipy.linalg.lapack import dtbtrs
 
     variance, next_covariance = noise.covariances(layout.pairs)[:2].tolist()
     memory = float(np.exp(-layout.width_s / noise.correlation_s))
@@ -660,12 +658,19 @@ def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: Float
     root = cholesky_banded(band, lower=True, check_finite=False)
     signals = np.hstack((layout.polynomials, means.T))
     signals[1:] -= memory * signals[:-1].copy()
-    whitened = solve_banded((1, 0), root, signals, check_finite=False)
-    basis, triangle = np.linalg.qr(whitened[:, : layout.degree + 1])
-    residual = whitened[:, layout.degree + 1 :]
-    misfit = float(np.sum(residual**2) - np.sum((basis.T @ residual) ** 2))
-    logs = np.log(root[0]).sum() + np.log(np.abs(np.diag(triangle))).sum()
-    return misfit + 2 * len(means) * float(logs)
+    whitened, _ = dtbtrs(root, signals, uplo="L")
+    return _beside_polynomials(layout, whitened, float(np.log(root[0]).sum()))
+
+
+def _beside_polynomials(layout: _BlockLayout, whitened: FloatArray, log_root: float) -> float:
+    """−2 log restricted likelihood of whitened polynomials and block means, columns of shape `(blocks, R)` after them.
+
+    `log_root` is half the log determinant of the covariance of the block means of a stretch.
+    """
+    count = layout.degree + 1
+    triangle = np.asarray(np.linalg.qr(whitened, mode="r"), dtype=np.float64)
+    logs = log_root + float(np.log(np.abs(np.diag(triangle)[:count])).sum())
+    return float(np.sum(triangle[count:, count:] ** 2) + 2 * (whitened.shape[1] - count) * logs)
 
 
 BLOCK_GROWTH = 0.1

@@ -410,9 +410,8 @@ def held_out_explanations(
         rows = slice(first, first + run.residual.size)
         first = rows.stop
         own = np.column_stack((run.residual, run.columns[:, nuisances], competition.columns[rows][:, used]))
-        white = whitening.whiten(own)
         values.append(own)
-        grams.append(white.T @ white)
+        grams.append(whitening.gram(own))
     return [_held_out_explanation(study, causes, established, key, used, values, grams) for key in sets]
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
-from itertools import groupby, product
+from itertools import product
 from math import atan2, hypot, pi
 
 import numpy as np
@@ -39,18 +39,12 @@ class EffectVariant:
     values: Mapping[str, float]
     """Values of all parameters."""
     is_quadrature: bool = False
-    """For a periodic effect: whether it is shifted by a quarter of a period."""
+    """For a periodic effect: whether it is the variant before it, shifted by a quarter of a period."""
 
     @property
     def one_signed(self) -> bool:
         """Whether the amplitude can have one sign only."""
         return self.effect.size.low >= 0 and self.effect.phase is None
-
-    @property
-    def quadrature_key(self) -> tuple[tuple[str, float], ...]:
-        """Parameters without the phase, which are equal in both quadratures of a periodic variant."""
-        phase = self.effect.phase
-        return tuple((name, value) for name, value in self.values.items() if phase is None or name != phase.name)
 
 
 def variants_of(effects: Sequence[Effect]) -> tuple[EffectVariant, ...]:
@@ -71,6 +65,14 @@ def _variants(effect: Effect) -> Iterator[EffectVariant]:
             continue
         yield EffectVariant(effect, {**values, phase.name: 0.0})
         yield EffectVariant(effect, {**values, phase.name: 0.5 * pi}, is_quadrature=True)
+
+
+def forms_of(dictionary: Sequence[EffectVariant]) -> Iterator[tuple[int, ...]]:
+    """Yield the indices of each form of the effects: of one variant, or of both quadratures of a periodic one."""
+    for number, variant in enumerate(dictionary):
+        if not variant.is_quadrature:
+            is_periodic = number + 1 < len(dictionary) and dictionary[number + 1].is_quadrature
+            yield (number, number + 1) if is_periodic else (number,)
 
 
 def signature(variant: EffectVariant, scene: RunState, gain: float) -> FloatArray:
@@ -501,8 +503,7 @@ def linearise(
         varying = problem.variation_sds[:, None] * predictions[number].varying
         spread = np.sqrt(np.sum(varying**2, axis=0)), uncertainties[number]
         run_designs.append(RunDesign(residual, columns, candidate_force, predictions[number].total, *spread, whitening))
-        white = whitening.whiten(np.column_stack((residual, columns)))
-        grams.append(white.T @ white)
+        grams.append(whitening.gram(np.column_stack((residual, columns))))
     priors = _column_priors(z, len(model_errors), candidates, len(study.modulations[0]) if modulated else 0)
     variants = study.variants if dictionary else ()
     kinds, mean, precision = zip(*priors, *[(ColumnKind.VARIANT, 0.0, 0.0)] * len(variants), strict=True)
@@ -797,16 +798,16 @@ def score_variants(projected: ProjectedDictionary, dictionary: Sequence[EffectVa
 
 
 def _scored_variants(projected: ProjectedDictionary, dictionary: Sequence[EffectVariant]) -> Iterator[RankedEffect]:
-    numbered = list(enumerate(dictionary))
-    for _, group in groupby(numbered, key=lambda pair: (pair[1].effect.id, pair[1].quadrature_key)):
-        index = [number for number, _ in group]
+    products = np.diag(projected.gram)
+    for index in forms_of(dictionary):
+        form = slice(index[0], index[-1] + 1)
         variant = dictionary[index[0]]
-        gram, moment = projected.gram[np.ix_(index, index)], projected.moment[index]
-        strength = float(np.trace(gram)) / len(index)
+        gram, moment = projected.gram[form, form], projected.moment[form]
+        strength = float(products[form].mean())
         if strength <= 1e-9:
             continue
         amplitude = np.asarray(np.linalg.solve(gram + 1e-9 * strength * np.eye(len(index)), moment), dtype=np.float64)
         llr = 0.5 * float(moment @ amplitude)
         if variant.one_signed and amplitude[0] < 0:
             llr, amplitude = 0.0, 0.0 * amplitude
-        yield RankedEffect(variant.effect.id, llr, float(np.sqrt(strength)), tuple(index), amplitude)
+        yield RankedEffect(variant.effect.id, llr, float(np.sqrt(strength)), index, amplitude)

@@ -341,8 +341,7 @@ class ForceEvaluation:
         products = []
         for run, design in enumerate(self.amended.runs):
             columns = self._promised_force(number, run), self._columns(number, run)
-            white = design.whitening.whiten(np.column_stack(columns))
-            products.append(white.T @ white)
+            products.append(design.whitening.gram(np.column_stack(columns)))
         return float(np.sqrt(max(refitted_chi2(np.sum(products, axis=0), self._precision), 0.0)))
 
     def refitted(self, *, with_effects: bool) -> list[FloatArray]:
@@ -353,8 +352,7 @@ class ForceEvaluation:
         ]
         products = []
         for design, residual in zip(self.amended.runs, residuals, strict=True):
-            white = design.whitening.whiten(np.column_stack((residual, design.columns)))
-            products.append(white.T @ white)
+            products.append(design.whitening.gram(np.column_stack((residual, design.columns))))
         total = np.sum(products, axis=0)
         coefficients = np.linalg.solve(total[1:, 1:] + np.diag(self.amended.prior_precision), total[1:, 0])
         return [

@@ -175,9 +175,10 @@ def fit_nonparametric_laws(
             run.columns[:, nuisances],
             *(fitted_law[number] for fitted_law in columns.values()),
         )
-        white = run.whitening.whiten(np.column_stack((*shared_columns, RUN_GAIN_PRIOR_SD * predicted[number])))
         rows = np.append(np.arange(edges[-1]), edges[-1] + number)
-        total[np.ix_(rows, rows)] += white.T @ white
+        total[np.ix_(rows, rows)] += run.whitening.gram(
+            np.column_stack((*shared_columns, RUN_GAIN_PRIOR_SD * predicted[number]))
+        )
     complement = schur_complement(design, total, nuisances, np.arange(edges[0], len(total)), nuisance_rows)
     widths_s = np.concatenate([run_data.coordinates.width_s for run_data in runs])
 
@@ -292,8 +293,8 @@ def inflate_by_form_error(design: Design) -> Design:
 def _inflated_run(run: RunDesign) -> tuple[RunDesign, FloatArray]:
     sd = FORM_ERROR_SD * np.abs(run.effect_force)
     whitening = run.whitening.with_form_error(sd)
-    white = whitening.whiten(np.column_stack((run.residual, run.columns)))
-    return replace(run, motion_sd=np.hypot(run.motion_sd, sd), whitening=whitening), white.T @ white
+    gram = whitening.gram(np.column_stack((run.residual, run.columns)))
+    return replace(run, motion_sd=np.hypot(run.motion_sd, sd), whitening=whitening), gram
 
 
 MAX_EFFECTS = 3

@@ -186,8 +186,7 @@ def forecast(search: ForceSearchResult, further: Study) -> tuple[BudgetForecast,
     ]
     total = np.zeros((1 + nuisances.size + columns.shape[1],) * 2)
     for run, whitening, values in zip(design.runs[:count], whitenings, values_of_run, strict=False):
-        white = whitening.whiten(np.column_stack((run.residual, values)))
-        total += white.T @ white
+        whitening.add_gram(total, np.column_stack((run.residual, values)))
     posterior = _Posterior(total, design.prior_precision[nuisances], design.prior_mean[nuisances], causes)
     column_rows = np.arange(1 + nuisances.size, len(total))
     products = schur_complement(design, total, nuisances, column_rows, 1 + np.arange(nuisances.size))
@@ -200,8 +199,7 @@ def forecast(search: ForceSearchResult, further: Study) -> tuple[BudgetForecast,
         shown = values[:, needed]
         gap = means[:, needed >= nuisances.size] @ shown[:, needed >= nuisances.size].T
         form_error = FORM_ERROR * np.sqrt(weights @ gap**2)
-        white = run.whitening.with_form_error(form_error).whiten(shown)
-        grams.append(white.T @ white)
+        grams.append(run.whitening.with_form_error(form_error).gram(shown))
     return _in_telling_directions(
         tuple(_named(causes, explanation) for explanation, _ in likely), weights, means, covariances, grams
     )

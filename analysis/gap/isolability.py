@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, groupby, product
+from itertools import combinations, product
 from math import sqrt
 from statistics import median
 
@@ -34,6 +34,7 @@ from dragrig.analysis.gap.design import (
     Design,
     EffectVariant,
     Study,
+    forms_of,
     gauss_newton_step,
     linearise,
     project_dictionary,
@@ -156,8 +157,7 @@ class SignatureAngles:
 
 def _variant_columns(variants: Sequence[EffectVariant], gram: FloatArray) -> list[VariantColumns]:
     visible = []
-    for _, group in groupby(enumerate(variants), key=lambda pair: (pair[1].effect.id, pair[1].quadrature_key)):
-        index = tuple(number for number, _ in group)
+    for index in forms_of(variants):
         strength = float(np.mean(np.diag(gram)[list(index)]))
         if strength > MIN_SIGNATURE_CHI2:
             first = variants[index[0]]

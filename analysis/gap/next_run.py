@@ -8,7 +8,6 @@ predicted with each leading effect as it was fitted, each in turn assumed to be 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import groupby
 from math import log
 
 import numpy as np
@@ -42,6 +41,7 @@ from dragrig.analysis.gap.design import (
     Design,
     EffectVariant,
     Study,
+    forms_of,
     gauss_newton_step,
     linearise,
 )
@@ -165,11 +165,7 @@ class Information:
 
     def variants_of(self, effect: str) -> list[tuple[int, ...]]:
         """Return the columns of each variant of an effect; two for a periodic one."""
-        numbered = [(number, variant) for number, variant in enumerate(self.variants) if variant.effect.id == effect]
-        return [
-            tuple(number for number, _ in group)
-            for _, group in groupby(numbered, key=lambda pair: pair[1].quadrature_key)
-        ]
+        return [form for form in forms_of(self.variants) if self.variants[form[0]].effect.id == effect]
 
 
 def information_rows(design: Design, effects: Sequence[str]) -> FloatArray:

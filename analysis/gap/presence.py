@@ -272,8 +272,7 @@ def prepare_competition(search: ForceSearchResult, *, all_periods: bool = False)
     whitenings = form_error_whitenings(design, search.nominal)
     store = collect_causes(search, search.study, design, whitenings, all_periods=all_periods)
     # The dictionary has become causes; beside them it would need as much memory again.
-    kinds = [run.experiment.kind for run in search.study.runs]
-    return _compete(design.with_columns(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR), whitenings, store, kinds)
+    return _compete(design.with_columns(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR), whitenings, store)
 
 
 def fitted_design(search: ForceSearchResult) -> Design:
@@ -336,26 +335,13 @@ def _smoothed_size(residual: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(uniform_filter1d(residual**2, SMOOTHING_BLOCKS, mode="nearest"), 0.0)))
 
 
-def _compete(
-    design: Design, whitenings: tuple[Whitening, ...], store: ColumnStore, kinds: Sequence[str]
-) -> ForceCompetition:
+def _compete(design: Design, whitenings: tuple[Whitening, ...], store: ColumnStore) -> ForceCompetition:
     columns = store.release()
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
-    first_row = np.cumsum([0, *(run.residual.size for run in design.runs)])
+    edges = np.cumsum([0, *(run.residual.size for run in design.runs)]).tolist()
     total = np.zeros((1 + nuisances.size + columns.shape[1],) * 2)
-    for kind in dict.fromkeys(kinds):
-        # Most causes leave the runs of some kind alone: what is zero in all of them takes no time.
-        chosen = [number for number, kind_of_run in enumerate(kinds) if kind_of_run == kind]
-        rows = [slice(first_row[number], first_row[number + 1]) for number in chosen]
-        acting = np.flatnonzero(np.any([columns[of_run].any(axis=0) for of_run in rows], axis=0))
-        gram = np.zeros((1 + nuisances.size + acting.size,) * 2)
-        for number, of_run in zip(chosen, rows, strict=True):
-            run = design.runs[number]
-            values = np.column_stack((run.residual, run.columns[:, nuisances], columns[of_run][:, acting]))
-            white = whitenings[number].whiten(values)
-            gram += white.T @ white
-        places = np.concatenate((np.arange(1 + nuisances.size), 1 + nuisances.size + acting))
-        total[np.ix_(places, places)] += gram
+    for run, whitening, (low, high) in zip(design.runs, whitenings, pairwise(edges), strict=True):
+        whitening.add_gram(total, np.column_stack((run.residual, run.columns[:, nuisances], columns[low:high])))
     products = schur_complement(
         design, total, nuisances, np.arange(1 + nuisances.size, len(total)), 1 + np.arange(nuisances.size)
     )
@@ -421,8 +407,7 @@ def _add_exchanges(
     for index in by_time:
         run = design.runs[index]
         values = np.column_stack((run.residual, run.columns[:, nuisances], beside[of_run == index]))
-        white = whitenings[index].whiten(values)
-        grams.append(white.T @ white)
+        grams.append(whitenings[index].gram(values))
     later = np.cumsum(grams[::-1], axis=0)[::-1]
     chosen: dict[int, None] = {}
     for count in {0, fitted.size}:

@@ -15,7 +15,6 @@ from dragrig.analysis.noise import estimate_noise
 from dragrig.config.errors import SettingsError
 from dragrig.sim_backend.effects.base import catalogue
 from places import ROOT
-from property_tests import thorough
 
 DATA = ROOT / "tests" / "data" / "elsewhere"
 TREND = ROOT / "bench" / "linear_trend.py"
@@ -60,6 +59,7 @@ def unknown_without_a_rival(result: Diagnosis) -> bool:
     return result.verdict is Verdict.UNKNOWN and ranked.pop("unknown") > 0.8 and max(ranked.values()) < 0.15
 
 
+@pytest.mark.thorough
 def test_sepiolite_is_unknown_and_evolves_over_the_published_slip(tmp_path: Path) -> None:
     result = step(tmp_path, "sepiolite", 1.0)
     assert unknown_without_a_rival(result), result.ranking
@@ -83,7 +83,8 @@ def test_basalt_is_unknown_and_evolves_over_a_short_slip(tmp_path: Path) -> None
 OF_DRIVES = {"cogging", "velocity_ripple", "mains_hum", "payload_inertia", "servo_lag"}
 
 
-@pytest.mark.parametrize("without", [tuple(set(catalogue()) - OF_DRIVES), thorough(())], ids=["few", "all"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("without", [tuple(set(catalogue()) - OF_DRIVES), ()], ids=["few", "all"])
 def test_a_motors_cogging_is_named_with_72_to_a_turn(tmp_path: Path, without: tuple[str, ...]) -> None:
     amplitudes = {}
     for name, from_s in (("uncompensated", UNCOMPENSATED_S), ("compensated", COMPENSATED_S)):

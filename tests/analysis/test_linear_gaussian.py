@@ -68,6 +68,17 @@ def test_whitened_residuals_are_independent_and_of_unit_variance() -> None:
     np.testing.assert_allclose(nothing.whiten(values), nothing.whiten_noise(values))
 
 
+def test_products_of_whitened_columns_leave_out_what_is_zero() -> None:
+    whitening, covariance, signatures = random_whitening()
+    values = np.random.default_rng(3).standard_normal((7, 4))
+    values[:, 2] = 0.0
+    expected = values.T @ np.linalg.solve(covariance + signatures @ signatures.T, values)
+    assert whitening.gram(values) == pytest.approx(expected)
+    total = np.ones((4, 4))
+    whitening.add_gram(total, values)
+    assert total == pytest.approx(1.0 + expected)
+
+
 def test_an_error_of_the_form_adds_to_the_noise_of_each_block() -> None:
     whitening, of_noise, signatures = random_whitening()
     sd = np.linspace(0.5, 3.0, 7)

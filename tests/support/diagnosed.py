@@ -16,7 +16,6 @@ from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.selection import RunSelection
 from dragrig.sim_backend.effects import catalogue
 from hidden import hidden
-from places import CAMPAIGN
 
 UNADVISED = DiagnosisOptions(next_runs=None)
 """A diagnosis without the search for the next run, which takes a third of its time."""
@@ -55,15 +54,13 @@ SECRETS = {
     "stribeck": Secret(12, 5, ("stribeck",)),
     "strayed position": Secret(14, 5, ("encoder_scale",), OF_SOME),
     "two effects": Secret(
-        43, 4, ("mains_hum", "force_drift"), trying("mains_hum", "force_drift", "stribeck", "adhesion"), (2.0, 1.0)
+        43, 4, ("mains_hum", "force_drift"), trying("mains_hum", "force_drift", "stribeck"), (2.0, 1.0)
     ),
     "two effects of all": Secret(21, 2, ("film_depletion", "force_drift")),
-    "unknown": Secret(18, 4, ("stick_slip",), trying("stribeck", "film_depletion", "wall_lift_off")),
+    "unknown": Secret(18, 4, ("stick_slip",), trying("stribeck")),
     "unknown of all": Secret(18, 2, ("stick_slip",)),
     "unknown law": Secret(12, 2, ("wall_seam",)),
 }
-EXAMPLE = "example"
-"""The campaign in the test data, of eight runs without a gap."""
 
 
 @dataclass(frozen=True)
@@ -103,15 +100,12 @@ class DiagnosedCampaigns:
         return self._known[name]
 
     def _made(self, name: str) -> Diagnosed:
-        runs = CAMPAIGN if name == EXAMPLE else self._folder / name
+        runs = self._folder / name
         result = self._folder / f"{name}.pickle"
         with FileLock(self._folder / f"{name}.lock"):
             if not result.exists():
-                options = UNADVISED
-                if name != EXAMPLE:
-                    options = SECRETS[name].options
-                    write_hidden(runs, SECRETS[name])
-                result.write_bytes(pickle.dumps(diagnose(choose_runs(runs), MODEL, options)))
+                write_hidden(runs, SECRETS[name])
+                result.write_bytes(pickle.dumps(diagnose(choose_runs(runs), MODEL, SECRETS[name].options)))
         return Diagnosed(runs, pickle.loads(result.read_bytes()))
 
 

@@ -33,7 +33,7 @@ SEED = 900015
 def fresh_session(folder: Path, effects: tuple[str, ...], size: float = 1.0) -> Path:
     """Write a second session of the same specimen with other effects at work."""
     whole = draw_campaign(SEED, effects=effects, size=size if effects else ())
-    write_campaign(thinned(parallel_session(whole, "fresh"), 3), folder)
+    write_campaign(thinned(parallel_session(whole, "fresh"), 4), folder)
     return folder
 
 

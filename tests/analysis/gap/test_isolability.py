@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SOME = ("stribeck", "folds", "wall_lift_off", "adhesion", "force_drift", "mains_hum")
 WITHOUT_OTHERS = tuple(name for name in catalogue() if name not in SOME)
-DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}
+DRAGS = {"kind": "drag", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 12.0}
 
 
 def plan(*steps: dict[str, object]) -> Plan:
@@ -57,7 +57,7 @@ def test_coulomb_runs_set_friction_apart_from_tack(drags: Isolability) -> None:
 
 
 def test_more_runs_show_smaller_effects(drags: Isolability) -> None:
-    twice = dragrig.isolability(plan({**DRAGS, "repeats": 3}), without=WITHOUT_OTHERS)
+    twice = dragrig.isolability(plan({**DRAGS, "repeats": 2}), without=WITHOUT_OTHERS)
     before, after = (
         {visibility.effect: visibility for visibility in isolability.visible_in("force")}
         for isolability in (drags, twice)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosed import EXAMPLE, UNADVISED, DiagnosedCampaigns
+from diagnosed import UNADVISED, DiagnosedCampaigns
 from dragrig.analysis.gap.classifier import classify
 from dragrig.analysis.gap.design import Design, RunDesign, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
@@ -137,7 +137,7 @@ def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it(
 
 
 def test_a_gap_that_only_many_runs_together_show_has_no_place(diagnosed: DiagnosedCampaigns) -> None:
-    quiet = diagnosed[EXAMPLE].diagnosis.where
+    quiet = diagnosed["nothing"].diagnosis.where
     assert not any(quiet.location("channel").shares.values())
     classification = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
     gap = describe_unexplained_gap(quiet, (), classification, None, case("folds", 19_000.0, "speed", NOISE))

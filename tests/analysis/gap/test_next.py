@@ -40,9 +40,9 @@ def plan(*steps: dict[str, object]) -> Plan:
 
 @pytest.fixture(scope="module")
 def coarse_grid() -> Iterator[None]:
-    """Compare every third of the candidate runs."""
+    """Compare every sixth of the candidate runs."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dragrig.analysis.gap.next_run.full_grid", lambda specimen: full_grid(specimen)[::3])
+        patch.setattr("dragrig.analysis.gap.next_run.full_grid", lambda specimen: full_grid(specimen)[::6])
         yield
 
 

@@ -69,6 +69,7 @@ def words_of(blocks: list[ResidualBlocks]) -> tuple[str, str]:
     return location_text(where, blocks), dependence_text(where, gap_region(where, blocks))
 
 
+@pytest.mark.parametrize("seed", [1, thorough(2)])
 @pytest.mark.parametrize(
     ("planted", "terms"),
     [
@@ -77,15 +78,14 @@ def words_of(blocks: list[ResidualBlocks]) -> tuple[str, str]:
         (held_strain, {"ε²": 12.0}),
     ],
 )
-def test_a_planted_law_is_found_with_its_coefficients(planted: Planted, terms: dict[str, float]) -> None:
-    for seed in (1, 2):
-        law = law_of(campaign(seed, planted))
-        assert law is not None
-        assert set(law.terms) == set(terms)
-        assert law.held_out_share > 0.9
-        for name, value, sd in zip(law.terms, law.coefficients, law.sd, strict=True):
-            assert abs(value - terms[name]) < 5 * sd
-            assert sd < 0.1 * abs(terms[name])
+def test_a_planted_law_is_found_with_its_coefficients(planted: Planted, terms: dict[str, float], seed: int) -> None:
+    law = law_of(campaign(seed, planted))
+    assert law is not None
+    assert set(law.terms) == set(terms)
+    assert law.held_out_share > 0.9
+    for name, value, sd in zip(law.terms, law.coefficients, law.sd, strict=True):
+        assert abs(value - terms[name]) < 5 * sd
+        assert sd < 0.1 * abs(terms[name])
 
 
 def test_a_wave_longer_than_any_steady_motion_is_told_without_an_amplitude() -> None:
@@ -127,14 +127,14 @@ def test_what_follows_the_measured_force_is_told_as_such() -> None:
     assert law.text.endswith("·F [mN], measured force F in mN")
 
 
-@pytest.mark.parametrize("seeds", [range(100, 106), thorough(range(106, 130))], ids=["some", "others"])
+@pytest.mark.parametrize("seeds", [range(100, 102), thorough(range(102, 130))], ids=["some", "others"])
 def test_noise_has_no_law(seeds: range) -> None:
     assert not [seed for seed in seeds if law_of(campaign(seed)) is not None]
 
 
 @pytest.mark.parametrize("planted", [in_one_run, its_own_in_every_run])
 def test_what_other_runs_do_not_have_is_no_law(planted: Planted) -> None:
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         blocks = campaign(seed, planted)
         assert localise(blocks).rms > 1.0
         assert law_of(blocks) is None

@@ -19,7 +19,7 @@ from dragrig.config.rig import NoiseSettings, VariationSettings
 from dragrig.rig.profile import FloatArray
 from dragrig.sim_backend.devices.variability import RandomStream, draw_run_model, draw_specimen_model, random_generator
 
-SEEDS = (11, 12, 13)
+SEEDS = (11, 12)
 PLAN = Plan.model_validate(
     {
         "name": "short",

@@ -196,7 +196,7 @@ class Made:
             return list(csv.DictReader(file))
 
 
-SPEEDS = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0)
+SPEEDS = (1.0, 5.0, 10.0, 20.0, 60.0)
 # Its runs before the drags are those of the whole programme.
 SHORT_PLAN = f"""
 name = "paper"
