@@ -123,8 +123,8 @@ class Monitor:
         self._ended = threading.Event()
         self._fast = threading.Event()
         self._threads = (
-            threading.Thread(target=self._run, args=(self._cycle,), name="drive monitor", daemon=True),
-            threading.Thread(target=self._run, args=(self._check_power,), name="drive power", daemon=True),
+            threading.Thread(target=self._run, args=(self.watch_drive,), name="drive monitor", daemon=True),
+            threading.Thread(target=self._run, args=(self.watch_power,), name="drive power", daemon=True),
         )
 
     @property
@@ -208,16 +208,8 @@ class Monitor:
             if thread.is_alive():
                 thread.join()
 
-    def _run(self, cycle: Callable[[], None]) -> None:
-        try:
-            while not self._ended.is_set():
-                cycle()
-        except Exception as error:
-            # Nothing is monitored any more: stop, and let the drive's own silence timeout end the rest.
-            self.latch(Trip(TripCause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
-            raise
-
-    def _cycle(self) -> None:
+    def watch_drive(self) -> None:
+        """Poll once, and wait for the next poll: a step of the first of the monitor's threads."""
         self._polled_s = time.monotonic()
         if self._guard_is_blind or self._withholds_polls:
             self._ended.wait(self._interval_s)
@@ -229,8 +221,8 @@ class Monitor:
             self._fast.clear()
             self._fast.wait(self._interval_s)
 
-    def _check_power(self) -> None:
-        """Beat while the guard sees, the drive is heard and is polled; release the drive's power when it is not."""
+    def watch_power(self) -> None:
+        """Beat while the guard sees, the drive is heard and is polled; else release its power: a step of the second."""
         blind = self._guard_blind()
         self._guard_is_blind = blind is not None
         if blind is not None:
@@ -252,6 +244,15 @@ class Monitor:
         if not (blind or unheard or self._power_released or self._withholds_beats):
             self._beat(now_s)
         self._ended.wait(min(_MAX_POWER_CHECK_S, self._beat_s / 2))
+
+    def _run(self, cycle: Callable[[], None]) -> None:
+        try:
+            while not self._ended.is_set():
+                cycle()
+        except Exception as error:
+            # Nothing is monitored any more: stop, and let the drive's own silence timeout end the rest.
+            self.latch(Trip(TripCause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
+            raise
 
     def _look_at_switches(self) -> None:
         moved = self._sync.moving
