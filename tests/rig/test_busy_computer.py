@@ -108,7 +108,7 @@ def test_an_emergency_stop_that_the_guard_sees_first_is_no_silent_encoder() -> N
 
 def test_an_emergency_stop_that_the_velocity_loop_sees_first_is_no_following_error() -> None:
     settings = velocity_rig()
-    with voltage_rig(settings) as backend, unseen(backend.stage) as never_look:
+    with voltage_rig(settings, pace=1.0) as backend, unseen(backend.stage) as never_look:
         backend.ready()
 
         def press() -> None:
