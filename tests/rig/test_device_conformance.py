@@ -36,7 +36,7 @@ class RigUnderTest:
     @property
     def slack_s(self) -> float:
         """How long a motion waits, or is sampled after its end, where the clock does not wait for a busy machine."""
-        return 1.0 if self.paced else 0.05
+        return 0.6 if self.paced else 0.05
 
     @property
     def stops_within_s(self) -> float:

@@ -190,7 +190,7 @@ def test_homing_can_be_stopped_and_is_then_unknown() -> None:
     "trouble", [{"drive_garbled": True}, thorough({"drive_silent": True}), thorough({"drive_reply_late_s": 2.5})]
 )
 def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float]) -> None:
-    with driven(reply_s=0.3, silence_s=1.5) as rig:
+    with driven(reply_s=0.1, silence_s=1.5) as rig:
         rig.ready().sample(stroke(travel_mm=140.0, speed_mm_s=20.0))
         until(lambda: is_under_way(rig))
         rig.bench.faults.inject(**trouble)
@@ -415,7 +415,7 @@ def test_the_heartbeat_goes_on_while_all_is_well() -> None:
 
 
 def test_a_drive_that_does_not_answer_is_no_stage() -> None:
-    with driven(reply_s=0.2, silence_s=1.0) as rig:
+    with driven(reply_s=0.05, silence_s=1.0) as rig:
         rig.bench.faults.inject(drive_silent=True)
         with pytest.raises(DeviceError, match="did not answer"):
             rig.stage.state()
