@@ -118,15 +118,16 @@ def test_a_second_program_is_refused_and_sigkill_leaves_the_drive_to_stop_by_its
     """Nor does it matter that the clock is put back by an hour while the first one runs."""
     clock, began = ShiftedClock(tmp_path), datetime.now().astimezone()
     clock.put(HOUR)
-    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=4"))
+    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=5"))
     program = start(*words, "--out", folder := faulty_rig.folder(), **clock.environment)
-    struck = program.until_under_way()
-    clock.put(timedelta())
+    faulty_rig.until(lambda look: look.enabled, lambda: program.alive or program.reported())
     second = begin(faulty_rig).end()
     assert second.exit_code == 5
     assert sentence("two programs on one rig").fullmatch(second.message), second.message
     assert str(program.process.pid) in second.message
     assert not second.folder.exists()
+    struck = program.until_under_way()
+    clock.put(timedelta())
     faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: program.alive)
     remaining = recorded(folder)
     program.process.kill()

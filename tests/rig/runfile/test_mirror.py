@@ -127,7 +127,9 @@ def test_a_missing_mirror_is_reported_at_once(tmp_path: Path) -> None:
 
 def test_a_full_mirror_leaves_no_half_file(small_disk: Path, tmp_path: Path) -> None:
     source = tmp_path / "run.h5"
-    source.write_bytes(bytes(33 << 20))
+    source.write_bytes(bytes(2 << 20))
+    with (small_disk / "filler").open("wb") as filler:
+        os.posix_fallocate(filler.fileno(), 0, 31 << 20)
     mirror = Mirror(small_disk, "runs", lambda _: None)
     mirror.submit(source)
     close = mirror.close()
