@@ -136,7 +136,7 @@ def test_a_rig_that_is_wired_as_it_should_be_passes() -> None:
             {"switches at rest", "e-stop", "lower limit switch", "upper limit switch", "enable"},
             "normally open",
         ),
-        ("enable_not_wired", {"enable", "enable in motion"}, "stays on"),
+        thorough("enable_not_wired", {"enable", "enable in motion"}, "stays on"),
         thorough("encoder_stuck", {"encoder"}, "does not count"),
     ],
 )

@@ -102,8 +102,13 @@ RIGS = {
 }
 
 
-# What is theirs alone is in the line: tests/rig/hardware/test_dialect.py, test_serial_stage.py, test_velocity_stage.py.
-LONG = {"hardware with a drive that lacks whatever may be lacking", "hardware by voltage on its doubles"}
+# What is theirs alone is in the line: tests/rig/hardware/test_dialect.py, test_serial_stage.py, test_velocity_stage.py,
+# and tests/sim_backend/devices/test_repeats.py.
+LONG = {
+    "simulated at real pace",
+    "hardware with a drive that lacks whatever may be lacking",
+    "hardware by voltage on its doubles",
+}
 
 
 @pytest.fixture(

@@ -120,7 +120,7 @@ def test_a_second_program_is_refused_and_sigkill_leaves_the_drive_to_stop_by_its
     """Nor does it matter that the clock is put back by an hour while the first one runs."""
     clock, began = ShiftedClock(tmp_path), datetime.now().astimezone()
     clock.put(HOUR)
-    words = ("plan.toml", *settings_words(*SOON_SILENT, EVERY_SAMPLE, "speed_mm_s=5"))
+    words = ("plan.toml", *settings_words(*SOON_SILENT, EVERY_SAMPLE))
     program = start(*words, "--out", folder := faulty_rig.folder(), **clock.environment)
     faulty_rig.until(lambda look: look.enabled, lambda: program.alive or program.reported())
     second = begin(faulty_rig).end()

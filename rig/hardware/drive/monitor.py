@@ -144,9 +144,7 @@ class Monitor:
         with self._polling:
             # Read before the drive answers, which may have stopped by itself already: the program's own stop follows.
             moved = self._sync.moving
-            by_switches = self._poll_switches()
-            if by_switches is not None:
-                self._report(self._latched or by_switches, moved=moved)
+            by_switches = self._look_at_switches(moved=moved)
             by_drive = self._poll_drive()
             if by_drive is not None and by_switches is None:
                 # A switch that was pressed in between explains the stop better than the drive, which has stopped by it.
@@ -229,7 +227,7 @@ class Monitor:
             self.latch(blind)
         now_s = time.monotonic()
         if now_s - self._polled_s > _LATE_POLLS * self._interval_s:
-            self._look_at_switches()
+            self._look_at_switches(moved=self._sync.moving)
         self._release_power_if_late(now_s)
         unheard = self._link.unheard_s > self._silence_s or now_s - self._polled_s > self._unpolled_s
         if not unheard:
@@ -254,10 +252,10 @@ class Monitor:
             self.latch(Trip(TripCause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
             raise
 
-    def _look_at_switches(self) -> None:
-        moved = self._sync.moving
+    def _look_at_switches(self, *, moved: bool) -> Trip | None:
         if (pressed := self._poll_switches()) is not None:
             self._report(self._latched or pressed, moved=moved)
+        return pressed
 
     def _release_power_if_late(self, now_s: float) -> None:
         late_s = now_s - self._beaten_s

@@ -445,13 +445,13 @@ def test_a_drive_without_a_silence_timeout_is_never_asked_for_one() -> None:
 
 def test_a_start_in_several_frames_is_as_certain_as_its_last_one() -> None:
     with driven(ANY_PORT, **SPOKEN["copley"]) as rig:
-        rig.ready().bench.faults.inject(drive_reply_late_s=0.1)
+        rig.ready().bench.faults.inject(drive_reply_late_s=0.05)
         with Stall() as stall:
-            rig.sample(stroke(travel_mm=2.0, rest_s=1.0))
+            rig.sample(stroke(travel_mm=2.0, rest_s=0.6))
             until(lambda: not rig.sync.moving)
         rig.bench.faults.clear()
-        # Three frames, of which the last takes 0.1 s.
-        assert 0.05 < rig.stage.start_uncertainty_s < 0.2 + stall.longest_s
+        # Three frames, of which the last takes 0.05 s; the stage's threads and the double's may all be late.
+        assert 0.025 < rig.stage.start_uncertainty_s < 0.1 + 3 * stall.longest_s
         assert rig.drive.requests[-1] == Request(Command.GO, value=2.0)
 
 
