@@ -62,7 +62,7 @@ def test_a_run_through_late_replies_is_complete_and_says_how_many() -> None:
     settings = rig_settings(0.1, 2.0)
     with ready(settings) as (backend, faults):
         quiet = run(backend, settings)
-        faults.inject(drive_reply_load_s=0.3)
+        faults.inject(drive_reply_load_s=0.2)
         outcome = run(backend, settings)
     assert (quiet.status, outcome.status, outcome.reason) == (RunStatus.COMPLETE, RunStatus.COMPLETE, "")
     late = outcome.checks.values["late_replies"]

@@ -241,7 +241,7 @@ def test_a_reply_left_lying_is_not_taken_for_a_new_one(kind: type[DrivePort]) ->
         return ports[-1]
 
     with linked(plugged_in, reply_s=0.2) as (drive, link):
-        drive.bench.faults.inject(drive_reply_late_s=1.0)
+        drive.bench.faults.inject(drive_reply_late_s=0.7)
         with pytest.raises(NoReplyError):
             link.exchange(POSITION)
         drive.bench.faults.clear()
