@@ -147,7 +147,7 @@ def test_a_drive_that_was_homed_and_is_set_otherwise_since_does_not_run_to_the_f
 @pytest.mark.parametrize("direction", ["low", "high"])
 @pytest.mark.parametrize("from_switch_mm", [thorough(0.6), thorough(0.05), 0.0, thorough(-0.5)])
 def test_homing_that_begins_beside_or_on_its_switch_is_no_wrong_way(direction: str, from_switch_mm: float) -> None:
-    with position_rig(homing(direction, homing_speed_mm_s=100.0), pace=5.0) as backend:
+    with position_rig(homing(direction, homing_speed_mm_s=100.0)) as backend:
         place_beside_switch(backend, direction, from_switch_mm)
         backend.stage.enable()
         backend.stage.home()
