@@ -36,7 +36,7 @@ class RigUnderTest:
     @property
     def slack_s(self) -> float:
         """How long a motion waits, or is sampled after its end, where the clock does not wait for a busy machine."""
-        return 1.0 if self.paced else 0.05
+        return 0.6 if self.paced else 0.05
 
     @property
     def stops_within_s(self) -> float:
@@ -102,8 +102,13 @@ RIGS = {
 }
 
 
-# What is theirs alone is in the line: tests/rig/hardware/test_dialect.py, test_serial_stage.py, test_velocity_stage.py.
-LONG = {"hardware with a drive that lacks whatever may be lacking", "hardware by voltage on its doubles"}
+# What is theirs alone is in the line: tests/rig/hardware/test_dialect.py, test_serial_stage.py, test_velocity_stage.py,
+# and tests/sim_backend/devices/test_repeats.py.
+LONG = {
+    "simulated at real pace",
+    "hardware with a drive that lacks whatever may be lacking",
+    "hardware by voltage on its doubles",
+}
 
 
 @pytest.fixture(

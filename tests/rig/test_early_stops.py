@@ -13,11 +13,11 @@ from dragrig.rig.devices import BackendRequest
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.backend import HardwareBackend, RigLock
-from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter
+from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Request
 from dragrig.rig.hardware.dialects.base import Status as DriveStatus
 from dragrig.rig.hardware.drive.position_mode import PositionModeStage
 from dragrig.rig.hardware.drive.stage_base import Movement
-from dragrig.rig.profile import MotionProfile, trapezoid
+from dragrig.rig.profile import MotionProfile
 from dragrig.rig.runfile.model import RunStatus
 from driving import driven, linked, until
 from simulated import acquire, session, settings, stroke
@@ -90,12 +90,12 @@ class Interrupted(threading.Event):
         super().set()
 
 
-def test_a_second_signal_inside_the_first_one_hangs_nobody() -> None:
+def test_a_second_signal_inside_the_first_one_hangs_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dragrig.rig.engine.Signal", Interrupted)
     rig = settings()
     engine = Engine(session(rig), rig, Guard(rig.guard))
-    meeting = Interrupted()
-    meeting.engine = engine
-    engine._cancel = meeting
+    assert isinstance(engine.cancelled, Interrupted)
+    engine.cancelled.engine = engine
     signalled = threading.Thread(target=engine.abort, args=("first",), daemon=True)
     signalled.start()
     signalled.join(600.0)
@@ -135,10 +135,11 @@ def test_an_emergency_stop_let_go_before_the_drive_is_switched_on_forbids_nothin
 
 
 def test_what_moves_already_is_stopped_before_the_heartbeat_begins() -> None:
-    with driven(homing_speed_mm_s=5.0) as rig:
+    with driven() as rig:
         rig.ready()
-        rig.bench.follow(trapezoid(140.0, 20.0, 500.0))
-        rig.drive._halt = Halt.TARGET
+        for parameter, value in ((Parameter.SPEED_MM_S, 20.0), (Parameter.ACCELERATION_MM_S2, 500.0)):
+            rig.drive.act(Request(Command.SET, parameter, value))
+        rig.drive.act(Request(Command.GO, value=140.0))
         later = PositionModeStage(rig.devices)
         try:
             until(lambda: not rig.bench.moving)

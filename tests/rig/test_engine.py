@@ -550,8 +550,21 @@ def test_a_run_that_cannot_begin_closes_its_record(monkeypatch: pytest.MonkeyPat
 def test_the_states_of_an_acquisition_come_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(Faults(force_spike=ForceSpike(0.4, 9000.0)))
     states: list[EngineStatus] = []
-    monkeypatch.setattr(bench.engine, "_set", states.append)
+
+    def noting(step: Callable[..., object]) -> Callable[..., object]:
+        def noted(*arguments: object) -> object:
+            status = replace(bench.engine.status, samples=0, phase=Phase.REST, position_mm=0.0, force_mN=0.0)
+            if status not in states[-1:]:
+                states.append(status)
+            return step(*arguments)
+
+        return noted
+
+    sampler = bench.backend.sampler
+    for step in ("arm", "read", "stop"):
+        monkeypatch.setattr(sampler, step, noting(getattr(sampler, step)))
     bench.run()
+    states.append(bench.engine.status)
     assert [status.state for status in states] == [
         EngineState.ARMED, EngineState.RUNNING, EngineState.STOPPING, EngineState.FINISHING, EngineState.IDLE,
     ]  # fmt: skip

@@ -76,6 +76,8 @@ def start(faulty_rig: Bench) -> Iterator[Callable[..., Program]]:
 
 
 Start = Callable[..., Program]
+EVERY_SAMPLE = "rig.hardware.card.oversampling=1"
+"""How the card's double has the least to do."""
 ON_DISK = 250
 """Samples from which on a run has moved."""
 
@@ -118,15 +120,16 @@ def test_a_second_program_is_refused_and_sigkill_leaves_the_drive_to_stop_by_its
     """Nor does it matter that the clock is put back by an hour while the first one runs."""
     clock, began = ShiftedClock(tmp_path), datetime.now().astimezone()
     clock.put(HOUR)
-    words = ("plan.toml", *settings_words(*SOON_SILENT, "speed_mm_s=4"))
+    words = ("plan.toml", *settings_words(*SOON_SILENT, EVERY_SAMPLE))
     program = start(*words, "--out", folder := faulty_rig.folder(), **clock.environment)
-    struck = program.until_under_way()
-    clock.put(timedelta())
+    faulty_rig.until(lambda look: look.enabled, lambda: program.alive or program.reported())
     second = begin(faulty_rig).end()
     assert second.exit_code == 5
     assert sentence("two programs on one rig").fullmatch(second.message), second.message
     assert str(program.process.pid) in second.message
     assert not second.folder.exists()
+    struck = program.until_under_way()
+    clock.put(timedelta())
     faulty_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: program.alive)
     remaining = recorded(folder)
     program.process.kill()
@@ -161,7 +164,7 @@ def test_sigterm_ends_a_run_in_good_order(
     striking = threading.Thread(target=strike)
     striking.start()
     try:
-        code = main(["run", "plan.toml", "--json", "--out", str(folder), "--set", "speed_mm_s=3"])
+        code = main(["run", "plan.toml", "--json", "--out", str(folder), *settings_words("speed_mm_s=3", EVERY_SAMPLE)])
     finally:
         striking.join()
         signal.signal(signal.SIGTERM, earlier)
@@ -197,7 +200,7 @@ def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Benc
 
 
 def test_a_program_that_no_longer_looks_at_its_data_is_stopped_by_its_watchdog(near_rig: Bench) -> None:
-    running = begin(near_rig, assignments=SOON_HUNG)
+    running = begin(near_rig, assignments=[*SOON_HUNG, EVERY_SAMPLE])
     held, let_go = threading.Event(), threading.Event()
 
     def hang(reading: Reading) -> None:
@@ -233,7 +236,7 @@ FULL_DISK = ("disk full", "disk full to the last byte", "disk refuses data")
 
 def test_a_full_disk_stops_the_stage_and_costs_nothing_recorded(near_rig: Bench, small_disk: Path) -> None:
     folder = small_disk / "campaign"
-    running = begin(near_rig, out=folder, assignments=["rig.recording.reserve_mb=1", "speed_mm_s=3"])
+    running = begin(near_rig, out=folder, assignments=["rig.recording.reserve_mb=1", "speed_mm_s=3", EVERY_SAMPLE])
     running.until_under_way()
     struck = near_rig.until(lambda _: recorded(folder) > ON_DISK, lambda: running.alive)
     remaining = recorded(folder)

@@ -1,7 +1,7 @@
 """The first motion after connecting: a short pulse that shows wrong wires and settings before anything runs away."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 
 import pytest
 
@@ -11,13 +11,20 @@ from dragrig.config.rig import RigSettings
 from dragrig.rig.devices import BackendRequest, TravelEnd
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
+from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.hardware.dialects.base import Command
+from dragrig.rig.hardware.drive.position_mode import PositionModeStage
 from dragrig.rig.hardware.drive.trial import PULSE_MM, Pulse
 from dragrig.rig.manual import ManualControl
 from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.profile import Piece
 from dragrig.sim_backend.doubles.backend import DoubleBackend
+from dragrig.sim_backend.doubles.c_library import installed
+from dragrig.sim_backend.doubles.card.card import Card
 from dragrig.sim_backend.doubles.card.tasks import INDEX_HYSTERESIS_COUNTS
-from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM, FaultInjector
+from dragrig.sim_backend.doubles.drive_double import DriveDouble
+from dragrig.sim_backend.doubles.protocol_double import DoublePort
+from dragrig.sim_backend.doubles.simulated_bench import SWITCH_OFFSET_MM, DoubleClock, FaultInjector, SimulatedBench
 from driving import until
 from property_tests import thorough
 from simulated import NEVER, settings, stroke
@@ -44,8 +51,8 @@ RIG = settings(
 
 
 @contextmanager
-def position_rig(rig: RigSettings = RIG) -> Iterator[DoubleBackend]:
-    backend = DoubleBackend(BackendRequest(rig, FrictionModelSettings()), FaultInjector())
+def position_rig(rig: RigSettings = RIG, pace: float = 1.0) -> Iterator[DoubleBackend]:
+    backend = DoubleBackend(BackendRequest(rig, FrictionModelSettings(), pace=pace), FaultInjector())
     try:
         yield backend
     finally:
@@ -165,26 +172,37 @@ def test_homing_by_voltage_to_the_upper_end_knows_its_direction(swapped: bool) -
 
 
 def test_a_stage_that_is_homed_is_proved_where_it_stands_and_left_there() -> None:
-    with position_rig() as backend:
-        drive, bench = backend.drive, backend.bench
-        backend.stage.enable()
-        backend.stage.home()
+    bench = SimulatedBench(RIG, FrictionModelSettings(), DoubleClock(5.0))
+    with DriveDouble(bench) as drive, DoublePort(drive) as port, installed(Card(bench)):
+        drive_settings = RIG.hardware.drive.model_copy(update={"port": port.address})
+        rig = RIG.model_copy(update={"hardware": RIG.hardware.model_copy(update={"drive": drive_settings})})
+
+        @contextmanager
+        def program() -> Iterator[PositionModeStage]:
+            with closing(HardwareBackend(BackendRequest(rig, FrictionModelSettings()), bench.clock)) as backend:
+                backend.connect()
+                assert isinstance(backend.stage, PositionModeStage)
+                yield backend.stage
+
+        with program() as stage:
+            stage.enable()
+            stage.home()
         bench.place(60.0)
-        backend.stage._trial_due = True  # type: ignore[attr-defined]  # as for the next program
         before = len([request for request in drive.requests if request.command is Command.GO])
-        backend.stage.prove_motion()  # type: ignore[attr-defined]
-        backend.stage.prove_motion()  # type: ignore[attr-defined]
+        with program() as stage:
+            stage.enable()
+            stage.prove_motion()
+            stage.prove_motion()
         goes = [request.value for request in drive.requests if request.command is Command.GO][before:]
         assert goes == pytest.approx([60.0 + PULSE_MM, 60.0])
         assert bench.position_mm() == pytest.approx(60.0, abs=1e-3)
         bench.faults.inject(limit_high_pressed=True)
-        backend.stage._trial_due = True  # type: ignore[attr-defined]
-        backend.stage.disable()
-        backend.stage.override_limit(TravelEnd.HIGH)
-        backend.stage.enable()
-        backend.stage.move(stroke(travel_mm=-2.0, speed_mm_s=2.0))
-        backend.stage.await_end(NEVER)
-        until(lambda: not bench.moving)
+        with program() as stage:
+            stage.override_limit(TravelEnd.HIGH)
+            stage.enable()
+            stage.move(stroke(travel_mm=-2.0, speed_mm_s=2.0))
+            stage.await_end(NEVER)
+            until(lambda: not bench.moving)
         # The pulse led away from the switch, so that the move began where it ended.
         assert bench.position_mm() == pytest.approx(60.0 - PULSE_MM - 2.0, abs=0.01)
 
@@ -198,7 +216,7 @@ def test_whoever_resets_the_guard_is_told_of_the_pulse_once() -> None:
             self.texts.append(prompt.text)
             return Answer.DONE
 
-    with position_rig() as backend:
+    with position_rig(pace=5.0) as backend:
         guard, hands = Guard(RIG.guard, 0.001), Hands()
         manual = ManualControl(backend, guard, Engine(backend, RIG, guard), hands)
         manual.reset()
@@ -212,18 +230,17 @@ def test_whoever_resets_the_guard_is_told_of_the_pulse_once() -> None:
         assert ["1 mm" in text for text in hands.texts if "The guard is then reset" in text] == [True, True, False]
 
 
-def test_a_stop_during_the_pulse_ends_it_and_proves_nothing() -> None:
+def test_a_stop_during_the_pulse_ends_it_and_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     with position_rig() as backend:
         backend.bench.place(20.0)
         backend.stage.enable()
-        position_mm = backend.stage._position_mm  # type: ignore[attr-defined]
+        follow = backend.bench.follow
 
-        def stopping() -> float:
-            if backend.bench.moving:
-                backend.stage.stop()
-            return float(position_mm())
+        def follow_and_be_stopped(pieces: Sequence[Piece]) -> None:
+            follow(pieces)
+            backend.stage.stop()
 
-        backend.stage._position_mm = stopping  # type: ignore[attr-defined]
+        monkeypatch.setattr(backend.bench, "follow", follow_and_be_stopped)
         with pytest.raises(DeviceError, match="stopped"):
             backend.stage.home()
         assert backend.stage.trial_due  # type: ignore[attr-defined]

@@ -1,7 +1,7 @@
 """Moving the stage by hand on the simulated rig: reset, homing, jogs, overrides, touching off."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import pytest
@@ -159,8 +159,10 @@ def test_homing_asks_and_at_a_real_rig_only_hands_may_answer() -> None:
 AT_100 = Faults(limit_switch=LimitSwitch(TravelEnd.HIGH, 100.0))
 
 
-def on_the_switch(*answers: Answer, kind: Callable[..., SimulatedBackend] = SimulatedBackend) -> Bench:
-    rig = bench(AT_100, *answers, kind=kind)
+def on_the_switch(
+    *answers: Answer, kind: Callable[..., SimulatedBackend] = SimulatedBackend, faults: Faults = AT_100
+) -> Bench:
+    rig = bench(faults, *answers, kind=kind)
     rig.manual.reset()
     with pytest.raises(TrippedError, match="upper limit switch"):
         rig.manual.jog(110.0, 50.0)
@@ -215,8 +217,8 @@ def test_an_override_that_is_not_agreed_to_frees_nothing() -> None:
 
 
 def test_everything_else_stays_watched_on_the_way_off_a_switch() -> None:
-    rig = on_the_switch()
-    rig.backend.sampler._disturbances = Faults(force_spike=ForceSpike(0.3, 9000.0))
+    spike = replace(AT_100, force_spike=ForceSpike(0.3, 9000.0), affects=lambda acquisition: acquisition.order == 1)
+    rig = on_the_switch(faults=spike)
     with pytest.raises(TrippedError, match="force of"):
         rig.manual.jog(-4.0, override=TravelEnd.HIGH)
     assert rig.at_mm > 99.0
@@ -225,13 +227,12 @@ def test_everything_else_stays_watched_on_the_way_off_a_switch() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("speed", "at_s"), [(1.0, 4.0), (5.0, 2.5)])
 def test_the_contact_is_where_the_force_changed(sign: float, speed: float, at_s: float) -> None:
-    rig = bench(Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0)))
+    contact = ForceSpike(at_s, -400.0, duration_s=60.0)
+    rig = bench(Faults(force_spike=contact, affects=lambda acquisition: acquisition.kind == "touch-off"))
     rig.manual.reset()
     rig.backend.stage.enable()
     rig.backend.stage.home()
-    rig.backend.sampler._disturbances = Faults()
     rig.manual.jog(60.0, 50.0)
-    rig.backend.sampler._disturbances = Faults(force_spike=ForceSpike(at_s, -400.0, duration_s=60.0))
     touch_off = rig.manual.touch_off(200.0, speed, sign * 20.0)
     # 1 s of rest, and 0.1 s to the speed.
     assert touch_off.position_mm == pytest.approx(60.0 + sign * speed * (at_s - 1.05), abs=0.002 * speed + 0.001)

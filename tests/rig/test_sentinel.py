@@ -156,22 +156,22 @@ def sentinels(folder: Path) -> Sequence[str]:
 
 def test_a_drifted_sentinel_is_measured_once_more_and_then_the_operator_decides(tmp_path: Path) -> None:
     person = Decides(Answer.MEASURE, Answer.DONE, Answer.DONE)
-    result = made(tmp_path / "c", person, {"drift_percent": ALWAYS_DRIFTED})
+    result = made(tmp_path / "c", person, {"every": 1, "drift_percent": ALWAYS_DRIFTED}, repeats=2)
     assert result.session.status is RunStatus.COMPLETE
     assert len(person.asked) == 3
-    assert [drift.measured.order for drift in person.told] == [0, 6, 8, 12]
+    assert [drift.measured.order for drift in person.told] == [0, 4, 6, 10]
     assert {drift.reference.order for drift in person.told if drift.reference} == {0}
     campaign = read_campaign(tmp_path / "c")
     by_order = {run.header.order: run for run in campaign.runs}
-    assert [order for order, run in sorted(by_order.items()) if run.is_sentinel] == [0, 6, 8, 12]
+    assert [order for order, run in sorted(by_order.items()) if run.is_sentinel] == [0, 4, 6, 10]
     assert not campaign.marks
     assert len(RunQuery(kind="sentinel").of(campaign)) == 4
     assert len(RunQuery(kind="drag").of(campaign)) > 4
-    assert "measured once more, decided by the operator" in read_note(by_order[6].path)
-    assert "go on, decided by the operator" in read_note(by_order[8].path)
+    assert "measured once more, decided by the operator" in read_note(by_order[4].path)
+    assert "go on, decided by the operator" in read_note(by_order[6].path)
     # What was known of the specimen when a run began stands in its file.
-    after = by_order[10].header.entry
-    assert after["sentinel_run"] == 8
+    after = by_order[8].header.entry
+    assert after["sentinel_run"] == 6
     assert after["sentinel_drift_percent"] == pytest.approx(person.told[2].percent)
     assert after["sentinel_decision"] == "go on, decided by the operator"
     assert "sentinel_decision" not in by_order[2].header.entry
@@ -190,12 +190,12 @@ def test_within_its_bound_nobody_is_asked(tmp_path: Path) -> None:
 
 def test_the_operator_may_end_and_a_resumed_campaign_asks_again_and_keeps_its_reference(tmp_path: Path) -> None:
     folder = tmp_path / "c"
-    ended = made(folder, Decides(Answer.ABORT), {"drift_percent": ALWAYS_DRIFTED})
+    ended = made(folder, Decides(Answer.ABORT), {"every": 1, "drift_percent": ALWAYS_DRIFTED}, repeats=2)
     assert (ended.session.status, ended.session.reason) == (RunStatus.ABORTED, "ended after a sentinel")
     person = Decides()
     assert dragrig.resume(folder, person=person).session.status is RunStatus.COMPLETE
     assert len(person.asked) == 2
-    assert "Sentinel, run 6" in person.asked[0]
+    assert "Sentinel, run 4" in person.asked[0]
     assert "from run 0" in person.asked[1]
     assert len(sentinels(folder)) == 3
 

@@ -21,10 +21,11 @@ from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.model import Run, RunHeader, RunStatus
 from dragrig.rig.runfile.store import MemoryStore
-from dragrig.rig.session import CampaignProgress, Session, SessionResult, run_acquisition
+from dragrig.rig.session import CampaignProgress, Session, SessionResult
 from dragrig.rig.stops import Stops, assess_stops
-from dragrig.sim_backend.devices import open_backend
+from dragrig.sim_backend.devices import SimulatedBackend, open_backend
 from sim_faults import DriveFault, Faults, FollowError, ForceSpike, LostSamples, Runaway, StaleData, StuckEncoder
+from simulated import acquire, stroke
 
 BEGUN = datetime(2026, 5, 4, 9, 0, tzinfo=UTC)
 SPECIMEN = Specimen(name="jejunum")
@@ -47,6 +48,10 @@ class Scripted(NullOperator):
         self.waited_s += duration_s
 
 
+def opened(faults: Faults | None = None) -> SimulatedBackend:
+    return open_backend(BackendRequest(RigSettings(), FrictionModelSettings(), origin=BEGUN), faults or Faults())
+
+
 def new_session(
     *steps: dict[str, object],
     person: NullOperator | None = None,
@@ -54,11 +59,12 @@ def new_session(
     progress: CampaignProgress | None = None,
     store: MemoryStore | None = None,
     stops: Stops | None = None,
+    backend: Backend | None = None,
 ) -> tuple[Session, MemoryStore]:
     rig, model = RigSettings(), FrictionModelSettings()
     plan = parse(Plan, {"name": "p", "steps": list(steps)}, "p.toml")
     record = SessionRecord(begun_at=BEGUN, backend="simulated", plan=plan, specimen=SPECIMEN, model=model, rig=rig)
-    backend = open_backend(BackendRequest(rig, model, origin=BEGUN), faults or Faults())
+    backend = backend or opened(faults)
     store = store or MemoryStore()
     person = person or NullOperator()
     programme = build_programme(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
@@ -221,7 +227,7 @@ def test_the_guard_trips_and_the_session_ends(faults: Faults, cause: str) -> Non
         assert went_on_mm > 0.05
         np.testing.assert_allclose(run.trace.position, run.trace.command, atol=0.003)
     with pytest.raises(TrippedError, match="reset"):
-        session.engine.acquire(run_acquisition(0, session._programme.runs[0], 0.0))
+        session.engine.acquire(acquire(stroke()))
 
 
 def test_lost_samples_are_counted_and_never_closed_up() -> None:
@@ -240,31 +246,27 @@ class FullStore(MemoryStore):
 
 
 def test_when_no_record_can_be_opened_nothing_moves() -> None:
-    session, _ = new_session(SHORT_DRAG, store=FullStore())
+    backend = opened()
+    session, _ = new_session(SHORT_DRAG, store=FullStore(), backend=backend)
     with pytest.raises(DragrigError, match="no room"):
         session.run()
-    state = session._backend.stage.state()
+    state = backend.stage.state()
     assert not state.enabled
     assert not state.moving
 
 
-@pytest.fixture
-def stubborn(monkeypatch: pytest.MonkeyPatch) -> tuple[Session, MemoryStore]:
-    session, store = new_session(SHORT_DRAG)
+def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    backend = opened()
+    session, store = new_session(SHORT_DRAG, backend=backend)
 
     def refuse() -> None:
         raise DeviceError("the sampler does not let go.")
 
-    monkeypatch.setattr(session._backend.sampler, "stop", refuse)
-    return session, store
-
-
-def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(stubborn: tuple[Session, MemoryStore]) -> None:
-    session, store = stubborn
+    monkeypatch.setattr(backend.sampler, "stop", refuse)
     result = session.run()
     assert result.status is RunStatus.FAILED
     assert "does not let go" in result.reason
-    assert not session._backend.stage.state().enabled
+    assert not backend.stage.state().enabled
     assert len(store.runs) == 0 or store.runs[0].info.reason
 
 
@@ -288,10 +290,11 @@ def test_a_way_back_that_a_kill_interrupted_is_made_by_the_next_session() -> Non
             self.at_mm = self.backend.stage.state().position_mm if prompt.text == "fit" else self.at_mm
             return super().ask(prompt)
 
-    person = Looks()
+    person, backend = Looks(), opened()
+    person.backend = backend
     step = {**SHORT_DRAG, "speed_mm_s": [5.0, 10.0]}
-    session, store = new_session(step, person=person, progress=CampaignProgress(done=frozenset({0}), next_order=2))
-    person.backend = session._backend
+    progress = CampaignProgress(done=frozenset({0}), next_order=2)
+    session, store = new_session(step, person=person, progress=progress, backend=backend)
     assert session.run().status is RunStatus.COMPLETE
     assert [(run.info.kind, run.info.header.order) for run in store.runs] == [("return", 2), ("drag", 3), ("return", 4)]
     back = store.runs[0]
@@ -325,12 +328,13 @@ def test_whoever_watches_does_not_get_in_the_way_of_the_run() -> None:
 
 @pytest.mark.parametrize("step", ["stop", "disable"])
 def test_a_driver_that_raises_its_own_kind_of_error_wedges_nothing(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
-    session, store = new_session(SHORT_DRAG)
+    backend = opened()
+    session, store = new_session(SHORT_DRAG, backend=backend)
 
     def refuse() -> None:
         raise OSError("cable pulled")
 
-    monkeypatch.setattr(session._backend.stage, step, refuse)
+    monkeypatch.setattr(backend.stage, step, refuse)
     result = session.run()
     assert result.status is RunStatus.FAILED
     assert "cable pulled" in result.reason
@@ -339,32 +343,32 @@ def test_a_driver_that_raises_its_own_kind_of_error_wedges_nothing(monkeypatch: 
 
 
 def test_a_run_that_somebody_else_cut_short_is_not_complete() -> None:
-    class StopsTheStage(AbortsAt):
-        def reads(self, reading: Reading) -> None:
-            if self.session is not None and reading.time[-1] >= self.time_s:
-                self.session._backend.stage.stop()
+    backend = opened()
 
-    person = StopsTheStage(1.2)
-    session, store = new_session(SHORT_DRAG, person=person)
-    person.session = session
+    class StopsTheStage(NullOperator):
+        def reads(self, reading: Reading) -> None:
+            if reading.time[-1] >= 1.2:
+                backend.stage.stop()
+
+    session, store = new_session(SHORT_DRAG, person=StopsTheStage(), backend=backend)
     assert session.run().status is RunStatus.FAILED
     assert store.runs[0].info.status is RunStatus.FAILED
     assert "samples" in store.runs[0].info.reason
 
 
 def test_the_stage_is_in_place_before_anybody_puts_a_capsule_in() -> None:
+    backend = opened()
+
     class Looks(Scripted):
         at_mm: float = -1.0
-        new_session: Session
 
         def ask(self, prompt: Prompt) -> Answer:
             if prompt.text == "fit":
-                self.at_mm = self.session._backend.stage.state().position_mm
+                self.at_mm = backend.stage.state().position_mm
             return super().ask(prompt)
 
     person = Looks()
-    session, _ = new_session(SHORT_DRAG, person=person)
-    person.session = session
+    session, _ = new_session(SHORT_DRAG, person=person, backend=backend)
     assert session.run().status is RunStatus.COMPLETE
     assert person.at_mm == pytest.approx(40.0)
 

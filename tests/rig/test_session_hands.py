@@ -4,6 +4,7 @@ import io
 import os
 import sys
 import threading
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -15,10 +16,10 @@ from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
 from dragrig.config.settings import parse
 from dragrig.config.specimen import Specimen
-from dragrig.rig.devices import Block, Trip, TripCause
+from dragrig.rig.devices import Acquisition, Block, StageLimits, Trip, TripCause
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
-from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.operator import Answer, NullOperator, Prompt, positioning_profile
 from dragrig.rig.programme import build_programme
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.campaigns import SessionRecord, specimen_key
@@ -26,7 +27,7 @@ from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.runfile.store import MemoryStore
 from dragrig.rig.session import Session
 from dragrig.sim_backend.devices.simulated_backend import VirtualClock
-from dragrig.sim_backend.devices.simulated_stage import SimulatedStage
+from dragrig.sim_backend.devices.simulated_stage import UNDISTURBED, Disturbances, SimulatedStage, Track
 from sim_faults import Faults, ForceSpike
 from simulated import NEVER, Handed, acquire, rest, settings, stroke
 
@@ -47,11 +48,13 @@ class Present(NullOperator):
         return self.answers.pop(0) if self.answers else Answer.DONE
 
 
-def at_the_rig(person: NullOperator, *steps: dict[str, object]) -> tuple[Session, MemoryStore, Handed]:
+def at_the_rig(
+    person: NullOperator, *steps: dict[str, object], faults: Disturbances = UNDISTURBED
+) -> tuple[Session, MemoryStore, Handed]:
     rig, model, store = RigSettings(), FrictionModelSettings(), MemoryStore()
     plan = parse(Plan, {"name": "p", "steps": list(steps or (DRAG,))}, "p.toml")
     record = SessionRecord(begun_at=BEGUN, backend="simulated", plan=plan, specimen=SPECIMEN, model=model, rig=rig)
-    backend = Handed(rig, model, VirtualClock(BEGUN))
+    backend = Handed(rig, model, VirtualClock(BEGUN), faults)
     programme = build_programme(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
     return Session(backend, programme, record, store, person, person), store, backend
 
@@ -138,15 +141,16 @@ def test_every_run_tells_how_sure_its_start_is(monkeypatch: pytest.MonkeyPatch) 
     assert [run.info.header.entry["command_t0_uncertainty_s"] for run in store.runs] == [0.004, 0.004]
 
 
-def test_no_run_begins_elsewhere_than_its_plan_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    session, store, backend = at_the_rig(Present())
-    stage = backend.stage
-    assert isinstance(stage, SimulatedStage)
+def test_no_run_begins_elsewhere_than_its_plan_says() -> None:
+    class FallsShort(Disturbances):
+        def during(self, acquisition: Acquisition) -> Disturbances:
+            return self if acquisition.kind == "positioning" else UNDISTURBED
 
-    def slip_back(self: SimulatedStage, cancel: threading.Event) -> None:
-        self._axis.place(self.state().position_mm - 0.3)
+        def track(self, track: Track, limits: StageLimits, stop_accel_mm_s2: float) -> Track:
+            travel_mm = float(track.profile.position(track.profile.duration_s))
+            return replace(track, profile=positioning_profile(travel_mm - 0.3, limits))
 
-    monkeypatch.setattr(SimulatedStage, "await_end", slip_back)
+    session, store, _ = at_the_rig(Present(), faults=FallsShort())
     result = session.run()
     assert result.status is RunStatus.FAILED
     assert "mm, not at the start of" in result.reason
@@ -154,17 +158,17 @@ def test_no_run_begins_elsewhere_than_its_plan_says(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_watchdogs_word_is_the_reason_even_when_samples_simply_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    session, store, backend = at_the_rig(Present())
     watchdog = Trip(TripCause.WATCHDOG, "nobody looked at the data for 0.5 s")
 
-    def hold(reading: Reading) -> None:
-        # The terminal holds the thread: meanwhile the stage is stopped and comes to rest.
-        if reading.end_index >= 1200:
-            backend.stage.stop()
-            backend.clock.sleep(1.0, NEVER)
-            monkeypatch.setattr(SimulatedStage, "fault", watchdog)
+    class HeldUp(Present):
+        def reads(self, reading: Reading) -> None:
+            # The terminal holds the thread: meanwhile the stage is stopped and comes to rest.
+            if reading.end_index >= 1200:
+                backend.stage.stop()
+                backend.clock.sleep(1.0, NEVER)
+                monkeypatch.setattr(SimulatedStage, "fault", watchdog)
 
-    monkeypatch.setattr(session._observer, "reads", hold)
+    session, store, backend = at_the_rig(HeldUp())
     result = session.run()
     assert result.status is RunStatus.TRIPPED
     assert result.reason.startswith("watchdog: nobody looked at the data")

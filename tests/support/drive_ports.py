@@ -52,6 +52,11 @@ class DrivePort(ABC):
         self._woken.close()
         self._waker.close()
 
+    @property
+    def has_sent_all(self) -> bool:
+        """Whether no reply is still on its way."""
+        return not self._replies
+
     @abstractmethod
     def _hang_up(self) -> None:
         """Unplug the cable; again changes nothing."""
@@ -87,7 +92,8 @@ class DrivePort(ABC):
 
     def _send_due(self) -> None:
         while self._replies and self._replies[0][0] <= time.monotonic():
-            self._write(self._replies.popleft()[1])
+            self._write(self._replies[0][1])
+            self._replies.popleft()
 
     def _wake(self) -> None:
         with suppress(OSError):

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
-from typing import Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import pytest
 
@@ -137,12 +137,11 @@ class NoDigitalLines:
 
 
 @dataclass
-class Driven:
-    """A drive's double and everything on the program's side of the cable."""
+class Reached:
+    """A drive's double, and what a stage works with on the program's side of the cable."""
 
     bench: SimulatedBench
     drive: DriveDouble
-    stage: PositionModeStage
     devices: StageDevices
     port: DrivePort
 
@@ -162,6 +161,13 @@ class Driven:
     def lines(self) -> DigitalLines:
         return self.devices.lines
 
+
+@dataclass
+class Driven(Reached):
+    """The same, and the stage."""
+
+    stage: PositionModeStage
+
     def sample(self, profile: MotionProfile) -> None:
         """Move with a first sample, as the engine does."""
         self.sync.arm()
@@ -178,7 +184,10 @@ class Driven:
 
 @contextmanager
 def linked(
-    kind: type[DrivePort] = ANY_PORT, pace: float = 1.0, program: Mapping[str, object] | None = None, **drive: object
+    kind: Callable[[DriveDouble], DrivePort] = ANY_PORT,
+    pace: float = 1.0,
+    program: Mapping[str, object] | None = None,
+    **drive: object,
 ) -> Iterator[tuple[DriveDouble, DriveLink]]:
     """A drive's double whose enable line is not wired, and a link to it, with other settings if `program` says so."""
     rig = settings(hardware={"drive": {"reply_s": 0.5, **drive}, "card": {"lines": {"enable": ""}}})
@@ -193,7 +202,7 @@ def linked(
 
 
 @contextmanager
-def driven(
+def reached(
     kind: type[DrivePort] = ANY_PORT,
     pace: float = 1.0,
     wired: bool = False,
@@ -201,8 +210,8 @@ def driven(
     hang_s: float = 5.0,
     stale_s: float = 5.0,
     **drive: object,
-) -> Iterator[Driven]:
-    """A stage on a drive's double; `wired` to the bench's switches and enable, by other `lines`, or to nothing."""
+) -> Iterator[Reached]:
+    """A drive's double for a stage `wired` to the bench's switches and enable, by other `lines`, or to nothing."""
     wired = wired or lines is not None
     wires = (lines or {}) if wired else {"enable": ""}
     card = {"lines": wires}
@@ -223,6 +232,15 @@ def driven(
         stack.callback(link.close)
         wiring = BenchLines(bench) if wired else NoDigitalLines()
         devices = StageDevices(rig, link, wiring, MotionSamplingSync(), bench.clock, Watchdog())
-        stage = PositionModeStage(devices)
-        stack.callback(stage.close)
-        yield Driven(bench, double, stage, devices, port)
+        yield Reached(bench, double, devices, port)
+
+
+@contextmanager
+def driven(kind: type[DrivePort] = ANY_PORT, **choices: Any) -> Iterator[Driven]:
+    """A stage on a drive's double, with the choices of `reached`."""
+    with reached(kind, **choices) as rig:
+        stage = PositionModeStage(rig.devices)
+        try:
+            yield Driven(rig.bench, rig.drive, rig.devices, rig.port, stage)
+        finally:
+            stage.close()

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from dragrig.rig.runfile import finish, finisher, read_run, recorder, recover, schema, writer
@@ -25,12 +26,12 @@ from runfiles import START, arrays, header
 BLOCK_S = 0.005
 STEPS = {
     "making": (recorder, "write_header"),
-    "opening": (recorder, "_open_for_swmr"),
+    "opening": (h5py.h5f, "open"),
     "appending": (recorder.RecordingFile, "append"),
     "flushing": (recorder.RecordingFile, "flush"),
     "noting": (recorder.RecordingFile, "append_events"),
     "closing": (recorder.RecordingFile, "close"),
-    "copying": (finisher, "_copy_recorded_trace"),
+    "copying": (finisher, "create_column"),
     "syncing": (writer, "move_into_place"),
     "placed": (finisher, "remove_file"),
 }

@@ -94,7 +94,8 @@ SOON_STUCK = (FAR, "rig.guard.encoder_silent_mm=0.4", "rig.guard.encoder_silent_
 SOON_HUNG = (FAR, "rig.hardware.hang_s=2.0")
 SOON_UNANSWERED = (FAR, "rig.hardware.drive.reply_s=0.4")
 SOON_SILENT = (FAR, "rig.hardware.drive.silence_s=2.0")
-SOON_CUT_OFF = (*SOON_SILENT, "rig.hardware.drive.reply_s=0.4")
+# A reply is awaited for nearly as long as the silence, and only once that is over for no longer than this.
+SOON_CUT_OFF = (*SOON_SILENT, "rig.hardware.drive.reply_s=0.05")
 
 
 def sentence(fault: str) -> re.Pattern[str]:

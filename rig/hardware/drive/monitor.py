@@ -126,8 +126,8 @@ class Monitor:
         self._ended = threading.Event()
         self._fast = threading.Event()
         self._threads = (
-            threading.Thread(target=self._run, args=(self._cycle,), name="drive monitor", daemon=True),
-            threading.Thread(target=self._run, args=(self._check_power,), name="drive power", daemon=True),
+            threading.Thread(target=self._run, args=(self.watch_drive,), name="drive monitor", daemon=True),
+            threading.Thread(target=self._run, args=(self.watch_power,), name="drive power", daemon=True),
         )
 
     @property
@@ -147,9 +147,7 @@ class Monitor:
         with self._polling:
             # Read before the drive answers, which may have stopped by itself already: the program's own stop follows.
             moved, tolerated = self._moving_and_tolerated()
-            by_switches = self._poll_switches(tolerated)
-            if by_switches is not None:
-                self._report(self._latched or by_switches, moved=moved)
+            by_switches = self._look_at_switches(tolerated, moved=moved)
             by_drive = self._poll_drive()
             if by_drive is not None and by_switches is None:
                 # A switch that was pressed in between explains the stop better than the drive, which has stopped by it.
@@ -211,16 +209,8 @@ class Monitor:
             if thread.is_alive():
                 thread.join()
 
-    def _run(self, cycle: Callable[[], None]) -> None:
-        try:
-            while not self._ended.is_set():
-                cycle()
-        except Exception as error:
-            # Nothing is monitored any more: stop, and let the drive's own silence timeout end the rest.
-            self.latch(Trip(TripCause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
-            raise
-
-    def _cycle(self) -> None:
+    def watch_drive(self) -> None:
+        """Poll once, and wait for the next poll: a step of the first of the monitor's threads."""
         self._polled_s = time.monotonic()
         if self._guard_is_blind or self._withholds_polls:
             self._ended.wait(self._interval_s)
@@ -232,15 +222,16 @@ class Monitor:
             self._fast.clear()
             self._fast.wait(self._interval_s)
 
-    def _check_power(self) -> None:
-        """Beat while the guard sees, the drive is heard and is polled; release the drive's power when it is not."""
+    def watch_power(self) -> None:
+        """Beat while the guard sees, the drive is heard and is polled; else release its power: a step of the second."""
         blind = self._guard_blind()
         self._guard_is_blind = blind is not None
         if blind is not None:
             self.latch(blind)
         now_s = time.monotonic()
         if now_s - self._polled_s > _LATE_POLLS * self._interval_s:
-            self._look_at_switches()
+            moved, tolerated = self._moving_and_tolerated()
+            self._look_at_switches(tolerated, moved=moved)
         self._release_power_if_late(now_s)
         unheard = self._link.unheard_s > self._silence_s or now_s - self._polled_s > self._unpolled_s
         if not unheard:
@@ -256,10 +247,19 @@ class Monitor:
             self._beat(now_s)
         self._ended.wait(min(_MAX_POWER_CHECK_S, self._beat_s / 2))
 
-    def _look_at_switches(self) -> None:
-        moved, tolerated = self._moving_and_tolerated()
+    def _run(self, cycle: Callable[[], None]) -> None:
+        try:
+            while not self._ended.is_set():
+                cycle()
+        except Exception as error:
+            # Nothing is monitored any more: stop, and let the drive's own silence timeout end the rest.
+            self.latch(Trip(TripCause.WATCHDOG, f"the drive's monitor failed ({type(error).__name__}: {error})"))
+            raise
+
+    def _look_at_switches(self, tolerated: TripCause | None, *, moved: bool) -> Trip | None:
         if (pressed := self._poll_switches(tolerated)) is not None:
             self._report(self._latched or pressed, moved=moved)
+        return pressed
 
     def _moving_and_tolerated(self) -> tuple[bool, TripCause | None]:
         # Taken apart, the end of a motion off a switch would look like a motion onto it.

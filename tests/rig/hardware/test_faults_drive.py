@@ -85,7 +85,7 @@ def test_a_drive_that_sets_out_too_late_is_no_silent_encoder(faulty_rig: Bench) 
     [("clean-up fails, card", "card_unplugged"), thorough("clean-up fails, serial", "drive_unplugged")],
 )
 def test_a_clean_up_step_that_fails_keeps_no_other_from_being_made(faulty_rig: Bench, row: str, fault: str) -> None:
-    running = begin(faulty_rig)
+    running = begin(faulty_rig, assignments=["travel_mm=4"])
 
     def break_it(run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         faulty_rig.inject(**{fault: True})

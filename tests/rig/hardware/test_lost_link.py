@@ -7,11 +7,14 @@ import pytest
 
 from dragrig.config.errors import DeviceError
 from dragrig.rig.devices import TripCause
-from dragrig.rig.hardware.dialects.base import Halt
-from dragrig.rig.hardware.drive.monitor import _UNHEARD_GRACE_S
+from dragrig.rig.hardware.dialects.base import Command, Halt, Request
+from dragrig.rig.hardware.drive.link import NoReplyError
+from dragrig.rig.hardware.drive.monitor import Monitor
+from dragrig.rig.hardware.drive.stage_base import DriveTracker
+from dragrig.sim_backend.doubles.protocol_double import DoublePort
 from dragrig.sim_backend.doubles.simulated_bench import MISSED_BEATS, SimulatedBench
-from drive_ports import DrivePort
-from driving import ANY_PORT, PORTS, Driven, Stall, driven, until
+from drive_ports import DrivePort, SocketPort
+from driving import ANY_PORT, BenchLines, Driven, Reached, Stall, driven, reached, until
 from property_tests import thorough
 from simulated import stroke
 from voltage_bench import velocity_rig, voltage_rig
@@ -69,8 +72,10 @@ def lose_link(rig: Driven, fault: str) -> tuple[float, float, LineLog]:
 @pytest.mark.parametrize(
     ("kind", "wiring"),
     [
-        *(pytest.param(*port.values, "relay", id=f"{port.id}-relay", marks=port.marks) for port in PORTS),
-        pytest.param(ANY_PORT, "enable line", id="enable line"),
+        (ANY_PORT, "relay"),
+        (ANY_PORT, "enable line"),
+        thorough(SocketPort, "relay"),
+        thorough(DoublePort, "relay"),
     ],
 )
 @pytest.mark.parametrize("fault", [thorough("drive_unplugged"), "drive_cut_off"])
@@ -119,49 +124,67 @@ def test_a_drive_that_is_heard_again_moves_again() -> None:
         assert rig.bench.position_mm() == pytest.approx(at_mm + 1.0, abs=1e-3)
 
 
+def stepped_monitor(rig: Reached) -> Monitor:
+    """A monitor whose threads' steps are made one by one, as after a computer stood still."""
+    tracker = DriveTracker(rig.devices, 10.0, lambda: None)
+    monitor = Monitor(rig.devices, tracker.poll, rig.link.stop, lambda: True, tracker.ending)
+    monitor.watch_drive()
+    monitor.set_drive_on(True)
+    return monitor
+
+
 @pytest.mark.parametrize("answered", [True, False])
 def test_a_computer_that_stood_still_hears_first_what_came_meanwhile(answered: bool) -> None:
-    with driven(lines={"enable": ENABLE}, silence_s=0.3, reply_s=0.1) as rig:
-        rig.ready()
-        monitor = rig.stage._monitor
-        monitor.close()  # from here on, its threads' steps are made one by one
-        rig.link._unheard_since_s = monitor._polled_s = time.monotonic() - 1.0
-        monitor._check_power()
+    def power_is_on() -> bool:
+        monitor.watch_power()
+        return rig.bench.read_line(ENABLE)
+
+    with reached(lines={"enable": ENABLE}, silence_s=0.3, reply_s=0.1) as rig:
+        monitor = stepped_monitor(rig)
+        rig.lines.set_enable(True)
+        rig.bench.faults.inject(drive_silent=True)
+        with pytest.raises(NoReplyError):
+            rig.link.exchange(Request(Command.STATUS))
+        until(lambda: rig.link.unheard_s > 0.6)
+        assert power_is_on()
         if answered:
-            monitor._cycle()
-        time.sleep(2 * _UNHEARD_GRACE_S)
-        monitor._check_power()
-        assert rig.bench.read_line(ENABLE) is answered
+            rig.bench.faults.clear()
+            for _ in range(4):
+                monitor.watch_drive()
+                assert power_is_on()
+        else:
+            until(lambda: not power_is_on())
 
 
 @pytest.mark.parametrize("moving", [True, False])
 def test_a_beat_that_comes_too_late_gives_no_power_back_to_a_moving_stage(moving: bool) -> None:
-    with driven(lines=WIRINGS["relay"], silence_s=5.0) as rig:
-        rig.ready()
-        if moving:
-            rig.stage.move(LONG)
-            until(lambda: rig.bench.speed_mm_s() > 0.9 * SPEED_MM_S)
-        else:
-            log = LineLog(rig.bench)
-            until(lambda: log.beaten_s > float("-inf"))
-        monitor = rig.stage._monitor
-        monitor.close()  # from here on, its threads' steps are made one by one, as after a computer that stood still
+    def is_powered() -> bool:
+        monitor.watch_power()
+        return rig.bench.powered
+
+    with reached(lines=WIRINGS["relay"], silence_s=5.0) as rig:
+        monitor, lines = stepped_monitor(rig), rig.lines
+        assert isinstance(lines, BenchLines)
+        until(is_powered)
+        rig.sync.set_moving(moving)
+        before = lines.beats
+        until(lambda: is_powered() and lines.beats > before)
         until(lambda: not rig.bench.powered)
-        for _ in range(3):
-            monitor._check_power()
-            assert rig.bench.powered is not moving
         if moving:
-            fault_seen = rig.stage.fault
-            assert fault_seen is not None
-            assert fault_seen.cause is TripCause.WATCHDOG
-            assert "the heartbeat came" in fault_seen.message
+            assert not any(is_powered() for _ in range(3))
+            assert monitor.fault is not None
+            assert monitor.fault.cause is TripCause.WATCHDOG
+            assert "the heartbeat came" in monitor.fault.message
+        else:
+            until(is_powered)
 
 
 @pytest.mark.parametrize("fault", [thorough("drive_unplugged"), "drive_cut_off"])
 def test_in_velocity_mode_the_voltage_brakes_and_the_power_goes(fault: str) -> None:
     rig_settings = velocity_rig(silence_s=0.6, reply_s=0.1)
     with voltage_rig(rig_settings) as rig:
-        rig.ready().stage.move(stroke(travel_mm=140.0, speed_mm_s=SPEED_MM_S))
+        rig.ready().bench.clock.pace = 1.0
+        rig.stage.move(stroke(travel_mm=140.0, speed_mm_s=SPEED_MM_S))
         until(lambda: rig.bench.speed_mm_s() > 0.9 * SPEED_MM_S)
         rig.bench.faults.inject(drive_unwatched=True, **{fault: True})
         at_mm = rig.bench.position_mm()

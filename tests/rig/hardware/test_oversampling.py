@@ -27,6 +27,7 @@ from dragrig.rig.hardware.lines import CardLines
 from dragrig.rig.profile import FloatArray
 from simulated import PATIENT, rest, settings, stroke
 
+PACE = 3.0
 TONE = {"force_tone_mN": 200.0, "force_tone_hz": 16_000.0}
 MOTOR = {"name": "motor_force", "channel": "ai1", "unit": "mN", "per_V": 1000.0}
 QUIET = {"noise": {"white_mN": 0.0, "slow_mN": 0.0, "zero_mN": 0.0}}
@@ -105,7 +106,7 @@ def test_however_the_samples_come_the_record_is_the_same(
 
 
 def test_a_slow_force_is_recorded_when_it_was_and_as_high_as_it_was() -> None:
-    with card_rig(wired()) as under_test:
+    with card_rig(wired(), pace=PACE) as under_test:
         under_test.bench.faults.inject(force_tone_mN=500.0, force_tone_hz=40.0)
         got = under_test.record(rest(0.6))
         assert under_test.sampler.timing.rate_hz == 25_000.0
@@ -119,7 +120,7 @@ def test_a_slow_force_is_recorded_when_it_was_and_as_high_as_it_was() -> None:
 
 
 def test_force_and_position_stay_the_same_instants() -> None:
-    with card_rig(wired(inputs=[MOTOR])) as under_test:
+    with card_rig(wired(inputs=[MOTOR]), pace=PACE) as under_test:
         got = under_test.record(stroke(travel_mm=5.0))
         instants = indices(got) * 25
         counts = under_test.bench.at("encoder_counts", instants)
@@ -132,7 +133,7 @@ def test_force_and_position_stay_the_same_instants() -> None:
 def test_a_tone_beyond_the_recorded_band_leaves_no_line_in_it() -> None:
     lines = {}
     for oversampling in (0, 1):
-        with card_rig(wired(oversampling=oversampling)) as under_test:
+        with card_rig(wired(oversampling=oversampling), pace=PACE) as under_test:
             under_test.bench.faults.inject(**{**TONE, "force_tone_hz": 16_100.0})
             force = joined(under_test.record(rest(0.5)), "force")[20:]
             lines[oversampling] = float(np.abs(np.fft.rfft(force - force.mean())).max()) * 2 / len(force)
@@ -141,14 +142,14 @@ def test_a_tone_beyond_the_recorded_band_leaves_no_line_in_it() -> None:
 
 
 def test_the_check_tells_a_tone_beyond_the_recorded_band_and_what_is_recorded_of_it() -> None:
-    with card_rig(wired(oversampling=1)) as under_test:
+    with card_rig(wired(oversampling=1), pace=PACE) as under_test:
         assert checks(under_test)["aliases"][0]
         under_test.bench.faults.inject(**TONE)
         passed, detail = checks(under_test)["aliases"]
         assert not passed
         assert "141." in detail
         assert "from 16000 Hz" in detail
-    with card_rig(wired()) as under_test:
+    with card_rig(wired(), pace=PACE) as under_test:
         passed, detail = checks(under_test)["aliases"]
         assert passed
         assert "multiple of 25000 Hz" in detail
@@ -183,7 +184,7 @@ def test_wide_noise_that_the_filter_keeps_out_is_no_tone() -> None:
 
 def test_a_gap_in_the_cards_samples_is_a_gap_of_known_length_in_the_recorded() -> None:
     profile = stroke(travel_mm=20.0)
-    with card_rig(wired()) as under_test:
+    with card_rig(wired(), pace=PACE) as under_test:
         faults = under_test.bench.faults
         got = under_test.record(profile, lambda _: faults.inject(overwritten_samples=2000))
         index = indices(got)
@@ -201,13 +202,13 @@ def test_a_gap_in_the_cards_samples_is_a_gap_of_known_length_in_the_recorded() -
 
 @pytest.mark.parametrize(("rate_hz", "real_hz"), [(1000.0, 1000.0), (30_000.0, 20e6 / 667), (3000.0, 20e6 / 833 / 8)])
 def test_the_rate_is_what_the_card_makes_of_its_time_base(rate_hz: float, real_hz: float) -> None:
-    with card_rig(wired(rate_hz)) as under_test:
+    with card_rig(wired(rate_hz), pace=PACE) as under_test:
         assert under_test.sampler.sample_rate_hz == pytest.approx(real_hz, rel=1e-12)
 
 
 def test_a_speed_is_right_although_the_card_cannot_make_the_rate() -> None:
     profile = stroke(travel_mm=10.0, speed_mm_s=20.0, accel_mm_s2=2000.0)
-    with card_rig(wired(rate_hz=30_000.0)) as under_test:
+    with card_rig(wired(rate_hz=30_000.0), pace=PACE) as under_test:
         got = under_test.record(profile)
         rate_hz = under_test.sampler.sample_rate_hz
         position = joined(got, "position")
@@ -219,11 +220,11 @@ def test_a_speed_is_right_although_the_card_cannot_make_the_rate() -> None:
 
 
 def test_how_the_inputs_follow_each_other_and_whether_they_settle_is_told() -> None:
-    with card_rig(wired(inputs=[MOTOR])) as under_test:
+    with card_rig(wired(inputs=[MOTOR]), pace=PACE) as under_test:
         passed, detail = checks(under_test)["scan"]
         assert passed
         assert "force, motor_force: each is converted 14 µs after" in detail
-    with card_rig(wired(rate_hz=125_000.0, inputs=[MOTOR])) as under_test:
+    with card_rig(wired(rate_hz=125_000.0, inputs=[MOTOR]), pace=PACE) as under_test:
         passed, detail = checks(under_test)["scan"]
         assert not passed
         assert "90 ppm" in detail

@@ -82,7 +82,7 @@ def lateness_s(first: Run, second: Run) -> float:
 
 def test_a_plan_on_the_doubles_gives_the_simulated_rigs_files_to_within_noise(plan: Path) -> None:
     hands = Hands()
-    real = dragrig.run(plan, backend="hardware", double=True, out="real", person=hands, assignments=SWIFT)
+    real = dragrig.run(plan, backend="hardware", double=True, pace=2.0, out="real", person=hands, assignments=SWIFT)
     real.session.require()
     simulated = dragrig.run(plan, backend="simulated", out="simulated", assignments=SWIFT)
     assert len([text for text in hands.prompts if text in {"Fit a specimen", "Lay the gut on the foam"}]) == 2

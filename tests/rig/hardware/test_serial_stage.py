@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import closing
 from dataclasses import replace
 from math import nan
 
@@ -15,11 +16,12 @@ from dragrig.config.rig import DriveSettings
 from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.hardware.dialects.base import Command, Halt, Parameter, Refusal, Reply, Request
 from dragrig.rig.hardware.dialects.nikki import NikkiDialect
-from dragrig.rig.hardware.drive.position_mode import split_into_strokes
+from dragrig.rig.hardware.drive.position_mode import PositionModeStage, split_into_strokes
 from dragrig.rig.hardware.sync import FirstSample
 from dragrig.rig.profile import MotionProfile, Phase, Piece, stationary_piece, trapezoid
-from drive_ports import DrivePort
-from driving import ANY_PORT, PORTS, RATE, BenchLines, Driven, driven, until
+from dragrig.sim_backend.doubles.protocol_double import DoublePort
+from drive_ports import DrivePort, SocketPort
+from driving import ANY_PORT, PORTS, RATE, BenchLines, Driven, Stall, driven, reached, until
 from property_tests import thorough
 from simulated import NEVER, stroke
 
@@ -44,7 +46,7 @@ def is_under_way(rig: Driven) -> bool:
     return abs(rig.bench.speed_mm_s()) > 10.0
 
 
-@pytest.mark.parametrize("kind", PORTS)
+@pytest.mark.parametrize("kind", [ANY_PORT, thorough(SocketPort), DoublePort])
 def test_strokes_are_driven_when_and_where_the_profile_says(kind: type[DrivePort]) -> None:
     with driven(kind) as rig:
         rig.ready().sample(THERE_AND_BACK)
@@ -64,14 +66,15 @@ def test_a_stroke_begins_within_milliseconds_of_its_time() -> None:
     with driven() as rig:
         rig.ready()
         uncertain = []
-        # A busy machine may hold up any of them, though hardly all.
-        for _ in range(5):
-            rig.sample(stroke(travel_mm=1.0))
-            until(lambda: stands(rig))
-            uncertain.append(rig.stage.start_uncertainty_s)
-            rig.bench.end_sampling()
-            rig.sync.disarm()
-        assert 0 < min(uncertain) < 0.01
+        with Stall() as stall:
+            for _ in range(3):
+                rig.sample(stroke(travel_mm=1.0))
+                until(lambda: stands(rig))
+                uncertain.append(rig.stage.start_uncertainty_s)
+                rig.bench.end_sampling()
+                rig.sync.disarm()
+        # The stage's threads and the double's may all be late.
+        assert 0 < min(uncertain) < 0.01 + 3 * stall.longest_s
 
 
 def test_limits_are_written_and_read_back_before_a_move() -> None:
@@ -116,28 +119,33 @@ def test_a_stop_from_another_thread_brakes_and_leaves_the_stage_ready(kind: type
 
 
 def test_a_stop_that_is_heeded_late_leaves_the_motion_after_it_alone() -> None:
-    with driven() as rig:
-        rig.ready()
+    with reached() as rig:
         heeding, go_on, heeded = threading.Event(), threading.Event(), threading.Event()
+        go_on.set()
 
         def hold_up() -> None:
             heeding.set()
-            assert go_on.wait(20.0)
+            assert go_on.wait(600.0)
 
         # Listeners are called in turn, so this holds up the stage's own as a busy machine does.
-        rig.link._stop_listeners.insert(0, hold_up)
-        rig.link.on_stop(heeded.set)
-        rig.stage.stop()
-        assert heeding.wait(20.0)
-        rig.sync.arm()
-        rig.stage.move(THERE_AND_BACK)
-        go_on.set()
-        assert heeded.wait(20.0)
-        rig.bench.begin_sampling(RATE)
-        rig.sync.set_first_sample(FirstSample(rig.bench.clock.monotonic(), 0.0))
-        rig.stage.await_end(NEVER)
-        until(lambda: stands(rig))
-        assert rig.stage.state().position_mm == pytest.approx(5.0, abs=0.01)
+        rig.link.on_stop(hold_up)
+        with closing(PositionModeStage(rig.devices)) as stage:
+            rig.link.on_stop(heeded.set)
+            stage.enable()
+            rig.bench.place(0.0)
+            stage.home()
+            go_on.clear()
+            stage.stop()
+            assert heeding.wait(600.0)
+            rig.sync.arm()
+            stage.move(THERE_AND_BACK)
+            go_on.set()
+            assert heeded.wait(600.0)
+            rig.bench.begin_sampling(RATE)
+            rig.sync.set_first_sample(FirstSample(rig.bench.clock.monotonic(), 0.0))
+            stage.await_end(NEVER)
+            until(lambda: not rig.sync.moving)
+            assert stage.state().position_mm == pytest.approx(5.0, abs=0.01)
 
 
 def test_a_stop_before_the_first_sample_drops_the_motion() -> None:
@@ -182,7 +190,7 @@ def test_homing_can_be_stopped_and_is_then_unknown() -> None:
     "trouble", [{"drive_garbled": True}, thorough({"drive_silent": True}), thorough({"drive_reply_late_s": 2.5})]
 )
 def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float]) -> None:
-    with driven(reply_s=0.6, silence_s=2.0) as rig:
+    with driven(reply_s=0.1, silence_s=1.5) as rig:
         rig.ready().sample(stroke(travel_mm=140.0, speed_mm_s=20.0))
         until(lambda: is_under_way(rig))
         rig.bench.faults.inject(**trouble)
@@ -195,7 +203,7 @@ def test_replies_that_cannot_be_believed_stop_the_stage(trouble: dict[str, float
         assert rig.bench.position_mm() < 139.0
         rig.bench.faults.clear()
         # A busy machine polls late, and a drive that is still unheard is not switched on.
-        until(lambda: not rig.port._replies and rig.link.unheard_s == 0.0)
+        until(lambda: rig.port.has_sent_all and rig.link.unheard_s == 0.0)
         assert rig.stage.state().fault is not None
         rig.sync.disarm()
         rig.stage.disable()
@@ -222,9 +230,9 @@ def test_a_position_that_is_no_number_is_none() -> None:
             rig.stage.move(stroke())
 
 
-@pytest.mark.parametrize("kind", PORTS)
+@pytest.mark.parametrize("kind", [ANY_PORT, thorough(SocketPort), thorough(DoublePort)])
 def test_a_cable_pulled_in_motion_leaves_the_stop_to_the_drive(kind: type[DrivePort]) -> None:
-    with driven(kind, silence_s=1.5) as rig:
+    with driven(kind, reply_s=0.3, silence_s=1.0) as rig:
         rig.ready().sample(stroke(travel_mm=100.0, speed_mm_s=20.0))
         until(lambda: is_under_way(rig))
         rig.bench.faults.inject(drive_unplugged=True)
@@ -264,7 +272,7 @@ def test_an_alarm_stays_until_it_is_seen_to_and_the_drive_switched_off_and_on() 
 
 
 def test_a_drive_that_hears_nothing_more_stops_by_itself() -> None:
-    with driven(silence_s=1.5) as rig:
+    with driven(silence_s=0.8, reply_s=0.3) as rig:
         rig.ready().sample(stroke(travel_mm=100.0, speed_mm_s=12.0))
         until(lambda: is_under_way(rig))
         with rig.stage.withholding(polls=True):
@@ -307,14 +315,14 @@ def test_a_program_that_no_longer_looks_is_stopped_and_its_drive_fed_no_more() -
 
 
 def test_a_program_that_looks_is_left_alone() -> None:
-    profile = stroke(travel_mm=40.0, speed_mm_s=20.0)
-    with driven(hang_s=1.5) as rig:
+    profile = stroke(travel_mm=28.0, speed_mm_s=20.0)
+    with driven(hang_s=1.0) as rig:
         rig.ready().sample(profile)
         while rig.sync.moving:
             rig.watchdog.feed()
             time.sleep(0.01)
         assert rig.stage.fault is None
-        assert rig.bench.position_mm() == pytest.approx(40.0, abs=1e-3)
+        assert rig.bench.position_mm() == pytest.approx(28.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -407,7 +415,7 @@ def test_the_heartbeat_goes_on_while_all_is_well() -> None:
 
 
 def test_a_drive_that_does_not_answer_is_no_stage() -> None:
-    with driven(ANY_PORT, reply_s=0.4) as rig:
+    with driven(reply_s=0.05, silence_s=1.0) as rig:
         rig.bench.faults.inject(drive_silent=True)
         with pytest.raises(DeviceError, match="did not answer"):
             rig.stage.state()
@@ -454,11 +462,11 @@ def test_what_no_drive_follows_is_refused() -> None:
 
 
 def test_a_reply_lost_on_a_busy_computer_ends_no_motion() -> None:
-    with driven(reply_s=0.4) as rig:
-        rig.ready().stage.move(stroke(travel_mm=60.0, speed_mm_s=20.0))
+    with driven(reply_s=0.2, silence_s=2.0) as rig:
+        rig.ready().stage.move(stroke(travel_mm=30.0, speed_mm_s=20.0))
         until(lambda: is_under_way(rig))
         rig.bench.faults.inject(drive_silent=True)
-        silent_for_s = 1.0  # longer than a reply may take, asked for once more; shorter than half the silence timeout
+        silent_for_s = 0.6  # longer than a reply may take, asked for once more; shorter than half the silence timeout
         assert not threading.Event().wait(silent_for_s)
         rig.bench.faults.clear()
         until(lambda: stands(rig))

@@ -44,7 +44,7 @@ class Mover(NullOperator):
 def test_every_finished_file_is_copied_to_the_mirror(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "second").mkdir()
     folder, mirror = tmp_path / "runs", tmp_path / "second"
-    line = ["run", "blank", "--out", str(folder), "--mirror", str(mirror), "--yes", "--set", FAST[0]]
+    line = ["run", "blank", "--out", str(folder), "--mirror", str(mirror), "--yes", "--set", FAST[0], "--set", FAST[1]]
     assert main([*line, "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)["mirror"]
     made = sorted(path.name for path in (*folder.glob("*.h5"), *folder.glob("session-*.toml")))
@@ -91,7 +91,7 @@ def test_the_campaigns_own_folder_is_refused_as_mirror(tmp_path: Path) -> None:
 
 def test_resuming_mirrors_the_earlier_runs_with_their_marks_and_what_becomes_of_these(tmp_path: Path) -> None:
     (tmp_path / "second").mkdir()
-    first = dragrig.run("blank", out=tmp_path / "runs", assignments=FAST[:1])
+    first = dragrig.run("blank", out=tmp_path / "runs", assignments=FAST)
     assert first.mirrored is None
     runs = sorted((tmp_path / "runs").glob("*.h5"))
     mark = mark_path(runs[0])
@@ -127,7 +127,9 @@ def test_a_missing_mirror_is_reported_at_once(tmp_path: Path) -> None:
 
 def test_a_full_mirror_leaves_no_half_file(small_disk: Path, tmp_path: Path) -> None:
     source = tmp_path / "run.h5"
-    source.write_bytes(bytes(33 << 20))
+    source.write_bytes(bytes(2 << 20))
+    with (small_disk / "filler").open("wb") as filler:
+        os.posix_fallocate(filler.fileno(), 0, 31 << 20)
     mirror = Mirror(small_disk, "runs", lambda _: None)
     mirror.submit(source)
     close = mirror.close()

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -21,7 +22,8 @@ from disks import is_root, mounted
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
 from dragrig.rig.engine import Store
 from dragrig.rig.runfile import FolderStore, Recorder, finish, read_info, read_run, recorder, recover, schema, verify
-from dragrig.rig.runfile.finisher import finish_here
+from dragrig.rig.runfile import store as store_module
+from dragrig.rig.runfile.finisher import Finisher, finish_here
 from dragrig.rig.runfile.model import Run, RunEnding, RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import (
     DiskSpace,
@@ -330,7 +332,17 @@ def test_a_folder_whose_path_leaves_no_room_for_names_is_refused_before_a_run(tm
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGSTOP"), reason="no process can be held up here")
-def test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left(tmp_path: Path) -> None:
+def test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finishers: list[Finisher] = []
+
+    def finisher(*arguments: Any) -> Finisher:
+        finishers.append(Finisher(*arguments))
+        return finishers[-1]
+
+    monkeypatch.setattr(store_module, "Finisher", finisher)
+
     def run(store: FolderStore, order: int) -> None:
         sink = store.open(header(order=order), 1000)
         for first, block in blocks(1000, 50):
@@ -339,9 +351,8 @@ def test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left(
 
     with FolderStore(tmp_path, reserve_mb=0, max_stall_s=0.3) as store:
         run(store, 0)
-        finisher = store._finisher
-        finisher.wait()
-        worker = finisher.worker_pid
+        finishers[0].wait()
+        worker = finishers[0].worker_pid
         assert worker is not None
         os.kill(worker, signal.SIGSTOP)
         try:
@@ -350,8 +361,7 @@ def test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left(
                 store.settle()
         finally:
             os.kill(worker, signal.SIGCONT)
-    while finisher.pending:
-        finisher.wait(1.0)
+    finishers[0].wait()
     recover(tmp_path)
     assert read_info(tmp_path / "20260504-093000-drag-001.h5").samples == 1000
 
@@ -441,9 +451,13 @@ def test_a_run_needs_room_for_what_is_to_come_twice_and_for_its_copy(
     )
 
 
-def offered_without_end(recording: Recorder, first: int, step: int) -> None:
+def offered_until_refused(recording: Recorder, first: int, step: int) -> tuple[int, str]:
+    """Return the first sample after those that were offered last, and what was said of these."""
     while True:
-        recording.offer(first, arrays(first, step))
+        try:
+            recording.offer(first, arrays(first, step))
+        except RecordingError as error:
+            return first + step, str(error)
         first += step
 
 
@@ -464,13 +478,9 @@ def test_a_disk_that_fills_up_is_said_once_and_what_is_still_sampled_is_taken(
         recording.offer(0, arrays(0, 100))
         assert recording.failure is None
         disk.free = 0
-        with pytest.raises(RecordingError) as caught:
-            offered_without_end(recording, 100, 10)
-        first = recording._next_index
-        assert re.fullmatch(
-            rf"{re.escape(str(tmp_path))}: 0\.0 MB are free and 1\.\d MB needed; make room", str(caught.value)
-        )
-        assert str(recording.failure) == str(caught.value)
+        first, said = offered_until_refused(recording, 100, 10)
+        assert re.fullmatch(rf"{re.escape(str(tmp_path))}: 0\.0 MB are free and 1\.\d MB needed; make room", said)
+        assert str(recording.failure) == said
         recording.offer(first, arrays(first, 10))
         left = recording.close(RunStatus.FAILED, "no room")
     run = read_run(finish(left))
@@ -490,13 +500,12 @@ def test_a_disk_that_refuses_is_said_with_the_file_and_what_to_do(
     recording.offer(0, arrays(0, 100))
     recording.event(RunEvent(0.0, "start", "drag"))
     monkeypatch.setattr(recorder.RecordingFile, "append", refuse)
-    with pytest.raises(RecordingError) as caught:
-        offered_without_end(recording, 100, 10_000)
+    _, said = offered_until_refused(recording, 100, 10_000)
     sentence = (
         f"{tmp_path / 'run.recording.h5'}: the disk refused data (No space left on device); make room, then "
         "`dragrig recover` finishes what was recorded"
     )
-    assert str(caught.value) == sentence
+    assert said == sentence
     assert str(recording.failure) == sentence
     for _ in range(2):
         with pytest.raises(RecordingError, match="the disk refused data"):
