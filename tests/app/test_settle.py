@@ -160,7 +160,10 @@ def test_decisions_of_another_loop_in_the_mirror_are_left(tmp_path: Path) -> Non
     assert "a file of this name is there and differs" in told[-1]
 
 
-def test_a_loop_that_never_begins_leaves_nothing_in_campaign_or_mirror(tmp_path: Path) -> None:
+def test_a_loop_that_never_begins_leaves_nothing_in_campaign_or_mirror(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dragrig.session_state.LOCK_TIMEOUT_S", 0.1)
     folder, mirror = tmp_path / "c", tmp_path / "mirror"
     for made in (folder, mirror):
         made.mkdir()

@@ -194,8 +194,9 @@ def test_a_session_without_a_state_has_not_ended(tmp_path: Path) -> None:
     assert not (tmp_path / LOCK_FILE).exists()
 
 
-def test_a_campaign_has_one_session_at_a_time(tmp_path: Path) -> None:
+def test_a_campaign_has_one_session_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not a run is being recorded: the other session waits for a person."""
+    monkeypatch.setattr("dragrig.session_state.LOCK_TIMEOUT_S", 0.1)
     folder = tmp_path / "runs" / "one"
     answer: list[str] = []
 

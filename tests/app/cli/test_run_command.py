@@ -248,7 +248,10 @@ def test_a_crashed_campaign_can_be_resumed(waiting: "subprocess.Popen[str]", run
     assert again["status"] == "complete"
 
 
-def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, campaign: Path) -> None:
+def test_a_campaign_that_is_being_recorded_is_left_alone(
+    run: Runner, campaign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dragrig.campaign_session.FINISHING_S", 0.1)
     before = sorted((campaign).iterdir())
     with Recorder(campaign / "20260504-093000-drag-009.h5", header(order=9)):
         assert "is being recorded; go on" in run.json_answer("--resume", "c", "--yes", code=2).err
