@@ -402,9 +402,8 @@ class _PageServer(ThreadingHTTPServer):
 
 
 class _PageHandler(BaseHTTPRequestHandler):
-    timeout = CONNECTION_S
-
     def setup(self) -> None:
+        self.timeout = CONNECTION_S
         super().setup()
         self.rfile = _ShortRequest(self.rfile.detach())
 

@@ -272,8 +272,8 @@ SLOW_THEN_QUICK = """
 name = "two"
 [[steps]]
 kind = "blank"
-speed_mm_s = [1.8, 30.0]
-travel_mm = 3.0
+speed_mm_s = [1.8, 40.0]
+travel_mm = 6.0
 rest_s = 0.5
 hold_s = 0.5
 wait_s = 0.0
