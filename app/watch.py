@@ -403,8 +403,8 @@ class _PageServer(ThreadingHTTPServer):
 
 class _PageHandler(BaseHTTPRequestHandler):
     def setup(self) -> None:
-        self.timeout = CONNECTION_S
         super().setup()
+        self.connection.settimeout(CONNECTION_S)
         self.rfile = _ShortRequest(self.rfile.detach())
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002  # as the base class has it

@@ -223,7 +223,7 @@ def test_a_campaign_has_one_session_at_a_time(tmp_path: Path, monkeypatch: pytes
 
 def test_sessions_started_at_once_have_separate_folders(tmp_path: Path) -> None:
     at = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
-    setup = resolve("blank", assignments=[f"rig.data.root='{tmp_path}'", "rig.sampling.rate_hz=200"])
+    setup = resolve("blank", assignments=[f"rig.data.root='{tmp_path}'", "rig.sampling.rate_hz=200", "speed_mm_s=20"])
     with ThreadPoolExecutor(3) as some:
         made = list(some.map(lambda _: start_campaign(setup, None, SessionOptions(Path(), origin=at), None), range(3)))
     assert [entry.session.status for entry in made] == [RunStatus.COMPLETE] * 3
