@@ -64,7 +64,8 @@ def test_a_batch_is_made_in_its_campaign_and_its_diagnosis_ends_the_loop(tmp_pat
     assert lacks_runs(folder, record)
     dragrig.run(batch.plan, append=folder, note=batch.reason, rig=lab / "rig.toml").session.require()
     assert not lacks_runs(folder, record)
-    ended = after_diagnosis(folder, record, replace(STRIBECK, open_causes=SURE))
+    more = NextExperiment((NextRun(PlanStep.model_validate(DRAG), 1.0, 0.1),), 9, "Because.")
+    ended = after_diagnosis(folder, record, replace(STRIBECK, open_causes=SURE, next_experiment=more))
     assert (ended.ending, ended.batches) == (Ending.TIME, record.batches)
     assert [step.spent_min for step in ended.steps] == sorted(step.spent_min for step in ended.steps)
     kinds = [run.protocol.kind for plan in (FIRST, batch.plan) for run in resolve(plan).programme().runs]
