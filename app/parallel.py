@@ -1,6 +1,7 @@
 """Independent tasks in this process, in worker processes that may be killed, or on a Dask cluster."""
 
 import asyncio
+import multiprocessing
 import os
 import signal
 import threading
@@ -13,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from itertools import count
-from multiprocessing import get_context, parent_process
 from os import _exit
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -272,7 +272,7 @@ class ProcessExecutor(Executor):
 
 
 def _new_worker() -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_init_worker)
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_init_worker)
 
 
 def _init_worker() -> None:
@@ -282,7 +282,7 @@ def _init_worker() -> None:
 
 
 def _exit_with_parent() -> None:
-    parent = parent_process()
+    parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
         _exit(1)

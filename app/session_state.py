@@ -28,7 +28,7 @@ from dragrig.rig import (
 STATE_FILE = "session-state.json"
 LOCK_FILE = "session.lock"
 """Locked by the process of the session; the system unlocks it when that dies."""
-_LOCK_TIMEOUT_S = 2.0
+LOCK_TIMEOUT_S = 2.0
 """A watcher holds the lock for a moment too."""
 
 Activity = Literal["preparing", "asking", "waiting", "recording", "between", "ended"]
@@ -119,7 +119,7 @@ def session_lock(folder: Path) -> Iterator[None]:
         When the folder cannot be written.
     """
     busy = f"{folder}: another session of this campaign is running; wait until it ends."
-    with file_lock(folder / LOCK_FILE, busy, _LOCK_TIMEOUT_S):
+    with file_lock(folder / LOCK_FILE, busy, LOCK_TIMEOUT_S):
         yield
 
 

@@ -402,10 +402,9 @@ class _PageServer(ThreadingHTTPServer):
 
 
 class _PageHandler(BaseHTTPRequestHandler):
-    timeout = CONNECTION_S
-
     def setup(self) -> None:
         super().setup()
+        self.connection.settimeout(CONNECTION_S)
         self.rfile = _ShortRequest(self.rfile.detach())
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002  # as the base class has it

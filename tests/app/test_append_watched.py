@@ -1,8 +1,6 @@
 """`dragrig watch` and `dragrig recover` on a campaign that goes on: an appended session, and one that is killed."""
 
 import shutil
-import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -18,11 +16,11 @@ from dragrig.rig import RunStatus, read_campaign
 from dragrig.rig.runfile import Recorder
 from dragrig.session_state import STATE_FILE, is_session_running
 from dragrig.watch import CampaignState, CampaignWatch
+from loaded_processes import command
 from runfiles import START, header
 from simulated import QUICK
 
 pytestmark = pytest.mark.usefixtures("finished_here")
-INTERPRETER = sys.executable
 
 
 @pytest.fixture(scope="module")
@@ -43,22 +41,14 @@ def killed(first: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path,
 
 
 def killed_in_the_appended_part(campaign: Path) -> CampaignState:
-    """Append a drag that holds for minutes, and kill its session while it is recorded; return what was seen before."""
+    """Append a drag that holds for long, and kill its session while it is recorded; return what was seen before."""
     words = ["run", "drag", "--append", str(campaign), "--yes", "--pace", "real"]
-    settings = ("hold_s=300", "wait_s=0", *QUICK[::2])
-    session = subprocess.Popen(
-        [INTERPRETER, "-m", "dragrig", *words, *(word for item in settings for word in ("--set", item))],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    settings = ("hold_s=100", "wait_s=0", *QUICK[::2])
     watch = CampaignWatch(campaign)
-    try:
+    with command(*words, *(word for item in settings for word in ("--set", item))) as session:
         while (state := watch.look()).recording is None or not state.recording.samples:
-            assert session.poll() is None
+            assert session.is_alive()
             time.sleep(0.05)
-    finally:
-        session.kill()
-        session.wait()
     return state
 
 

@@ -190,7 +190,7 @@ class PressingAsItGoes:
 def test_a_ctrl_c_that_meets_a_destructor_is_not_lost() -> None:
     def work() -> None:
         PressingAsItGoes()
-        threading.Event().wait(10)
+        threading.Event().wait(1)
 
     with EndSignals() as signals, pytest.raises(KeyboardInterrupt):
         work()

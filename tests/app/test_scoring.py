@@ -14,6 +14,7 @@ from dragrig.present.html_page import render_page
 from dragrig.present.terminal import document_text
 from dragrig.scoring import score_exam
 from exams import diagnosis_record, large_exam, truth
+from property_tests import thorough
 
 PAIRS = [
     ("right", truth("stribeck"), diagnosis_record("stribeck")),
@@ -259,7 +260,7 @@ def test_promises_are_compared_where_there_was_a_gap_and_fresh_runs() -> None:
     assert (promises.kept.held, promises.kept.count) == (1, 2)
 
 
-@pytest.mark.parametrize("cases", [1, 160])
+@pytest.mark.parametrize("cases", [thorough(1), 96])
 def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
     from dragrig.exam.blind_exam import BlindExam
 

@@ -21,6 +21,7 @@ from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
 from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
 from dragrig.api import (
     SettleHands,
+    after_diagnosis,
     lacks_runs,
     mirrored_decisions,
     read_settle_record,
@@ -51,6 +52,31 @@ BEGUN = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
 DRAG = {"kind": "drag", "wait_s": 5.0, "speed_mm_s": 5.0, "travel_mm": 20.0}
 
 
+def test_a_batch_is_made_in_its_campaign_and_its_diagnosis_ends_the_loop(tmp_path: Path, shared_folder: Path) -> None:
+    lab = Path(shutil.copytree(begun_loop(shared_folder).parent, tmp_path / "lab"))
+    folder, record = lab / "c", read_settle_record(lab / "c")
+    _, batch = record.batches
+    assert batch.reason
+    assert batch.runs
+    assert (len(record.steps), record.ending) == (1, None)
+    assert record.planned_min <= MINUTES
+    assert read_settle_record(lab / "mirror" / "c") == record
+    assert lacks_runs(folder, record)
+    dragrig.run(batch.plan, append=folder, note=batch.reason, rig=lab / "rig.toml").session.require()
+    assert not lacks_runs(folder, record)
+    more = NextExperiment((NextRun(PlanStep.model_validate(DRAG), 1.0, 0.1),), 9, "Because.")
+    ended = after_diagnosis(folder, record, replace(STRIBECK, open_causes=SURE, next_experiment=more))
+    assert (ended.ending, ended.batches) == (Ending.TIME, record.batches)
+    assert [step.spent_min for step in ended.steps] == sorted(step.spent_min for step in ended.steps)
+    kinds = [run.protocol.kind for plan in (FIRST, batch.plan) for run in resolve(plan).programme().runs]
+    assert sorted(run.kind for run in read_campaign(folder).runs) == sorted(kinds)
+    assert SettleRecord.model_validate_json(ended.model_dump_json()) == ended
+    document = settlement_document(ended, STRIBECK)
+    assert batch.reason.split(" is expected")[0].split(",")[0] in document_text(document)
+    assert json.loads(json.dumps(document.data))["settle"]["batches"][0]["plan"]["name"] == "few"
+
+
+@pytest.mark.thorough
 def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path, shared_folder: Path) -> None:
     lab = Path(shutil.copytree(begun_loop(shared_folder).parent, tmp_path / "lab"))
     mirror = lab / "mirror"
@@ -117,15 +143,17 @@ def decided(minutes: float) -> SettleRecord:
 def test_a_batch_is_not_made_again_where_a_person_went_on_with_another_plan(tmp_path: Path) -> None:
     short = Plan.model_validate({"name": "short", "steps": [{**DRAG, "travel_mm": 5.0}]})
     folder, then = tmp_path / "c", short.model_copy(update={"name": "short-then-1"})
-    dragrig.run(short, out=folder, backend="simulated")
+    rarely = ("rig.sampling.rate_hz=200",)
+    dragrig.run(short, out=folder, backend="simulated", assignments=rarely)
     record = decided(MINUTES).model_copy(
         update={"batches": (Batch(plan=short, minutes=1.0), Batch(plan=then, minutes=1.0))}
     )
     write_settle_record(folder, record)
     assert lacks_runs(folder, record)
-    dragrig.run(then, append=folder, backend="simulated")
+    dragrig.run(then, append=folder, backend="simulated", assignments=rarely)
     assert not lacks_runs(folder, record)
-    dragrig.run("coulomb", append=folder, backend="simulated")
+    other = short.model_copy(update={"name": "another"})
+    dragrig.run(other, append=folder, backend="simulated", assignments=rarely)
     assert not lacks_runs(folder, record)
 
 
@@ -160,7 +188,10 @@ def test_decisions_of_another_loop_in_the_mirror_are_left(tmp_path: Path) -> Non
     assert "a file of this name is there and differs" in told[-1]
 
 
-def test_a_loop_that_never_begins_leaves_nothing_in_campaign_or_mirror(tmp_path: Path) -> None:
+def test_a_loop_that_never_begins_leaves_nothing_in_campaign_or_mirror(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dragrig.session_state.LOCK_TIMEOUT_S", 0.1)
     folder, mirror = tmp_path / "c", tmp_path / "mirror"
     for made in (folder, mirror):
         made.mkdir()

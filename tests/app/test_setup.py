@@ -148,4 +148,4 @@ _VALUES = st.one_of(
 @given(st.lists(st.tuples(_KEYS | st.text(max_size=8), _VALUES), max_size=4))
 def test_any_assignment_works_or_is_refused_in_words(assignments: list[tuple[str, str]]) -> None:
     with suppress(SettingsError, PlanError):
-        resolve("paper", assignments=[f"{key}={value}" for key, value in assignments]).programme()
+        resolve("drag", assignments=[f"{key}={value}" for key, value in assignments]).programme()

@@ -15,9 +15,17 @@ from clusters import dask_cluster
 from dragrig import parallel as processes
 from dragrig.config.errors import SettingsError, WorkerError
 from dragrig.parallel import SerialExecutor, available_cores, open_executor, parallel_map
+from loaded_processes import loaded_processes
 from spreading_pieces import PATIENCE_S, deadly, failing, loaded, product, traced
 
 SEEDS = range(6)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def starting_at_once() -> Iterator[None]:
+    """Start worker processes of a process that has loaded what they need."""
+    with loaded_processes():
+        yield
 
 
 def kill_when_begun(folder: Path, answer: list[int], done_before: list[int]) -> threading.Thread:
@@ -119,14 +127,18 @@ def test_workers_are_the_cores_unless_told() -> None:
         pass
 
 
-def test_a_dask_cluster_gives_the_same() -> None:
+def test_a_dask_cluster_gives_the_same_and_is_refused_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
     from distributed import LocalCluster
 
-    with (
-        LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
-        open_executor(scheduler=cluster.scheduler_address) as workers,
-    ):
-        assert parallel_map(workers, product, SEEDS) == [product(seed) for seed in SEEDS]
+    with LocalCluster(n_workers=0, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster:
+        with monkeypatch.context() as hasty:
+            hasty.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 1)
+            refused = pytest.raises(SettingsError, match="has no workers")
+            with refused, open_executor(scheduler=cluster.scheduler_address):
+                pass
+        cluster.scale(1)
+        with open_executor(scheduler=cluster.scheduler_address) as workers:
+            assert parallel_map(workers, product, SEEDS) == [product(seed) for seed in SEEDS]
 
 
 @pytest.mark.thorough
@@ -169,16 +181,6 @@ def test_a_cluster_that_goes_away_is_told(monkeypatch: pytest.MonkeyPatch, tmp_p
 def test_a_scheduler_that_does_not_answer_is_told(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 1)
     with pytest.raises(SettingsError, match="no Dask scheduler answers there"), open_executor(scheduler=address):
-        pass
-
-
-def test_a_cluster_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dragrig.parallel.CLUSTER_TIMEOUT_S", 5)
-    with (
-        dask_cluster(0) as address,
-        pytest.raises(SettingsError, match="has no workers"),
-        open_executor(scheduler=address),
-    ):
         pass
 
 

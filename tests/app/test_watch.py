@@ -194,8 +194,9 @@ def test_a_session_without_a_state_has_not_ended(tmp_path: Path) -> None:
     assert not (tmp_path / LOCK_FILE).exists()
 
 
-def test_a_campaign_has_one_session_at_a_time(tmp_path: Path) -> None:
+def test_a_campaign_has_one_session_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Not a run is being recorded: the other session waits for a person."""
+    monkeypatch.setattr("dragrig.session_state.LOCK_TIMEOUT_S", 0.1)
     folder = tmp_path / "runs" / "one"
     answer: list[str] = []
 
@@ -222,7 +223,7 @@ def test_a_campaign_has_one_session_at_a_time(tmp_path: Path) -> None:
 
 def test_sessions_started_at_once_have_separate_folders(tmp_path: Path) -> None:
     at = datetime(2026, 5, 4, 9, 30, tzinfo=UTC)
-    setup = resolve("blank", assignments=[f"rig.data.root='{tmp_path}'", "rig.sampling.rate_hz=200"])
+    setup = resolve("blank", assignments=[f"rig.data.root='{tmp_path}'", "rig.sampling.rate_hz=200", "speed_mm_s=20"])
     with ThreadPoolExecutor(3) as some:
         made = list(some.map(lambda _: start_campaign(setup, None, SessionOptions(Path(), origin=at), None), range(3)))
     assert [entry.session.status for entry in made] == [RunStatus.COMPLETE] * 3
@@ -360,7 +361,7 @@ def test_half_open_requests_are_few_at_a_time_and_keep_nobody_out(seen: Onlooker
 
 
 def test_a_request_that_never_ends_is_ended(seen: Onlooker, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dragrig.watch._PageHandler.timeout", 0.3)
+    monkeypatch.setattr("dragrig.watch.CONNECTION_S", 0.3)
     with serve_state_page(0) as page, socket.create_connection(("127.0.0.1", page.port)) as half:
         half.sendall(b"GET / HTTP/1.0\r\n")
         half.settimeout(60.0)
@@ -385,8 +386,15 @@ def test_tabs_without_bound_are_forgotten(seen: Onlooker) -> None:
             page.content(f"{number}{'x' * 1000}")
         tab = "y" * 3000
         urlopen(f"http://127.0.0.1:{page.port}/state.json?token={page.token}&tab={tab}").close()
-        assert len(page._asked_at) == MAX_TABS
-        assert len(list(page._asked_at)[-1]) == MAX_TAB_CHARACTERS
+        for number in range(MAX_TABS + 1, 2 * MAX_TABS):
+            page.forget(f"{number}{'x' * 1000}")
+        waiting = threading.Thread(target=page.wait_for_tabs)
+        waiting.start()
+        waiting.join(0.2)
+        assert waiting.is_alive(), "the last tab was forgotten"
+        page.forget(tab[:MAX_TAB_CHARACTERS])
+        waiting.join(0.9 * HIDDEN_TAB_S)
+        assert not waiting.is_alive(), "another tab is waited for"
 
 
 def test_the_time_left_follows_the_pace(tmp_path: Path) -> None:

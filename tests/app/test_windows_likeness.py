@@ -43,7 +43,8 @@ def test_posix_only_modules_are_really_out_of_reach(windows_like: dict[str, str]
 def test_spawned_commands_need_no_posix(windows_like: dict[str, str], tmp_path: Path) -> None:
     lines = [
         "init lab",
-        "run drag --yes --out c --set travel_mm=10 --set way_back=stay --set wait_s=0",
+        "run drag --yes --out c --set travel_mm=10 --set way_back=stay --set hold_s=0.5 --set wait_s=0 "
+        "--set rig.sampling.rate_hz=200",
         "filter c",
         "export c",
         "table c",

@@ -1,14 +1,11 @@
-"""Clients of an engine's host that are processes of their own, so that they can be held and killed.
-
-`python engine_clients.py FOLDER PLAN_SECONDS HOLD_S` starts a session at the real pace, says what happens on standard
-output, a line each, and holds its interpreter for `HOLD_S` seconds once the run moves.
-"""
+"""Clients of an engine's host: they hear what it says, may be held, and may be processes that are killed."""
 
 import ctypes
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from dragrig.config.plan import Plan
@@ -20,14 +17,13 @@ from dragrig.engine_host.messages import (
     PromptShown,
     ResetGuard,
     RigSelection,
-    RunStarted,
     SessionFinished,
     SessionJob,
-    SessionStarted,
     SilenceLimits,
     StartSession,
 )
-from dragrig.rig.operator import Answer  # fmt: skip
+from dragrig.rig.operator import Answer
+from loaded_processes import loaded_processes
 
 PATIENCE_S = 600.0
 """Machines that test are busy."""
@@ -111,21 +107,10 @@ def hold_the_interpreter(duration_s: float) -> None:
         ctypes.PyDLL(None).usleep(round(1e6 * duration_s))
 
 
-def main(folder: Path, seconds: float, hold_s: float) -> None:
-    """Be the client that is held or killed."""
-    with listening() as listener:
-        listener.client.ask(StartSession(SessionJob(1, plan(10.0 / seconds, 10.0), pace="real", out=folder)))
-        listener.until(SessionStarted)
-        listener.until(RunStarted)
+def killed_client(folder: Path, connection: "Connection[int, int]") -> None:
+    """Be the client that is killed: say the host's process once its run of a minute moves, and wait."""
+    with loaded_processes(), listening() as listener:
+        listener.client.ask(StartSession(SessionJob(1, plan(10.0 / 60.0, 10.0), pace="real", out=folder)))
         listener.until_samples(400)
-        print("moving", listener.client.pid, flush=True)
-        begun = time.monotonic()
-        hold_the_interpreter(hold_s)
-        print("held", time.monotonic() - begun, flush=True)
-        ended = listener.until(SessionFinished)
-        assert isinstance(ended, SessionFinished)
-        print("ended", ended.status, flush=True)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3]))
+        connection.send(listener.client.pid)
+        listener.until(SessionFinished)

@@ -20,7 +20,7 @@ from dragrig.engine_host.messages import RigSelection, SessionFinished, SessionJ
 from dragrig.window.main_window import MainWindow, qt_application
 from dragrig.window.widgets import StoredSettings
 
-LIMITS = SilenceLimits(4.0, 600.0)
+LIMITS = SilenceLimits(3.0, 600.0)
 """A busy machine may hold the window up too, and for longer than the usual second."""
 HELD_S = 20.0
 

@@ -3,6 +3,7 @@
 import multiprocessing
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
 
 import pytest
 
@@ -32,3 +33,18 @@ def loaded_processes() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(multiprocessing, "get_context", lambda _: context)
         yield
+
+
+@contextmanager
+def command(*words: str) -> Iterator[BaseProcess]:
+    """Have `dragrig` called with these words by a process of its own, which is killed at the end."""
+    from dragrig.cli import main
+
+    with loaded_processes():
+        process = multiprocessing.get_context("spawn").Process(target=main, args=(list(words),))
+        process.start()
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.join()

@@ -186,7 +186,11 @@ def test_what_does_not_suit_the_campaign_is_refused_before_anything_moves(
     assert sorted(campaign.glob("*.*")) == before
 
 
-def test_a_folder_that_is_no_campaign_or_in_use_or_read_only_is_refused(campaign: Path, tmp_path: Path) -> None:
+def test_a_folder_that_is_no_campaign_or_in_use_or_read_only_is_refused(
+    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dragrig.campaign_session.FINISHING_S", 0.1)
+    monkeypatch.setattr("dragrig.session_state.LOCK_TIMEOUT_S", 0.1)
     with pytest.raises(OutputError, match="there is no such campaign"):
         dragrig.run("drag", append=tmp_path / "none")
     (tmp_path / "empty").mkdir()

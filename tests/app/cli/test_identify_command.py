@@ -15,6 +15,7 @@ from dragrig.config.errors import AnalysisError
 from dragrig.rig.runfile import mark_bad, read_run
 from dragrig.rig.runfile.model import Run
 from places import CAMPAIGN, copied_runs
+from property_tests import thorough
 
 
 @pytest.fixture
@@ -28,15 +29,19 @@ def few(tmp_path: Path) -> Path:
     return copied_runs(tmp_path / "few", "008-coulomb.h5", "010-drag.h5", "018-drag.h5")
 
 
-def test_the_model_that_was_identified_runs_the_simulator(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    campaign = copied_runs(tmp_path / "one-of-each", "001-relaxation.h5", "008-coulomb.h5", "010-drag.h5")
+@pytest.mark.parametrize("kinds", [("coulomb", "drag"), thorough(("relaxation", "coulomb", "drag"))], ids=len)
+def test_the_model_that_was_identified_runs_the_simulator(
+    kinds: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = {"relaxation": "001-relaxation.h5", "coulomb": "008-coulomb.h5", "drag": "010-drag.h5"}
+    campaign = copied_runs(tmp_path / "one-of-each", *(runs[kind] for kind in kinds))
     assert main(["identify", str(campaign), "--quiet"]) == 0
     output = capsys.readouterr().out
     assert "friction_coefficient" in output
     assert "Left out" not in output
     model = campaign / "identified" / "model.toml"
     assert {path.name for path in model.parent.iterdir()} == {
-        "model.toml", "joint-fit.png", "relaxation.png", "coulomb.png", "drag.png",
+        "model.toml", "joint-fit.png", *(f"{kind}.png" for kind in kinds),
     }  # fmt: skip
     (drag, *_) = dragrig.simulate("drag", model=model, assignments=["speed_mm_s=30", "way_back=stay"])
     steady = drag.trace.force[drag.trace.phase == 2][-100:].mean()

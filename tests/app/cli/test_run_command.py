@@ -24,6 +24,7 @@ from dragrig.rig.operator import NullOperator
 from dragrig.rig.runfile import Recorder, mark_bad, read_campaign, read_run
 from dragrig.rig.runfile.model import RunInfo, RunStatus
 from dragrig.setup import resolve
+from loaded_processes import command
 from runfiles import header
 
 QUICK = ("drag", "--set", "travel_mm=10", "--set", "hold_s=0.5")
@@ -156,11 +157,13 @@ def test_quiet_leaves_the_result_alone(run: Runner) -> None:
     assert run.json_answer(*QUICK, "--yes", "--quiet").err == ""
 
 
+SLOW = ("drag", "--yes", "--pace", "real", "--set", "wait_s=0", "--set", "rest_s=0.2", "--set", "speed_mm_s=2")
+
+
 @pytest.fixture
 def waiting(tmp_path: Path) -> Iterator["subprocess.Popen[str]"]:
-    slow = ("drag", "--yes", "--pace", "real", "--set", "wait_s=0", "--set", "rest_s=0.2", "--set", "speed_mm_s=2")
     process = subprocess.Popen(
-        [INTERPRETER, "-m", "dragrig", "run", *slow, "--out", "c", "--json"],
+        [INTERPRETER, "-m", "dragrig", "run", *SLOW, "--out", "c", "--json"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -234,10 +237,9 @@ def test_a_tripped_campaign_can_be_resumed(run: Runner, tmp_path: Path) -> None:
     assert "only rig" in run.json_answer("--resume", "c", "--yes", "--set", "speed_mm_s=3", code=2).err
 
 
-def test_a_crashed_campaign_can_be_resumed(waiting: "subprocess.Popen[str]", run: Runner, tmp_path: Path) -> None:
-    recording = until_it_records(tmp_path / "c")
-    waiting.kill()
-    waiting.wait()
+def test_a_crashed_campaign_can_be_resumed(run: Runner, tmp_path: Path) -> None:
+    with command("run", *SLOW, "--out", str(tmp_path / "c"), "--quiet"):
+        recording = until_it_records(tmp_path / "c")
     again = run("--resume", "c", "--yes")
     assert not recording.exists()
     assert statuses(tmp_path / "c") == [
@@ -248,7 +250,10 @@ def test_a_crashed_campaign_can_be_resumed(waiting: "subprocess.Popen[str]", run
     assert again["status"] == "complete"
 
 
-def test_a_campaign_that_is_being_recorded_is_left_alone(run: Runner, campaign: Path) -> None:
+def test_a_campaign_that_is_being_recorded_is_left_alone(
+    run: Runner, campaign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dragrig.campaign_session.FINISHING_S", 0.1)
     before = sorted((campaign).iterdir())
     with Recorder(campaign / "20260504-093000-drag-009.h5", header(order=9)):
         assert "is being recorded; go on" in run.json_answer("--resume", "c", "--yes", code=2).err

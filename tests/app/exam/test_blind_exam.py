@@ -1,11 +1,12 @@
 """An exam of the diagnosis: balanced cases, sealed answers, what is kept, what is said of it."""
 
 import json
+import multiprocessing
 import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from hashlib import sha256
 from pathlib import Path
@@ -29,13 +30,22 @@ from dragrig.exam.blind_exam import (
 )
 from dragrig.exam.examinee import BlindDiagnosis, BlindTask, diagnose_blind
 from dragrig.sim_backend.blind import CATALOGUE, parallel_session, write_campaign
+from driving import until
 from exam_pieces import diagnosis_killed_once, quick_diagnosis
 from exams import StoppedError, make_campaigns
 from hidden import thinned
+from loaded_processes import loaded_processes
 from property_tests import thorough
 
 SEED = 611_203
 """Of the short exam; it was drawn once, and nothing was adjusted to it."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def starting_at_once() -> Iterator[None]:
+    """Start workers of a process that has loaded what they need."""
+    with loaded_processes():
+        yield
 
 
 def test_the_mix_is_balanced() -> None:
@@ -222,6 +232,26 @@ def unfinished(out: Path) -> list[Path]:
     return [*out.glob("campaigns/.0001-*"), *out.glob("fresh/.0001-*")]
 
 
+def test_what_a_killed_worker_had_begun_to_write_is_cleared_once_the_exam_goes_on(tmp_path: Path) -> None:
+    out, [case] = tmp_path / "exam", draw_cases(1, 5)
+    order = CampaignOrder(case, out / "campaigns" / case.name, out / "fresh" / case.name)
+    worker = multiprocessing.get_context("spawn").Process(target=simulate_campaign, args=(order,))
+    with open_exam_folder(out, 1, 5, "exam"):
+        worker.start()
+        until(lambda: bool(unfinished(out)))
+        worker.kill()
+        worker.join()
+    [begun] = unfinished(out)
+    others = [begun.with_name(".mine"), begun.with_name(".0002-mine.begun")]
+    for path in others:
+        path.mkdir()
+    make_few_runs(out, 1, 5)
+    gap_blind(1, 5, out, workers=1, sizes=False, diagnose=quick_diagnosis)
+    assert unfinished(out) == []
+    assert all(path.is_dir() for path in others)
+
+
+@pytest.mark.thorough
 def test_what_a_killed_exam_had_begun_to_write_is_cleared_once_it_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,6 +12,7 @@ from matplotlib.text import Text
 from dragrig.analysis.estimates import Estimate
 from dragrig.analysis.identification.identification import JointFit, ParameterEstimate, RunResidual
 from dragrig.present.identification_figures import JOINT_MAX_RUNS, joint_fit_figure
+from property_tests import thorough
 
 STIFFNESS = ParameterEstimate("stiffness_scale", "1", 1.05, 0.03, (0.99, 1.11), (0.75, 1.34), 0.8)
 ANGLE = ParameterEstimate("contact_angle_offset_deg", "deg", -0.2, 0.1, (-0.4, 0.0), (-1.4, 1.4), 0.8)
@@ -58,12 +59,12 @@ LONG = "2026-05-04-a-campaign-with-a-name-that-never-comes-to-an-end-at-least-no
 @pytest.mark.parametrize(
     "drawn",
     [
-        fit(),
+        thorough(fit()),
         fit(*(run(f"{LONG}-{number:03d}-drag.h5") for number in range(34))),
         fit(run("a.h5", 4020.0), run("b.h5", 0.01)),
         fit(parameters=tuple(replace(STIFFNESS, name=f"{LONG}_{number}", unit="mN·s/mm") for number in range(3))),
-        replace(fit(), combinations=(), converged=False),
-        replace(fit(), p_value=1e-9),
+        thorough(replace(fit(), combinations=(), converged=False)),
+        thorough(replace(fit(), p_value=1e-9)),
     ],
     ids=["plain", "many runs, long names", "large and small", "long parameters", "not converged", "unexplained"],
 )

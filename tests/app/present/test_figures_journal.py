@@ -42,7 +42,7 @@ def small_figure(*, narrow: bool = True) -> MatplotlibFigure:
     [
         ("single", 85.0, ("png",)),
         thorough("single", 85.0, ("svg", "pdf")),
-        ("double", 180.0, ("pdf",)),
+        thorough("double", 180.0, ("pdf",)),
         ("88", 88.0, ("svg",)),
         thorough("double", 180.0, ("png", "svg")),
         thorough("88", 88.0, ("png", "pdf")),

@@ -80,8 +80,9 @@ def test_the_wall_parameters_say_how_far_eq_14_is_off() -> None:
 
 def test_the_picture_names_what_was_chosen() -> None:
     model = MODEL.model_copy(update={"wall": "table1", "stiffness_scale": 1.2})
-    assert "wall Table 1" in texts(forces_figure(model, CAPSULE, 2.5))
-    assert "stiffness × 1.2" in texts(forces_figure(model, CAPSULE, 2.5))
+    shown = texts(forces_figure(model, CAPSULE, 2.5))
+    assert "wall Table 1" in shown
+    assert "stiffness × 1.2" in shown
 
 
 def test_a_standstill_has_no_steady_force() -> None:

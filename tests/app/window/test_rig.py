@@ -24,14 +24,20 @@ from dragrig.window.session_queue import QueueState
 ON_A_SWITCH = (
     add_ons.CODE.replace("needs_hands = True", "needs_hands = False")
     + """
+from threading import Event
 from dragrig.rig.devices import TravelEnd
+from dragrig.rig.profile import MotionProfile, trapezoid
 from sim_faults import Faults, LimitSwitch
 
 def hardware(request):
-    made = Handed(request.rig, request.model, VirtualClock(request.origin), Faults(limit_switch=LimitSwitch(
-        TravelEnd.HIGH, 100.0)))
-    made.stage._axis.place(101.0)
-    made.stage._homed = True
+    clock, way = VirtualClock(request.origin), MotionProfile.from_pieces(trapezoid(101.0, 50.0, 400.0))
+    made = Handed(request.rig, request.model, clock, Faults(limit_switch=LimitSwitch(TravelEnd.HIGH, 100.0)))
+    made.stage.enable()
+    made.stage.home()
+    made.stage.override_limit(TravelEnd.HIGH)
+    made.stage.move(way)
+    clock.sleep(way.duration_s + 1.0, Event())
+    made.stage.disable()
     return made
 """
 )

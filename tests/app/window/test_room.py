@@ -61,7 +61,7 @@ def is_whole(widget: QWidget, window: MainWindow) -> bool:
     )
 
 
-@pytest.mark.parametrize("size", [SMALL, QSize(1920, 1080)], ids=["1024 by 650", "full HD"])
+@pytest.mark.parametrize("size", [SMALL, thorough(QSize(1920, 1080))], ids=["1024 by 650", "full HD"])
 def test_notices_never_change_the_windows_size(window: MainWindow, size: QSize) -> None:
     window.resize(size)
     window.take(GuardState(""))

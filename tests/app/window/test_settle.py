@@ -15,6 +15,7 @@ from pytestqt.qtbot import QtBot
 
 import dragrig
 from dragrig.analysis.gap import Ending
+from dragrig.analysis.gap.settling import SETTLE_FILE
 from dragrig.api import read_settle_record, take_up_settling
 from dragrig.config import Plan
 from dragrig.engine_host import Answer, SessionJob
@@ -134,7 +135,9 @@ def test_a_queued_session_of_a_campaign_waits_again_at_the_next_start() -> None:
     assert again.of_campaign(Path("runs/few"), plan.model_copy(update={"name": "few-then-2"})) is None
 
 
-def test_more_time_for_a_settled_campaign_is_counted_from_what_was_spent(few: Path) -> None:
-    record = take_up_settling(few, 20.0)
+def test_more_time_for_a_settled_campaign_is_counted_from_what_was_spent(shared_folder: Path, tmp_path: Path) -> None:
+    campaign = Path(shutil.copytree(begun_loop(shared_folder), tmp_path / "c"))
+    (campaign / SETTLE_FILE).unlink()
+    record = take_up_settling(campaign, 20.0)
     assert record.minutes == pytest.approx(20.0 + resolve(FIRST).programme().duration_s / 60)
     assert record.left_min == pytest.approx(20.0)
