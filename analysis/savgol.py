@@ -291,11 +291,6 @@ class SavgolStream:
         self._events: list[RunEvent] = []
 
     @property
-    def delay_samples(self) -> int:
-        """Samples by which a filtered value lags behind its raw one: half a window."""
-        return self._half
-
-    @property
     def events(self) -> tuple[RunEvent, ...]:
         """One event for each piece that was too short to filter, so far."""
         return tuple(self._events)

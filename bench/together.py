@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
+from zlib import crc32
 
 import numpy as np
 
@@ -39,14 +40,17 @@ from dragrig.scoring import wilson_rate
 from dragrig.sim_backend.blind import (
     CATALOGUE,
     RIG_GROUPS,
+    BlindCampaign,
     draw_campaign,
     effect_group,
-    other_specimen,
     write_campaign,
 )
+from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect
 
 SPECIMENS = 5
 EMPTY_CAMPAIGNS = 20
+SPECIMEN_SPREAD = 0.25
+"""Relative spread of the size of an effect of the gut between specimens, of its logarithm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +129,32 @@ def draw_groups(groups: int, seed: int, plant: str) -> list[Group]:
         for first in range(0, EMPTY_CAMPAIGNS, SPECIMENS)
     ]
     return found
+
+
+def other_specimen(campaign: BlindCampaign, seed: int) -> BlindCampaign:
+    """Return a campaign of the same rig on another specimen, with the same hidden effects.
+
+    Those of the rig are the same in form and parameters. Those of the gut keep their form; their size scatters between
+    specimens, and what is periodic has a phase of its own. Specimen, noise, programme and variations are those of
+    `draw_campaign` with the seed.
+    """
+    drawn = draw_campaign(seed, runs=campaign.programme, plant=campaign.plant, conditions=campaign.conditions)
+    random = np.random.default_rng((seed, crc32(b"effects of another specimen")))
+    effects = [
+        effect if effect_group(effect.name) in RIG_GROUPS else in_other_gut(effect, random)
+        for effect in campaign.effects
+    ]
+    return replace(drawn, effects=tuple(effects), sizes=campaign.sizes)
+
+
+def in_other_gut(effect: HiddenEffect, random: np.random.Generator) -> HiddenEffect:
+    """Return an effect of the gut as another specimen has it."""
+    values = dict(effect.parameters)
+    values["amplitude"] *= float(np.exp(SPECIMEN_SPREAD * random.standard_normal()))
+    for name in values:
+        if name == "phase" or name.endswith("_phase"):
+            values[name] = float(random.uniform(0.0, 2 * np.pi))
+    return replace(effect, parameters=values)
 
 
 def write_member(member: Member, folder: Path) -> None:

@@ -2,7 +2,6 @@ from .blind_campaign import CONDITIONS as CONDITIONS
 from .blind_campaign import PLANTS as PLANTS
 from .blind_campaign import BlindCampaign as BlindCampaign
 from .blind_campaign import draw_campaign as draw_campaign
-from .blind_campaign import other_specimen as other_specimen
 from .blind_campaign import parallel_session as parallel_session
 from .blind_campaign import true_answer as true_answer
 from .blind_campaign import without_effects as without_effects

@@ -12,7 +12,7 @@ from zlib import crc32
 
 import numpy as np
 
-from dragrig.sim_backend.blind.effects import CATALOGUE, DRAWN, OUTSIDE, RIG_GROUPS, effect_group
+from dragrig.sim_backend.blind.effects import CATALOGUE, DRAWN, OUTSIDE
 from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect, one_of
 from dragrig.sim_backend.blind.run_plans import CapsuleDummy, RunList, RunPlan, draw_programme, in_session
 
@@ -403,35 +403,6 @@ def draw_campaign(
         second=second,
         exchange_recorded=setting.exchange_recorded,
     )
-
-
-SPECIMEN_SPREAD = 0.25
-"""Relative spread of the size of an effect of the gut between specimens, of its logarithm."""
-
-
-def other_specimen(campaign: BlindCampaign, seed: int) -> BlindCampaign:
-    """Return a campaign of the same rig on another specimen, with the same hidden effects.
-
-    Those of the rig are the same in form and parameters. Those of the gut keep their form; their size scatters between
-    specimens, and what is periodic has a phase of its own. Specimen, noise, programme and variations are those of
-    `draw_campaign` with the seed.
-    """
-    drawn = draw_campaign(seed, runs=campaign.programme, plant=campaign.plant, conditions=campaign.conditions)
-    random = _random(seed, "effects of another specimen")
-    effects = [
-        effect if effect_group(effect.name) in RIG_GROUPS else _in_other_gut(effect, random)
-        for effect in campaign.effects
-    ]
-    return replace(drawn, effects=tuple(effects), sizes=campaign.sizes)
-
-
-def _in_other_gut(effect: HiddenEffect, random: np.random.Generator) -> HiddenEffect:
-    values = dict(effect.parameters)
-    values["amplitude"] *= float(np.exp(SPECIMEN_SPREAD * random.standard_normal()))
-    for name in values:
-        if name == "phase" or name.endswith("_phase"):
-            values[name] = float(random.uniform(0.0, 2 * np.pi))
-    return replace(effect, parameters=values)
 
 
 def parallel_session(campaign: BlindCampaign, runs: str | RunList = "fresh") -> BlindCampaign:
