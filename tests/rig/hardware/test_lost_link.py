@@ -111,7 +111,7 @@ def _expect_power_gone(kind: type[DrivePort], fault: str, wiring: str, dialect: 
 
 
 def test_a_drive_that_is_heard_again_moves_again() -> None:
-    with driven(lines={"enable": ENABLE}, silence_s=SILENCE_S, reply_s=0.1) as rig:
+    with driven(lines={"enable": ENABLE}, silence_s=3 * SILENCE_S, reply_s=0.1) as rig:
         lose_link(rig, "drive_cut_off")
         until(lambda: not rig.bench.read_line(ENABLE))
         rig.bench.faults.clear()
