@@ -151,11 +151,13 @@ from .savgol import filter_file as filter_file
 from .savgol import filter_run as filter_run
 from .savgol import smooth as smooth
 from .savgol import smooth_channel as smooth_channel
+from .segments import ForceBurst as ForceBurst
 from .segments import ForcePulse as ForcePulse
 from .segments import Mask as Mask
 from .segments import at_rest as at_rest
 from .segments import attribute_number as attribute_number
 from .segments import clipped_samples as clipped_samples
+from .segments import force_bursts as force_bursts
 from .segments import force_pulses as force_pulses
 from .segments import gap_starts as gap_starts
 from .segments import in_phase as in_phase

@@ -215,11 +215,11 @@ def unknown_by_excess_alone(
     )
 
 
-def as_misjudged_noise(classification: Classification) -> Classification:
-    """Return the verdict `no_gap` in place of `unknown`, with its probability."""
+def with_verdict(classification: Classification, verdict: Verdict) -> Classification:
+    """Return the verdict `no_gap` in place of `unknown`, or the other way round, with its probability."""
     probabilities = dict(classification.probabilities)
     probabilities[NO_GAP], probabilities[UNKNOWN] = probabilities[UNKNOWN], probabilities[NO_GAP]
-    return replace(classification, verdict=Verdict.NO_GAP, probabilities=probabilities)
+    return replace(classification, verdict=verdict, probabilities=probabilities)
 
 
 def _classify_with_position(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
@@ -329,11 +329,7 @@ def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalib
 
 
 def combined_presence(
-    on_force: Classification,
-    competition: Mapping[str, float],
-    weights: PresenceWeights,
-    *,
-    stage_strays: bool = False,
+    on_force: Classification, competition: Mapping[str, float], weights: PresenceWeights, *, stage_strays: bool = False
 ) -> dict[str, float]:
     """Return the probability that each effect on the force is there, from classifier and competition together.
 

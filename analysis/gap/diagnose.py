@@ -185,7 +185,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
     options, selection, fit, blocks = weighed.options, weighed.selection, weighed.fit, weighed.blocks
     classification = weighed.verdict
     reduction, traces = weighed.held_out
-    where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP)
+    where = localise(blocks, present=classification.verdict is not Verdict.NO_GAP and not weighed.bursts)
     where = attribute_to_effects(where, blocks, _named_force(study, fit, weighed.hum))
     files = tuple(run.file for run in study.runs)
     budget = _budget(weighed)
@@ -213,7 +213,9 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         tolerance_mN=options.tolerance_mN,
         where=where,
         shrink=reduction,
-        unknown=describe_unexplained_gap(where, blocks, classification, weighed.unnamed_line, weighed.inputs),
+        unknown=describe_unexplained_gap(
+            where, blocks, classification, weighed.unnamed_line, weighed.bursts, weighed.inputs
+        ),
         model=amended_model(study, fit, position, lines, classification, search, reduction, selection),
         traces=traces,
         limitations=(*study.limitations(), *next_runs.limitations),

@@ -465,10 +465,7 @@ def _on_same_blocks(study: Study, reference: Study) -> Study:
     pairs = zip(study.problem.channels, reference.problem.channels, strict=True)
     channels = tuple(replace(data, blocks=reference_data.blocks) for data, reference_data in pairs)
     problem = replace(
-        study.problem,
-        channels=channels,
-        noises=reference.problem.noises,
-        zero_sds=reference.problem.zero_sds,
+        study.problem, channels=channels, noises=reference.problem.noises, zero_sds=reference.problem.zero_sds
     )
     return replace(study, problem=problem, runs=run_data_of(channels))
 

@@ -116,11 +116,7 @@ def choose_runs(
         spread = tuple(experiment for experiment in selection.experiments if experiment.run.info.path in paths)
         selection = _with_count_remark(replace(selection, experiments=spread), len(selection.experiments))
     return _with_one_sensor(
-        replace(
-            selection,
-            left_out=(*selection.left_out, *left_out),
-            remarks=(*choice_remarks, *selection.remarks),
-        )
+        replace(selection, left_out=(*selection.left_out, *left_out), remarks=(*choice_remarks, *selection.remarks))
     )
 
 

@@ -269,11 +269,7 @@ def _pooled_effect(name: str, cause: PooledCause, campaigns: Sequence[CampaignEv
 def _with_patterns(
     name: str, odds: PatternOdds, probability: float, campaigns: Sequence[CampaignEvidence]
 ) -> PooledEffect:
-    logs = {
-        Where.ALL: odds.everywhere,
-        Where.SOME: odds.some,
-        Where.ONE: float(np.logaddexp.reduce(odds.single)),
-    }
+    logs = {Where.ALL: odds.everywhere, Where.SOME: odds.some, Where.ONE: float(np.logaddexp.reduce(odds.single))}
     shares = {where: float(np.exp(value - odds.total)) for where, value in logs.items()}
     single = np.exp(odds.single - odds.total)
     presence = probability * np.clip(shares[Where.ALL] + shares[Where.SOME] * odds.members + single, 0.0, 1.0)

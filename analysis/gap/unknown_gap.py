@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from dragrig.analysis import capitalise, percent_text
+from dragrig.analysis import ForceBurst, capitalise, percent_text
 from dragrig.analysis.gap.diagnosis import (
     AxisLocation,
     Classification,
@@ -116,11 +116,7 @@ def _domain_values(blocks: ResidualBlocks, domain: str) -> FloatArray:
 
 
 def _binned_means(
-    bins: IndexArray,
-    run: IndexArray,
-    coordinate: FloatArray,
-    residual: FloatArray,
-    weight: FloatArray,
+    bins: IndexArray, run: IndexArray, coordinate: FloatArray, residual: FloatArray, weight: FloatArray
 ) -> Trend:
     rows: list[Sequence[float]] = []
     for number in np.unique(bins).tolist():
@@ -559,6 +555,7 @@ def describe_unexplained_gap(
     blocks: Sequence[ResidualBlocks],
     classification: Classification,
     line: SpectralLine | None,
+    bursts: Sequence[ForceBurst],
     inputs: DecisionInputs,
 ) -> UnexplainedGap | None:
     """Return location, dependence and law of an unexplained gap; None if all is explained.
@@ -567,12 +564,22 @@ def describe_unexplained_gap(
     ----------
     line
         Spectral line because of which the verdict is `unknown`, if any.
+    bursts
+        Bursts of the force that are the gap, if any.
     """
     if classification.verdict is not Verdict.UNKNOWN and not classification.residual_unknown:
         return None
     if line is not None:
         return UnexplainedGap(*line_texts(line, blocks[0].channel))
     localisable = any(where.location("channel").shares.values())
+    if bursts:
+        heights = [burst.height_mN for burst in bursts]
+        typical, ms = two_digits(np.median(heights)), 1e3 * np.median([burst.duration_s for burst in bursts])
+        return UnexplainedGap(
+            "It is in bursts of the force while the motion is calm, too short for means over blocks to show them.",
+            f"{len(bursts)} bursts, typically of {typical} mN for {ms:.0f} ms, up to {two_digits(max(heights))} mN: "
+            "look for loose contacts and for what touches the stage.",
+        )
     if where.runs > 1 and not localisable:
         return UnexplainedGap(NOT_LOCALISABLE, nonparametric_law_text(inputs))
     region = gap_region(where, blocks)

@@ -13,12 +13,14 @@ import numpy as np
 
 from dragrig.analysis import (
     Experiment,
+    ForceBurst,
     MovingLine,
     NominalModel,
     Progress,
     RunSelection,
     counted,
     estimate_noise,
+    force_bursts,
     no_progress,
     repeat_differences,
     single_blas_thread,
@@ -28,14 +30,14 @@ from dragrig.analysis.gap.candidate_runs import ExperimentBudget
 from dragrig.analysis.gap.classifier import (
     MIN_LLR_BESIDE_POSITION,
     Judgement,
-    as_misjudged_noise,
     judge,
     mains_hum_present,
     unknown_because_of_line,
     unknown_by_excess_alone,
+    with_verdict,
 )
 from dragrig.analysis.gap.design import Study
-from dragrig.analysis.gap.diagnosis import ALPHA, Classification, GapReduction, RunTraces
+from dragrig.analysis.gap.diagnosis import ALPHA, Classification, GapReduction, RunTraces, Verdict
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.features import (
     DecisionInputs,
@@ -141,11 +143,7 @@ def _swing_period_s(singles: Sequence[HypothesisFit]) -> float:
 
 
 def _summary(
-    fit: HypothesisFit,
-    study: Study,
-    llr: float,
-    chi2_without: float,
-    laws: tuple[NonparametricLaw, ...] = (),
+    fit: HypothesisFit, study: Study, llr: float, chi2_without: float, laws: tuple[NonparametricLaw, ...] = ()
 ) -> HypothesisSummary:
     return HypothesisSummary(
         effects=fit.effects,
@@ -166,6 +164,8 @@ def _summary(
 SLOW_LINE_HZ, MIN_SLOW_LINE_LLR = 4.9, 300.0
 """Slow noise resembles lines below this frequency with smaller log likelihood ratios: at most 38 in 500 simulated
 campaigns."""
+MIN_BURSTS = 4
+"""Chance makes none in a campaign; a door that slams, or a hand on the table, makes one or two."""
 MAX_GAP_OVER_FLOOR = 1.05
 """A gap up to this multiple of its floor equals it."""
 PREPARING_COST, SEARCH_COST, COMPETITION_COST = 26, 34, 34
@@ -287,14 +287,27 @@ class WeighedCauses:
 
     @cached_property
     def verdict(self) -> Classification:
-        """The verdict: the judgement's, but that noise which is a little misjudged is no gap."""
+        """The verdict: the judgement's, but that noise which is a little misjudged is no gap, and bursts are one."""
+        return with_verdict(self._verdict_of_means, Verdict.UNKNOWN) if self.bursts else self._verdict_of_means
+
+    @cached_property
+    def _verdict_of_means(self) -> Classification:
         judged, tolerance_mN = self.judgement.verdict, self.options.tolerance_mN
         calibration = _calibration_for(self.study, self.options)
         if not unknown_by_excess_alone(self.inputs, judged, tolerance_mN, calibration):
             return judged
         reduction, where = self.held_out[0], localise(self.blocks, present=True)
         noise = reduction is not None and equals_noise(reduction.gap_before_mN, reduction.noise_floor_mN, where.p)
-        return as_misjudged_noise(judged) if noise else judged
+        return with_verdict(judged, Verdict.NO_GAP) if noise else judged
+
+    @cached_property
+    def bursts(self) -> tuple[ForceBurst, ...]:
+        """Bursts beyond the tolerance where nothing else is a gap; none of fewer than `MIN_BURSTS`."""
+        if self._verdict_of_means.verdict is not Verdict.NO_GAP:
+            return ()
+        of_runs = (force_bursts(run.run.trace, run.valid) for run in self.selection.experiments)
+        bursts = tuple(burst for found in of_runs for burst in found if burst.height_mN > self.options.tolerance_mN)
+        return bursts if len(bursts) >= MIN_BURSTS else ()
 
     @property
     def in_position(self) -> frozenset[str]:

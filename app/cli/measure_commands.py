@@ -225,11 +225,7 @@ def run_command(
 
 
 def _require_plan_or_campaign(
-    plan: str | None,
-    campaign: Path | None,
-    settings: options.SettingsOptions,
-    out: Path | None,
-    append: Path | None,
+    plan: str | None, campaign: Path | None, settings: options.SettingsOptions, out: Path | None, append: Path | None
 ) -> None:
     context = click.get_current_context()
     if append is not None and out is not None:

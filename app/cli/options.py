@@ -119,6 +119,24 @@ class RigOptions(TypedDict):
     assignments: tuple[str, ...]
 
 
+class StageOptions(RigOptions):
+    """The same, with the pace that `rig_session` adds."""
+
+    pace: Pace | None
+
+
+class OperatorOptions(StageOptions):
+    """The same, with the operator's name."""
+
+    operator: str
+
+
+class CalibrationOptions(OperatorOptions):
+    """The same, with a note."""
+
+    note: str
+
+
 class SettingsOptions(RigOptions):
     """The arguments that `settings` adds, as `dragrig.setup.SetupChoices`."""
 

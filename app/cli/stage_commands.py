@@ -12,15 +12,13 @@ from dragrig.cli.options import NUMBER
 @click.command("home")
 @options.override_limit
 @options.rig_session
-def home_command(
-    override: str | None, pace: options.Pace | None, yes: bool, as_json: bool, **rig: Unpack[options.RigOptions]
-) -> None:
+def home_command(override: str | None, yes: bool, as_json: bool, **rig: Unpack[options.StageOptions]) -> None:
     """Find the stage's origin; announces the motion and asks first. Prints the stage's position."""
     from dragrig.api import home
     from dragrig.cli.operator import TerminalOperator
 
     with TerminalOperator(yes=yes) as person:
-        move = home(override=options.limit_side(override), pace=pace, person=person, **rig)
+        move = home(override=options.limit_side(override), person=person, **rig)
     options.print_move(move, as_json=as_json)
 
 
@@ -33,10 +31,9 @@ def jog_command(
     distance_mm: float,
     speed_mm_s: float | None,
     override: str | None,
-    pace: options.Pace | None,
     yes: bool,
     as_json: bool,
-    **rig: Unpack[options.RigOptions],
+    **rig: Unpack[options.StageOptions],
 ) -> None:
     """Move the stage by MM, as 5 or -2.5; announces the motion and asks first. Prints the stage's position.
 
@@ -47,7 +44,7 @@ def jog_command(
 
     side = options.limit_side(override)
     with TerminalOperator(yes=yes) as person:
-        move = jog(distance_mm, speed_mm_s, override=side, pace=pace, person=person, **rig)
+        move = jog(distance_mm, speed_mm_s, override=side, person=person, **rig)
     options.print_move(move, as_json=as_json)
 
 
@@ -68,13 +65,7 @@ def jog_command(
     "--most", "most_mm", metavar="MM", type=NUMBER, default=20.0, show_default=True, help="Longest travel, signed."
 )
 @click.option(
-    "--back",
-    "back_mm",
-    metavar="MM",
-    type=NUMBER,
-    default=0.0,
-    show_default=True,
-    help="Way back after the contact.",
+    "--back", "back_mm", metavar="MM", type=NUMBER, default=0.0, show_default=True, help="Way back after the contact."
 )
 @click.option("--operator", metavar="NAME", default="", help="Operator's name, stored with the contact.")
 @options.rig_session
@@ -83,11 +74,9 @@ def touch_off_command(
     speed_mm_s: float,
     most_mm: float,
     back_mm: float,
-    operator: str,
-    pace: options.Pace | None,
     yes: bool,
     as_json: bool,
-    **rig: Unpack[options.RigOptions],
+    **session: Unpack[options.OperatorOptions],
 ) -> None:
     """Approach slowly until the force has changed from its value at rest; announces the motion and asks first.
 
@@ -99,14 +88,7 @@ def touch_off_command(
 
     with TerminalOperator(yes=yes) as person:
         contact = touch_off(
-            most_mm,
-            force_mN=force_mN,
-            speed_mm_s=speed_mm_s,
-            back_mm=back_mm,
-            operator=operator,
-            pace=pace,
-            person=person,
-            **rig,
+            most_mm, force_mN=force_mN, speed_mm_s=speed_mm_s, back_mm=back_mm, person=person, **session
         )
     if as_json:
         print_json(contact.model_dump())
@@ -141,12 +123,9 @@ def calibrate_force_command(
     weights: tuple[float, ...],
     repeats: int,
     seconds: float,
-    operator: str,
-    note: str,
-    pace: options.Pace | None,
     yes: bool,
     as_json: bool,
-    **rig: Unpack[options.RigOptions],
+    **session: Unpack[options.CalibrationOptions],
 ) -> None:
     """Calibrate the force sensor with known weights: asks for each, reads it, fits a line by least squares.
 
@@ -158,16 +137,7 @@ def calibrate_force_command(
     from dragrig.present import force_calibration_document
 
     with TerminalOperator(yes=yes) as person:
-        calibration = calibrate_force(
-            weights,
-            repeats=repeats,
-            duration_s=seconds,
-            operator=operator,
-            note=note,
-            pace=pace,
-            person=person,
-            **rig,
-        )
+        calibration = calibrate_force(weights, repeats=repeats, duration_s=seconds, person=person, **session)
     document = force_calibration_document(calibration.entry, calibration.points, calibration.line, calibration.notes)
     print_document(document, as_json=as_json)
 
@@ -197,12 +167,9 @@ def calibrate_encoder_command(
     speed_mm_s: float,
     by_hand: bool,
     seconds: float,
-    operator: str,
-    note: str,
-    pace: options.Pace | None,
     yes: bool,
     as_json: bool,
-    **rig: Unpack[options.RigOptions],
+    **session: Unpack[options.CalibrationOptions],
 ) -> None:
     """Calibrate the encoder over a known travel: the stage goes there and back; a line is fitted to the counts.
 
@@ -220,11 +187,8 @@ def calibrate_encoder_command(
             speed_mm_s=speed_mm_s,
             by_hand=by_hand,
             duration_s=seconds,
-            operator=operator,
-            note=note,
-            pace=pace,
             person=person,
-            **rig,
+            **session,
         )
     document = encoder_calibration_document(calibration.entry, calibration.points, calibration.line, calibration.notes)
     print_document(document, as_json=as_json)

@@ -23,7 +23,8 @@ from pydantic import TypeAdapter
 
 from dragrig.analysis.gap import DecisionInputs, VerdictCalibration
 from dragrig.analysis.gap.budget import presence_of_effects
-from dragrig.analysis.gap.classifier import as_misjudged_noise, judge, unknown_by_excess_alone
+from dragrig.analysis.gap.classifier import judge, unknown_by_excess_alone, with_verdict
+from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
 from dragrig.analysis.gap.presence import Cause, CauseKind, presence_of
 from dragrig.analysis.gap.weighing import WeighedCauses, equals_noise
@@ -98,7 +99,7 @@ class StoredCampaign:
         verdict = judgement.verdict
         may_be_noise = self.gap_over_floor is not None and equals_noise(self.gap_over_floor, 1.0, self.place_p)
         if may_be_noise and unknown_by_excess_alone(self.inputs, verdict, DEFAULT_TOLERANCE_MN, calibration):
-            verdict = as_misjudged_noise(verdict)
+            verdict = with_verdict(verdict, Verdict.NO_GAP)
         total = sum(verdict.probabilities.values())
         ranking = tuple(
             ScoredHypothesis(hypothesis=name, probability=value / total)

@@ -1,9 +1,13 @@
 """A diagnosis from run files to the answer: nothing, an effect, two, something that nobody knows, and the way back."""
 
 import json
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 
 from diagnosed import OF_SOME, SECRETS, UNADVISED, DiagnosedCampaigns, trying
@@ -15,6 +19,7 @@ from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
 from dragrig.api.gap import save_amended_model
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.present.diagnosis import diagnosis_json
+from dragrig.rig import Phase
 from hidden import hidden, simulated
 from places import CAMPAIGN, DATA
 from property_tests import thorough
@@ -53,6 +58,26 @@ def test_a_stage_that_gives_way_by_less_than_a_count_has_no_compliant_arm(option
     yielding = diagnose(choose_runs(DATA / "yielding_stage"), MODEL, options)
     assert (yielding.verdict, yielding.effects) == (Verdict.NO_GAP, ())
     assert probability(yielding, "arm_compliance") < 0.1
+
+
+@pytest.mark.parametrize(("bursts", "verdict"), [(12, Verdict.UNKNOWN), (3, Verdict.NO_GAP)])
+def test_bursts_of_the_force_are_a_gap_and_a_few_are_none(tmp_path: Path, bursts: int, verdict: Verdict) -> None:
+    """Where means over blocks show none: bumps of 35 mN for 50 ms, in the midst of steady motion or hold."""
+    for number, file in enumerate(sorted((DATA / "yielding_stage").glob("*.h5"))):
+        copied = shutil.copy(file, tmp_path)
+        with h5py.File(copied, "r+") as run:
+            trace = run["entry/trace"]
+            calm = np.flatnonzero(np.isin(trace["phase"], (Phase.STEADY, Phase.HOLD)))
+            width = round(0.05 / float(np.diff(trace["time"][:2])[0]))
+            bump = 35.0 * np.sin(np.pi * np.arange(width) / width)
+            for part in range(bursts // 6 + (number < bursts % 6)):
+                begin = calm[len(calm) * (2 + part) // 4]
+                trace["force"][begin : begin + width] += bump
+    found = diagnose(choose_runs(tmp_path), MODEL, trying("stribeck", "folds"))
+    assert (found.verdict, found.effects) == (verdict, ())
+    if verdict is Verdict.UNKNOWN:
+        assert found.unknown is not None
+        assert re.match(r"1[0-2] bursts, typically of 3\d mN for 4\d ms", found.unknown.dependence)
 
 
 def test_an_effect_is_named_with_its_size_and_closes_the_gap(diagnosis: Diagnosis) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.analysis.gap.classifier import as_misjudged_noise, classify, unknown_by_excess_alone
+from dragrig.analysis.gap.classifier import classify, unknown_by_excess_alone, with_verdict
 from dragrig.analysis.gap.diagnosis import NO_GAP, UNKNOWN, Verdict
 from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
@@ -222,7 +222,7 @@ def test_an_excess_that_nothing_predicts_is_told_from_one_that_a_law_does() -> N
         assert (classification.verdict is Verdict.UNKNOWN) is (inputs.chi2 == louder)
         assert unknown_by_excess_alone(inputs, classification, DEFAULT_TOLERANCE_MN) is alone
     unknown = classify(unexplained, DEFAULT_TOLERANCE_MN)
-    noise = as_misjudged_noise(unknown)
+    noise = with_verdict(unknown, Verdict.NO_GAP)
     assert noise.verdict is Verdict.NO_GAP
     assert noise.probabilities[NO_GAP] == unknown.probabilities[UNKNOWN]
 

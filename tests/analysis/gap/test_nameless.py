@@ -140,7 +140,7 @@ def test_a_gap_that_only_many_runs_together_show_has_no_place(diagnosed: Diagnos
     quiet = diagnosed["nothing"].diagnosis.where
     assert not any(quiet.location("channel").shares.values())
     classification = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
-    gap = describe_unexplained_gap(quiet, (), classification, None, case("folds", 19_000.0, "speed", NOISE))
+    gap = describe_unexplained_gap(quiet, (), classification, None, (), case("folds", 19_000.0, "speed", NOISE))
     assert gap is not None
     assert gap.location == NOT_LOCALISABLE
     assert gap.dependence.startswith("By itself, a force that depends on the speed")
