@@ -52,7 +52,7 @@ NEAR_EVENT_S = 0.01
 """So near to a begin or end of a phase, a pulse may be of the motion: of a mass that is accelerated, say."""
 BURST_SIGMAS, MIN_BURST_S, MAX_BURST_S, BURST_WINDOW_S, MIN_CALM_S = 8.0, 0.02, 0.15, 0.4, 1.0
 """A burst is off the running median over the window by so many standard deviations; in 32 campaigns without bursts the
-force was by up to 7. Shorter bumps are impulses, longer ones raise that median; shorter phases show no noise."""
+force came to 7. Shorter bumps are impulses, longer ones raise that median; shorter phases show no noise."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,19 +120,19 @@ class RigOptions(TypedDict):
 
 
 class StageOptions(RigOptions):
-    """The same, with the pace that `rig_session` adds."""
+    """The arguments that `rig_session` adds to those of `rig`."""
 
     pace: Pace | None
 
 
 class OperatorOptions(StageOptions):
-    """The same, with the operator's name."""
+    """The arguments of `rig_session`, and `--operator`."""
 
     operator: str
 
 
 class CalibrationOptions(OperatorOptions):
-    """The same, with a note."""
+    """The arguments of `rig_session` and `session_notes`."""
 
     note: str
 

@@ -314,7 +314,7 @@ def location_figure(where: GapLocation, name: str = "") -> Figure:
 
 def _location_title(where: GapLocation) -> str:
     if not where.present:
-        return "No gap beyond noise and repeatability"
+        return "Means over blocks: nothing beyond noise and repeatability"
     channel, protocol = (where.location(axis).shares for axis in ("channel", "protocol"))
     in_channel, in_runs = (max(shares, key=lambda name: shares[name]) for shares in (channel, protocol))
     if not any(location.significant for location in where.locations):
@@ -377,7 +377,7 @@ def _draw_domain_scores(axes: Axes, where: GapLocation) -> None:
     """Draw the share of the residual that each coordinate predicts from the other runs."""
     axes.set_title("Predictable from other runs by")
     if not where.domain_scores:
-        _write_empty_panel(axes, "no gap")
+        _write_empty_panel(axes, "nothing to predict")
         return
     names = sorted(where.domain_scores, key=lambda domain: where.domain_scores[domain])
     scores = [100 * where.domain_scores[domain] for domain in names]

@@ -257,7 +257,7 @@ def excess_text(where: GapLocation) -> str:
 def domain_sentence(where: GapLocation) -> str:
     """Say what the residual is mainly a function of."""
     if not where.present:
-        return "The residual exceeds noise and repeatability nowhere."
+        return "The means over blocks exceed noise and repeatability nowhere."
     if not where.domain and where.runs == 1:
         return "A single run does not show what the residual is a function of."
     if not where.domain:

@@ -22,11 +22,10 @@ from simulated import settings
 RATE = 1000.0
 UPDATE_S, AHEAD, LAG_S = 0.03, 5, 0.002
 LEAD_S = UPDATE_S * AHEAD
-PACE = 3.0
 
 
 class StallingClock(DoubleClock):
-    """Wall time at a pace, but no more than 5 ms between two readings, and never past the voltages that are written.
+    """Wall time, but no more than 5 ms between two readings, and never past the voltages that are written.
 
     So threads that starve on a busy machine miss nothing: the drive's double reads the clock every 2 ms, and a voltage
     never runs out unless `waits_for_voltage` is False.
@@ -34,8 +33,8 @@ class StallingClock(DoubleClock):
 
     max_step_s = 0.005
 
-    def __init__(self, pace: float = 1.0) -> None:
-        super().__init__(pace)
+    def __init__(self) -> None:
+        super().__init__()
         self._reading = threading.Lock()
         self._read_s, self._passed_s = time.perf_counter(), 0.0
         self._written_until_s = math.inf
@@ -44,7 +43,7 @@ class StallingClock(DoubleClock):
     def monotonic(self) -> float:
         with self._reading:
             now_s = time.perf_counter()
-            passed_s = self._passed_s + self.pace * min(now_s - self._read_s, self.max_step_s)
+            passed_s = self._passed_s + min(now_s - self._read_s, self.max_step_s)
             if self.waits_for_voltage:
                 passed_s = min(passed_s, self._written_until_s)
             self._passed_s = max(self._passed_s, passed_s)
@@ -58,7 +57,7 @@ class StallingClock(DoubleClock):
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
         until_s = self.monotonic() + duration_s
         while (left_s := until_s - self.monotonic()) > 0:
-            if cancel.wait(left_s / self.pace):
+            if cancel.wait(left_s):
                 return False
         return not cancel.is_set()
 
@@ -118,8 +117,8 @@ def velocity_rig(
     )
 
 
-def open_voltage_rig(rig: RigSettings, pace: float = PACE) -> VoltageRig:
-    clock = StallingClock(pace)
+def open_voltage_rig(rig: RigSettings) -> VoltageRig:
+    clock = StallingClock()
     bench = SimulatedBench(rig, FrictionModelSettings(), clock)
 
     def put_out(output: str, volts: FloatArray, rate_hz: float, at_s: float) -> None:
@@ -139,8 +138,8 @@ def open_voltage_rig(rig: RigSettings, pace: float = PACE) -> VoltageRig:
 
 
 @contextmanager
-def voltage_rig(rig: RigSettings | None = None, pace: float = PACE) -> Iterator[VoltageRig]:
-    backend = open_voltage_rig(rig or velocity_rig(), pace)
+def voltage_rig(rig: RigSettings | None = None) -> Iterator[VoltageRig]:
+    backend = open_voltage_rig(rig or velocity_rig())
     try:
         yield backend
     finally:

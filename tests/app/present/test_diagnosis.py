@@ -214,7 +214,7 @@ def test_where_it_is_stands_in_words_with_the_chance_of_it() -> None:
         assert re.search(r"session +.*\(not significant\) ", sentence)
         assert "strain" not in text(STRIBECK).split("Which")[0]
         assert "mainly a function of speed, which accounts for 71 %" in sentence
-    assert "exceeds noise and repeatability nowhere" in text(NO_GAP)
+    assert "exceed noise and repeatability nowhere" in text(NO_GAP)
     location = replace(STRIBECK.where.location("speed_mm_s"), low=2.0, high=2.0)
     here = replace(STRIBECK, where=replace(STRIBECK.where, locations=(location,)))
     assert "at 2 mm/s: 79 %" in text(here)

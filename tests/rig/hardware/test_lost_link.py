@@ -183,7 +183,7 @@ def test_a_beat_that_comes_too_late_gives_no_power_back_to_a_moving_stage(moving
 def test_in_velocity_mode_the_voltage_brakes_and_the_power_goes(fault: str) -> None:
     rig_settings = velocity_rig(silence_s=0.6, reply_s=0.1)
     with voltage_rig(rig_settings) as rig:
-        rig.ready().bench.clock.pace = 1.0
+        rig.ready()
         rig.stage.move(stroke(travel_mm=140.0, speed_mm_s=SPEED_MM_S))
         until(lambda: rig.bench.speed_mm_s() > 0.9 * SPEED_MM_S)
         rig.bench.faults.inject(drive_unwatched=True, **{fault: True})

@@ -23,7 +23,7 @@ from driving import Room, Stall, is_back, until
 from property_tests import thorough
 from remote_doubles import RemoteDoubles
 from simulated import NEVER, acquire, begin, blocks, record, session, settings, stroke
-from voltage_bench import LEAD_S, PACE, RATE, VoltageRig, open_voltage_rig, velocity_rig, voltage_rig
+from voltage_bench import LEAD_S, RATE, VoltageRig, open_voltage_rig, velocity_rig, voltage_rig
 
 FOLLOWS_MM, FASTEST_MM_S = 0.1, 100.0
 STANDS_MM = 0.02
@@ -51,7 +51,7 @@ def rig(room: Room[VoltageRig]) -> Iterator[VoltageRig]:
     rig = room.rig()
     yield rig
     rig.bench.faults.clear()
-    rig.bench.clock.waits_for_voltage, rig.bench.clock.pace = True, PACE
+    rig.bench.clock.waits_for_voltage = True
     rig.sampler.stop()
     rig.stage.disable()
     until(lambda: rig.bench.powered)
@@ -77,7 +77,7 @@ def test_follows_any_profile_from_the_first_sample_on(rig: VoltageRig) -> None:
         assert got.blocks[-1].end_index == samples
         off_mm = np.abs(got["position"] - profile.position(np.arange(samples) / RATE))
         # While a busy machine holds the loop up, the stage goes on as it was told last.
-        assert off_mm.max() <= FOLLOWS_MM + FASTEST_MM_S * PACE * stall.longest_s
+        assert off_mm.max() <= FOLLOWS_MM + FASTEST_MM_S * stall.longest_s
         assert off_mm[-1] <= STANDS_MM
         assert rig.stage.start_uncertainty_s == pytest.approx(0.001)
     assert rig.stage.fault is None
@@ -139,7 +139,6 @@ def test_an_encoder_that_sticks_in_motion_stops_the_stage(rig: VoltageRig) -> No
 
 
 def test_a_stop_from_another_thread_brakes_within_what_is_written_ahead(rig: VoltageRig) -> None:
-    rig.bench.clock.pace = 1.0
     begin(rig, acquire(LONG))
     got, stopped_s = [], 0.0
     with Stall() as stall:
@@ -203,14 +202,13 @@ def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: p
     rig.stage.enable()
     at_mm = rig.stage.state().position_mm
     rig.stage.move(stroke())
-    rig.await_standstill()
-    assert rig.stage.state().position_mm == pytest.approx(at_mm + 5.0, abs=STANDS_MM)
+    # Within a tenth of a millimetre per second of standing, the loop still has some way to go.
+    until(lambda: rig.stands and abs(rig.stage.state().position_mm - at_mm - 5.0) <= STANDS_MM)
 
 
 def test_a_heartbeat_that_ends_takes_the_power_from_a_voltage_that_goes_on(
     rig: VoltageRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig.bench.clock.pace = 1.0
     rig.stage.move(LONG)
     until(lambda: rig.is_under_way)
     # Pulls the wire of the heartbeat alone: nothing in the program knows.
@@ -300,7 +298,7 @@ def test_homing_needs_the_index_pulse(room: Room[VoltageRig]) -> None:
 def test_a_program_that_hangs_loses_the_drives_power(room: Room[VoltageRig]) -> None:
     room.clear()
     with voltage_rig(velocity_rig(hang_s=0.5, heartbeat_s=0.3)) as rig:
-        rig.ready().bench.clock.pace = 1.0
+        rig.ready()
         begin(rig, acquire(LONG))
         until(lambda: rig.is_under_way)
         until(lambda: not rig.bench.powered)
