@@ -410,12 +410,12 @@ class DriveLink:
         self._used_s = time.perf_counter()
 
     def _get_in_step(self, request: Request) -> None:
-        """Let the replies that are still due pass by; a stop goes out at once all the same, though none confirms it."""
+        """Let replies that are still due pass by, however late they are read; a stop goes out at once, unconfirmed."""
         if not self._out_of_step:
             return
         sent_stops = self._acknowledged_stops
         began_s = quiet_s = time.perf_counter()
-        while time.perf_counter() - quiet_s < self._settings.reply_s:
+        while time.perf_counter() - quiet_s < self._settings.reply_s or self._serial.in_waiting:
             if self._stop_count != sent_stops:
                 sent_stops = self._stop_count
                 self._write(self.dialect.encode(_STOP, self._settings)[0])
