@@ -5,7 +5,9 @@ import os
 import subprocess
 import sys
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,13 +79,25 @@ def pytest_collection(session: pytest.Session) -> Generator[None, object, object
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Count properties among the thorough tests too, where they have more examples; begin with the types.
 
-    To check them takes a minute of one core where nothing is cached, in which the other would idle at the end.
+    To check them takes a minute of one core where nothing is cached, in which the other would idle at the end. Tests
+    that wait for a stage are spread over all others, so that a process that waits leaves its core to one that works.
     """
-    items.sort(key=lambda item: item.path.name != "test_house.py")
+    counts = [Counter(item.path for item in items if waits_for_a_stage(item) == waits) for waits in (True, False)]
+    turns = {
+        path: before / modules.total()
+        for modules in counts
+        for path, before in zip(modules, accumulate(modules.values(), initial=0), strict=False)
+    }
+    items.sort(key=lambda item: (item.path.name != "test_house.py", turns[item.path]))
     if is_thorough(config):
         for item in items:
             if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
                 item.add_marker("thorough")
+
+
+def waits_for_a_stage(item: pytest.Item) -> bool:
+    """Tell whether a test is of a room where a stage moves, or its engine or window waits for it."""
+    return any((ROOT / "tests" / room) in item.path.parents for room in ("rig", "app/engine_host", "app/window"))
 
 
 @pytest.hookimpl(trylast=True)
