@@ -361,11 +361,8 @@ class RunDesign:
     """Force of the candidates, without effects of the nominal model, shape `(B,)`."""
     predicted: FloatArray
     """Prediction of the nominal model, shape `(B,)`."""
-    repeat_sd: FloatArray
     motion_sd: FloatArray
-    """`repeat_sd`, `motion_sd`: scatter between repeats, and uncertainty from motion and integration steps, one
-    standard deviation, shape `(B,)`.
-    """
+    """Uncertainty from motion and integration steps, one standard deviation, shape `(B,)`."""
     whitening: Whitening
     """Transformation that makes its blocks independent with unit variance."""
 
@@ -500,9 +497,8 @@ def linearise(
             whitening = problem.with_varying_force(number, predictions[number], variation, force, whitening)
         residual = run_data.block_data.blocks.mean - predictions[number].total - effects
         columns = np.column_stack((by_nominal[number], *(values.T for values in rows)))
-        varying = problem.variation_sds[:, None] * predictions[number].varying
-        spread = np.sqrt(np.sum(varying**2, axis=0)), uncertainties[number]
-        run_designs.append(RunDesign(residual, columns, candidate_force, predictions[number].total, *spread, whitening))
+        predicted, uncertain = predictions[number].total, uncertainties[number]
+        run_designs.append(RunDesign(residual, columns, candidate_force, predicted, uncertain, whitening))
         grams.append(whitening.gram(np.column_stack((residual, columns))))
     priors = _column_priors(z, len(model_errors), candidates, len(study.modulations[0]) if modulated else 0)
     variants = study.variants if dictionary else ()

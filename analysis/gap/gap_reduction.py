@@ -219,7 +219,7 @@ def force_residual_blocks(
                 channel=study.channel,
                 kind=run.experiment.kind,
                 contact=run.experiment.contact,
-                speed_mm_s=float(coordinates.top_speed_mm_s[0]),
+                speed_mm_s=run.typical_speed_mm_s,
                 strain=run.experiment.shear_strain,
                 session_s=run.session_start_s if run.has_clock else None,
                 residual=residual,

@@ -299,7 +299,7 @@ def _rests(run: RunData) -> bool:
 
 def stage_limitations(runs: Sequence[RunData]) -> Iterator[str]:
     """Yield limitations of runs of the stage alone."""
-    speeds = {round(float(run.coordinates.top_speed_mm_s[0]), 1) for run in runs}
+    speeds = {run.typical_speed_mm_s for run in runs}
     if goes_one_way(runs):
         yield "All runs go one way: friction that depends on direction cannot be separated from other friction."
     if len(speeds) < MIN_SPEEDS:
@@ -316,7 +316,7 @@ def own_model_limitations(
     declares_any: bool,
 ) -> Iterator[str]:
     """Yield limitations of a user's model, of which one channel is explained and `other_channels` are not."""
-    speeds = {round(float(run.coordinates.top_speed_mm_s[0]), 1) for run in runs}
+    speeds = {run.typical_speed_mm_s for run in runs}
     if len(speeds) == 1 and goes_one_way(runs) and not any(_rests(run) for run in runs):
         yield (
             "All runs go one way at one speed without a rest: sensor effects in time cannot be separated from "

@@ -282,14 +282,21 @@ class RunData:
     def condition(self) -> tuple[str, float]:
         """Kind and commanded speed or strain; runs with equal conditions are repeats.
 
-        Without a commanded speed in the header it is the highest measured one, to two digits.
+        Without a commanded speed in the header it is the measured one.
         """
         value = _commanded_value(self.experiment) if self.set_value is None else self.set_value
         if value is not None:
             return self.experiment.kind, value
         if self.experiment.contact is Contact.STICKING:
             return self.experiment.kind, 0.0
-        return self.experiment.kind, float(f"{self.coordinates.top_speed_mm_s[0]:.2g}")
+        return self.experiment.kind, self.typical_speed_mm_s
+
+    @cached_property
+    def typical_speed_mm_s(self) -> float:
+        """Speed above which half of the way was made, to two digits: extremes of a measured speed are noise."""
+        speed = self.coordinates.speed_mm_s
+        way = speed * self.coordinates.width_s + np.finfo(float).tiny
+        return float(f"{np.quantile(speed, 0.5, method='inverted_cdf', weights=way):.2g}")
 
     @property
     def label(self) -> str:

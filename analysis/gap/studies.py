@@ -83,26 +83,8 @@ PANELS = 8
 """Coarsest plausible quadrature over the contact: midpoints of this many panels on newly touched and on other wall."""
 
 
-@dataclass(frozen=True, slots=True)
-class ModelErrorDirection:
-    """A detail of the nominal model that may be off, with its prior standard deviation."""
-
-    name: str
-    sd: float
-
-
-MODEL_ERROR_DIRECTIONS = (
-    *(ModelErrorDirection(f"law_{power}", LAW_SHAPE_SD) for power in LAW_POWERS),
-    *(ModelErrorDirection(f"law_of_{element}", ELEMENT_SHAPE_SD) for element in range(ELEMENTS)),
-    ModelErrorDirection("ramp_step", INTEGRATION_STEP_S),
-    ModelErrorDirection("contact_integral", CONTACT_INTEGRAL_SD),
-    ModelErrorDirection("contact_integral_speed", CONTACT_INTEGRAL_SD),
-    ModelErrorDirection("contact_sum", 1.0),
-)
-
-
 def model_error_columns(scene: RunState, speed_mm_s: float) -> FloatArray:
-    """Return the change of the true force by one prior sd of each of `MODEL_ERROR_DIRECTIONS`, shape `(D, n)`.
+    """Return the change of the true force by one prior sd of each detail of the model that may be off, shape `(D, n)`.
 
     Parameters
     ----------
@@ -470,7 +452,7 @@ class CapsuleStudy(Study):
         return self.runs[number].scene(settings), settings.force_gain
 
     def model_errors(self, number: int, scene: RunState) -> FloatArray:
-        """Return the change of the true force by each of `MODEL_ERROR_DIRECTIONS`, shape `(D, n)`."""
+        """Return the change of the true force by each detail of the model that may be off, shape `(D, n)`."""
         return model_error_columns(scene, self.runs[number].condition[1])
 
     def naming_obstacle(self, design: Design) -> str:

@@ -36,6 +36,8 @@ SPLIT_WINDOW_S = 0.1
 """Window over which a motion is told from a rest."""
 MIN_REST_BETWEEN_S = 0.3
 """A shorter standstill, as at a reversal, belongs to its motion."""
+MIN_STROKE_SHARE, STANDSTILL_SHARE = 0.2, 0.02
+"""Shares of all travel: a shorter way back is no stroke, and so far from its end a stroke still stands."""
 MIN_PLATEAU_SHARE = 0.5
 """Share of the motion that must be steady, for it to be one move at one speed."""
 
@@ -251,32 +253,54 @@ def _without_blank_ends(table: ForeignTable, columns: Sequence[ForeignColumn]) -
 
 
 def motion_stretches(table: ForeignTable, settings: ImportSettings) -> tuple[tuple[float, float], ...]:
-    """Return the stretches [s] of a long record with one motion each, cut in the middle of the rests between them.
+    """Return the stretches [s] of a long record that `split_at` makes runs of.
 
-    Raises `ImportDataError` where no time and position are mapped, or there are not several motions.
+    Raises `ImportDataError` where no time and position are mapped, or there is nothing to split the record at.
     """
     sources = _sources(table, settings)
     if not {"time", "position"} <= set(sources):
-        raise ImportDataError(f"{table.path}: split_at = 'rests' needs a time and a position; map both.")
+        raise ImportDataError(f"{table.path}: split_at = {settings.split_at!r} needs a time and a position; map both.")
     table, _ = _without_blank_ends(table, [table.column(sources[name].column) for name in ("time", "position")])
     time = _time(table, sources["time"], settings).seconds
     mapped = _map_column(table, "position", sources["position"], settings)
     position = mapped.scale.apply(table.numbers(mapped.column, whole=True))
+    strokes = settings.strokes_per_run
+    cuts = _reversals(time, position)[strokes - 1 :: strokes] if strokes else _rests(time, position)
+    if not cuts:
+        raise ImportDataError(f"{table.path}: shows no place for split_at = {settings.split_at!r}; leave it out.")
+    return tuple(pairwise((float(time[0]), *cuts, float(time[-1]))))
+
+
+def _rests(time: FloatArray, position: FloatArray) -> list[float]:
+    """Return the middle of each rest between two motions [s]."""
     window_s = max(SPLIT_WINDOW_S, 4 * float(np.median(np.diff(time))))
     ends = np.interp(time + window_s / 2, time, position), np.interp(time - window_s / 2, time, position)
     speed = np.abs(ends[0] - ends[1]) / window_s
-    moving = speed > MOVING_SHARE * float(speed.max())
-    moves = [(time[start], time[stop - 1]) for start, stop in mask_spans(moving)]
-    joined: list[tuple[float, float]] = []
-    for start, stop in moves:
-        if joined and start - joined[-1][1] < MIN_REST_BETWEEN_S:
-            joined[-1] = (joined[-1][0], float(stop))
-        else:
-            joined.append((float(start), float(stop)))
-    if len(joined) < 2:
-        raise ImportDataError(f"{table.path}: shows no rests between motions to split it at; leave split_at out.")
-    cuts = [(before[1] + after[0]) / 2 for before, after in pairwise(joined)]
-    return tuple(pairwise((float(time[0]), *cuts, float(time[-1]))))
+    moves = [(time[start], time[stop - 1]) for start, stop in mask_spans(speed > MOVING_SHARE * float(speed.max()))]
+    rests = [(before[1], after[0]) for before, after in pairwise(moves)]
+    return [float(end + begin) / 2 for end, begin in rests if begin - end >= MIN_REST_BETWEEN_S]
+
+
+def _reversals(time: FloatArray, position: FloatArray) -> list[float]:
+    """Return the middle of the standstill of each reversal [s], however noisy or coarsely counted the position is."""
+    extent = float(np.ptp(position))
+    turns, furthest, direction = [0], 0, 0
+    values = position.tolist()
+    for row, value in enumerate(values):
+        ahead = value - values[furthest]
+        if direction * ahead > 0:
+            furthest = row
+        elif abs(ahead) > MIN_STROKE_SHARE * extent:
+            turns += [furthest] if direction else []
+            direction, furthest = (1 if ahead > 0 else -1), row
+    cuts: list[float] = []
+    for before, turn, after in zip(turns, turns[1:], [*turns[2:], len(position) - 1], strict=False):
+        away = (
+            np.flatnonzero(np.abs(position[before : after + 1] - position[turn]) > STANDSTILL_SHARE * extent) + before
+        )
+        left, right = away[away < turn][-1], away[away > turn][0]
+        cuts.append(float(time[left] + time[right]) / 2)
+    return cuts
 
 
 def _map_column(table: ForeignTable, quantity: str, source: ColumnSource, settings: ImportSettings) -> _MappedColumn:

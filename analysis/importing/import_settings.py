@@ -14,6 +14,7 @@ from dragrig.config import Fixture, ImportDataError, Moment, Settings, describe_
 _UNIT_PATTERN = re.compile(
     r"(?P<unit>[^*+]*?)\s*(\*\s*(?P<factor>[-+]?[\d.]+(e[-+]?\d+)?))?\s*(?P<offset>[-+]\s*[\d.]+(e[-+]?\d+)?)?", re.I
 )
+_STROKES_PER_RUN = {"": 0, "rests": 0, "reversals": 1, "cycles": 2}
 
 
 class ColumnSource(Settings):
@@ -69,8 +70,9 @@ class ImportSettings(Settings):
     largest table, and all tables with the same columns."""
     radius_mm: float | None = Field(default=None, gt=0)
     """Of a turning rig: angles become travels at this radius, and torques forces."""
-    split_at: Literal["", "rests"] = ""
-    """Make a run of each motion of a long record, cut in the middle of the rests between them."""
+    split_at: str = ""
+    """Make a run of each motion of a long record (`rests`), of each stroke (`reversals`), of each two (`cycles`), or of
+    each N strokes (their number)."""
     sample_rate_hz: float | None = Field(default=None, gt=0)
     """Rows are evenly spaced at this rate; time stamps then only have to agree with it in their span."""
     resample_hz: float | None = Field(default=None, gt=0)
@@ -113,6 +115,18 @@ class ImportSettings(Settings):
         if mark and mark not in DELIMITERS:
             raise ValueError(f"must be {', '.join(DELIMITERS.values())} or the mark itself, not {delimiter!r}")
         return next(name for known, name in DELIMITERS.items() if known == mark) if mark else ""
+
+    @field_validator("split_at")
+    @classmethod
+    def _place_to_split(cls, split_at: str) -> str:
+        if split_at not in _STROKES_PER_RUN and not (split_at.isdecimal() and int(split_at)):
+            raise ValueError(f"must be rests, reversals, cycles or a number of strokes, not {split_at!r}")
+        return split_at
+
+    @property
+    def strokes_per_run(self) -> int:
+        """How many strokes of a long record make a run; 0 where it is not split at its reversals."""
+        return _STROKES_PER_RUN[self.split_at] if self.split_at in _STROKES_PER_RUN else int(self.split_at)
 
     @property
     def delimiter_mark(self) -> str:

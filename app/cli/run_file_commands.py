@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING
 
 import click
 
@@ -156,33 +156,6 @@ def _print_results(results: Sequence[object], lines: Sequence[str], *, as_json: 
             print_result(line)
 
 
-class _ImportOptions(TypedDict):
-    """Options that are import settings of the same name."""
-
-    encoding: str | None
-    delimiter: str | None
-    decimal: str | None
-    header_lines: int | None
-    missing: str | None
-    table: str | None
-    radius_mm: float | None
-    split_at: str | None
-    sample_rate_hz: float | None
-    resample_hz: float | None
-    steady: bool | None
-    from_s: float | None
-    to_s: float | None
-    kind: str | None
-    specimen: str | None
-    wall_thickness_mm: float | None
-    capsule: str | None
-    fixture: str | None
-    insertion_dwell_s: float | None
-    operator: str | None
-    note: str | None
-    start_time: str | None
-
-
 @click.command("import")
 @click.argument("inputs", metavar="FILE…", nargs=-1, required=True)
 @click.option(
@@ -204,7 +177,11 @@ class _ImportOptions(TypedDict):
 )
 @click.option("--table", metavar="NAME", help="Sheet, group, variable or block (default: all like the largest).")
 @click.option("--radius-mm", type=NUMBER, metavar="MM", help="Of a turning rig: converts rad, deg, rev and Nm.")
-@click.option("--split-at", type=click.Choice(["rests"]), help="Make a run of each motion of a long record.")
+@click.option(
+    "--split-at",
+    metavar="rests|reversals|cycles|N",
+    help="Make a run of each motion of a long record, or of each stroke, each two, each N strokes.",
+)
 @click.option("--sample-rate-hz", type=NUMBER, metavar="HZ", help="Rows are evenly spaced at this rate.")
 @click.option("--resample-hz", type=NUMBER, metavar="HZ", help="Interpolate rows at uneven times to this rate.")
 @click.option(
@@ -237,7 +214,7 @@ def import_command(
     protocol: tuple[str, ...],
     out: Path | None,
     as_json: bool,
-    **options_set: Unpack[_ImportOptions],
+    **options_set: object,
 ) -> None:
     """Convert foreign measurements into run files.
 

@@ -480,8 +480,6 @@ class Recorder:
     ) -> None:
         self.path = schema.recording_path(path)
         """The recording's file."""
-        self.lost_samples = 0
-        """Samples lost so far."""
         self._rate = header.sample_rate_hz
         try:
             check_header(header)
@@ -543,7 +541,6 @@ class Recorder:
             raise ValueError(f"samples from {first_index} on are not expected, {self._next_index} comes next")
         columns = self._columns(first_index, arrays)
         if first_index > self._next_index:
-            self.lost_samples += first_index - self._next_index
             self.event(RunEvent.gap(self._next_index, first_index, self._rate))
         if not self._ring.put(columns) and (failure := self.failure) is not None:
             raise failure

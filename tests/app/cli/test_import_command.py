@@ -214,6 +214,32 @@ def test_a_long_record_becomes_a_run_for_each_motion(importer: Importer) -> None
     assert [run.header.protocol["speed_mm_s"] for run in runs] == [5, 5, 5]
 
 
+@pytest.mark.parametrize(
+    ("place", "travels_mm", "origins_mm"),
+    [
+        ("reversals", [10, -10, 10, -10, 10, -5], [0, 10, 0, 10, 0, 10]),
+        ("cycles", [0, 0, 5], [0, 0, 0]),
+        ("4", [0, 5], [0, 0]),
+    ],
+)
+def test_a_record_of_many_strokes_becomes_a_run_for_each_or_some_of_them(
+    importer: Importer, place: str, travels_mm: list[float], origins_mm: list[float]
+) -> None:
+    time = np.arange(0.0, 12.3, 0.005)
+    # Strokes of 2 s with standstills of 0.2 s between them, the last cut off; in counts of 0.1 mm that flicker.
+    corners = np.cumsum([0.3, *[2.0, 0.2] * 6])
+    position = np.interp(time, corners, [0, 10, 10, 0, 0, 10, 10, 0, 0, 10, 10, 0, 0])
+    position = np.round(position + np.random.default_rng(5).normal(0, 0.03, len(time)), 1)
+    np.savetxt("a.csv", np.c_[time, 0.1 + 0 * time, position], "%.6f", ",", header="t [s],F [N],x [mm]", comments="")
+    importer("a.csv", "--map", "time=t", "--map", "force=F", "--map", "position=x", "--split-at", place, "--out", "c")
+    runs = sorted(dragrig.campaign("c").runs, key=lambda run: run.header.order)
+    positions = [dragrig.load(run.path).trace.position for run in runs]
+    assert [p[-1] - p[0] for p in positions] == pytest.approx(travels_mm, abs=0.2)
+    assert [run.header.entry["origin_mm"] for run in runs] == pytest.approx(origins_mm, abs=0.2)
+    # Half the standstill, and the first 0.3 mm of the stroke.
+    assert all(0.1 < np.argmax(np.abs(p - p[0]) > 0.3) * 0.005 < 0.22 for p in positions[1:])
+
+
 def test_a_turning_rigs_angle_and_torque_become_travel_and_force(importer: Importer) -> None:
     rows = [f"{0.01 * k:.2f},{0.5 + 0.001 * k:.4f},{float(k)}" for k in range(50)]
     Path("a.csv").write_text("\n".join(["t [s],M [Nm],phi [deg]", *rows]), "utf-8")
@@ -253,7 +279,9 @@ def test_what_was_exported_comes_back(importer: Importer, form: Any) -> None:
         (("empty.csv", *MAP), "is empty"),
         (("binary.csv", *MAP), "binary.csv"),
         (("sheet.xlsx", *MAP), "is damaged or no complete file (File is not a zip file)"),
-        (("a.csv", *MAP, "--split-at", "rests"), "shows no rests"),
+        (("a.csv", *MAP, "--split-at", "rests"), "shows no place for split_at = 'rests'"),
+        (("a.csv", *MAP, "--split-at", "cycles"), "shows no place for split_at = 'cycles'"),
+        (("a.csv", *MAP, "--split-at", "0"), "must be rests, reversals, cycles or a number of strokes, not '0'"),
         (("a.csv", "--map", "time=1:s", "--map", "force=Kraft:Nm"), "--radius-mm"),
         (("nowhere.csv", *MAP), "there is no such file"),
         ((".", *MAP), "is a folder"),
