@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import dragrig
+from dragrig.analysis import ImportSettings, import_runs, parse_map
 from dragrig.analysis.gap.diagnosis import Diagnosis, Verdict
 from dragrig.analysis.gap.position_channel import position_errors, score_model_classes
 from dragrig.analysis.models.catalogue import CheckedModel, find_model
@@ -16,6 +17,9 @@ from dragrig.analysis.models.experiment import Experiment
 from dragrig.api.gap import gap_evaluate, save_amended_model
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, SettingsError
+from dragrig.present.diagnosis import diagnosis_document
+from dragrig.present.terminal import document_text
+from dragrig.rig import read_run
 from dragrig.rig.profile import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import SIGNALS
@@ -176,6 +180,24 @@ def test_turning_round_within_a_run_is_no_effect(asymmetry: float, effects: tupl
     diagnosis = dragrig.diagnose(asymmetric(runs, asymmetry), nominal="drive", without=UNLIKELY)
     assert diagnosis.effects == effects
     assert (diagnosis.verdict is Verdict.NO_GAP) is (not effects)
+
+
+def test_strokes_of_a_noisy_record_are_repeats(tmp_path: Path) -> None:
+    rng, time = np.random.default_rng(3), np.arange(0.0, 15.0, 0.002)
+    corners = np.cumsum([0.5, *[20 / 6.3, 0.5] * 4])
+    position = np.interp(time, corners, [0, 20, 20, 0, 0, 20, 20, 0, 0])
+    force = np.sign(np.gradient(position).round(6)) + rng.normal(0, 0.01, len(time))
+    # The encoder's noise, and jolts of the table that differ from stroke to stroke.
+    position += rng.normal(0, 0.02, len(time))
+    position += np.interp(time % 3.68, [1.9, 1.92, 1.94], [0, 1, 0]) * (0.1 + 0.02 * time)
+    record = tmp_path / "a.csv"
+    np.savetxt(record, np.c_[time, force, position], "%.4f", ",", header="t [s],F [N],x [mm]", comments="")
+    settings = ImportSettings(columns=parse_map(["time=t", "motor_force=F", "position=x"]), split_at="reversals")
+    runs = [read_run(run.path) for run in import_runs(record, tmp_path, settings)]
+    diagnosis = dragrig.diagnose(runs, nominal="drive", without=all_but("force_drift"))
+    assert len(diagnosis.held_out) == 4
+    assert not any("repeated" in limitation for limitation in diagnosis.limitations)
+    assert "at 6.3 mm/s: 100 %" in document_text(diagnosis_document(diagnosis))
 
 
 def test_the_command_tells_of_files_and_writes_no_model(
