@@ -31,8 +31,9 @@ MAX_PULSE_SHARE = 0.01
 MIN_PULSE_STEPS = 60
 """So many large steps are no reason not to look for pulses: of a ramp, in a short record."""
 MAX_IMPULSE_SAMPLES = 3
-MAX_DROPOUT_S = 0.25
-"""Longest time for which a reading stays exactly constant and is still taken for a dropout."""
+MAX_DROPOUT_S, STILL_MM = 0.25, 0.1
+"""Longest time for which a reading stays exactly constant and is still taken for a dropout; a drive's reads so too
+while the stage moves by less."""
 MIN_DROPOUT_SAMPLES, CHANCE_DROPOUTS, MAX_EQUAL_SHARE = 5, 1e-6, 0.3
 """A constant reading is a dropout where chance makes so few of its length in a record, and where no more than this
 share of samples equal their neighbours: a coarse converter rests on a count as slow noise wanders."""
@@ -220,6 +221,10 @@ def force_pulses(trace: Trace) -> tuple[ForcePulse, ...]:
         if (height := _height_off_median(force, *span)) > FAULT_SIGMAS * usual or is_long
     }
     found |= dict(_large_pulses(force, steps, jumps, usual, trace.sample_rate_hz))
+    for begin, end in [at for at, (_, dropout) in found.items() if dropout and trace.signal == "motor_force"]:
+        # The signal of a drive is constant while it holds its place.
+        if abs(float(trace.position[end - 1] - trace.position[begin])) < STILL_MM:
+            del found[begin, end]
     usable = known.copy()
     for begin, end in found:
         usable[begin:end] = False
@@ -284,12 +289,9 @@ def _large_pulses(
         begin, end = first + 1, last + 1
         height = _pulse_height(force, steps, begin, end, CALM_SIGMAS * usual)
         short = end - begin <= MAX_IMPULSE_SAMPLES
-        if height > 0.0 and (short or _is_constant(force[begin:end], rate_hz)):
+        is_constant = end - begin <= MAX_DROPOUT_S * rate_hz and np.ptp(force[begin:end]) == 0.0
+        if height > 0.0 and (short or is_constant):
             yield (begin, end), (height, not short)
-
-
-def _is_constant(values: FloatArray, rate_hz: float) -> bool:
-    return values.size <= MAX_DROPOUT_S * rate_hz and float(np.ptp(values)) == 0.0
 
 
 def _constant_spans(force: FloatArray, rate_hz: float) -> Iterator[tuple[tuple[int, int], bool]]:

@@ -20,6 +20,7 @@ from dragrig.analysis.linear_gaussian import JointProblem, MovingLine, prepare_c
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.noise import FLICKER_TIMES_S, BlockPairs, NoiseModel, estimate_noise
+from dragrig.analysis.segments import force_pulses
 from dragrig.analysis.selection import select_loaded_runs
 from dragrig.config.specimen import Fixture
 from dragrig.rig.profile import FloatArray, MotionProfile, Phase, stationary_piece, trapezoid
@@ -373,6 +374,24 @@ def test_a_dropout_of_150_ms_is_found_by_its_constant_reading(held: bool) -> Non
     assert np.flatnonzero(experiment.faulty).tolist() == list(range(first, 875))
     (fault,) = experiment.faults
     assert fault.dropout
+
+
+def test_the_signal_of_a_drive_that_holds_its_place_is_no_dropout() -> None:
+    rng = np.random.default_rng(5)
+    command = np.concatenate((np.linspace(0, 20, 800), np.full(100, 20), np.linspace(20, 0, 800)))
+    force = 2000 * np.sign(np.gradient(command)) + rng.normal(0, 20, command.size)
+    force[800:900], force[400:460] = 350.0, force[399]
+    trace = replace(
+        slid("drag", 60.0).trace,
+        signal="motor_force",
+        sample_rate_hz=500.0,
+        time=np.arange(command.size) / 500.0,
+        phase=np.full(command.size, int(Phase.STEADY), np.uint8),
+        command=command,
+        channels={"motor_force": force, "position": command + rng.normal(0, 0.01, command.size)},
+    )
+    (fault,) = (pulse for pulse in force_pulses(trace) if pulse.dropout)
+    assert (fault.begin, fault.end) == (399, 460)
 
 
 @pytest.mark.parametrize("count_mN", [0.3, 1.2, 4.9])
