@@ -117,28 +117,30 @@ def epoch_clock(values: FloatArray, unit: str) -> RowTimes | None:
     return None
 
 
-def unwrapped(values: FloatArray) -> tuple[FloatArray, str]:
-    """Continue a counter over its wraps.
+def unwrapped(values: FloatArray, turn: float | None = None) -> tuple[FloatArray, str]:
+    """Continue a counter over its wraps, or an angle from `turn` to turn.
 
     Returns
     -------
     The values as they came, or continued, and then a remark.
     """
-    if len(values) < 3 or not (np.isfinite(values) & (values == np.rint(values))).all():
+    if len(values) < 3 or not np.isfinite(values).all():
         return values, ""
-    steps = np.diff(values)
-    for bits in COUNTER_BITS:
-        period = float(2**bits)
-        low, high = float(values.min()), float(values.max())
-        if not (low >= 0 and high < period) and not (-period / 2 <= low and high < period / 2):
+    steps, low, high = np.diff(values), float(values.min()), float(values.max())
+    periods = {turn: "an angle"} if turn else {}
+    if (values == np.rint(values)).all():
+        periods |= {2.0**bits: f"a counter of {bits} bits" for bits in COUNTER_BITS}
+    for period, kind in periods.items():
+        most = 1.001 * period  # for the last digit of an angle may be rounded up
+        if not (low >= 0 and high < most) and not (-most / 2 <= low and high < most / 2):
             continue
         wraps = np.abs(steps) > MIN_COUNTER_SHARE * period
         ordinary = float(np.abs(steps[~wraps]).max(initial=0.0))
         after = np.abs(np.abs(steps[wraps]) - period)
         # A wrap goes on at the pace of the counter; a clock that begins anew would have to do so by chance.
-        if wraps.any() and ordinary < period / 8 and (after <= 3 * max(ordinary, 1.0)).all():
+        if wraps.any() and ordinary < period / 8 and (after <= 3 * max(ordinary, min(1.0, period / 100))).all():
             turns = np.concatenate(([0.0], np.cumsum(-np.sign(steps) * wraps)))
-            return values + turns * period, f"a counter of {bits} bits is continued over {int(wraps.sum())} of its ends"
+            return values + turns * period, f"{kind} is continued over {int(wraps.sum())} of its ends"
     return values, ""
 
 

@@ -14,7 +14,14 @@ from dragrig.analysis.importing.clocks import RowTimes, epoch_clock, restarts, u
 from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable
 from dragrig.analysis.importing.import_settings import ColumnSource, ImportSettings, guess_columns
 from dragrig.analysis.importing.time_grid import SampleGrid, counted_grid, fit_sample_grid, import_event, resample
-from dragrig.analysis.importing.units import CONVERTIBLE_UNITS, TARGET_UNITS, UnitScale, canonical_unit, unit_scale
+from dragrig.analysis.importing.units import (
+    CONVERTIBLE_UNITS,
+    ROTARY_UNITS,
+    TARGET_UNITS,
+    UnitScale,
+    canonical_unit,
+    unit_scale,
+)
 from dragrig.config import AnalysisError, ImportDataError
 from dragrig.rig import MAX_TRACE_MAGNITUDES, AnyFloatArray, FloatArray, Phase, PhaseArray, RecordedChannel, RunEvent
 
@@ -71,6 +78,11 @@ class _MappedColumn:
     def by_stated_factor(self) -> bool:
         """Whether the user's factor, not the unit, converts it; the column is then stored unconverted, too."""
         return all(canonical_unit(self.unit) not in units for units in CONVERTIBLE_UNITS.values())
+
+    def continued(self, numbers: FloatArray) -> tuple[FloatArray, str]:
+        """Return the column's numbers over the wraps of a counter or an angle, and then a remark."""
+        radians = ROTARY_UNITS["mm"].get(canonical_unit(self.unit) or "")
+        return unwrapped(numbers, 2 * np.pi / radians if radians else None)
 
     def __str__(self) -> str:
         offset = f" + {self.scale.offset:g}" if self.scale.offset else ""
@@ -167,7 +179,7 @@ def _mapped_values(
     for name, source in mapped.items():
         numbers = table.numbers(source.column, whole=settings.missing == "refuse")
         if name in COUNTED_QUANTITIES:
-            numbers, wrapped = unwrapped(numbers)
+            numbers, wrapped = source.continued(numbers)
             told += [wrapped] if wrapped else []
         values[name] = source.scale.apply(numbers)
         _require_measurable(table, source.column, values[name], TARGET_UNITS[name])
@@ -263,7 +275,7 @@ def motion_stretches(table: ForeignTable, settings: ImportSettings) -> tuple[tup
     table, _ = _without_blank_ends(table, [table.column(sources[name].column) for name in ("time", "position")])
     time = _time(table, sources["time"], settings).seconds
     mapped = _map_column(table, "position", sources["position"], settings)
-    position = mapped.scale.apply(table.numbers(mapped.column, whole=True))
+    position = mapped.scale.apply(mapped.continued(table.numbers(mapped.column, whole=True))[0])
     strokes = settings.strokes_per_run
     cuts = _reversals(time, position)[strokes - 1 :: strokes] if strokes else _rests(time, position)
     if not cuts:

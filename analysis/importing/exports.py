@@ -56,17 +56,17 @@ class ExportedRun:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RestoredRun:
-    """Contents of the run file that an export becomes."""
+class PreparedRun:
+    """Contents of the run file that an import becomes."""
 
     header: RunHeader
     columns: Mapping[str, AnyFloatArray | PhaseArray]
-    remarks: tuple[str, ...]
     events: tuple[RunEvent, ...]
-    status: RunStatus
-    reason: str
-    end_time: datetime | None
-    checks: Mapping[str, Attribute]
+    remarks: tuple[str, ...] = ()
+    status: RunStatus = RunStatus.COMPLETE
+    reason: str = ""
+    end_time: datetime | None = None
+    checks: Mapping[str, Attribute] | None = None
 
 
 def read_export(path: Path) -> ExportedRun | None:
@@ -190,7 +190,7 @@ def _csv_columns(path: Path, body: bytes, delimiter: str, types: Mapping[str, st
     return {name: table.column(name).to_numpy() for name in types}
 
 
-def restore_run(exported: ExportedRun) -> RestoredRun:
+def restore_run(exported: ExportedRun) -> PreparedRun:
     """Return an exported run without its filtered traces, which can be computed again.
 
     Of a part of a run, what was not exported is missing (position), taken from the position (command, phase), or as
@@ -224,7 +224,7 @@ def restore_run(exported: ExportedRun) -> RestoredRun:
         )
         entries = (_sequence(event) for event in _sequence(metadata["events"]))
         events = tuple(RunEvent(float(str(time_s)), str(kind), str(message)) for time_s, kind, message in entries)
-        return RestoredRun(
+        return PreparedRun(
             header=header,
             columns=part.columns,
             remarks=part.remarks,

@@ -3,8 +3,8 @@
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
 from math import isfinite
@@ -21,7 +21,7 @@ from dragrig.analysis.importing.conversion import (
     motion_stretches,
     recordings,
 )
-from dragrig.analysis.importing.exports import ExportedRun, read_export, restore_run
+from dragrig.analysis.importing.exports import PreparedRun, read_export, restore_run
 from dragrig.analysis.importing.foreign import ForeignTable
 from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
@@ -72,53 +72,45 @@ def import_file(path: Path, target: Path, settings: ImportSettings | None = None
     OutputError
         When the target exists already, or cannot be written.
     """
-    settings = settings or ImportSettings()
-    if (exported := _unmapped_export(path, settings)) is not None:
-        return _restore_export(exported, target, settings)
-    tables = read_foreign(path, settings)
-    runs = _prepared_runs(path, tables, settings)
+    runs = _prepared_runs(path, settings or ImportSettings())
     if len(runs) > 1:
-        names = ", ".join(repr(table.name) for table in tables)
+        names = ", ".join(dict.fromkeys(repr(run.header.entry.get("import_table", "")) for run in runs))
         raise ImportDataError(
             f"{path}: holds {len(runs)} runs (tables: {names}); name one with table, or take all with import_runs."
         )
-    return runs[0].written_to(target)
+    return _write(runs[0], target)
 
 
 def import_runs(path: Path, folder: Path, settings: ImportSettings) -> tuple[ImportedRun, ...]:
     """Turn a foreign measurement into run files: one for each of its tables with the same columns.
 
-    A table whose clock begins anew, and with `split_at` one with rests, becomes several. The orders of the runs count
+    A table whose clock begins anew, and with `split_at` a long record, becomes several. The orders of the runs count
     from that of the settings on. Nothing is written before all can be. Raises as `import_file`.
     """
-    if (exported := _unmapped_export(path, settings)) is not None:
-        return (_restore_export(exported, folder, settings),)
-    return tuple(run.written_to(folder) for run in _prepared_runs(path, read_foreign(path, settings), settings))
+    return tuple(_write(run, folder) for run in _prepared_runs(path, settings))
 
 
-def _unmapped_export(path: Path, settings: ImportSettings) -> ExportedRun | None:
-    return None if settings.columns.mapped() else read_export(path)
+def _write(run: PreparedRun, target: Path) -> ImportedRun:
+    from dragrig.rig import write_run
+
+    events = (*map(import_event, run.remarks), *run.events)
+    written = write_run(
+        _run_file_path(target, run.header), run.header, run.columns, events=events, status=run.status,
+        reason=run.reason, end_time=run.end_time, checks=run.checks,
+    )  # fmt: skip
+    return ImportedRun(written, len(run.columns["time"]), run.header.sample_rate_hz, events)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _PreparedRun:
-    """All that a run file will hold."""
-
-    header: RunHeader
-    measured: ConvertedMeasurement
-    events: tuple[RunEvent, ...]
-
-    def written_to(self, target: Path) -> ImportedRun:
-        from dragrig.rig import write_run
-
-        written = write_run(_run_file_path(target, self.header), self.header, self.measured.columns, events=self.events)
-        return ImportedRun(written, len(self.measured.columns["time"]), self.measured.sample_rate_hz, self.events)
-
-
-def _prepared_runs(path: Path, tables: Sequence[ForeignTable], settings: ImportSettings) -> tuple[_PreparedRun, ...]:
+def _prepared_runs(path: Path, settings: ImportSettings) -> tuple[PreparedRun, ...]:
+    if not settings.columns.mapped() and (exported := read_export(path)) is not None:
+        run = restore_run(exported)
+        if stated := ", ".join(sorted(set(settings.model_dump(exclude_defaults=True)) - {"order"})):
+            unused = f"not used, as an export comes back as it was: {stated}; map its columns to use them"
+            run = replace(run, remarks=(unused, *run.remarks))
+        return (run,)
     if settings.kind not in (kinds := protocol_kinds()):
         raise ImportDataError(f"{path}: {settings.kind} is no kind of run; {suggestion(settings.kind, tuple(kinds))}")
-    runs: list[_PreparedRun] = []
+    tables, runs = read_foreign(path, settings), list[PreparedRun]()
     for table in tables:
         for recording in recordings(table, settings):
             spans = motion_stretches(recording, settings) if settings.split_at else ((settings.from_s, settings.to_s),)
@@ -132,7 +124,7 @@ def _prepared_runs(path: Path, tables: Sequence[ForeignTable], settings: ImportS
     return tuple(runs)
 
 
-def _prepared_run(path: Path, table: ForeignTable, settings: ImportSettings, specimen: str) -> _PreparedRun:
+def _prepared_run(path: Path, table: ForeignTable, settings: ImportSettings, specimen: str) -> PreparedRun:
     measured = convert_table(table, settings)
     header, events = _run_header(path, table, settings, measured, specimen)
     missing = [key for key in PARAMETERS_OF_KIND.get(header.kind, ()) if key not in header.protocol]
@@ -142,7 +134,7 @@ def _prepared_run(path: Path, table: ForeignTable, settings: ImportSettings, spe
             f"{path}: a run of kind {header.kind} needs {', '.join(missing)}, which its positions do not show (no "
             f"single move at one speed between standstills); state them, as in {stated}, or leave the kind out."
         )
-    return _PreparedRun(header, measured, events)
+    return PreparedRun(header, measured.columns, events)
 
 
 def _run_file_path(target: Path, header: RunHeader) -> Path:
@@ -263,20 +255,3 @@ def _shown_protocol(kind: str, measured: ConvertedMeasurement, specimen: Mapping
         **({} if strain is None else {"shear_strain": float(f"{strain:.3g}")}),
     }
     return {key: shown[key] for key in wanted if key in shown}
-
-
-def _restore_export(exported: ExportedRun, target: Path, settings: ImportSettings) -> ImportedRun:
-    """Write an exported run again; what the settings state besides is not used, and an event says so."""
-    from dragrig.rig import write_run
-
-    run = restore_run(exported)
-    remarks = run.remarks
-    if stated := ", ".join(sorted(set(settings.model_dump(exclude_defaults=True)) - {"order"})):
-        unused = f"not used, as an export comes back as it was: {stated}; map its columns to use them"
-        remarks = (unused, *remarks)
-    events = (*map(import_event, remarks), *run.events)
-    written = write_run(
-        _run_file_path(target, run.header), run.header, run.columns, events=events, status=run.status,
-        reason=run.reason, end_time=run.end_time, checks=run.checks,
-    )  # fmt: skip
-    return ImportedRun(written, len(run.columns["time"]), run.header.sample_rate_hz, events)

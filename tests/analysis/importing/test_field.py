@@ -397,6 +397,18 @@ def test_an_encoder_that_wraps_goes_on(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.trace.position, np.arange(120) / 100, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("unit", "turn", "low"), [("deg", 360, 0), ("deg", 360, -180), ("rad", 2 * np.pi, 0), ("rev", 1, 0)]
+)
+def test_an_angle_goes_on_from_turn_to_turn_there_and_back(tmp_path: Path, unit: str, turn: float, low: float) -> None:
+    angle = turn * np.concatenate((np.linspace(0.3, 2.7, 60), np.linspace(2.7, 0.4, 60)))
+    shown = [f"{k / 100:.2f};{FORCE[k] / 1000:.5f};{(a - low) % turn + low:.3f}" for k, a in enumerate(angle)]
+    columns = {**BY_NAME, "position": f"Angle:{unit}"}
+    (run,) = read(tmp_path, ["Time [s];Force [N];Angle", *shown], columns, radius_mm=10.0)
+    np.testing.assert_allclose(run.trace.position, (angle - angle[0]) * 2 * np.pi / turn * 10, atol=0.07)
+    assert any("an angle is continued over" in event.message for event in run.events)
+
+
 def test_rows_without_a_number_keep_their_place_at_a_stated_rate(tmp_path: Path) -> None:
     rows = ["OVLD;0" if k in {40, 41} else f"{FORCE[k] / 1000:.5f};{k / 50:.2f}" for k in range(120)]
     (run,) = read(
