@@ -196,7 +196,7 @@ def fit_decay(region: GapRegion) -> ExponentialDecay | None:
     ]
     if not runs:
         return None
-    in_travel = _best_decay(runs, [_distance_from_start(blocks, np.abs(blocks.position_mm)) for blocks in runs])
+    in_travel = _best_decay(runs, [_distance_from_start(blocks, _travel_mm(blocks)) for blocks in runs])
     in_time = _best_decay(runs, [_distance_from_start(blocks, blocks.time_s) for blocks in runs])
     fit, alternative, along_way = (
         (in_travel, in_time, True)
@@ -232,6 +232,11 @@ def _steady_mask(blocks: ResidualBlocks) -> BoolArray:
     return np.asarray(blocks.phase == Phase.STEADY, dtype=np.bool_)
 
 
+def _travel_mm(blocks: ResidualBlocks) -> FloatArray:
+    """Return the way made so far, there and back."""
+    return np.cumsum(np.abs(np.diff(blocks.position_mm, prepend=blocks.position_mm[0])))
+
+
 def _distance_from_start(blocks: ResidualBlocks, coordinate: FloatArray) -> FloatArray:
     steady = coordinate[_steady_mask(blocks)]
     return np.asarray(np.abs(steady - steady[0]), dtype=np.float64)
@@ -239,7 +244,9 @@ def _distance_from_start(blocks: ResidualBlocks, coordinate: FloatArray) -> Floa
 
 def _best_decay(runs: Sequence[ResidualBlocks], distances: Sequence[FloatArray]) -> _DecayFit:
     span = max(float(distance.max()) for distance in distances)
-    shortest = max(min(float(np.median(np.diff(distance))) for distance in distances), 1e-6 * span, 1e-12)
+    # Blocks of a standstill are no way made.
+    steps = [np.diff(distance) for distance in distances]
+    shortest = max(min(float(np.median(step[step >= 0.01 * step.mean()])) for step in steps), 1e-6 * span, 1e-12)
     lengths = np.geomspace(shortest, max(MAX_DECAY_FRACTION * span, 2 * shortest), DECAY_LENGTHS)
     before = np.zeros(len(runs))
     explained, starts = np.zeros((2, len(runs), lengths.size))

@@ -12,15 +12,22 @@ from dragrig.analysis.gap.classifier import classify
 from dragrig.analysis.gap.design import Design, RunDesign, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Classification, Verdict
+from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
 from dragrig.analysis.gap.forward_selection import fit_nonparametric_laws
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
 from dragrig.analysis.gap.run_data import RunData, choose_runs
 from dragrig.analysis.gap.studies import prepare_study
-from dragrig.analysis.gap.unknown_gap import NOT_LOCALISABLE, describe_unexplained_gap, nonparametric_law_text
+from dragrig.analysis.gap.unknown_gap import (
+    NOT_LOCALISABLE,
+    describe_unexplained_gap,
+    fit_decay,
+    nonparametric_law_text,
+)
+from dragrig.analysis.gap.unknown_law import GapRegion
 from dragrig.analysis.models.capsule_model import MODEL
 from dragrig.rig.devices import Contact
-from dragrig.rig.profile import FloatArray
+from dragrig.rig.profile import FloatArray, Phase
 from dragrig.sim_backend.effects.base import Effect, catalogue
 from hidden import hidden
 from places import CAMPAIGN
@@ -170,3 +177,22 @@ def test_what_resembles_an_effect_but_is_another_law_is_unknown(
     assert text in diagnosis.unknown.dependence
     there, _, elsewhere = diagnosis.unknown.location.split(". ")[0].partition("; not in ")
     assert not any(kind in there and kind in elsewhere for kind in ("relaxation", "blank", "Coulomb", "drag"))
+
+
+@pytest.mark.parametrize("decays", [True, False])
+def test_what_decays_over_many_strokes_does_so_along_the_way_made(decays: bool) -> None:
+    corners_s, noise = np.arange(11) * 4.0, np.random.default_rng(7).normal(0.0, 0.3, 400)
+    time = np.linspace(0.05, 39.95, 400)
+    position = np.interp(time, corners_s, 20.0 * (np.arange(11) % 2))
+    way = np.interp(time, corners_s, 20.0 * np.arange(11))
+    residual = 20.0 * np.exp(-way / 30.0) if decays else 5.0 * np.sign(np.gradient(position))
+    run = ResidualBlocks(
+        "a", "force", "motion", Contact.SLIDING, 5.0, 0.0, None, residual + noise, np.full(400, 0.3),
+        np.full(400, 0.1), time, np.full(400, int(Phase.STEADY), np.uint8), position,
+    )  # fmt: skip
+    decay = fit_decay(GapRegion("force", ("motion",), "", (run,), (np.ones(400, dtype=np.bool_),), 1.0))
+    if decays:
+        assert decay is not None
+        assert (decay.along_way, decay.length) == (True, pytest.approx(30.0, rel=0.1))
+    else:
+        assert decay is None
