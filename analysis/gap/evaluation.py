@@ -156,7 +156,8 @@ class ModelEvaluation:
                 return verdict
         if self.explained is not None and self.explained < MIN_EXPLAINED:
             return PromiseVerdict.NOT_KEPT
-        return PromiseVerdict.KEPT
+        # Effects that made held-out runs of the diagnosis worse promise nothing that could be kept.
+        return PromiseVerdict.NO_POWER if self.promised is not None and self.promised <= 0 else PromiseVerdict.KEPT
 
 
 @single_blas_thread()

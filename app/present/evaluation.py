@@ -85,11 +85,11 @@ def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:
 def _reason(evaluation: ModelEvaluation) -> str:
     deciding = [size for size in evaluation.sizes if size.verdict is evaluation.verdict] or list(evaluation.sizes)
     sizes = "; ".join(f"{display_name(size.effect)} {_size_text(size)}" for size in deciding)
-    if evaluation.verdict is PromiseVerdict.NOT_KEPT and all(
-        size.verdict is PromiseVerdict.KEPT for size in evaluation.sizes
-    ):
-        return f"{sizes}, but most of what is wrong in these runs remains"
-    return sizes
+    if evaluation.verdict in {size.verdict for size in evaluation.sizes}:
+        return sizes
+    if evaluation.verdict is PromiseVerdict.NO_POWER:
+        return f"{sizes}, but closed nothing of the gap in runs of the diagnosis that were held out: no promise to keep"
+    return f"{sizes}, but most of what is wrong in these runs remains"
 
 
 def _size_text(size: RelativeEffectSize) -> str:

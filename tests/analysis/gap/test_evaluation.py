@@ -191,6 +191,12 @@ def test_an_effect_of_the_right_size_explains_what_is_wrong(
     assert evaluation_with(explained, achieved).verdict is verdict
 
 
+def test_what_made_held_out_runs_worse_has_no_promise_to_keep() -> None:
+    evaluation = replace(evaluation_with(0.9, 0.9), promised=-17.8)
+    assert evaluation.verdict is PromiseVerdict.NO_POWER
+    assert "no promise to keep" in document_text(evaluation_document(evaluation))
+
+
 def test_the_page_says_that_its_runs_are_simulated() -> None:
     page = render_page(evaluation_document(replace(evaluation_with(0.9, 0.9), backends=("simulated",))))
     assert '<span class="badge simulated">simulated</span>' in page
