@@ -51,11 +51,6 @@ def echo(text: str = "", *, err: bool = False, newline: bool = True) -> None:
     click.echo(printable(text), err=err, nl=newline)  # noqa: TID251  # this is where
 
 
-def print_result(text: str) -> None:
-    """Print a result on standard output."""
-    echo(text)
-
-
 def print_json(value: object) -> None:
     """Print a result as JSON on standard output: dataclasses as objects, NaN and infinities as null."""
     echo(json.dumps(to_json_value(value), indent=2, allow_nan=False))

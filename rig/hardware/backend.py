@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -67,7 +67,7 @@ _MAX_NAME_BYTES = 100
 _LOCK_FOLDER = Path(os.environ.get("PROGRAMDATA", tempfile.gettempdir())) / "dragrig"
 
 
-class RigLock:
+class RigLock(ExitStack):
     """The lock of one program on one rig, from construction to `close`.
 
     On Linux it is a name of the kernel's (man 7 unix, abstract sockets): it ends with its process, and there is no file
@@ -85,25 +85,16 @@ class RigLock:
     """
 
     def __init__(self, hardware: HardwareSettings, scope: str = "") -> None:
+        super().__init__()
         name, rig = f"{scope}{lock_name(hardware)}", f"{hardware.card.device} and {hardware.drive.port}"
         if len(name.encode()) > _MAX_NAME_BYTES:
             name = hashlib.sha256(name.encode()).hexdigest()
         try:
-            self._release = _hold_name(name) if sys.platform == "linux" else hold_file(name, _LOCK_FOLDER)
+            self.callback(_hold_name(name) if sys.platform == "linux" else hold_file(name, _LOCK_FOLDER))
         except HeldError as error:
             raise DeviceError(f"{rig}: {error} uses this rig; end it, or wait until it is done.") from None
         except OSError as error:
             raise DeviceError(f"{rig}: no lock can be made ({error}): check who may write there.") from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Release the rig. Safe to call twice."""
-        self._release()
 
 
 class HeldError(Exception):

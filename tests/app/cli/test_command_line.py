@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from dragrig.cli import main
 from dragrig.cli.commands import SECTIONS, dragrig_group
-from dragrig.cli.console import legible, print_result, run_command_line
+from dragrig.cli.console import echo, legible, run_command_line
 from dragrig.present.numbers import to_json_value
 
 ALONE = "Without a plan the rig itself is checked, so"
@@ -137,8 +137,8 @@ def test_a_full_disk_behind_the_output_is_told_in_a_sentence(tmp_path: Path) -> 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes close otherwise there")
 def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
     code = (
-        "import sys, click; from dragrig.cli.console import legible, print_result, run_command_line\n"
-        "@click.command()\ndef many():\n    for _ in range(100_000): print_result('line')\n"
+        "import sys, click; from dragrig.cli.console import legible, echo, run_command_line\n"
+        "@click.command()\ndef many():\n    for _ in range(100_000): echo('line')\n"
         "sys.exit(run_command_line(many, []))"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -215,7 +215,7 @@ def test_check_lists_every_reason_against_a_plan(run_json: Callable[..., dict[st
 def test_results_go_to_standard_output_alone(capsys: pytest.CaptureFixture[str]) -> None:
     @click.command()
     def command() -> None:
-        print_result("42")
+        echo("42")
 
     assert run_command_line(command, []) == 0
     assert capsys.readouterr() == ("42\n", "")
