@@ -284,12 +284,9 @@ def _large_pulses(
         begin, end = first + 1, last + 1
         height = _pulse_height(force, steps, begin, end, CALM_SIGMAS * usual)
         short = end - begin <= MAX_IMPULSE_SAMPLES
-        if height > 0.0 and (short or _is_constant(force[begin:end], rate_hz)):
+        constant = end - begin <= MAX_DROPOUT_S * rate_hz and float(np.ptp(force[begin:end])) == 0.0
+        if height > 0.0 and (short or constant):
             yield (begin, end), (height, not short)
-
-
-def _is_constant(values: FloatArray, rate_hz: float) -> bool:
-    return values.size <= MAX_DROPOUT_S * rate_hz and float(np.ptp(values)) == 0.0
 
 
 def _constant_spans(force: FloatArray, rate_hz: float) -> Iterator[tuple[tuple[int, int], bool]]:

@@ -101,7 +101,7 @@ class EndSignals:
         if not self._opened:
             self.reason = ""
         self._opened += 1
-        if self._earlier and not self._told:
+        if sys.platform == "win32" and self._earlier and not self._told:
             self._told = True
             self._system.enter_context(_told_of_ends(self.end))
 
@@ -208,13 +208,6 @@ if sys.platform == "win32":
         message = wintypes.MSG()
         while user32.GetMessageW(ctypes.byref(message), None, 0, 0) > 0:
             user32.DispatchMessageW(ctypes.byref(message))
-
-else:
-
-    def _told_of_ends(end: Callable[[str], None]) -> nullcontext[None]:
-        """Do nothing: elsewhere, signals say it."""
-        del end
-        return nullcontext()
 
 
 def _present_signals() -> list[signal.Signals]:

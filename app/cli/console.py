@@ -14,6 +14,7 @@ import unicodedata
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar
@@ -51,9 +52,9 @@ def echo(text: str = "", *, err: bool = False, newline: bool = True) -> None:
     click.echo(printable(text), err=err, nl=newline)  # noqa: TID251  # this is where
 
 
-def print_json(value: object) -> None:
-    """Print a result as JSON on standard output: dataclasses as objects, NaN and infinities as null."""
-    echo(json.dumps(to_json_value(value), indent=2, allow_nan=False))
+def print_json(value: object, *, indent: int | None = 2) -> None:
+    """Print a result as JSON on standard output, on one line without `indent`: NaN and infinities as null."""
+    echo(json.dumps(to_json_value(value), indent=indent, allow_nan=False))
 
 
 def print_document(document: "Document", *, as_json: bool) -> None:
@@ -83,11 +84,6 @@ def write_report(
 
     with figure_form(FigureForm()):
         write_text(render_page(drawn(document, progress or no_progress)), path, overwrite=overwrite)
-
-
-def print_json_line(value: object) -> None:
-    """Print a result as one line of JSON."""
-    echo(json.dumps(to_json_value(value), allow_nan=False))
 
 
 def print_remark(text: str) -> None:
@@ -248,17 +244,14 @@ def _replace_unencodable() -> None:
     """Show what says the same in place of characters that the console lacks (− and μ on cp1252)."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            codecs.register_error(f"dragrig.{stream.encoding}", _legible_in(stream.encoding))
+            codecs.register_error(f"dragrig.{stream.encoding}", partial(_legible, stream.encoding))
             stream.reconfigure(errors=f"dragrig.{stream.encoding}")
 
 
-def _legible_in(encoding: str) -> Callable[[UnicodeError], tuple[str, int]]:
-    def substitute(error: UnicodeError) -> tuple[str, int]:
-        if not isinstance(error, UnicodeEncodeError):
-            raise error
-        return legible(error.object[error.start : error.end], encoding), error.end
-
-    return substitute
+def _legible(encoding: str, error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return legible(error.object[error.start : error.end], encoding), error.end
 
 
 def _is_reader_gone(error: OSError) -> bool:

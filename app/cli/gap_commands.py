@@ -13,7 +13,6 @@ from dragrig.cli.console import (
     echo,
     print_document,
     print_json,
-    print_json_line,
     print_remark,
     print_warning,
     write_report,
@@ -178,7 +177,7 @@ def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> 
                 if folder.result is None
                 else diagnosis_json(folder.result, run_ids=folder.run_ids)
             )
-            print_json_line({"source": folder.source, **content})
+            print_json({"source": folder.source, **content}, indent=None)
     else:
         rows = [(folder.source, folder.result, folder.why_not) for folder in folders]
         print_document(campaigns_document(rows), as_json=False)

@@ -21,7 +21,6 @@ from dragrig.cli.console import (
     join_path,
     print_document,
     print_json,
-    print_json_line,
     print_remark,
     write_report,
 )
@@ -450,14 +449,14 @@ def _follow(watch: "CampaignWatch", every_s: float, *, as_json: bool) -> None:
             continue
         before = shown
         if as_json:
-            print_json_line(state.to_json())
+            print_json(state.to_json(), indent=None)
         else:
             echo(state_line(state))
 
 
 def _print_state(state: "CampaignState", as_json: bool) -> None:
     if as_json:
-        print_json_line(state.to_json())
+        print_json(state.to_json(), indent=None)
     elif sys.stdout.isatty():
         from rich.console import Console
 

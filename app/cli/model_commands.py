@@ -13,7 +13,6 @@ from dragrig.cli.console import (
     echo,
     print_document,
     print_json,
-    print_json_line,
     print_remark,
     write_report,
 )
@@ -431,7 +430,7 @@ def _print_identifications(folders: "Sequence[IdentifiedFolder]", *, as_json: bo
     if as_json:
         for folder in folders:
             content = {"error": folder.why_not} if folder.result is None else identification_json(folder.result)
-            print_json_line({"source": folder.source, **content, "files": folder.files})
+            print_json({"source": folder.source, **content, "files": folder.files}, indent=None)
     else:
         rows = [(folder.source, folder.result, folder.why_not) for folder in folders]
         print_document(identified_campaigns_document(rows), as_json=False)

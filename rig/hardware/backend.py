@@ -127,14 +127,8 @@ def _holder_of(address: str) -> str:
 def hold_file(name: str, folder: Path) -> Callable[[], None]:
     """Hold the lock of this name with a file in `folder`; return what releases it.
 
-    The process is named in a file beside it: Windows lets nobody read what is locked.
-
-    Raises
-    ------
-    HeldError
-        When another program, or this one elsewhere, holds it.
-    OSError
-        When there can be no such file.
+    The process is named in a file beside it: Windows lets nobody read what is locked. Raises `HeldError` when another
+    program, or this one elsewhere, holds it, and `OSError` when there can be no such file.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{re.sub(r'[^A-Za-z0-9.]+', '_', name)}.lock"
@@ -262,17 +256,13 @@ def _check_sampling(rig: RigSettings, sampler: CardSampler) -> Iterator[RigCheck
         return
     follow = f"{', '.join(names)}: each is converted {1e6 * timing.conversion_s:.3g} µs after the one before"
     settled = timing.conversion_s >= _SETTLED_S
+    left = next(share for fastest_s, share in _SETTLING if timing.conversion_s >= fastest_s * (1 - 1e-6))
     advice = (
-        f", and settles to {1e6 * _unsettled_share(timing.conversion_s):.0f} ppm of the step between them, not to the "
+        f", and settles to {1e6 * left:.0f} ppm of the step between them, not to the "
         f"converter's own: lower sampling.rate_hz, or leave out some of hardware.card.inputs, until there are "
         f"{1e6 * _SETTLED_S:g} µs"
     )
     yield RigCheck("scan", settled, follow if settled else f"{follow}{advice}")
-
-
-def _unsettled_share(conversion_s: float) -> float:
-    """Return what may be left of the input before, as a share of the step between both (PCI-6229 specifications)."""
-    return next(share for fastest_s, share in _SETTLING if conversion_s >= fastest_s * (1 - 1e-6))
 
 
 def _check_aliases(rig: RigSettings, scaling: Scaling, sampler: CardSampler, alias: Alias) -> RigCheck:
