@@ -10,8 +10,26 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-COMPLEX = "cacos cacosh casin casinh catan catanh ccos ccosh cexp clog conj cproj csin csinh csqrt ctan ctanh".split()
-REAL = "cabs carg cimag creal".split()
+COMPLEX = [
+    "cacos",
+    "cacosh",
+    "casin",
+    "casinh",
+    "catan",
+    "catanh",
+    "ccos",
+    "ccosh",
+    "cexp",
+    "clog",
+    "conj",
+    "cproj",
+    "csin",
+    "csinh",
+    "csqrt",
+    "ctan",
+    "ctanh",
+]
+REAL = ["cabs", "carg", "cimag", "creal"]
 BEGIN = """
 #include <complex.h>
 typedef struct {double r, i;} D; typedef struct {float r, i;} F;
@@ -73,8 +91,8 @@ def main(ucrtbase: Path, system32: Path) -> None:
         source.write_text("\n".join(code) + "\n", "utf-8")
         lines = [f'"{name}"={mine.get(name, f"ucrtwine.{name}")}' for name in exported_names(image)]
         exports.write_text("\n".join(["LIBRARY ucrtbase.dll", "EXPORTS", *lines, ""]), "utf-8")
-        flags = "-O1 -w -fno-builtin -shared -nostartfiles -Wl,--entry,DllMainCRTStartup".split()
-        libraries = "-lmingwex -lmsvcrt -lgcc".split()
+        flags = ["-O1", "-w", "-fno-builtin", "-shared", "-nostartfiles", "-Wl,--entry,DllMainCRTStartup"]
+        libraries = ["-lmingwex", "-lmsvcrt", "-lgcc"]
         subprocess.run(["x86_64-w64-mingw32-gcc", *flags, "-o", library, source, exports, *libraries], check=True)
         system32.joinpath("ucrtbase.dll").unlink(missing_ok=True)
         system32.joinpath("ucrtbase.dll").write_bytes(library.read_bytes())
