@@ -176,7 +176,7 @@ def _without_rounding_noise(values: FloatArray) -> FloatArray:
 def _columns_named(name: str, columns: Sequence[ExportColumn], path: Path) -> list[ExportColumn]:
     """Return the columns of a name: as exported or as in the run file, else as exported without the unit."""
     named = [column for column in columns if name in {column.name, column.dataset}]
-    named = named or [column for column in columns if name == _bare_name(column)]
+    named = named or [column for column in columns if name == column.name.removesuffix(_unit_ending(column))]
     if not named:
         from dragrig.config import suggestion
 
@@ -186,10 +186,6 @@ def _columns_named(name: str, columns: Sequence[ExportColumn], path: Path) -> li
 
 def _unit_ending(column: ExportColumn) -> str:
     return column_name("", column.units).removeprefix("column")
-
-
-def _bare_name(column: ExportColumn) -> str:
-    return column.name.removesuffix(_unit_ending(column))
 
 
 def _distinct_names(

@@ -234,7 +234,7 @@ class _Catalogue:
         """Return the kinds of the runs."""
         ids = {id_ for _, id_ in self._campaign_rows("id")}
         rows = self._connection.execute("SELECT DISTINCT folder, kind, sentinel FROM run").fetchall()
-        kinds = {_text(kind) for id_, kind, _ in rows if id_ in ids}
+        kinds = {kind.decode("utf-8", "surrogatepass") for id_, kind, _ in rows if id_ in ids}
         return tuple(sorted(kinds | {"sentinel" for id_, _, sentinel in rows if sentinel and id_ in ids}))
 
     def campaign(self) -> "Campaign":
@@ -445,10 +445,6 @@ def _parts(path: str) -> list[str]:
 
 def _bytes(text: str) -> bytes:
     return text.encode("utf-8", "surrogatepass")
-
-
-def _text(value: bytes) -> str:
-    return value.decode("utf-8", "surrogatepass")
 
 
 def _microseconds(moment: datetime) -> int:

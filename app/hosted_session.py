@@ -35,6 +35,7 @@ from dragrig.rig import (
     SessionRecord,
     SessionResult,
     Store,
+    ignore,
     preflight,
     read_idle,
     specimen_remark,
@@ -157,16 +158,16 @@ class SessionOperator(Operator, SessionObserver, Protocol):
 
 
 class RunCounter(NullOperator):
-    """Answers every prompt, and reports how many runs are made."""
+    """Answers every prompt, and reports how many runs are made, of all that steps after the session count as too."""
 
-    def __init__(self, progress: Callable[[int, int], None]) -> None:
+    def __init__(self, progress: Callable[[int, int], None], further_steps: int = 0) -> None:
         self._progress = progress
-        self._made, self._of = 0, 0
+        self._made, self._of = 0, further_steps
 
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Count the runs to be made."""
         del programme, real_time
-        self._of = len(pending)
+        self._of += len(pending)
 
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         """Count a run."""
@@ -174,15 +175,15 @@ class RunCounter(NullOperator):
         self._made += 1
         self._progress(self._made, self._of)
 
+    def step(self, steps: int) -> Callable[[int, int], None]:
+        """Return the progress of a step that counts as so many runs."""
+        before = self._made
+        self._made += steps
 
-def discard_message(sentence: str) -> None:
-    """Ignore a message."""
-    del sentence
+        def report_step(done: int, of: int) -> None:
+            self._progress(before + steps * done // max(of, 1), self._of)
 
-
-def _ignore_abort(abort: Callable[[str], None]) -> None:
-    """Ignore how to end the session."""
-    del abort
+        return report_step
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,13 +201,13 @@ class SessionOptions:
     first_run_at: datetime | None = None
     """Start of the campaign's first run, in a resumed campaign."""
     progress: CampaignProgress = field(default_factory=CampaignProgress)
-    begun: Callable[[Callable[[str], None]], None] = _ignore_abort
+    begun: Callable[[Callable[[str], None]], None] = ignore
     """Called before anything moves with a function that ends the session in good order from any thread."""
     pause: Signal | None = None
     """Set by anybody to have the session wait for a person before its next run."""
     mirror: Path | None = None
     """Folder for a second copy of each finished file."""
-    tell: Callable[[str], None] = discard_message
+    tell: Callable[[str], None] = ignore
     """Called, from any thread, with a warning that does not stop the session."""
 
     def __post_init__(self) -> None:
@@ -266,7 +267,7 @@ def run_session(
         operator = PromptRelay(observer, idle_reader(backend, timed=timed))
         run_on_worker(
             lambda: _ask_for_commissioning(setup, operator, backend.clock.now, checked.remarks),
-            discard_message,
+            ignore,
             operator,
         )
         with open_store(record) as store:

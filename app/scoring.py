@@ -276,10 +276,6 @@ def _answer(verdict: VerdictName, *, rough: bool = False) -> _Condition:
     )
 
 
-def _of_kind(kind: str) -> _Condition:
-    return lambda case: case.answer.case == kind
-
-
 _RATES: tuple[tuple[str, _Condition, _Condition], ...] = (
     ("full size, right name", _hidden(0.9), lambda case: case.all_named),
     ("full size, right name alone", _hidden(0.9), lambda case: case.answer.effects == case.diagnosis.effects),
@@ -302,7 +298,7 @@ _RATES: tuple[tuple[str, _Condition, _Condition], ...] = (
 )
 """Each rate: its name, the cases that count, and what holds of them."""
 _CONDITION_RATES = tuple(
-    (name, _of_kind(kind), lambda case: case.right)
+    (name, lambda case, kind=kind: case.answer.case == kind, lambda case: case.right)
     for condition in ("incomplete", "programme", "exchanged", "model off", "noise")
     for name, kind in ((f"{condition}, right name", condition), (f"{condition}, none, no gap", f"{condition} none"))
 )

@@ -17,6 +17,7 @@ from dragrig.config import (
     mistakes_in,
     nested_table,
     parse,
+    read_text,
     read_toml,
 )
 from dragrig.rig.runfile import replace_text
@@ -82,7 +83,7 @@ class RigSettingsForm(Form):
         for place, problem in self.problems(values).items():
             raise SettingsError(f"{self.path}: {self.field_name(place)}: {problem}.")
         read_toml(self.path)  # says what is wrong with a file that is no TOML
-        document = tomlkit.parse(self.path.read_text("utf-8-sig"))
+        document = tomlkit.parse(read_text(self.path))
         for (number, key), value in self._changes(values).items():
             table: Table = document
             for part in self.path_of(number):

@@ -30,6 +30,7 @@ from .lab import COMMISSIONING_FILE as COMMISSIONING_FILE
 from .lab import CONTACT_FILE as CONTACT_FILE
 from .lab import RIG_FILE as RIG_FILE
 from .lab import data_root_of as data_root_of
+from .lab import read_text as read_text
 from .lab import rig_file_of as rig_file_of
 from .plan import Plan as Plan
 from .plan import PlannedKind as PlannedKind

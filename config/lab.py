@@ -10,6 +10,14 @@ COMMISSIONING_FILE = "commissioning.toml"
 DEFAULT_DATA_ROOT = "runs"
 
 
+def read_text(path: Path) -> str:
+    """Return a text that a person may have written, without the mark that Windows' editors begin UTF-8 with.
+
+    Raises `OSError` when it cannot be read, `UnicodeDecodeError` when it is not UTF-8.
+    """
+    return path.read_text("utf-8-sig")
+
+
 def rig_file_of(start: Path) -> Path | None:
     """Return the rig file of the lab folder that contains `start`, searching upwards, or None."""
     for folder in (start.absolute(), *start.absolute().parents):
@@ -27,7 +35,7 @@ def data_root_of(start: Path) -> Path | None:
     if rig_file is None:
         return None
     try:
-        data = tomllib.loads(rig_file.read_text("utf-8")).get("data", {})
+        data = tomllib.loads(read_text(rig_file)).get("data", {})
     except (OSError, ValueError):
         return None
     root = data.get("root", DEFAULT_DATA_ROOT) if isinstance(data, dict) else None

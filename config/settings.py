@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
 from dragrig.config.errors import NO_TEXT, SettingsError
+from dragrig.config.lab import read_text
 from dragrig.config.typed_numbers import number_text, read_number
 
 _MAX_FILE_BYTES = 4 * 1024 * 1024
@@ -104,7 +105,7 @@ def read_toml(path: Path) -> Table:
     try:
         if path.stat().st_size > _MAX_FILE_BYTES:
             raise SettingsError(f"{path}: larger than 4 MB, which no settings file is; check the path.")
-        text = path.read_bytes().decode("utf-8-sig")
+        text = read_text(path)
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read ({error.strerror}); check the path.") from error
     except UnicodeDecodeError as error:

@@ -59,6 +59,7 @@ from .operator import NullOperator as NullOperator
 from .operator import Operator as Operator
 from .operator import Prompt as Prompt
 from .operator import SessionObserver as SessionObserver
+from .operator import ignore as ignore
 from .operator import park as park
 from .profile import TIME_TOLERANCE_S as TIME_TOLERANCE_S
 from .profile import AnyFloatArray as AnyFloatArray

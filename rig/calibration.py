@@ -18,6 +18,7 @@ from dragrig.config import (
     SettingsError,
     parse,
     read_settings_file,
+    read_text,
     to_toml,
 )
 from dragrig.rig.runfile import replace_text
@@ -100,7 +101,7 @@ def read_calibrations(folder: Path) -> tuple[Calibration, ...]:
     """
     path = folder / CALIBRATION_FILE
     try:
-        lines = path.read_text("utf-8").splitlines()
+        lines = read_text(path).splitlines()
     except FileNotFoundError:
         return ()
     except (OSError, UnicodeDecodeError) as error:

@@ -24,7 +24,7 @@ from dragrig.config import (
     to_toml,
 )
 from dragrig.rig.devices import RigCheck, SupportsBenchActions
-from dragrig.rig.operator import Answer, Prompt
+from dragrig.rig.operator import Answer, Prompt, ignore
 from dragrig.rig.runfile import replace_text
 from dragrig.rig.stops import StopName
 
@@ -57,10 +57,6 @@ SWITCH_NAMES: Mapping[str, str] = {
 }
 
 _BenchAction: TypeAlias = Callable[[SupportsBenchActions], None]
-
-
-def _do_nothing(bench: SupportsBenchActions) -> None:
-    del bench
 
 
 def _press(bench: SupportsBenchActions, *, switch: str, on: bool) -> None:
@@ -245,7 +241,7 @@ class _Guide:
     def __init__(self, live: LiveRig, bench: SupportsBenchActions | None, confirm: Callable[[Prompt], Answer]) -> None:
         self._live, self._bench, self._confirm = live, bench, confirm
 
-    def watch(self, text: str, act: _BenchAction = _do_nothing, undo: _BenchAction = _do_nothing) -> Watched:
+    def watch(self, text: str, act: _BenchAction = ignore, undo: _BenchAction = ignore) -> Watched:
         """Return what was seen; `act` and `undo` are what a double does in the person's place."""
         before = self._live.view()
         views: list[LiveView] = []

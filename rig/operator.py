@@ -141,6 +141,10 @@ class NullOperator:
         """Do nothing."""
 
 
+def ignore(*_: object) -> None:
+    """Do nothing with what is told."""
+
+
 def confirm(operator: Operator, prompt: Prompt) -> None:
     """Show a prompt; any answer but done raises `AbortedError`."""
     if operator.ask(prompt) is not Answer.DONE:

@@ -156,47 +156,37 @@ class Resistance(Protocol):
     @property
     def constant(self) -> bool:
         """Whether it never changes."""
-        ...
 
     @property
     def max_panel_s(self) -> float:
         """Longest panel in which its changes are resolved."""
-        ...
 
     @property
     def max_travel_mm(self) -> float:
         """Greatest travel in a panel."""
-        ...
 
     def at_rest(self) -> Callable[[float], float]:
         """Return, by time while it rests, the force that the actuator must exceed."""
-        ...
 
     def damping(self, speed_mm_s: FloatArray) -> FloatArray:
         """Return by how much it grows with the speed [mN·s/mm]."""
-        ...
 
     def sliding(
         self, direction: int, start_s: float, width_s: float, position_mm: FloatArray, speed_mm_s: FloatArray
     ) -> FloatArray:
         """Return the resistance at the Gauss points of a panel."""
-        ...
 
     def way_left(self, direction: int, position_mm: float) -> float:
         """Return the distance to where the resistance jumps."""
-        ...
 
     def advance(self, slip: "Slip") -> None:
         """Take over a finished panel of a slip."""
-        ...
 
     def moved(self, time_s: float, way_mm: float) -> Self:
         """Return what it would be had everything happened so much later and further on."""
-        ...
 
     def difference(self, before: Self) -> float:
         """Return by how much it differs, in mm and s; infinite where it is not alike."""
-        ...
 
 
 @dataclass(slots=True)

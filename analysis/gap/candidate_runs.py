@@ -195,20 +195,16 @@ class OpenQuestion(Protocol[SeenT_contra]):
     @property
     def open_bits(self) -> float:
         """Entropy of the answer before the chosen runs."""
-        ...
 
     @property
     def bits(self) -> float:
         """Information that the chosen runs are expected to give."""
-        ...
 
     def with_run(self, observation: SeenT_contra) -> Self:
         """Choose a further run."""
-        ...
 
     def about(self, before: Self) -> tuple[str, ...]:
         """Return the effects of which it tells most beyond a question with fewer runs."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

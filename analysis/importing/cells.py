@@ -46,11 +46,7 @@ def matches(texts: "pa.StringArray", pattern: str) -> Mask:
     """Return which cells a regular expression (of RE2) matches."""
     import pyarrow.compute as pc
 
-    return _mask(pc.match_substring_regex(texts, pattern))
-
-
-def _mask(values: "pa.BooleanArray") -> Mask:
-    return np.from_dlpack(values.cast("uint8")).astype(np.bool_)
+    return np.from_dlpack(pc.match_substring_regex(texts, pattern).cast("uint8")).astype(np.bool_)
 
 
 def are_filled(texts: "pa.StringArray") -> Mask:

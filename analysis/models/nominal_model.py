@@ -110,7 +110,6 @@ class Predictor(Protocol):
     @property
     def events_s(self) -> FloatArray:
         """Times within the run at which the prediction may jump or bend, shape `(K,)`."""
-        ...
 
     @property
     def jumps(self) -> bool:
@@ -161,12 +160,10 @@ class NominalModel(Protocol):
     @property
     def name(self) -> str:
         """Name in settings and reports."""
-        ...
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters that runs determine."""
-        ...
 
     @property
     def variations(self) -> tuple[Variation, ...]:

@@ -17,6 +17,7 @@ from dragrig.rig import (
     check_limits,
     check_stops,
     check_wiring,
+    ignore,
     preflight,
     specimen_remark,
 )
@@ -309,8 +310,8 @@ def _session_options(
     tell: Callable[[str], None] | None,
     pause: Signal | None,
 ) -> "SessionOptions":
-    from dragrig.hosted_session import SessionOptions, discard_message
+    from dragrig.hosted_session import SessionOptions
 
-    tell = tell or discard_message
+    tell = tell or ignore
     target = None if mirror is None else Path(mirror)
     return SessionOptions(Path(), operator=operator, note=note, pace=pace, mirror=target, tell=tell, pause=pause)

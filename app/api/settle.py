@@ -33,7 +33,7 @@ from dragrig.analysis.gap import (
 from dragrig.api.gap import DiagnosedCampaign, DiagnosisRequest, stage_range
 from dragrig.api.measure import check, resume, run
 from dragrig.config import DragrigError, PlanError, RunFileError, SettingsError
-from dragrig.rig import Mirror, latest_session_record, read_campaign, read_session_records, replace_text
+from dragrig.rig import Mirror, ignore, latest_session_record, read_campaign, read_session_records, replace_text
 from dragrig.setup import PlanLike, SetupChoices, resolve
 
 if TYPE_CHECKING:
@@ -66,14 +66,6 @@ class Settlement:
     made: "Made | None" = None
 
 
-def _say_nothing(sentence: str) -> None:
-    del sentence
-
-
-def _ignore(record: SettleRecord) -> None:
-    del record
-
-
 class RunOptions(TypedDict):
     """How runs are made, as arguments of `dragrig.run`."""
 
@@ -94,7 +86,7 @@ class SettleHands:
     pace: "Pace | None" = None
     person: "SessionOperator | None" = None
     mirror: str | Path | None = None
-    tell: Callable[[str], None] = _say_nothing
+    tell: Callable[[str], None] = ignore
 
 
 def settle(
@@ -173,7 +165,7 @@ def settle(
     record = SettleRecord(
         plan=setup.plan.name, begun_at=now, minutes=minutes, until=until, hands_min=hands_min, batches=(first,)
     )
-    with _settling(folder, hands or SettleHands(), step or _ignore) as settling:
+    with _settling(folder, hands or SettleHands(), step or ignore) as settling:
         with _no_trace_if_nothing_began(folder):
             settling.keep(record)
             made = run(plan, out=folder, **settling.how, **choices)
@@ -209,7 +201,7 @@ def resume_settling(
     if minutes is not None:
         _require_minutes(minutes)
         record = record.model_copy(update={"minutes": minutes, "ending": None})
-    with _settling(folder, hands or SettleHands(), step or _ignore) as settling:
+    with _settling(folder, hands or SettleHands(), step or ignore) as settling:
         made = settling.made_last_batch(record) if lacks_runs(folder, record) else None
         return settling.go_on(record, made)
 

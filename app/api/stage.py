@@ -40,6 +40,7 @@ from dragrig.rig import (
     append_calibration,
     fit_encoder,
     fit_force,
+    ignore,
     look_at_rig,
     measure_driven_travel,
     measure_loads,
@@ -60,11 +61,6 @@ PointT = TypeVar("PointT", LoadReading, TravelReading)
 
 
 Begun: TypeAlias = Callable[[Callable[[str], None]], object]
-
-
-def ignore_begun(abort: Callable[[str], None]) -> None:
-    """Leave stopping to Ctrl-C."""
-    del abort
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +85,7 @@ def home(
     override: TravelEnd | None = None,
     pace: Pace | None = None,
     person: Operator | None = None,
-    begun: Begun = ignore_begun,
+    begun: Begun = ignore,
     **choices: Unpack[RigChoices],
 ) -> MoveResult:
     """Find the stage's origin.
@@ -128,7 +124,7 @@ def jog(
     override: TravelEnd | None = None,
     pace: Pace | None = None,
     person: Operator | None = None,
-    begun: Begun = ignore_begun,
+    begun: Begun = ignore,
     **choices: Unpack[RigChoices],
 ) -> MoveResult:
     """Move the stage by a signed distance; otherwise as `home` and `ManualControl.jog`."""
@@ -153,7 +149,7 @@ def touch_off(
     operator: str = "",
     pace: Pace | None = None,
     person: Operator | None = None,
-    begun: Begun = ignore_begun,
+    begun: Begun = ignore,
     **choices: Unpack[RigChoices],
 ) -> ContactPoint:
     """Approach slowly until the force changes, and store the contact in the lab folder; otherwise as `home`.
@@ -180,17 +176,12 @@ def touch_off(
     return run_on_bench(work, setup, pace, person, begun)
 
 
-def ignore_finding(finding: RigCheck) -> None:
-    """Take what was found of a signal, and do nothing."""
-    del finding
-
-
 def commission(
     *,
     operator: str = "",
     pace: Pace | None = None,
     person: Operator | None = None,
-    found: Callable[[RigCheck], None] = ignore_finding,
+    found: Callable[[RigCheck], None] = ignore,
     **choices: Unpack[RigChoices],
 ) -> CommissioningRecord:
     """Guide a person through the rig's signals: push the carriage, press the sensor, press each switch.
@@ -268,7 +259,7 @@ def run_on_bench(
     setup: RigSetup,
     pace: Pace | None = None,
     person: Operator | None = None,
-    begun: Begun = ignore_begun,
+    begun: Begun = ignore,
 ) -> ResultT:
     """Open a rig, work on it, and switch it off; the calling thread handles Ctrl-C and prompts.
 
@@ -329,7 +320,7 @@ def calibrate_force(
     store: bool = True,
     pace: Pace | None = None,
     person: Operator | None = None,
-    begun: Begun = ignore_begun,
+    begun: Begun = ignore,
     **choices: Unpack[RigChoices],
 ) -> SensorCalibration[LoadReading]:
     """Calibrate the force sensor with known weights and add the result to the lab's history.
@@ -394,7 +385,7 @@ def calibrate_encoder(
     store: bool = True,
     pace: Pace | None = None,
     person: Operator | None = None,
-    begun: Begun = ignore_begun,
+    begun: Begun = ignore,
     **choices: Unpack[RigChoices],
 ) -> SensorCalibration[TravelReading]:
     """Calibrate the encoder over a known travel and add the result to the lab's history.

@@ -1,15 +1,20 @@
 """What all commands share: output, errors as one sentence and an exit code, progress, batches of files."""
 
+import codecs
 import errno
+import io
 import json
 import os
+import re
 import sys
 import tempfile
 import time
 import traceback
+import unicodedata
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar
@@ -47,14 +52,9 @@ def echo(text: str = "", *, err: bool = False, newline: bool = True) -> None:
     click.echo(printable(text), err=err, nl=newline)  # noqa: TID251  # this is where
 
 
-def print_result(text: str) -> None:
-    """Print a result on standard output."""
-    echo(text)
-
-
-def print_json(value: object) -> None:
-    """Print a result as JSON on standard output: dataclasses as objects, NaN and infinities as null."""
-    echo(json.dumps(to_json_value(value), indent=2, allow_nan=False))
+def print_json(value: object, *, indent: int | None = 2) -> None:
+    """Print a result as JSON on standard output, on one line without `indent`: NaN and infinities as null."""
+    echo(json.dumps(to_json_value(value), indent=indent, allow_nan=False))
 
 
 def print_document(document: "Document", *, as_json: bool) -> None:
@@ -84,11 +84,6 @@ def write_report(
 
     with figure_form(FigureForm()):
         write_text(render_page(drawn(document, progress or no_progress)), path, overwrite=overwrite)
-
-
-def print_json_line(value: object) -> None:
-    """Print a result as one line of JSON."""
-    echo(json.dumps(to_json_value(value), allow_nan=False))
 
 
 def print_remark(text: str) -> None:
@@ -222,12 +217,41 @@ def _bug_sentence(error: Exception) -> str:
     return f"a bug ({type(error).__name__}: {str(error)[:120]}); please report it with the details in {report.name}."
 
 
+_LIKE = {
+    **dict.fromkeys("−–─▬", "-"), **dict.fromkeys("“”″", '"'), **dict.fromkeys("’′", "'"), **dict.fromkeys("█▓░●", "#"),
+    "μ": "µ", "µ": "u", "≥": ">=", "≤": "<=", "≈": "~", "±": "+-", "×": "x", "·": "*", "•": "*", "→": "->", "←": "<-",
+    "│": "|", "°": " deg", "√": "sqrt",
+}  # fmt: skip
+"""What says the same where a console lacks a sign; Greek letters have their names, and Unicode knows of others."""
+_GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")
+
+
+def legible(text: str, encoding: str) -> str:
+    """Return a text in the letters that an encoding has; what no others say is a question mark."""
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:
+        if len(text) > 1:
+            return "".join(legible(letter, encoding) for letter in text)
+        like = _LIKE.get(text) or unicodedata.normalize("NFKC", text)
+        if like == text and (greek := _GREEK.fullmatch(unicodedata.name(text, ""))):
+            like = greek[2].lower() if greek[1] == "SMALL" else greek[2].capitalize()
+        return legible(like, encoding) if like != text else "?"
+    return text
+
+
 def _replace_unencodable() -> None:
-    """Show a substitute for characters that the console lacks (μ on cp1252)."""
+    """Show what says the same in place of characters that the console lacks (− and μ on cp1252)."""
     for stream in (sys.stdout, sys.stderr):
-        reconfigure = getattr(stream, "reconfigure", None)
-        if reconfigure is not None:
-            reconfigure(errors="replace")
+        if isinstance(stream, io.TextIOWrapper):
+            codecs.register_error(f"dragrig.{stream.encoding}", partial(_legible, stream.encoding))
+            stream.reconfigure(errors=f"dragrig.{stream.encoding}")
+
+
+def _legible(encoding: str, error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return legible(error.object[error.start : error.end], encoding), error.end
 
 
 def _is_reader_gone(error: OSError) -> bool:

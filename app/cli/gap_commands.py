@@ -10,11 +10,10 @@ from dragrig.cli import options
 from dragrig.cli.console import (
     ProgressMeter,
     display_path,
+    echo,
     print_document,
     print_json,
-    print_json_line,
     print_remark,
-    print_result,
     print_warning,
     write_report,
 )
@@ -133,9 +132,9 @@ def diagnose_command(
     print_document(document, as_json=as_json)
     for name, file in (("model", model), ("report", report)):
         if file is not None and not as_json:
-            print_result(f"{name:8}{display_path(file)}")
+            echo(f"{name:8}{display_path(file)}")
     for path in drawn if not as_json else ():
-        print_result(f"figure  {display_path(path)}")
+        echo(f"figure  {display_path(path)}")
 
 
 def _diagnose_together(
@@ -162,9 +161,9 @@ def _diagnose_together(
         drawn = () if figures is None else tuple(save_figures(document, figures, overwrite=overwrite))
     print_document(document, as_json=as_json)
     if report is not None and not as_json:
-        print_result(f"report  {display_path(report)}")
+        echo(f"report  {display_path(report)}")
     for path in drawn if not as_json else ():
-        print_result(f"figure  {display_path(path)}")
+        echo(f"figure  {display_path(path)}")
 
 
 def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> None:
@@ -178,7 +177,7 @@ def _print_diagnoses(folders: "Sequence[DiagnosedFolder]", *, as_json: bool) -> 
                 if folder.result is None
                 else diagnosis_json(folder.result, run_ids=folder.run_ids)
             )
-            print_json_line({"source": folder.source, **content})
+            print_json({"source": folder.source, **content}, indent=None)
     else:
         rows = [(folder.source, folder.result, folder.why_not) for folder in folders]
         print_document(campaigns_document(rows), as_json=False)
@@ -214,7 +213,7 @@ def evaluate_command(
     write_report(document, report, overwrite=overwrite)
     print_document(document, as_json=as_json)
     if report is not None and not as_json:
-        print_result(f"report  {display_path(report)}")
+        echo(f"report  {display_path(report)}")
     if evaluation.verdict is PromiseVerdict.NOT_KEPT:
         click.get_current_context().exit(1)
 
@@ -267,7 +266,7 @@ def next_command(
     if save_plan is not None and experiment is None:
         print_remark(f"{display_path(save_plan)} is not written: there is no run to recommend")
     elif save_plan is not None and not as_json:
-        print_result(f"plan    {display_path(save_plan)}")
+        echo(f"plan    {display_path(save_plan)}")
 
 
 @click.command("settle")
@@ -348,9 +347,9 @@ def settle_command(
     write_report(document, report, overwrite=overwrite)
     print_document(document, as_json=as_json)
     if not as_json:
-        print_result(f"folder  {display_path(settled.folder)}")
+        echo(f"folder  {display_path(settled.folder)}")
         if report is not None:
-            print_result(f"report  {display_path(report)}")
+            echo(f"report  {display_path(report)}")
 
 
 @click.command("isolability")
@@ -388,7 +387,7 @@ def isolability_command(
         write_report(document, report, overwrite=overwrite, progress=reporting)
     print_document(document, as_json=as_json)
     if report is not None and not as_json:
-        print_result(f"report  {display_path(report)}")
+        echo(f"report  {display_path(report)}")
 
 
 @click.command("effects")
@@ -479,7 +478,7 @@ def blind_command(
     else:
         print_document(exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256), as_json=False)
     if report is not None and not as_json:
-        print_result(f"report  {display_path(report)}")
+        echo(f"report  {display_path(report)}")
     if exam.failed:
         name, reason = next(iter(exam.failed.items()))
         raise AnalysisError(f"{len(exam.failed)} of {cases} campaigns were not diagnosed; of {name}: {reason}.")
@@ -515,4 +514,4 @@ def gap_calibrate_command(
         write_text(calibration.model_dump_json(indent=1) + "\n", save, overwrite=overwrite)
     print_document(calibration_document(calibration, rates), as_json=as_json)
     if save is not None and not as_json:
-        print_result(f"calibration  {display_path(save)}")
+        echo(f"calibration  {display_path(save)}")

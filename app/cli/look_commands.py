@@ -17,12 +17,11 @@ from dragrig.cli.console import (
     FileBatch,
     ProgressMeter,
     display_path,
+    echo,
     join_path,
     print_document,
     print_json,
-    print_json_line,
     print_remark,
-    print_result,
     write_report,
 )
 from dragrig.present import duration_text, shortest
@@ -155,10 +154,10 @@ def find_command(
         return
     count = sum(map(len, found.values()))
     if campaigns and found:
-        print_result("\n".join(map(display_path, found)))
+        echo("\n".join(map(display_path, found)))
     elif count:
         shown = ((display_path(parent), names) for parent, names in found.items())
-        print_result("\n".join(join_path(parent, name) for parent, names in shown for name in names))
+        echo("\n".join(join_path(parent, name) for parent, names in shown for name in names))
     print_remark(f"{count} run{'' if count == 1 else 's'}{_unknown_kind_text(query.kind, kinds)}")
 
 
@@ -224,7 +223,7 @@ def show_command(
         print_json(drawn)
     else:
         for line in drawn:
-            print_result(display_path(line["picture"]))
+            echo(display_path(line["picture"]))
     runs.close()
     overviews.close()
 
@@ -306,7 +305,7 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
     if as_json:
         print_json({"source": source, "report": written})
         return
-    print_result(display_path(written))
+    echo(display_path(written))
 
 
 @click.command("compare")
@@ -363,10 +362,10 @@ def compare_command(
         print_json({**comparison_json(comparison), "files": written})
         return
     print_document(document, as_json=False)
-    print_result(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
+    echo(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
     if report is not None:
-        print_result(f"report    {display_path(report)}")
-    print_result(f"pictures  {len(written) - 2} in {display_path(folder)}")
+        echo(f"report    {display_path(report)}")
+    echo(f"pictures  {len(written) - 2} in {display_path(folder)}")
 
 
 DEFAULT_PORT = 8765
@@ -450,20 +449,20 @@ def _follow(watch: "CampaignWatch", every_s: float, *, as_json: bool) -> None:
             continue
         before = shown
         if as_json:
-            print_json_line(state.to_json())
+            print_json(state.to_json(), indent=None)
         else:
-            print_result(state_line(state))
+            echo(state_line(state))
 
 
 def _print_state(state: "CampaignState", as_json: bool) -> None:
     if as_json:
-        print_json_line(state.to_json())
+        print_json(state.to_json(), indent=None)
     elif sys.stdout.isatty():
         from rich.console import Console
 
         Console().print(state_table(state))
     else:
-        print_result("\n".join(f"{name:10}{text}" for name, text in state_texts(state).items()))
+        echo("\n".join(f"{name:10}{text}" for name, text in state_texts(state).items()))
 
 
 def state_line(state: "CampaignState") -> str:

@@ -13,11 +13,11 @@ from dragrig.cli.console import (
     BAD_INPUT,
     ProgressMeter,
     display_path,
+    echo,
     print_document,
     print_error,
     print_json,
     print_remark,
-    print_result,
     print_warning,
 )
 
@@ -37,7 +37,7 @@ def init_command(folder: Path) -> None:
     from dragrig.setup import create_lab
 
     for path in create_lab(folder):
-        print_result(str(path))
+        echo(str(path))
     print_remark("Edit the rig settings, then try: dragrig check drag")
 
 
@@ -220,7 +220,7 @@ def run_command(
     else:
         print_remark(made.summary())
         _print_mirror_state(made)
-        print_result(display_path(made.folder))
+        echo(display_path(made.folder))
     made.session.require()
 
 
@@ -301,7 +301,7 @@ def recover_command(ctx: click.Context, places: tuple[Path, ...], as_json: bool)
     else:
         for recording in recordings:
             if recording.path is not None:
-                print_result(f"{recording.path}  {recording.samples} samples")
+                echo(f"{recording.path}  {recording.samples} samples")
     if not recordings:
         print_remark("There is nothing to recover.")
     for recording in recordings:
@@ -335,7 +335,7 @@ def demo_command(out: Path) -> None:
         overview = evaluate_demo(made, meter.at)
     print_document(campaign_table_document(table_rows(made.folder)), as_json=False)
     folder = display_path(made.folder)
-    print_result(
+    echo(
         f"\nrun files  {folder}\ncsv        {display_path(made.folder / DEMO_TABLES)}"
         f"\npictures   {display_path(made.folder / DEMO_PICTURES)}, {display_path(overview)}"
     )

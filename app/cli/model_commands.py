@@ -10,11 +10,10 @@ from dragrig.cli import options
 from dragrig.cli.console import (
     ProgressMeter,
     display_path,
+    echo,
     print_document,
     print_json,
-    print_json_line,
     print_remark,
-    print_result,
     write_report,
 )
 from dragrig.cli.options import NUMBER
@@ -96,7 +95,7 @@ def model_command(
         print_json(rows)
     else:
         print_document(document, as_json=False)
-    report = print_remark if as_json else print_result
+    report = print_remark if as_json else echo
     for path in written:
         report(str(path))
 
@@ -182,7 +181,7 @@ def robot_command(
         written += save_figures(document, options.make_folder(figures), overwrite=overwrite)
     print_document(document, as_json=as_json)
     for path in written:
-        (print_remark if as_json else print_result)(display_path(path))
+        (print_remark if as_json else echo)(display_path(path))
 
 
 def _robot_drive(slow: float | None, fast: float | None, stroke: float | None, pause: float) -> "RobotDrive | None":
@@ -252,10 +251,10 @@ def paper_command(
         )
         return
     print_remark(f"{len(made.runs)} runs, {len(made.tables)} tables, {len(made.findings)} findings")
-    print_result(f"report  {display_path(made.report)}\nfolder  {display_path(made.folder)}")
+    echo(f"report  {display_path(made.report)}\nfolder  {display_path(made.folder)}")
     if made.model is not None:
         path = display_path(made.model)
-        print_result(f"model   {path}")
+        echo(f"model   {path}")
         quoted = f'"{path}"' if " " in path else path
         print_remark(f"a dry run of this specimen: dragrig run drag --model {quoted}")
 
@@ -378,7 +377,7 @@ def identify_command(
     else:
         print_document(document, as_json=False)
         for path in written:
-            print_result(display_path(path))
+            echo(display_path(path))
     if result.joint is not None and not result.joint.converged:
         raise AnalysisError(f"{campaign}: {identified.why_no_model}.")
 
@@ -421,7 +420,7 @@ def _identify_together(
         write_report(document, report, overwrite=overwrite, progress=reporting)
     print_document(document, as_json=as_json)
     if report is not None and not as_json:
-        print_result(display_path(report))
+        echo(display_path(report))
 
 
 def _print_identifications(folders: "Sequence[IdentifiedFolder]", *, as_json: bool) -> None:
@@ -431,10 +430,10 @@ def _print_identifications(folders: "Sequence[IdentifiedFolder]", *, as_json: bo
     if as_json:
         for folder in folders:
             content = {"error": folder.why_not} if folder.result is None else identification_json(folder.result)
-            print_json_line({"source": folder.source, **content, "files": folder.files})
+            print_json({"source": folder.source, **content, "files": folder.files}, indent=None)
     else:
         rows = [(folder.source, folder.result, folder.why_not) for folder in folders]
         print_document(identified_campaigns_document(rows), as_json=False)
         for path in (path for folder in folders for path in folder.files):
-            print_result(display_path(path))
+            echo(display_path(path))
     options.require_all_succeeded("identified", len(folders), [folder.why_not for folder in folders if folder.failed])

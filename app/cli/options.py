@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, ParamSpec, TypedDict, TypeVar
 
 import click
 
-from dragrig.cli.console import QUIET, print_json, print_remark, print_result
+from dragrig.cli.console import QUIET, echo, print_json, print_remark
 
 if TYPE_CHECKING:
     from dragrig.api import MoveResult
@@ -61,21 +61,41 @@ def numbers(context: click.Context, parameter: click.Parameter, value: str) -> t
         raise click.BadParameter(str(error).removesuffix("."), context, parameter) from None
 
 
-def as_json(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--json`, as the argument `as_json`."""
-    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")(function)
-
-
-def quiet(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--quiet`: results and errors only."""
-    return click.option(
-        "--quiet", "-q", is_flag=True, expose_value=False, callback=_set_quiet, help="Show no progress, no remarks."
-    )(function)
+as_json = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+"""Adds `--json`, as the argument `as_json`."""
+inputs = click.argument("inputs", metavar="RUN…", nargs=-1, required=True)
+"""Adds the argument `inputs`: run files, patterns and folders."""
+report = click.option(
+    "--report", metavar="FILE.html", type=click.Path(path_type=Path), help="Write the report to this file."
+)
+without = click.option(
+    "--without", metavar="EFFECT", multiple=True, help="Leave an effect out of the catalogue; repeatable."
+)
+measured_specimen = click.option(
+    "--specimen", metavar="NAME", help="Name or id, where there are several (default: the most measured)."
+)
+"""Adds `--specimen`, as the argument `specimen`: one of those whose runs are examined."""
+overwrite = click.option("--overwrite", is_flag=True, help="Replace existing files.")
+yes = click.option(
+    "--yes", "-y", is_flag=True, help="Answer every prompt that needs no hands or eyes at the rig with done."
+)
+override_limit = click.option(
+    "--override-limit",
+    "override",
+    type=click.Choice(["low", "high"]),
+    help="Move although this side's limit switch is pressed; everything else stays guarded.",
+)
+"""Adds `--override-limit`, as the argument `override`."""
 
 
 def _set_quiet(context: click.Context, parameter: click.Parameter, value: bool) -> None:
     del parameter
     context.meta[QUIET] = value
+
+
+quiet = click.option(
+    "--quiet", "-q", is_flag=True, expose_value=False, callback=_set_quiet, help="Show no progress, no remarks."
+)
 
 
 def effects(text: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -159,12 +179,6 @@ def rig(function: Callable[P, R]) -> Callable[P, R]:
     return function
 
 
-def pace(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--pace`."""
-    text = "Simulated rig: fast (default) or real time. Double: real time (default) or N times faster."
-    return click.option("--pace", metavar="fast|real|N", callback=_parse_pace, help=text)(function)
-
-
 def _parse_pace(context: click.Context, parameter: click.Parameter, value: str | None) -> Pace | None:
     names: dict[str | None, Pace | None] = {"fast": "fast", "real": "real", None: None}
     if value in names:
@@ -178,6 +192,14 @@ def _parse_pace(context: click.Context, parameter: click.Parameter, value: str |
         raise click.BadParameter(text, context, parameter) from None
 
 
+pace = click.option(
+    "--pace",
+    metavar="fast|real|N",
+    callback=_parse_pace,
+    help="Simulated rig: fast (default) or real time. Double: real time (default) or N times faster.",
+)
+
+
 def session_notes(place: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Add `--operator` and `--note`, stored with what the command makes."""
 
@@ -187,11 +209,6 @@ def session_notes(place: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return click.option("--operator", metavar="NAME", default="", help=operator)(function)
 
     return decorate
-
-
-def inputs(function: Callable[P, R]) -> Callable[P, R]:
-    """Add the argument `inputs`: run files, patterns and folders."""
-    return click.argument("inputs", metavar="RUN…", nargs=-1, required=True)(function)
 
 
 def workers(tasks: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -295,29 +312,6 @@ def out(text: str, default: str | None = None) -> Callable[[Callable[P, R]], Cal
     return click.option("--out", "-o", metavar="DIR", type=folder, default=default, show_default=shown, help=text)
 
 
-def report(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--report FILE.html`, as the argument `report`."""
-    text = "Write the report to this file."
-    return click.option("--report", metavar="FILE.html", type=click.Path(path_type=Path), help=text)(function)
-
-
-def without(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--without EFFECT`, as the argument `without`."""
-    text = "Leave an effect out of the catalogue; repeatable."
-    return click.option("--without", metavar="EFFECT", multiple=True, help=text)(function)
-
-
-def measured_specimen(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--specimen`, as the argument `specimen`: one of those whose runs are examined."""
-    text = "Name or id, where there are several (default: the most measured)."
-    return click.option("--specimen", metavar="NAME", help=text)(function)
-
-
-def overwrite(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--overwrite`."""
-    return click.option("--overwrite", is_flag=True, help="Replace existing files.")(function)
-
-
 def make_folder(folder: Path) -> Path:
     """Make the folder of `--out` where it does not exist; raises `OutputError`."""
     from dragrig.config import OutputError
@@ -329,21 +323,9 @@ def make_folder(folder: Path) -> Path:
     return folder
 
 
-def yes(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--yes`."""
-    text = "Answer every prompt that needs no hands or eyes at the rig with done."
-    return click.option("--yes", "-y", is_flag=True, help=text)(function)
-
-
 def rig_session(function: Callable[P, R]) -> Callable[P, R]:
     """Add the options of all commands that move the stage by hand or calibrate."""
     return rig(pace(yes(as_json(quiet(function)))))
-
-
-def override_limit(function: Callable[P, R]) -> Callable[P, R]:
-    """Add `--override-limit`, as the argument `override`."""
-    text = "Move although this side's limit switch is pressed; everything else stays guarded."
-    return click.option("--override-limit", "override", type=click.Choice(["low", "high"]), help=text)(function)
 
 
 def limit_side(name: str | None) -> "TravelEnd | None":
@@ -358,6 +340,6 @@ def print_move(move: "MoveResult", *, as_json: bool) -> None:
     if as_json:
         print_json(move)
         return
-    print_result(f"{move.position_mm:.3f} mm")
+    echo(f"{move.position_mm:.3f} mm")
     if move.trip is not None:
         print_remark(f"The guard stays tripped: {move.trip.message}.")

@@ -12,11 +12,11 @@ from dragrig.cli.console import (
     FileBatch,
     FileProgress,
     display_path,
+    echo,
     print_document,
     print_error,
     print_json,
     print_remark,
-    print_result,
     with_progress,
 )
 from dragrig.cli.options import NUMBER
@@ -97,7 +97,7 @@ def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, note: str
     mark = f"bad: {bad}" if bad is not None else "good" if good else ""
     noted = "" if note is None else f"noted: {note}" if note.strip() else "no note"
     for path in paths:
-        print_result(f"{path}  {'; '.join(filter(None, (mark, noted)))}")
+        echo(f"{path}  {'; '.join(filter(None, (mark, noted)))}")
 
 
 @click.command("filter")
@@ -153,7 +153,7 @@ def _print_results(results: Sequence[object], lines: Sequence[str], *, as_json: 
         print_json(results)
     else:
         for line in lines:
-            print_result(line)
+            echo(line)
 
 
 @click.command("import")

@@ -5,7 +5,7 @@ from typing import Unpack
 import click
 
 from dragrig.cli import options
-from dragrig.cli.console import echo, print_document, print_json, print_remark, print_result
+from dragrig.cli.console import echo, print_document, print_json, print_remark
 from dragrig.cli.options import NUMBER
 
 
@@ -93,7 +93,7 @@ def touch_off_command(
     if as_json:
         print_json(contact.model_dump())
     else:
-        print_result(f"contact at {contact.position_mm:.3f} mm, where the force changed by {contact.force_mN:.1f} mN")
+        echo(f"contact at {contact.position_mm:.3f} mm, where the force changed by {contact.force_mN:.1f} mN")
         print_remark("Stored as contact.toml in the lab folder.")
 
 

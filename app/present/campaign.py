@@ -198,7 +198,7 @@ def campaign_document(data: CampaignReportData) -> Document:
         Section(
             _anchor(info.path.name),
             run_title(info) + (f" ({problem})" if (problem := _short_problem(info, data)) else ""),
-            (_run_figure(info, data.drawings[info.path.name]),),
+            (run_drawing(info, data.drawings[info.path.name], f"figure-{run_name(info.path)}"),),
             collapsed=True,
             note=info.path.name,
         )
@@ -256,7 +256,11 @@ def campaigns_list_document(campaigns: "Sequence[CampaignSummary]") -> Document:
         Field("folder", "campaign", lambda campaign: str(campaign.folder)),
         Field("began", "began", lambda campaign: f"{campaign.began:%Y-%m-%d %H:%M}" if campaign.began else ""),
         Field("specimens", "specimen", lambda campaign: ", ".join(campaign.specimens)),
-        Field("kinds", "runs", _kinds_text),
+        Field(
+            "kinds",
+            "runs",
+            lambda campaign: ", ".join(f"{count} {kind}" for kind, count in Counter(campaign.kinds).most_common()),
+        ),
         Field("operators", "operator", lambda campaign: ", ".join(campaign.operators)),
         Field("bad", "marked bad", lambda campaign: campaign.bad, shortest()),
         Field("unreadable", "unreadable", lambda campaign: campaign.unreadable, shortest()),
@@ -266,10 +270,6 @@ def campaigns_list_document(campaigns: "Sequence[CampaignSummary]") -> Document:
         sections=(Section("campaigns", "", (table,)),),
         data=[to_json_value(campaign) for campaign in campaigns],
     )
-
-
-def _kinds_text(campaign: "CampaignSummary") -> str:
-    return ", ".join(f"{count} {kind}" for kind, count in Counter(campaign.kinds).most_common())
 
 
 def mean_tables(rows: Sequence[TableRow]) -> tuple[Table, ...]:
@@ -433,10 +433,6 @@ _OVERVIEW = Figure(
     "as recorded, the sensor's zero included.",
     "",
 )
-
-
-def _run_figure(info: RunInfo, svg: str) -> Figure:
-    return run_drawing(info, svg, f"figure-{run_name(info.path)}")
 
 
 def _summary(data: CampaignReportData) -> str:

@@ -360,7 +360,7 @@ def comparison_figure(pair: RunPair, names: tuple[str, str] = ("", "")) -> Figur
     with figure_style():
         figure = _pair_sheet(pair, names, 1.0 + sum(panel.height_in + 0.25 for panel in panels))
         grid = figure.add_gridspec(1, 1 if ramp is None else 2)
-        windows = [_overlay_range(overlay)]
+        windows = [(float(overlay.time_s[0]), float(overlay.time_s[-1]))]
         if ramp is not None:
             begin, end = ramp
             windows.append((1.5 * begin - 0.5 * end, 3.5 * end - 2.5 * begin))
@@ -396,10 +396,6 @@ def _shift_text(shift_s: float) -> str:
 
 def _shift_clock(run: Run, start_s: float) -> Run:
     return replace(run, trace=replace(run.trace, time=np.asarray(run.trace.time - start_s)), events=(), filtered=None)
-
-
-def _overlay_range(overlay: AlignedRuns) -> tuple[float, float]:
-    return float(overlay.time_s[0]), float(overlay.time_s[-1])
 
 
 def _pair_panels(pair: RunPair, overlay: AlignedRuns) -> list[TracePanel]:

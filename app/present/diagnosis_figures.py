@@ -340,10 +340,6 @@ def _map_rows(cells: Sequence[PhaseCell]) -> list[tuple[str, str]]:
     return sorted(rows, key=lambda row: (known[0].index(row[0]), known[1].index(row[1])))
 
 
-def _map_row_label(row: tuple[str, str]) -> str:
-    return f"{row[0]}, {row[1]}"
-
-
 def _draw_excess_map(axes: Axes, cells: Sequence[PhaseCell], rows: Sequence[tuple[str, str]]) -> None:
     """Draw a cell for each phase of each protocol and channel with its excess; hatched where there is no data."""
     phases = list(dict.fromkeys(cell.phase for cell in cells))
@@ -361,7 +357,7 @@ def _draw_excess_map(axes: Axes, cells: Sequence[PhaseCell], rows: Sequence[tupl
     axes.set_xlim(-0.5, len(phases) - 0.5)
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xticks(range(len(phases)), phases)
-    axes.set_yticks(range(len(rows)), [_map_row_label(row) for row in rows], fontsize=TEXT_PT)
+    axes.set_yticks(range(len(rows)), [", ".join(row) for row in rows], fontsize=TEXT_PT)
     axes.tick_params(length=0)
     axes.grid(visible=False)
     axes.set_title("Excess in standard deviations of what is expected")

@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from dragrig.analysis import printable
-from dragrig.present import Block, Document, figure_form, svg_text
+from dragrig.present import Document, figure_form, svg_text
 from dragrig.rig import software_version
 
 _NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±′]) (?=[\d−-])|(?<=\w) (?=[=<±] )")
@@ -32,7 +32,7 @@ def render_page(document: Document) -> str:
         {
             "title": document.title,
             "document": document,
-            "kind_of": _kind_of,
+            "kind_of": lambda block: type(block).__name__.lower(),
             "drawings": {name: _markup(figure.element) for name, figure in figures.items()},
             "glyphs": _markup("".join(glyphs.values())),
         },
@@ -69,10 +69,6 @@ def without_breaks(text: str) -> str:
 def _finished_text(value: object) -> object:
     """Write out a text's hidden characters, which could turn its order round, and set its apostrophes."""
     return _APOSTROPHE.sub("\u2019", printable(value)) if type(value) is str else value
-
-
-def _kind_of(block: Block) -> str:
-    return type(block).__name__.lower()
 
 
 def _markup(html: str) -> Markup:

@@ -173,7 +173,7 @@ def _joint_parameter_table(fit: JointFit | None, model: FrictionModelSettings) -
 def _combination_table(fit: JointFit | None, model: FrictionModelSettings) -> Table:
     columns = (
         *_columns(combination="combination", value="identified", low="95 % from", high="to", simulated="simulated"),
-        *_columns(_two_digit_percent, half_width="± 95 %", meaning="meaning"),
+        *_columns(lambda value: f"{100 * value:.2g} %", half_width="± 95 %", meaning="meaning"),
     )
     meanings = {product.name: product.meaning for product in CAPSULE_COMBINATIONS}
     rows = tuple(
@@ -746,7 +746,3 @@ def _files_section(tables: Mapping[str, Table], model: str | None) -> Section:
 
 def _with_file(table: Table) -> Table:
     return replace(table, file=f"{table.name}.csv")
-
-
-def _two_digit_percent(value: float) -> str:
-    return f"{100 * value:.2g} %"

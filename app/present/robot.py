@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,7 +11,6 @@ from matplotlib.figure import Figure as MatplotlibFigure
 from dragrig.analysis import capitalise
 from dragrig.analysis.gap import display_name
 from dragrig.analysis.robot import GUT_DRIVE, HARD_DRIVE, DrivenRobot, Price, RobotStudy, SteadyWalk
-from dragrig.config import RobotDrive
 from dragrig.present import (
     BLACK,
     BLUE,
@@ -34,6 +34,9 @@ from dragrig.present import (
 )
 from dragrig.sim_backend.friction import GRAVITY_M_S2
 from dragrig.sim_backend.robot import MN_PER_G_MM_S2
+
+if TYPE_CHECKING:
+    from dragrig.config import RobotDrive
 
 FORMAT, VERSION = "dragrig-robot", 1
 PAPER_SPEEDS = "32 mm/s on a hard surface, 1 to 2 mm/s in the gut, 7 to 10 mm/s with a drive chosen by the model"
@@ -229,7 +232,7 @@ def _legend(axes: Axes) -> None:
     axes.legend(loc="upper right", ncols=2, fontsize=SMALL_PT, labelcolor="linecolor")
 
 
-def _relative_motion(drive: RobotDrive, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _relative_motion(drive: "RobotDrive", time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return relative position and acceleration of the inner mass in a period."""
     position, acceleration = np.zeros_like(time_s), np.zeros_like(time_s)
     begin, place, speed = 0.0, 0.0, 0.0

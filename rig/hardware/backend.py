@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -62,10 +62,12 @@ from dragrig.rig.hardware.sync import MotionSamplingSync
 
 _PEER = struct.Struct("3i")
 """Process, user and group of the other side of a socket (man 7 unix, SO_PEERCRED)."""
-_MAX_SOCKET_NAME_BYTES = 100
+_MAX_NAME_BYTES = 100
+"""A longer lock's name has no room in a socket's, or in a path of Windows."""
+_LOCK_FOLDER = Path(os.environ.get("PROGRAMDATA", tempfile.gettempdir())) / "dragrig"
 
 
-class RigLock:
+class RigLock(ExitStack):
     """The lock of one program on one rig, from construction to `close`.
 
     On Linux it is a name of the kernel's (man 7 unix, abstract sockets): it ends with its process, and there is no file
@@ -83,32 +85,23 @@ class RigLock:
     """
 
     def __init__(self, hardware: HardwareSettings, scope: str = "") -> None:
+        super().__init__()
         name, rig = f"{scope}{lock_name(hardware)}", f"{hardware.card.device} and {hardware.drive.port}"
+        if len(name.encode()) > _MAX_NAME_BYTES:
+            name = hashlib.sha256(name.encode()).hexdigest()
         try:
-            self._release = _hold_name(name) if sys.platform == "linux" else _hold_file(name)
-        except _HeldError as error:
+            self.callback(_hold_name(name) if sys.platform == "linux" else hold_file(name, _LOCK_FOLDER))
+        except HeldError as error:
             raise DeviceError(f"{rig}: {error} uses this rig; end it, or wait until it is done.") from None
         except OSError as error:
             raise DeviceError(f"{rig}: no lock can be made ({error}): check who may write there.") from error
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Release the rig. Safe to call twice."""
-        self._release()
-
-
-class _HeldError(Exception):
+class HeldError(Exception):
     """Who holds a rig."""
 
 
 def _hold_name(name: str) -> Callable[[], None]:
-    if len(name.encode()) > _MAX_SOCKET_NAME_BYTES:
-        name = hashlib.sha256(name.encode()).hexdigest()
     address = f"\0dragrig {name}"
     holder = socket.socket(socket.AF_UNIX)
     try:
@@ -118,7 +111,7 @@ def _hold_name(name: str) -> Callable[[], None]:
         holder.close()
         if error.errno != errno.EADDRINUSE:
             raise
-        raise _HeldError(_holder_of(address)) from None
+        raise HeldError(_holder_of(address)) from None
     return holder.close
 
 
@@ -131,23 +124,39 @@ def _holder_of(address: str) -> str:
     return "another program"
 
 
-def _hold_file(name: str) -> Callable[[], None]:
-    folder = Path(os.environ.get("PROGRAMDATA", tempfile.gettempdir())) / "dragrig"
+def hold_file(name: str, folder: Path) -> Callable[[], None]:
+    """Hold the lock of this name with a file in `folder`; return what releases it.
+
+    The process is named in a file beside it: Windows lets nobody read what is locked. Raises `HeldError` when another
+    program, or this one elsewhere, holds it, and `OSError` when there can be no such file.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / f"{re.sub(r'[^A-Za-z0-9.]+', '_', name)}.lock", timeout=0, thread_local=False)
+    path = folder / f"{re.sub(r'[^A-Za-z0-9.]+', '_', name)}.lock"
+    lock, holder = FileLock(path, timeout=0, thread_local=False), path.with_suffix(".holder")
     try:
         lock.acquire()
     except Timeout:
-        raise _HeldError("another program") from None
-    return lock.release
+        with contextlib.suppress(OSError, ValueError):
+            raise HeldError(f"process {int(holder.read_bytes())}") from None
+        raise HeldError("another program") from None
+    held = ExitStack()
+    held.callback(lock.release)
+    held.callback(attempt, holder.unlink)
+    attempt(lambda: holder.write_text(str(os.getpid()), "ascii"))
+    return held.close
+
+
+def port_name(port: str) -> str:
+    """Return the one name of a serial port: where its path leads, and of Windows' ports and addresses the text.
+
+    A port of Windows is no file: to ask the file system about it opens it, or a file of this name beside the program.
+    """
+    return str(Path(port).resolve()) if port.startswith("/") else port.removeprefix("\\\\.\\").upper()
 
 
 def lock_name(hardware: HardwareSettings) -> str:
     """Return the name of a rig's lock: card device and drive port, however the port is spelled."""
-    port = hardware.drive.port
-    if "://" not in port and Path(port).exists():
-        port = str(Path(port).resolve())
-    parts = (hardware.card.server, hardware.card.device, port)
+    parts = (hardware.card.server, hardware.card.device, port_name(hardware.drive.port))
     return "-".join(re.sub(r"[^a-z0-9.]+", "_", part.lower()).strip("_") for part in parts if part)
 
 
@@ -247,17 +256,13 @@ def _check_sampling(rig: RigSettings, sampler: CardSampler) -> Iterator[RigCheck
         return
     follow = f"{', '.join(names)}: each is converted {1e6 * timing.conversion_s:.3g} µs after the one before"
     settled = timing.conversion_s >= _SETTLED_S
+    left = next(share for fastest_s, share in _SETTLING if timing.conversion_s >= fastest_s * (1 - 1e-6))
     advice = (
-        f", and settles to {1e6 * _unsettled_share(timing.conversion_s):.0f} ppm of the step between them, not to the "
+        f", and settles to {1e6 * left:.0f} ppm of the step between them, not to the "
         f"converter's own: lower sampling.rate_hz, or leave out some of hardware.card.inputs, until there are "
         f"{1e6 * _SETTLED_S:g} µs"
     )
     yield RigCheck("scan", settled, follow if settled else f"{follow}{advice}")
-
-
-def _unsettled_share(conversion_s: float) -> float:
-    """Return what may be left of the input before, as a share of the step between both (PCI-6229 specifications)."""
-    return next(share for fastest_s, share in _SETTLING if conversion_s >= fastest_s * (1 - 1e-6))
 
 
 def _check_aliases(rig: RigSettings, scaling: Scaling, sampler: CardSampler, alias: Alias) -> RigCheck:
@@ -527,8 +532,7 @@ class HardwareBackend:
         known = ", ".join(f"{name} ({what})" for name, what in ports.items()) or "none"
         if "://" in port:
             return RigCheck("serial port", True, f"the drive is reached at {port}; serial ports here: {known}")
-        here = any(Path(name).resolve() == Path(port).resolve() or name.lower() == port.lower() for name in ports)
-        if here or Path(port).exists():
+        if port_name(port) in map(port_name, ports) or (port.startswith("/") and Path(port).exists()):
             return RigCheck("serial port", True, f"the drive is on {port}; serial ports here: {known}")
         return RigCheck(
             "serial port", False, f"hardware.drive.port is {port}, and here is {known}: connect it, or name it"

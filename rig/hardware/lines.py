@@ -64,19 +64,15 @@ class DigitalLines(Protocol):
     @property
     def has_heartbeat(self) -> bool:
         """Whether a heartbeat relay is wired."""
-        ...
 
     def read_switches(self) -> SwitchStates:
         """Read all switches now. Called at every block, so it has to return within milliseconds."""
-        ...
 
     def set_enable(self, on: bool) -> None:
         """Set the drive's enable line; no effect where it is not wired."""
-        ...
 
     def toggle_heartbeat(self) -> None:
         """Invert the heartbeat line; no effect where it is not wired."""
-        ...
 
 
 class CardLines:

@@ -23,6 +23,7 @@ from dragrig.config import (
     parse,
     parse_toml,
     read_settings_file,
+    read_text,
     read_toml,
     reason_of,
     to_toml,
@@ -101,7 +102,7 @@ def read_note(path: Path) -> str:
     if not target.exists():
         return ""
     try:
-        return target.read_text("utf-8").strip()
+        return read_text(target).strip()
     except (OSError, ValueError) as error:
         raise RunFileError(f"{target}: cannot be read as text ({error}); write the note anew or remove it") from error
 

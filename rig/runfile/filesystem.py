@@ -5,6 +5,7 @@ import errno
 import os
 import re
 import shutil
+import stat
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,7 @@ from dragrig.rig.runfile.schema import PART_SUFFIX, lock_path, part_path
 MAX_SHARING_WAIT_S = 5.0
 """How long a file that somebody reads may keep Windows from replacing it."""
 _SHARING_RETRY_S = 0.05
+_UNSHARED = "close the program that has it open"
 _TEMPORARY = re.compile(rf"\..+\.\d+{re.escape(PART_SUFFIX)}")
 _ABANDONED_S = 600.0
 """A temporary file that nobody has written to for so long is left over. No writer pauses for minutes, and a process's
@@ -166,13 +168,19 @@ def _retry_while_shared(action: Callable[[], object], path: Path) -> None:
         try:
             action()
         except PermissionError as error:
-            if os.name != "nt" or time.monotonic() > deadline_s:
-                raise OutputError(
-                    f"{path}: cannot be replaced or removed ({error.strerror}); close the program that has it open"
-                ) from error
+            remedy = refusal_remedy(path, os.name)
+            if remedy != _UNSHARED or time.monotonic() > deadline_s:
+                raise OutputError(f"{path}: cannot be replaced or removed ({error.strerror}); {remedy}") from error
             time.sleep(_SHARING_RETRY_S)
         else:
             return
+
+
+def refusal_remedy(path: Path, system: str) -> str:
+    """Return what lets a file be replaced or removed that a system (`os.name`) refused; the last may come by itself."""
+    if os.access(path, os.F_OK) and not path.stat().st_mode & stat.S_IWRITE:
+        return "it is read-only: make it writable"
+    return _UNSHARED if system == "nt" else "ask for permission to write in its folder"
 
 
 def free_bytes(folder: Path) -> int:

@@ -412,7 +412,8 @@ def finish_here(recording: Path) -> FinishResult:
 def _start_worker() -> subprocess.Popen[str]:
     flags = 0
     if sys.platform == "win32":
-        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.BELOW_NORMAL_PRIORITY_CLASS
+        # Without the console of this program, whose end would be the worker's.
+        flags = subprocess.CREATE_NO_WINDOW | subprocess.BELOW_NORMAL_PRIORITY_CLASS
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "dragrig.rig.runfile.finisher"],
         stdin=subprocess.PIPE,

@@ -5,6 +5,7 @@ names the file as well.
 """
 
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import datetime
@@ -53,6 +54,8 @@ UNCHECKED_BYTES = 1 << 24
 MAX_TRACE_RATIO = 200
 """A trace is packed less than that, for its force has noise: one that claims more would fill the memory with zeros."""
 UNCHECKED_TRACE_BYTES = 1 << 29
+_UNREADABLE = ("may not be read;", "is open in another program that lets nobody else read it: close it there, or")
+"""Elsewhere, and on Windows."""
 MAX_LIVE_ATTEMPTS = 5
 
 ReadT = TypeVar("ReadT")
@@ -498,8 +501,10 @@ def _read(path: Path, read: Callable[[schema.Layout, h5py.File], ReadT]) -> Read
             with open_run(path) as file, as_run_file_error(path):
                 return read(layout_of(file), file)
         except RunFileError:
-            if not (attempts_left and path.is_file() and is_open_for_writing(path)):
-                raise
+            with as_run_file_error(path):
+                if attempts_left and path.is_file() and is_open_for_writing(path):
+                    continue
+            raise
     raise AssertionError("the last attempt returns or raises")
 
 
@@ -545,7 +550,7 @@ def as_run_file_error(path: Path) -> Iterator[None]:
     except BlockingIOError as error:
         raise RunFileError(f"{path}: is being written by another program; close it there") from error
     except PermissionError as error:
-        raise RunFileError(f"{path}: may not be read; ask for permission or copy it elsewhere") from error
+        raise RunFileError(f"{path}: {_UNREADABLE[os.name == 'nt']} ask for permission to read it") from error
     except MemoryError as error:
         raise RunFileError(f"{path}: does not fit into memory; close other programs or use a larger machine") from error
     except Exception as error:

@@ -126,7 +126,6 @@ class RunResponse(Protocol):
 
     def at(self, time_s: FloatArray, counted_s: FloatArray) -> NoiseFreeSamples:
         """Return the samples at rising times, the counted position at others if the encoder is stuck."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

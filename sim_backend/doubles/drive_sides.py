@@ -39,11 +39,9 @@ class DriveSide(Protocol):
 
     def frame_length(self, received: bytes) -> int:
         """Length of the program's first whole frame in what was received so far; 0 while there is none."""
-        ...
 
     def answer(self, frame: bytes, act: Act) -> bytes:
         """Carry a frame out and return the reply; nothing for a damaged frame or another station's."""
-        ...
 
 
 def find_drive_side(dialect: Dialect, drive: DriveSettings) -> DriveSide:

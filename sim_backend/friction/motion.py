@@ -38,47 +38,37 @@ class Motion(Protocol):
 
     def __hash__(self) -> int:
         """Hash the motion as a value: prepared forces are cached by it."""
-        ...
 
     @property
     def breaks_s(self) -> FloatArray:
         """Ends of the intervals, shape `(K + 1,)`, from 0 to the motion's duration."""
-        ...
 
     @property
     def signs(self) -> SignArray:
         """Direction of motion in each interval, shape `(K,)`: 1, −1, or 0 at rest."""
-        ...
 
     @property
     def uniform(self) -> BoolArray:
         """Whether the velocity is constant in each interval, shape `(K,)`."""
-        ...
 
     @property
     def counted(self) -> bool:
         """Whether it was measured in encoder counts."""
-        ...
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Return the position [mm] at any times within the motion."""
-        ...
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
         """Return the velocity [mm/s] at any times within the motion."""
-        ...
 
     def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return position and velocity at times of shape `(n, m)`, each row of which lies within one interval."""
-        ...
 
     def arrival_time(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
         """Return the last time of a position within the intervals `first` to `last`, which have no reversal."""
-        ...
 
     def pieces(self) -> Pieces:
         """Return the motion as pieces of constant acceleration."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Self
@@ -11,7 +12,7 @@ import pytest
 
 from dragrig import hosted_session
 from dragrig.config.errors import PlanError, RecordingError
-from dragrig.end_signals import EndSignals
+from dragrig.end_signals import EndSignals, rig_open
 from dragrig.hosted_session import PromptRelay, SessionOptions, run_on_worker, run_session
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.programme import Preflight, preflight
@@ -28,25 +29,23 @@ def carried_out(person: NullOperator, store: MemoryStore | None = None, *assignm
 
 
 class Interrupting(NullOperator):
-    """Presses Ctrl-C, or sends another signal, in the middle of a run."""
+    """Presses Ctrl-C, or whatever ends a program, in the middle of a run."""
 
-    def __init__(self, number: signal.Signals, aborted: threading.Event) -> None:
-        self.number, self.aborted = number, aborted
+    def __init__(self, press: Callable[[], object], aborted: threading.Event) -> None:
+        self.press, self.aborted = press, aborted
         self.threads: set[threading.Thread] = set()
 
     def reads(self, reading: Reading) -> None:
         if reading.end_index > 500 and not self.threads:
             self.threads.add(threading.current_thread())
-            os.kill(os.getpid(), self.number)
+            self.press()
             # The handler runs on the main thread; the block after this one must find its word.
             assert self.aborted.wait(600.0)
 
 
-@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
-@pytest.mark.parametrize(("number", "reason"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "ended by SIGTERM")])
-def test_a_signal_ends_the_session_in_good_order(
-    number: signal.Signals, reason: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def aborted(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Set once a session is told to end."""
     abort, aborted = Session.abort, threading.Event()
 
     def abort_and_say_so(session: Session, reason: str) -> None:
@@ -54,15 +53,36 @@ def test_a_signal_ends_the_session_in_good_order(
         aborted.set()
 
     monkeypatch.setattr(Session, "abort", abort_and_say_so)
+    return aborted
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
+@pytest.mark.parametrize(("number", "reason"), [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "ended by SIGTERM")])
+def test_a_signal_ends_the_session_in_good_order(number: signal.Signals, reason: str, aborted: threading.Event) -> None:
     before = signal.getsignal(number)
     store = MemoryStore()
-    person = Interrupting(number, aborted)
+    person = Interrupting(lambda: os.kill(os.getpid(), number), aborted)
     result = carried_out(person, store)
     assert (result.status, result.reason) == (RunStatus.ABORTED, reason)
     assert [run.info.status for run in store.runs] == [RunStatus.ABORTED]
     assert store.runs[0].trace.time[-1] < 2.0
     assert threading.main_thread() not in person.threads
     assert signal.getsignal(number) is before
+
+
+def test_what_windows_ends_stops_finishes_its_run_and_closes_the_rig_before_the_process_may_end(
+    aborted: threading.Event,
+) -> None:
+    store = MemoryStore()
+    with rig_open() as signals:
+        # A thread of its own, and the process ends with the function that it calls.
+        windows = threading.Thread(target=signals.end, args=("the console was closed",), daemon=True)
+        result = carried_out(Interrupting(windows.start, aborted), store)
+        assert (result.status, result.reason) == (RunStatus.ABORTED, "the console was closed")
+        assert [run.info.status for run in store.runs] == [RunStatus.ABORTED]
+        assert windows.is_alive(), "the process would have ended"
+    windows.join(60)
+    assert not windows.is_alive()
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
@@ -188,13 +208,19 @@ class PressingAsItGoes:
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="os.kill ends the process on Windows")
 def test_a_ctrl_c_that_meets_a_destructor_is_not_lost() -> None:
+    waited = threading.Event()
+    too_long = threading.Timer(30, waited.set)
+    too_long.start()
+
     def work() -> None:
         PressingAsItGoes()
-        threading.Event().wait(1)
+        waited.wait()
 
     with EndSignals() as signals, pytest.raises(KeyboardInterrupt):
         work()
+    too_long.cancel()
     assert signals.interrupted
+    assert not waited.is_set()
 
 
 def test_an_error_of_the_operator_ends_the_session() -> None:

@@ -8,10 +8,14 @@ import pytest
 
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, SettingsError
+from dragrig.config.lab import data_root_of
 from dragrig.config.rig import Calibration, RigSettings
-from dragrig.config.settings import find_settings, read_settings_file
+from dragrig.config.settings import find_settings, read_settings_file, shipped_files
 from dragrig.rig import calibration
 from dragrig.rig.runfile import read_campaign
+from dragrig.rig.runfile.campaigns import read_note
+from dragrig.rig.runfile.schema import note_path
+from dragrig.settings_form import rig_settings_form
 from dragrig.setup import create_lab
 
 
@@ -82,3 +86,31 @@ def test_run_files_name_the_calibration_that_held(
     (info,) = read_campaign(folder).runs
     assert info.header.entry["calibration_id"] == "2024-06-b"
     assert capsys.readouterr().out.strip() == folder.name
+
+
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"], ids=["plain", "marked"])
+def test_a_lab_whose_texts_were_saved_by_an_editor_of_windows_is_read_like_any_other(
+    mark: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    create_lab(tmp_path)
+    calibration.append_calibration(tmp_path, entry("2024-05-a"))
+    (tmp_path / "plan.toml").write_text(shipped_files("plan")["drag"].read_text("utf-8"), "utf-8")
+    (tmp_path / "rig.toml").write_text('[data]\nroot = "elsewhere"\n', "utf-8")
+    for path in [path for path in tmp_path.rglob("*") if path.is_file()]:
+        path.write_bytes(mark + path.read_bytes().replace(b"\n", b"\r\n"))
+    monkeypatch.chdir(tmp_path)
+    assert data_root_of(tmp_path) == tmp_path / "elsewhere"
+    assert [past.id for past in calibration.read_calibrations(tmp_path)] == ["2024-05-a"]
+    assert main(["run", "plan.toml", "--yes", "--set", "travel_mm=10", "--set", "way_back=stay"]) == 0
+    (run,) = (tmp_path / "elsewhere").glob("*/*.h5")
+    note_path(run).write_bytes(mark + b"wet\r\n")
+    assert read_note(run) == "wet"
+    capsys.readouterr()
+    assert main(["list"]) == 0
+    assert run.parent.name in capsys.readouterr().out
+    form = rig_settings_form(tmp_path / "rig.toml")
+    values = form.values()
+    (place,) = [(group, field) for group, texts in enumerate(values) for field in texts if texts[field] == "elsewhere"]
+    values[place[0]][place[1]] = "runs"
+    form.save(values)
+    assert data_root_of(tmp_path) == tmp_path / "runs"

@@ -269,7 +269,7 @@ def test_blocks_are_short_contiguous_and_read_only(rig: RigUnderTest, backend: B
 
 
 def test_sampler_may_start_before_the_stage(rig: RigUnderTest, backend: Backend) -> None:
-    profile = stroke(hold_s=rig.slack_s)
+    profile = stroke(rest_s=rig.slack_s, hold_s=rig.slack_s)
     backend.sampler.arm(acquire(profile))
     backend.sampler.start()
     backend.stage.move(profile)

@@ -30,15 +30,12 @@ class SampleSource(Protocol):
     @property
     def rate_hz(self) -> float:
         """Samples per second that come at present; 0 when none come."""
-        ...
 
     def total(self) -> int:
         """Return how many samples per channel were taken."""
-        ...
 
     def fetch(self, first: int, end: int) -> list[FloatArray]:
         """Return these samples of each channel."""
-        ...
 
 
 class AnalogSource:

@@ -10,10 +10,12 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
 
 from dragrig.cli import main
 from dragrig.cli.commands import SECTIONS, dragrig_group
-from dragrig.cli.console import print_result, run_command_line
+from dragrig.cli.console import echo, legible, run_command_line
 from dragrig.present.numbers import to_json_value
 
 ALONE = "Without a plan the rig itself is checked, so"
@@ -135,8 +137,8 @@ def test_a_full_disk_behind_the_output_is_told_in_a_sentence(tmp_path: Path) -> 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes close otherwise there")
 def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
     code = (
-        "import sys, click; from dragrig.cli.console import print_result, run_command_line\n"
-        "@click.command()\ndef many():\n    for _ in range(100_000): print_result('line')\n"
+        "import sys, click; from dragrig.cli.console import legible, echo, run_command_line\n"
+        "@click.command()\ndef many():\n    for _ in range(100_000): echo('line')\n"
         "sys.exit(run_command_line(many, []))"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -148,10 +150,32 @@ def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
     assert process.returncode == 0
 
 
-def test_missing_characters_of_a_console_are_replaced(tmp_path: Path) -> None:
-    done = dragrig("check", "drag", "--set", "prompt=ε₀ → μ", cwd=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
+@pytest.mark.parametrize(
+    ("encoding", "shown"),
+    [
+        ("utf-8", "−1 μm ≥ 2σ × 3 … ε₀ → Σ ² é 漢"),
+        ("cp1252", "-1 µm >= 2sigma × 3 … epsilon0 -> Sigma ² é ?"),
+        ("cp850", "-1 µm >= 2sigma × 3 ... epsilon0 -> Sigma ² é ?"),
+        ("cp437", "-1 µm ≥ 2σ x 3 ... ε0 -> Σ ² é ?"),
+        ("ascii", "-1 um >= 2sigma x 3 ... epsilon0 -> Sigma 2 ? ?"),
+    ],
+)
+def test_what_a_console_lacks_is_said_with_what_it_has(encoding: str, shown: str, tmp_path: Path) -> None:
+    prompt = "−1 μm ≥ 2σ × 3 … ε₀ → Σ ² é 漢"
+    done = dragrig(
+        "check", "drag", "--set", f"prompt={prompt}", cwd=tmp_path, PYTHONIOENCODING=encoding, PYTHONUTF8="0"
+    )
     assert done.returncode == 0, done.stderr
-    assert "mm/s²" in done.stdout.decode("cp1252")
+    assert shown in done.stdout.decode(encoding)
+
+
+@given(st.text(), st.sampled_from(["ascii", "cp1252", "cp850", "cp437", "utf-8", "cp932", "latin-1"]))
+def test_every_text_has_letters_for_every_console(text: str, encoding: str) -> None:
+    shown = legible(text, encoding)
+    assert shown.encode(encoding).decode(encoding) == shown
+    assert legible(shown, encoding) == shown
+    if text.isascii():
+        assert shown == text
 
 
 def test_json_has_no_nan() -> None:
@@ -191,7 +215,7 @@ def test_check_lists_every_reason_against_a_plan(run_json: Callable[..., dict[st
 def test_results_go_to_standard_output_alone(capsys: pytest.CaptureFixture[str]) -> None:
     @click.command()
     def command() -> None:
-        print_result("42")
+        echo("42")
 
     assert run_command_line(command, []) == 0
     assert capsys.readouterr() == ("42\n", "")

@@ -204,7 +204,7 @@ def test_a_reader_that_leaves_keeps_no_file_from_being_written(
     def closed(text: str) -> None:
         raise BrokenPipeError(32, f"nobody reads {text!r}")
 
-    monkeypatch.setattr("dragrig.cli.run_file_commands.print_result", closed)
+    monkeypatch.setattr("dragrig.cli.run_file_commands.echo", closed)
     main(["export", str(practice), "--out", str(tmp_path / "csv"), "-q"])
     assert len(list((tmp_path / "csv").iterdir())) == len(list(practice.glob("*.h5"))) > 1
 

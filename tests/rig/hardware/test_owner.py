@@ -11,8 +11,15 @@ import pytest
 
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import CardSettings, DriveSettings, HardwareSettings
-from dragrig.rig.hardware.backend import RigLock, lock_name
+from dragrig.rig.hardware.backend import HeldError, RigLock, hold_file, lock_name, port_name
 
+FILE_HOLDER = """
+import pathlib, sys
+from dragrig.rig.hardware.backend import hold_file
+held = hold_file(sys.argv[1], pathlib.Path("."))
+print("held", flush=True)
+sys.stdin.readline()
+"""
 HOLDER = """
 import sys
 from dragrig.config.rig import HardwareSettings
@@ -91,7 +98,8 @@ def test_letting_go_twice_frees_nobody_elses_rig(tmp_path: Path) -> None:
             RigLock(rig(), str(tmp_path))
 
 
-def test_one_rig_has_one_name_however_its_port_is_spelled(tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform == "win32", reason="ports of Windows are no files")
+def test_one_rig_has_one_name_whichever_link_leads_to_its_port(tmp_path: Path) -> None:
     port = tmp_path / "ttyS0"
     port.write_text("", "utf-8")
     link = tmp_path / "by-id"
@@ -99,7 +107,11 @@ def test_one_rig_has_one_name_however_its_port_is_spelled(tmp_path: Path) -> Non
     # Outside of /dev, no path is taken for a port.
     drives = [DriveSettings().model_copy(update={"port": str(path)}) for path in (port, link)]
     assert len({lock_name(rig().model_copy(update={"drive": drive})) for drive in drives}) == 1
+
+
+def test_one_rig_has_one_name_however_its_port_is_spelled() -> None:
     assert lock_name(rig("dev1", "com1")) == lock_name(rig("Dev1", "COM1"))
+    assert lock_name(rig(port=r"\\.\COM3")) == lock_name(rig(port="com3"))
     names = {lock_name(rig(port=entry)) for entry in ("COM1", "socket://localhost:4001", "socket://localhost:4002")}
     assert len(names) == 3
 
@@ -108,3 +120,40 @@ def test_a_long_name_has_a_lock_too(tmp_path: Path) -> None:
     long = rig(port=f"socket://{'h' * 200}:4001")
     with RigLock(long, str(tmp_path)), pytest.raises(DeviceError, match="uses this rig"):
         RigLock(long, str(tmp_path))
+
+
+@pytest.mark.parametrize("port", ["COM3", "com3", r"\\.\COM3"])
+def test_the_name_of_a_windows_port_is_text_and_asks_no_file_beside_the_program(
+    port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = {port_name(port)}
+    if sys.platform != "win32":
+        (tmp_path / "elsewhere").write_text("", "utf-8")
+        (tmp_path / port).symlink_to("elsewhere")  # which Windows' own ports are to whoever asks
+        names.add(port_name(port))
+    assert names == {"COM3"}
+
+
+@pytest.mark.parametrize("name", ["Dev1-com3", f"socket_{'h' * 80}_4001"])
+def test_a_lock_of_a_file_says_which_process_holds_it_and_is_free_once_that_is_killed(
+    name: str, tmp_path: Path
+) -> None:
+    program = [sys.executable, "-c", FILE_HOLDER, name]
+    with subprocess.Popen(program, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline().strip() == b"held"
+        for _ in range(2):  # who asks in vain takes the name of nobody
+            with pytest.raises(HeldError, match=f"process {holder.pid}$"):
+                hold_file(name, tmp_path)
+        holder.kill()
+    release = hold_file(name, tmp_path)
+    with pytest.raises(HeldError, match=f"process {os.getpid()}$"):
+        hold_file(name, tmp_path)
+    release()
+    release_again = hold_file(name, tmp_path)
+    release()
+    with pytest.raises(HeldError, match=f"process {os.getpid()}$"):
+        hold_file(name, tmp_path)
+    release_again()
+    assert not list(tmp_path.glob("*.holder"))
