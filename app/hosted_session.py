@@ -180,9 +180,9 @@ def discard_message(sentence: str) -> None:
     del sentence
 
 
-def _ignore_abort(abort: Callable[[str], None]) -> None:
-    """Ignore how to end the session."""
-    del abort
+def _ignore_begin(abort: Callable[[str], None], folder: Path) -> None:
+    """Ignore how to end the session, and where its runs go."""
+    del abort, folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,8 +200,9 @@ class SessionOptions:
     first_run_at: datetime | None = None
     """Start of the campaign's first run, in a resumed campaign."""
     progress: CampaignProgress = field(default_factory=CampaignProgress)
-    begun: Callable[[Callable[[str], None]], None] = _ignore_abort
-    """Called before anything moves with a function that ends the session in good order from any thread."""
+    begun: Callable[[Callable[[str], None], Path], None] = _ignore_begin
+    """Called before anything moves with a function that ends the session in good order from any thread, and the
+    campaign's folder."""
     pause: Signal | None = None
     """Set by anybody to have the session wait for a person before its next run."""
     mirror: Path | None = None
@@ -283,7 +284,7 @@ def run_session(
                 steady_force=steady_force_of,
                 stops=stops,
             )
-            options.begun(session.abort)
+            options.begun(session.abort, options.folder)
             with _kept_awake(setup):
                 return run_on_worker(session.run, session.abort, operator)
 

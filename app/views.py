@@ -468,6 +468,19 @@ def campaign_to_extend(folder: Path) -> CampaignToExtend:
     return CampaignToExtend(latest, read_campaign(folder), is_session_running(folder))
 
 
+def last_heard(folder: Path) -> str:
+    """Return when and at which run a session that was cut off was last heard of, by the state file in its campaign."""
+    from dragrig.session_state import is_session_running, read_state
+
+    state = read_state(folder)
+    if state is None:
+        return "before its first run"
+    run = f"at run {state.order}, {state.run}" if state.run else "before its first run"
+    running = "; it runs in another window, or is just being ended" if is_session_running(folder) else ""
+    made = f", {state.made} of {state.runs} in all" if state.made else ""
+    return f"at {state.since.astimezone():%Y-%m-%d %H:%M}, {run}{made}{running}"
+
+
 def preview_session(
     plan: Plan | str, rig: RigSelection, specimen: Sequence[str] = (), campaign: CampaignToExtend | None = None
 ) -> SessionPreview:

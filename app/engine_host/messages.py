@@ -282,6 +282,8 @@ class SessionStarted:
     job: int
     runs: tuple[QueuedRun, ...]
     real_time: bool
+    folder: Path = Path()
+    """Of its campaign."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -276,8 +276,8 @@ class RemoteOperator:
         self._sender, self._receiver, self._live = sender, receiver, live
         self._numbers = count(1)
         self._order = 0
-        self.job = 0
-        """Number of the session that is reported."""
+        self.job, self.folder = 0, Path()
+        """Number of the session that is reported, and its campaign's folder."""
 
     attended = True
 
@@ -299,7 +299,7 @@ class RemoteOperator:
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Report the runs still to make."""
         del programme
-        self._sender.say(SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time))
+        self._sender.say(SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time, self.folder))
 
     def waits(self, duration_s: float, why: str) -> None:
         """Report a wait."""
@@ -475,12 +475,16 @@ class EngineHost:
             self._trip(finished.reason)
 
     def _run_session(self, job: SessionJob) -> Made:
+        def begun(abort: Callable[[str], None], folder: Path) -> None:
+            self._operator.folder = folder
+            self._receiver.stops(abort)
+
         options = SessionOptions(
             Path(),
             operator=job.operator,
             note=job.note,
             pace=job.pace,
-            begun=self._receiver.stops,
+            begun=begun,
             pause=self._receiver.pause,
             mirror=job.mirror,
             tell=lambda sentence: self._sender.say(OperatorWarning(sentence)),

@@ -10,7 +10,7 @@ from PySide6.QtCore import QSignalBlocker, QTimer, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLineEdit, QWidget
 
 from dragrig.config import DragrigError, OutputError, Plan, to_toml
-from dragrig.engine_host import Pace, RigSelection
+from dragrig.engine_host import Pace, RigSelection, SessionJob
 from dragrig.present import BLUE, PURPLE, duration_text, size_text, write_text
 from dragrig.settings_form import specimen_form
 from dragrig.views import (
@@ -21,6 +21,7 @@ from dragrig.views import (
     RigDescription,
     SessionPreview,
     campaign_to_extend,
+    form_from_plan,
     known_plans,
     motion_curves,
     plan_form,
@@ -332,7 +333,8 @@ class NewSession(QWidget):
         self._choose_pace(rig.pace)
         self.queue = button("Add to &queue", lambda: self.submitted.emit(False), help_="Append to the queue")
         self.start = button(
-            "&Start", lambda: self.submitted.emit(True), "main", "Append to the queue and start", "Ctrl+Return"
+            "&Start", lambda: self.submitted.emit(True), "main", "Start this session, before those that wait",
+            "Ctrl+Return",
         )
         self._lay_out()
         self._edit_timer = QTimer(self)
@@ -375,6 +377,21 @@ class NewSession(QWidget):
         self._note_edit()
         self._edited.pop(name, None)
         self._edit(name, plan)
+
+    def take_back(self, job: SessionJob) -> None:
+        """Show a session of the queue, to be changed: all that was chosen for it."""
+        if isinstance(job.plan, str):
+            return
+        self.operator.setText(job.operator)
+        self.note.setText(job.note)
+        self.mirror.setText("" if job.mirror is None else str(job.mirror))
+        self._choose_pace(job.pace)
+        self.destination.campaign.setText("" if job.append is None else str(job.append))
+        self.destination.adds.setChecked(job.append is not None)
+        (texts,) = self._specimen_form.values()
+        stated = (fact.removeprefix("specimen.").split("=", 1) for fact in job.specimen)
+        self.specimen.edit(self._specimen_form, [{**texts, **{key: str(json.loads(text)) for key, text in stated}}])
+        self.offer(f"queue, {job.plan.name}", form_from_plan(job.plan, job.plan.name))
 
     def plan(self) -> Plan:
         """Return the plan in the form; raises `DragrigError`."""

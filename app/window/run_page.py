@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
@@ -55,7 +56,7 @@ from dragrig.engine_host import (
     WatchRig,
 )
 from dragrig.present import duration_text
-from dragrig.views import RIG_LIMIT, FurtherRuns, PlanForm, RigDescription, SessionPreview
+from dragrig.views import RIG_LIMIT, FurtherRuns, PlanForm, RigDescription, SessionPreview, last_heard
 from dragrig.window.background import EngineLink
 from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
@@ -273,6 +274,10 @@ class QueueView(QWidget):
 
     chosen_folder = Signal(str)
     """Folder of a finished session whose runs are to be shown."""
+    chosen_job = Signal(SessionJob)
+    """Session that is to be shown in the form."""
+    gone_on_with = Signal(QueuedSession)
+    """Session whose missing runs are to be made."""
     changed = Signal()
 
     def __init__(self, queue: SessionQueue) -> None:
@@ -292,14 +297,19 @@ class QueueView(QWidget):
         self.up = button("Up", lambda: self._move(-1), help_="Move the selected session up", keys="Ctrl+Up")
         self.down = button("Down", lambda: self._move(1), help_="Move the selected session down", keys="Ctrl+Down")
         self.out = button("Re&move", self._remove, help_="Remove the selected session from the queue")
+        self.edit = button("To the form", self._edit, help_="Put the selected session back into the form, to be changed")
+        self.copy = button("Duplicate", self._duplicate, help_="Add the selected session to the queue once more")
+        self.missing = button(
+            "Make the missing runs", self._make_missing, help_="Go on with the selected session, which ended early"
+        )
         self.clear = button(
             "C&lear finished", self._clear, help_="Remove ended sessions from the list; their files stay"
         )
         self.back = button("Put back", self._put_back, help_="Put back what was removed last", keys="Ctrl+Shift+Z")
         self.look = button("S&how runs", self._open_selected, help_="Show the recorded runs of the selected session")
-        self.setLayout(
-            column(self.tree, flow(self.up, self.down, self.out, self.back, self.clear, self.look), margin=8)
-        )
+        of_selected = (self.up, self.down, self.edit, self.copy, self.out, self.look, self.missing)
+        self.setLayout(column(self.tree, flow(*of_selected, self.back, self.clear), margin=8))
+        self.tree.currentItemChanged.connect(lambda *_: self._show_buttons())
         self.show_queue()
 
     def show_queue(self) -> None:
@@ -310,12 +320,25 @@ class QueueView(QWidget):
             self._rebuild()
             self._follow()
             self.changed.emit()
-        self.back.setEnabled(self._queue.can_put_back)
+        self._show_buttons()
         self._show_progress()
+
+    def _show_buttons(self) -> None:
+        """Allow what can be done with the selected session."""
+        entry, seen = self._selected(), self._queue.entries
+        waits = entry is not None and entry.stage is QueueState.WAITING
+        self.up.setEnabled(waits)
+        self.down.setEnabled(waits)
+        self.out.setEnabled(entry is not None and entry.stage is not QueueState.RUNNING)
+        self.edit.setEnabled(waits and entry is not None and entry.job.resume is None)
+        self.copy.setEnabled(entry is not None and entry.job.resume is None)
+        self.missing.setEnabled(entry is not None and bool(entry.missing))
+        self.look.setEnabled(any(queued.folder for queued in (seen if entry is None else (entry,))))
+        self.back.setEnabled(self._queue.can_put_back)
 
     def _state(self, entry: QueuedSession) -> tuple[object, ...]:
         current = entry.current_run.index if entry.current_run is not None else -1
-        return entry.job.number, entry.stage, len(entry.runs), tuple(entry.ended), current, entry.reason
+        return entry.job.number, entry.stage, len(entry.runs), tuple(entry.ended), current, entry.reason, entry.folder
 
     def _follow(self) -> None:
         """Bring the run in progress into view once it starts; what a person scrolls to then stays."""
@@ -394,6 +417,23 @@ class QueueView(QWidget):
             self._queue.remove(entry)
             self.show_queue()
 
+    def _edit(self) -> None:
+        if (entry := self._selected()) is not None:
+            self._queue.remove(entry)
+            self.show_queue()
+            self.chosen_job.emit(entry.job)
+
+    def _duplicate(self) -> None:
+        if (entry := self._selected()) is not None:
+            job = replace(entry.job, number=self._queue.next_number())
+            runs = () if entry.folder else entry.runs
+            self._queue.add(QueuedSession(job, entry.title, entry.planned_s, entry.run_count, runs=runs))
+            self.show_queue()
+
+    def _make_missing(self) -> None:
+        if (entry := self._selected()) is not None:
+            self.gone_on_with.emit(entry)
+
     def _put_back(self) -> None:
         self._queue.put_back()
         self.show_queue()
@@ -438,6 +478,7 @@ def _mirror_text(entry: QueuedSession) -> str:
 
 
 _PROGRESS_INTERVAL_S = 0.2
+_MISSING = ": missing runs"
 _LOG_LINES = 10_000
 
 
@@ -452,6 +493,8 @@ class RunPage(QWidget):
     session_over = Signal(QueuedSession)
     look_at = Signal(str)
     """Folder of a campaign whose runs are to be shown."""
+    cut_off = Signal(str)
+    """Which session was cut off when the window before this one died; empty once that is decided."""
 
     def __init__(
         self,
@@ -545,10 +588,42 @@ class RunPage(QWidget):
         self.new.describe(description)
 
     def keep(self) -> None:
-        """Store form and waiting sessions for the next start; nothing starts by itself then."""
+        """Store the form for the next start."""
         self.new.keep()
         self.new.destination.finish()
-        self._stored.keep(self._queue_key, self.queue.waiting_as_text())
+
+    def _keep_queue(self) -> None:
+        """Store the queue, which outlives this process; nothing starts by itself at the next start."""
+        self._stored.keep(self._queue_key, self.queue.as_text(), at_once=True)
+
+    def show_cut_off(self) -> None:
+        """Say which session was cut off, if any is still to be decided on."""
+        entry = self.queue.cut_off
+        told = "" if entry is None else f"Session {entry.title} was cut off {last_heard(Path(entry.folder))}."
+        self.cut_off.emit(told)
+
+    def decide_cut_off(self, go_on: bool) -> None:
+        """Make the missing runs of the session that was cut off, or leave it as it is."""
+        entry = self.queue.cut_off
+        if entry is None:
+            return
+        if go_on:
+            self.make_missing(entry)
+        entry.stage, entry.reason = QueueState.ABORTED, "cut off"
+        self.show_cut_off()
+        self._show_state()
+
+    def make_missing(self, entry: QueuedSession) -> None:
+        """Queue the missing runs of a session that ended early, before what waits, and start them."""
+        job = replace(
+            entry.job, number=self.queue.next_number(), resume=Path(entry.folder), append=None, specimen=()
+        )
+        title = f"{entry.title.removesuffix(_MISSING)}{_MISSING}"
+        left_s = sum(map(entry.time_of, entry.missing))
+        again = QueuedSession(job, title, left_s, len(entry.missing), runs=entry.missing)
+        self.queue.add(again, before=self.queue.next)
+        self._show_state()
+        self.run_queue()
 
     def offer_and_queue(self, name: str, plan: PlanForm) -> None:
         """Append a plan from another page to the queue and preview it; nothing starts."""
@@ -556,8 +631,8 @@ class RunPage(QWidget):
         self.tabs.setCurrentWidget(self.preview)
         self._add_to_queue(start=False)
 
-    def enqueue(self, session: SessionPreview) -> QueuedSession | None:
-        """Append the plan in the form to the queue."""
+    def enqueue(self, session: SessionPreview, *, first: bool = False) -> QueuedSession | None:
+        """Append the plan in the form to the queue, or put it before what waits."""
         try:
             plan, specimen = self.new.plan(), self.new.specimen_facts()
             campaign = self.new.destination.path
@@ -575,8 +650,11 @@ class RunPage(QWidget):
             specimen=specimen,
         )
         title = plan.name if campaign is None else f"{plan.name}, added to {campaign.name}"
-        entry = QueuedSession(job, title, session.preflight.duration_s, len(session.preflight.previews))
-        self.queue.add(entry)
+        previews = session.preflight.previews
+        planned = (preview.run for preview in previews)
+        runs = tuple(QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm) for run in planned)
+        entry = QueuedSession(job, title, session.preflight.duration_s, len(previews), runs=runs)
+        self.queue.add(entry, before=self.queue.next if first else None)
         self.new.keep()
         self.new.note_session()
         self._show_state()
@@ -769,7 +847,7 @@ class RunPage(QWidget):
     def _add_to_queue(self, *, start: bool) -> None:
         self.new.update_preview()
         session = self.new.session
-        if session is None or session.preflight.findings or self.enqueue(session) is None:
+        if session is None or session.preflight.findings or self.enqueue(session, first=start) is None:
             return
         if start:
             self.run_queue()
@@ -847,6 +925,9 @@ class RunPage(QWidget):
         self.new.submitted.connect(lambda start: self._add_to_queue(start=start))
         self.queue_view.changed.connect(self._show_buttons)
         self.queue_view.changed.connect(self._show_why)
+        self.queue_view.changed.connect(self._keep_queue)
+        self.queue_view.chosen_job.connect(self.new.take_back)
+        self.queue_view.gone_on_with.connect(self.make_missing)
         self.queue_view.chosen_folder.connect(self.look_at.emit)
 
     def _lay_out(self) -> None:

@@ -1,10 +1,11 @@
 """The queue of sessions: waiting, running with its progress, finished; independent of Qt."""
 
-import json
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+
+from pydantic import TypeAdapter
 
 from dragrig.config import Plan
 from dragrig.engine_host import (
@@ -29,6 +30,12 @@ class QueueState(StrEnum):
     TRIPPED = "tripped"
     FAILED = "failed"
     REFUSED = "not started"
+    CUT_OFF = "cut off"
+    """The window before this one died meanwhile."""
+
+
+_LASTING = frozenset({QueueState.WAITING, QueueState.RUNNING, QueueState.CUT_OFF})
+"""States of sessions that are still to be decided or made."""
 
 
 _STATE_OF_STATUS = {
@@ -52,7 +59,7 @@ class QueuedSession:
     folder: str = ""
     runs: tuple[QueuedRun, ...] = ()
     ended: dict[int, RunFinished] = field(default_factory=dict)
-    """`runs`, `ended`: its runs once it has started, and the results of those that ended, by index."""
+    """`runs`, `ended`: its runs, where they are known, and the results of those that ended, by index."""
     current_run: QueuedRun | None = None
     """The run in progress, `elapsed_s` after its start."""
     last_index: int = -1
@@ -67,6 +74,14 @@ class QueuedSession:
     def time_of(self, run: QueuedRun) -> float:
         """Return the duration of a run, in real time with the wait before it."""
         return run.duration_s + (run.wait_s if self.real_time else 0.0)
+
+    @property
+    def missing(self) -> tuple[QueuedRun, ...]:
+        """The runs that an ended session left to be made, as far as this window knows; none without a campaign."""
+        early = {QueueState.ABORTED, QueueState.TRIPPED, QueueState.FAILED, QueueState.CUT_OFF}
+        done = {index for index, run in self.ended.items() if run.status is RunStatus.COMPLETE}
+        is_left = bool(self.folder) and self.stage in early
+        return tuple(run for run in self.runs if run.index not in done) if is_left else ()
 
     @property
     def why(self) -> str:
@@ -111,23 +126,7 @@ class QueuedSession:
         return 1.0 - self.left_s / self.total_s if self.total_s > 0 and self.runs else 0.0
 
 
-def _entry_as_json(entry: QueuedSession) -> dict[str, object]:
-    job = entry.job
-    plan = job.plan if isinstance(job.plan, str) else job.plan.model_dump(mode="json", exclude_unset=True)
-    mirror = str(job.mirror) if job.mirror is not None else ""
-    return {
-        "plan": plan,
-        "operator": job.operator,
-        "note": job.note,
-        "pace": job.pace,
-        "mirror": mirror,
-        "specimen": job.specimen,
-        "append": None if job.append is None else str(job.append),
-        "resume": None if job.resume is None else str(job.resume),
-        "title": entry.title,
-        "planned_s": entry.planned_s,
-        "run_count": entry.run_count,
-    }
+_KEPT = TypeAdapter(list[QueuedSession])
 
 
 class SessionQueue:
@@ -154,6 +153,11 @@ class SessionQueue:
         return next((entry for entry in self.entries if entry.stage is QueueState.WAITING), None)
 
     @property
+    def cut_off(self) -> QueuedSession | None:
+        """The session that was cut off and is to be decided on."""
+        return next((entry for entry in self.entries if entry.stage is QueueState.CUT_OFF), None)
+
+    @property
     def left_s(self) -> float:
         """Time left for all sessions."""
         return sum(entry.left_s for entry in self.entries)
@@ -163,9 +167,9 @@ class SessionQueue:
         lasting = (entry for entry in self.entries if entry.stage in {QueueState.WAITING, QueueState.RUNNING})
         return next((entry for entry in lasting if (entry.job.campaign, entry.job.plan) == (folder, plan)), None)
 
-    def add(self, entry: QueuedSession) -> None:
-        """Append a session."""
-        self.entries.append(entry)
+    def add(self, entry: QueuedSession, *, before: QueuedSession | None = None) -> None:
+        """Append a session, or put it before another."""
+        self.entries.insert(len(self.entries) if before is None else self.entries.index(before), entry)
 
     def remove(self, entry: QueuedSession) -> None:
         """Remove a session that is not running."""
@@ -177,29 +181,19 @@ class SessionQueue:
         """Whether sessions were removed that can be put back."""
         return bool(self._removed)
 
-    def waiting_as_text(self) -> str:
-        """Return the waiting sessions as JSON, for the next start of the window."""
-        waiting = [entry for entry in self.entries if entry.stage is QueueState.WAITING]
-        return json.dumps([_entry_as_json(entry) for entry in waiting])
+    def as_text(self) -> str:
+        """Return what waits, runs or was cut off, as JSON, for the next start of the window."""
+        return _KEPT.dump_json([entry for entry in self.entries if entry.stage in _LASTING], exclude_unset=True).decode()
 
     def restore(self, text: str) -> None:
-        """Append the sessions that `waiting_as_text` returned; what cannot be read is left out."""
-        with suppress(ValueError, TypeError, KeyError, AttributeError):
-            for kept in json.loads(text):
-                plan = Plan.model_validate(kept["plan"])
-                job = SessionJob(
-                    self.next_number(),
-                    plan,
-                    str(kept["operator"]),
-                    str(kept["note"]),
-                    kept["pace"],
-                    resume=Path(kept["resume"]) if kept.get("resume") else None,
-                    append=Path(kept["append"]) if kept.get("append") else None,
-                    mirror=Path(kept["mirror"]) if kept["mirror"] else None,
-                    specimen=tuple(map(str, kept.get("specimen", ()))),
-                )
-                title = str(kept.get("title", plan.name))
-                self.add(QueuedSession(job, title, float(kept["planned_s"]), int(kept["run_count"])))
+        """Append the sessions that `as_text` returned, none where it cannot be read; one that ran was cut off."""
+        with suppress(ValueError):
+            for entry in _KEPT.validate_json(text):
+                entry.job = replace(entry.job, number=self.next_number())
+                entry.current_run = None
+                if entry.stage is QueueState.RUNNING:
+                    entry.stage = QueueState.CUT_OFF if entry.folder else QueueState.WAITING
+                self.add(entry)
 
     def put_back(self) -> None:
         """Put back what was removed last, where it was."""
@@ -223,14 +217,14 @@ class SessionQueue:
 
     def clear_finished(self) -> None:
         """Remove the sessions that have ended."""
-        lasting = {QueueState.WAITING, QueueState.RUNNING}
-        self._take_out([entry for entry in self.entries if entry.stage not in lasting])
+        self._take_out([entry for entry in self.entries if entry.stage not in _LASTING])
 
     def session_started(self, event: SessionStarted) -> None:
         """Store the runs of a session."""
         entry = self.current
         if entry is not None and entry.job.number == event.job:
             entry.runs, entry.real_time, entry.run_count = event.runs, event.real_time, len(event.runs)
+            entry.folder = str(event.folder)
 
     def run_started(self, event: RunStarted) -> None:
         """Store the run in progress."""

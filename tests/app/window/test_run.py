@@ -16,7 +16,7 @@ from windows import WAIT_MS, Until, dressed, opened, press, require_qt
 
 require_qt()
 
-from PySide6.QtCore import QPoint, QPointF, Qt
+from PySide6.QtCore import QPoint, QPointF, QSettings, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
@@ -45,11 +45,14 @@ from dragrig.window.widgets import Topic
 
 
 @pytest.fixture(scope="module")
-def shared(
-    request: pytest.FixtureRequest, qapp: QApplication, lab: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[MainWindow]:
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("settings") / "window.ini"
+
+
+@pytest.fixture(scope="module")
+def shared(request: pytest.FixtureRequest, qapp: QApplication, lab: Path, settings: Path) -> Iterator[MainWindow]:
     """One window for many tests: each engine takes seconds to start."""
-    made = opened(QtBot(request), lab, tmp_path_factory.mktemp("settings") / "window.ini")
+    made = opened(QtBot(request), lab, settings)
     yield made
     made.close_in_order("the tests are over")
 
@@ -863,3 +866,94 @@ def test_settings_and_waiting_sessions_survive_closing_the_window(
         assert len(second.run.queue.entries) == 1
     finally:
         second.close_in_order("the test is over")
+
+
+def test_the_queue_is_on_disk_at_each_change_and_a_session_that_was_cut_off_can_be_gone_on_with(
+    window: MainWindow, settings: Path, lab: Path, tmp_path: Path, qtbot: QtBot, until: Until
+) -> None:
+    fill(window, speed_mm_s="40")
+    press(window.run.new.queue)
+    fill(window, speed_mm_s="0.5, 20")
+    window.run.new.pace.setCurrentText("as fast as the real rig")
+    press(window.run.new.start)
+    until(lambda: moving(window))
+    copy = tmp_path / "died.ini"  # as a window that dies now leaves it
+    copy.write_bytes(settings.read_bytes())
+    press(window.stop_button)
+    until(lambda: not window.run.session_running)
+    again = opened(qtbot, lab, copy)
+    notices, queue = again.notices, again.run.queue
+    assert notices.cut_off.isVisible()
+    assert notices.cut_off_text.text().startswith("Session drag was cut off at 20")
+    assert "at run 0, drag 0.5 mm/s, 1 of 2 in all." in notices.cut_off_text.text()
+    assert [entry.stage for entry in queue.entries] == [QueueState.CUT_OFF, QueueState.WAITING]
+    press(again.reset)
+    until(lambda: again.guard.text() == "guard: armed")
+    folder = Path(queue.entries[0].folder)
+    press(notices.go_on)
+    assert not notices.cut_off.isVisible()
+    assert again.run.queue.current is queue.entries[1]
+    until(lambda: moving(again))
+    press(again.stop_button)
+    until(lambda: not again.run.session_running)
+    assert [run.header.order for run in read_campaign(folder).runs] == [0, 1]
+    assert [entry.stage for entry in queue.entries] == [QueueState.ABORTED, QueueState.ABORTED, QueueState.WAITING]
+    assert not opened_queue(copy).cut_off
+    again.close()
+
+
+def opened_queue(settings: Path) -> SessionQueue:
+    """Return the queue that the next window would have."""
+    stored, queue = QSettings(str(settings), QSettings.Format.IniFormat), SessionQueue()
+    (key,) = (key for key in stored.allKeys() if key.startswith("queue"))
+    queue.restore(str(stored.value(key)))
+    return queue
+
+
+def test_start_starts_the_session_of_the_form_before_those_that_wait(window: MainWindow, until: Until) -> None:
+    fill(window, speed_mm_s="40")
+    press(window.run.new.queue)
+    fill(window, speed_mm_s="20")
+    window.run.new.pace.setCurrentText("as fast as the real rig")
+    press(window.run.new.start)
+    until(lambda: moving(window))
+    assert [entry.stage for entry in window.run.queue.entries] == [QueueState.RUNNING, QueueState.WAITING]
+    assert [run.summary for run in window.run.queue.entries[0].runs if "20" in run.summary]
+    press(window.stop_button)
+    until(lambda: not window.run.session_running)
+
+
+def test_a_waiting_session_is_opened_duplicated_changed_and_its_missing_runs_are_made(
+    window: MainWindow, until: Until
+) -> None:
+    view, new, queue = window.run.queue_view, window.run.new, window.run.queue
+    fill(window, speed_mm_s="0.5, 20")
+    new.note.setText("as it was")
+    press(new.queue)
+    waiting = view.tree.topLevelItem(0)
+    assert [waiting.child(at).text(0) for at in range(waiting.childCount())] == ["0  drag 0.5 mm/s", "1  drag 20 mm/s"]
+    view.tree.setCurrentItem(waiting)
+    assert not view.missing.isEnabled()
+    press(view.copy)
+    assert len(queue.entries) == 2
+    new.note.clear()
+    fill(window, "blank", speed_mm_s="5")
+    view.tree.setCurrentItem(view.tree.topLevelItem(1))
+    press(view.edit)
+    assert len(queue.entries) == 1
+    assert (new.plan().name, new.note.text()) == ("drag", "as it was")
+    assert new.editor.values()[0]["speed_mm_s"] == "0.5, 20"
+    new.note.clear()
+    queue.entries[0].job = replace(queue.entries[0].job, pace="real")
+    press(window.run.start_queue)
+    until(lambda: moving(window))
+    press(window.stop_button)
+    until(lambda: not window.run.session_running)
+    view.tree.setCurrentItem(view.tree.topLevelItem(0))
+    queue.entries[0].job = replace(queue.entries[0].job, pace="fast")
+    press(view.missing)
+    until(lambda: not window.run.session_running)
+    assert [entry.stage for entry in queue.entries] == [QueueState.ABORTED, QueueState.COMPLETE]
+    made = read_campaign(Path(queue.entries[1].folder))
+    assert [(run.header.order, run.status) for run in made.runs] == [
+        (0, RunStatus.ABORTED), (1, RunStatus.COMPLETE), (2, RunStatus.COMPLETE)]  # fmt: skip
