@@ -89,6 +89,10 @@ class PromptRelay:
         pending.answered.wait()
         return pending.answer
 
+    def homes(self, *, over: bool) -> None:
+        """Tell the operator, on the thread that moves the stage."""
+        self._operator.homes(over=over)
+
     def answer_next(self, within_s: float, signals: EndSignals) -> None:
         """Answer the next prompt, if there is one in this time; Ctrl-C at or before a prompt ends the session."""
         try:

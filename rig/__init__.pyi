@@ -53,6 +53,7 @@ from .manual import measure_pushed_travel as measure_pushed_travel
 from .manual import require_jog as require_jog
 from .manual import require_speed as require_speed
 from .manual import require_touch_off as require_touch_off
+from .operator import HOMING as HOMING
 from .operator import Answer as Answer
 from .operator import LiveReading as LiveReading
 from .operator import NullOperator as NullOperator

@@ -273,6 +273,8 @@ class QueuedRun:
     duration_s: float
     start_mm: float = 0.0
     """Absolute position where it begins, to which the live positions are relative."""
+    is_way_back: bool = False
+    """Whether it belongs to the run before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,10 +290,17 @@ class SessionStarted:
 
 @dataclass(frozen=True, slots=True)
 class SessionWaiting:
-    """A wait before a run."""
+    """A rest before a run begins, of which live samples follow where time is real."""
 
+    run: QueuedRun
     duration_s: float
-    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class StageHomes:
+    """The stage moves to its origin from now on, in a sentence; or no longer, where that is empty."""
+
+    sentence: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -412,6 +421,7 @@ Event: TypeAlias = (
     | GuardState
     | SessionStarted
     | SessionWaiting
+    | StageHomes
     | RunStarted
     | RunFinished
     | SentinelCompared

@@ -68,6 +68,7 @@ from dragrig.engine_host.messages import (
     SessionStarted,
     SessionWaiting,
     SilenceLimits,
+    StageHomes,
     StageMoved,
     StartSession,
     StopHost,
@@ -78,6 +79,7 @@ from dragrig.engine_host.messages import (
 from dragrig.hosted_session import SessionOptions, idle_reader
 from dragrig.present import encoder_calibration_document, force_calibration_document
 from dragrig.rig import (
+    HOMING,
     LIMIT_SWITCH_CAUSES,
     AcquisitionOutcome,
     Answer,
@@ -301,10 +303,15 @@ class RemoteOperator:
         del programme
         self._sender.say(SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time, self.folder))
 
-    def waits(self, duration_s: float, why: str) -> None:
-        """Report a wait."""
+    def homes(self, *, over: bool) -> None:
+        """Report that the stage moves to its origin."""
+        self._sender.say(StageHomes("" if over else HOMING))
+
+    def waits(self, run: PlannedRun, duration_s: float) -> None:
+        """Report a rest, during which the stage stands."""
         self._receiver.stands = True
-        self._sender.say(SessionWaiting(duration_s, why))
+        self._live.begin()
+        self._sender.say(SessionWaiting(_queued_run(run), duration_s))
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Report the start of a run."""
@@ -330,7 +337,7 @@ class RemoteOperator:
 
 
 def _queued_run(run: PlannedRun) -> QueuedRun:
-    return QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm)
+    return QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm, run.follows >= 0)
 
 
 _STANDING = (Phase.REST, Phase.HOLD)

@@ -41,6 +41,7 @@ from dragrig.engine_host import (
     RigSelection,
     SessionFinished,
     SilenceLimits,
+    StageHomes,
     StageMoved,
 )
 from dragrig.views import FurtherRuns, PlanForm, describe_rig
@@ -156,10 +157,12 @@ class NoticeBar(QWidget):
         self.cut_off = card(
             row(self.cut_off_text, self.go_on, self.leave, stretch={0: 1}), role="notice", margin=_NOTICE_PX
         )
+        self.homing_text = MessageText("prompt")
+        self.homing = card(self.homing_text, role="notice", margin=_NOTICE_PX)
         self.complaint_text = MessageText(most_lines=2)
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
         self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice", margin=_NOTICE_PX)
-        notices = (self.lost, self.trip, self.prompt, self.cut_off, self.complaint)
+        notices = (self.lost, self.trip, self.prompt, self.homing, self.cut_off, self.complaint)
         below = column(*notices)
         below.setSpacing(4)
         self.setLayout(below)
@@ -180,6 +183,11 @@ class NoticeBar(QWidget):
         self.answers[Answer.SKIP].setVisible(prompt.can_skip)
         self.answers[Answer.MEASURE].setVisible(prompt.can_measure)
         self.prompt.show()
+
+    def show_homing(self, sentence: str) -> None:
+        """Show that the stage finds its origin, in the prompt's place; hide for no sentence."""
+        self.homing_text.setText(f"{sentence}. STOP (Esc) stops it.")
+        self.homing.setVisible(bool(sentence))
 
     def hide_prompt(self) -> None:
         """Hide the prompt."""
@@ -207,6 +215,7 @@ class NoticeBar(QWidget):
     def engine_lost(self, exit_code: int | None) -> None:
         """Show that the engine is gone."""
         self.hide_prompt()
+        self.homing.hide()
         self.trip.hide()
         self.lost_text.setText(
             "ENGINE STOPPED: this window did not respond for too long; the engine stopped the stage, finished the run "
@@ -345,11 +354,14 @@ class MainWindow(QMainWindow):
                 set_role(self.guard, "wrong" if reason else "fine")
                 if not reason:
                     self.notices.settle(Topic.GUARD)
+            case StageHomes(sentence):
+                self.notices.show_homing(sentence)
             case PromptShown():
                 self.notices.ask(event)
                 QApplication.alert(self)
             case SessionFinished() | StageMoved() | CalibrationMeasured():
                 self.notices.hide_prompt()
+                self.notices.show_homing("")
                 self.notices.settle(Topic.CLOSING)
             case RequestRefused(sentence):
                 self.notices.hide_prompt()

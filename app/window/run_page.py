@@ -49,6 +49,7 @@ from dragrig.engine_host import (
     SessionJob,
     SessionStarted,
     SessionWaiting,
+    StageHomes,
     StageMoved,
     StartSession,
     TouchOffStage,
@@ -78,6 +79,7 @@ from dragrig.window.widgets import (
     parent_of,
     row,
     scrolling,
+    set_role,
     table,
     tabs_of,
     top_items,
@@ -337,7 +339,7 @@ class QueueView(QWidget):
         self.back.setEnabled(self._queue.can_put_back)
 
     def _state(self, entry: QueuedSession) -> tuple[object, ...]:
-        current = entry.current_run.index if entry.current_run is not None else -1
+        current = tuple(run.index for run in (entry.current_run, entry.resting) if run is not None)
         return entry.job.number, entry.stage, len(entry.runs), tuple(entry.ended), current, entry.reason, entry.folder
 
     def _follow(self) -> None:
@@ -461,6 +463,8 @@ def _embolden(item: QTreeWidgetItem) -> None:
 
 def _run_state_text(entry: QueuedSession, run: QueuedRun) -> str:
     ended = entry.ended.get(run.index)
+    if entry.resting is not None and entry.resting.index == run.index:
+        return "rest before it"
     if ended is None:
         return "running" if entry.current_run is not None and entry.current_run.index == run.index else ""
     reason = [ended.reason] if ended.status is not RunStatus.COMPLETE else []
@@ -652,7 +656,7 @@ class RunPage(QWidget):
         title = plan.name if campaign is None else f"{plan.name}, added to {campaign.name}"
         previews = session.preflight.previews
         planned = (preview.run for preview in previews)
-        runs = tuple(QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm) for run in planned)
+        runs = tuple(QueuedRun(run.index, run.summary, run.wait_s, run.duration_s) for run in planned)
         entry = QueuedSession(job, title, session.preflight.duration_s, len(previews), runs=runs)
         self.queue.add(entry, before=self.queue.next if first else None)
         self.new.keep()
@@ -720,6 +724,7 @@ class RunPage(QWidget):
     def prompt_answered(self) -> None:
         """Say no longer that a prompt is open."""
         self._asked = False
+        self.live.readings.end_motion("preparing")
 
     def take(self, event: Event) -> None:
         """Handle an event of the engine."""
@@ -768,8 +773,11 @@ class RunPage(QWidget):
                 self.pause.setChecked(False)
             case SessionStarted():
                 self.queue.session_started(event)
-            case SessionWaiting(duration_s, reason):
-                self.live.begin(f"{reason}: {duration_text(duration_s)}")
+            case StageHomes(sentence):
+                self.live.readings.end_motion(sentence or "preparing")
+            case SessionWaiting(run, duration_s):
+                self.queue.session_waiting(event)
+                self.live.begin_rest(run.summary, duration_s, run.start_mm)
             case RunStarted(run, order):
                 self.queue.run_started(event)
                 self.live.begin_run(f"Run {order}: {run.summary}", run.start_mm)
@@ -807,6 +815,7 @@ class RunPage(QWidget):
         if entry is not None and self.live.run is not None and now - self._progress_at > _PROGRESS_INTERVAL_S:
             self._progress_at = now
             entry.elapsed_s = self.live.run.latest.time_s
+            entry.rest_left_s = self.live.rest_left_s
             self.queue_view.show_queue()
 
     def _watch(self, *, on: bool) -> None:
@@ -824,10 +833,10 @@ class RunPage(QWidget):
                 Topic.SESSION,
             )
         if event.status is RunStatus.COMPLETE:
-            self.live.begin(f"Complete: {event.folder}")
+            self.live.end_run(f"Complete: {event.folder}")
         else:
             self._queue_started = False
-            self.live.begin(f"Session ended: {event.reason}")
+            self.live.end_run(f"Session ended: {event.reason}")
             if event.status is RunStatus.TRIPPED:
                 self._trip_reason = event.reason
             else:
@@ -858,6 +867,16 @@ class RunPage(QWidget):
 
     def _pause(self) -> None:
         self._engine.ask(PauseSession(self.pause.isChecked()))
+        self._show_pause()
+
+    def _show_pause(self) -> None:
+        """Say on the button after which run the session pauses, and that another press takes it back."""
+        entry, pauses = self.queue.current, self.pause.isChecked()
+        last = None if entry is None else entry.last_before_pause
+        number = None if entry is None or last is None else entry.number_of(last)
+        when = "before the next run" if number is None else f"after run {number}"
+        self.pause.setText(f"Pauses {when} (undo)" if pauses else "Pause after this run")
+        set_role(self.pause, "main" if pauses else "")
 
     def write_log(self, sentence: str) -> None:
         """Add a line to the log, with the time."""
@@ -873,8 +892,10 @@ class RunPage(QWidget):
                 self.write_log(f"GUARD TRIPPED: {reason}." if reason else "Guard armed.")
             case SessionStarted(_, runs):
                 self.write_log(f"Session started, {len(runs)} runs.")
-            case SessionWaiting(duration_s, why):
-                self.write_log(f"Waiting {duration_text(duration_s)}: {why}.")
+            case StageHomes(sentence) if sentence:
+                self.write_log(f"{sentence}.")
+            case SessionWaiting(run, duration_s):
+                self.write_log(f"Rest before {run.summary}: {duration_text(duration_s)}.")
             case PromptShown():
                 self.write_log(f"Prompt: {event.text}.")
             case RunStarted(run, order):
@@ -900,6 +921,7 @@ class RunPage(QWidget):
         self.pause.setEnabled(running)
         if not running:
             self.pause.setChecked(False)
+        self._show_pause()
         self.devices.set_session_running(running=running)
         self.hand.allow(idle=not (running or self.calibrating), armed=self.armed)
         self.running_changed.emit(running)

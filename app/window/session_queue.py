@@ -17,6 +17,7 @@ from dragrig.engine_host import (
     SessionFinished,
     SessionJob,
     SessionStarted,
+    SessionWaiting,
 )
 
 
@@ -62,6 +63,9 @@ class QueuedSession:
     """`runs`, `ended`: its runs, where they are known, and the results of those that ended, by index."""
     current_run: QueuedRun | None = None
     """The run in progress, `elapsed_s` after its start."""
+    resting: QueuedRun | None = None
+    rest_left_s: float = 0.0
+    """`resting`, `rest_left_s`: the run before which the contact rests, and for how long still."""
     last_index: int = -1
     """Index of the run that started last; runs before it were made or skipped."""
     numbers: dict[int, int] = field(default_factory=dict)
@@ -101,9 +105,20 @@ class QueuedSession:
         if not self.runs:
             return self.planned_s
         left = sum(self.time_of(run) for run in self.runs if run.index > self.last_index)
+        if self.resting is not None and self.resting.index > self.last_index and self.real_time:
+            left -= self.resting.wait_s - self.rest_left_s
         if self.current_run is not None:
             left += self.current_run.duration_s - min(self.elapsed_s, self.current_run.duration_s)
         return max(left, 0.0)
+
+    @property
+    def last_before_pause(self) -> QueuedRun | None:
+        """The run after which a pause would begin: the one in progress or prepared, or its way back."""
+        now = self.current_run or self.resting
+        if now is None:
+            return None
+        after = next((run for run in self.runs if run.index > now.index), None)
+        return after if after is not None and after.is_way_back else now
 
     @property
     def over_count(self) -> int:
@@ -190,7 +205,7 @@ class SessionQueue:
         with suppress(ValueError):
             for entry in _KEPT.validate_json(text):
                 entry.job = replace(entry.job, number=self.next_number())
-                entry.current_run = None
+                entry.current_run = entry.resting = None
                 if entry.stage is QueueState.RUNNING:
                     entry.stage = QueueState.CUT_OFF if entry.folder else QueueState.WAITING
                 self.add(entry)
@@ -226,9 +241,15 @@ class SessionQueue:
             entry.runs, entry.real_time, entry.run_count = event.runs, event.real_time, len(event.runs)
             entry.folder = str(event.folder)
 
+    def session_waiting(self, event: SessionWaiting) -> None:
+        """Store the rest before a run."""
+        if (entry := self.current) is not None:
+            entry.resting, entry.rest_left_s = event.run, event.duration_s
+
     def run_started(self, event: RunStarted) -> None:
         """Store the run in progress."""
         if (entry := self.current) is not None:
+            entry.resting = None
             entry.current_run, entry.last_index, entry.elapsed_s = event.run, event.run.index, 0.0
             entry.numbers[event.run.index] = event.order
             entry.ended.pop(event.run.index, None)
@@ -248,10 +269,12 @@ class SessionQueue:
                     if event.status is None
                     else _STATE_OF_STATUS.get(event.status, QueueState.FAILED)
                 )
-                entry.reason, entry.current_run, entry.mirror = event.reason, None, event.mirror
+                entry.reason, entry.mirror = event.reason, event.mirror
+                entry.current_run = entry.resting = None
                 entry.folder = "" if event.folder is None else str(event.folder)
 
     def engine_lost(self, reason: str) -> None:
         """Fail the running session: the engine is gone."""
         if (entry := self.current) is not None:
-            entry.stage, entry.reason, entry.current_run = QueueState.FAILED, reason, None
+            entry.stage, entry.reason = QueueState.FAILED, reason
+            entry.current_run = entry.resting = None

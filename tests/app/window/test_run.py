@@ -24,13 +24,17 @@ from pytestqt.qtbot import QtBot
 import dragrig
 from dragrig.engine_host.messages import (
     GuardState,
+    IdleReading,
     MirrorStatus,
+    PromptShown,
     QueuedRun,
+    RigIdle,
     RunFinished,
     RunStarted,
     SessionFinished,
     SessionJob,
     SessionStarted,
+    StageHomes,
 )
 from dragrig.rig.operator import Answer
 from dragrig.rig.runfile import read_campaign
@@ -957,3 +961,46 @@ def test_a_waiting_session_is_opened_duplicated_changed_and_its_missing_runs_are
     made = read_campaign(Path(queue.entries[1].folder))
     assert [(run.header.order, run.status) for run in made.runs] == [
         (0, RunStatus.ABORTED), (1, RunStatus.COMPLETE), (2, RunStatus.COMPLETE)]  # fmt: skip
+
+
+def test_a_rest_counts_down_with_live_readings_and_a_pause_is_seen_and_taken_back(
+    window: MainWindow, until: Until
+) -> None:
+    run, live, entries = window.run, window.run.live, window.run.queue.entries
+    fill(window, speed_mm_s="20", wait_s="30", way_back="driven")
+    window.run.new.pace.setCurrentText("as fast as the real rig")
+    press(run.new.start)
+    until(lambda: 0.0 < live.rest_left_s < 28.5)
+    left_s = entries[-1].left_s
+    assert live.title.text().startswith("Rest before drag 20 mm/s: 2")
+    assert live.readings.about.text() == f"live; rest, {live.title.text().split(': ')[1]}"
+    assert live.force.lines[1].drawn.getData()[1].size > 10
+    until(lambda: entries[-1].left_s < left_s - 1.0)
+    assert 0 < run.queue_view.progress.value() < 200
+    press(run.pause)
+    assert run.pause.text() == "Pauses after run 1 (undo)"  # with its way back
+    assert run.pause.property("role") == "main"
+    press(run.pause)
+    assert run.pause.text() == "Pause after this run"
+    press(window.stop_button)
+    until(lambda: not run.session_running)
+    assert entries[-1].reason == "stopped by operator (stop button)"
+
+
+def test_homing_is_called_homing_and_no_prompt_open_where_none_is(window: MainWindow) -> None:
+    notices, about = window.notices, window.run.live.readings.about
+    for shown in (window, window.run):
+        shown.take(StageHomes("HOMING: the stage moves"))
+    assert notices.homing.isVisible()
+    assert notices.homing_text.text() == "HOMING: the stage moves. STOP (Esc) stops it."
+    assert "homing" in about.text().lower()
+    for shown in (window, window.run):
+        shown.take(StageHomes(""))
+    assert not notices.homing.isVisible()
+    prompt = PromptShown(1, "Put it in", can_redo=False, can_skip=False, hands=True)
+    for event in (prompt, RigIdle(IdleReading(3.0, None))):
+        window.take(event)
+        window.run.take(event)
+    assert about.text() == "live; prompt open"
+    press(notices.answers[Answer.DONE])
+    assert about.text() == "live; preparing"
