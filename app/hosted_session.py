@@ -21,7 +21,6 @@ from dragrig.rig import (
     AcquisitionOutcome,
     Answer,
     Backend,
-    BackendRequest,
     CampaignProgress,
     IdleReading,
     NullOperator,
@@ -46,7 +45,6 @@ from dragrig.setup import (
     Pace,
     Setup,
     opened_rig,
-    resolve_pace,
 )
 
 ResultT = TypeVar("ResultT")
@@ -248,17 +246,7 @@ def run_session(
     if not left.runs:
         # Without runs, neither prompt nor homing.
         return SessionResult(RunStatus.COMPLETE, "", ())
-    pace = resolve_pace(options.pace, double=setup.double)
-    calibrations = setup.calibrations()
-    request = BackendRequest(
-        setup.rig,
-        setup.model,
-        pace.real_time,
-        options.origin,
-        calibrations,
-        pace=pace.times_faster,
-        first_run_at=options.first_run_at,
-    )
+    request = replace(setup.request(options.pace), origin=options.origin, first_run_at=options.first_run_at)
     with opened_rig(setup.backend, request, double=setup.double) as backend:
         further = len(backend.sampler.channels) - 2
         stops = setup.stops() if backend.needs_hands else None
@@ -266,8 +254,8 @@ def run_session(
         checked.require()
         if backend.needs_hands and (remark := specimen_remark(setup.specimen)):
             options.tell(f"{remark}.")
-        record = _session_record(setup, backend, options, calibrations)
-        timed = pace.real_time or backend.needs_hands
+        record = _session_record(setup, backend, options, request.calibrations)
+        timed = request.real_time or backend.needs_hands
         operator = PromptRelay(observer, idle_reader(backend, timed=timed))
         run_on_worker(
             lambda: _ask_for_commissioning(setup, operator, backend.clock.now, checked.remarks),

@@ -23,6 +23,7 @@ from .devices import Contact as Contact
 from .devices import IdleReading as IdleReading
 from .devices import RawReading as RawReading
 from .devices import RigCheck as RigCheck
+from .devices import RigMemory as RigMemory
 from .devices import Sampler as Sampler
 from .devices import Stage as Stage
 from .devices import StageLimits as StageLimits

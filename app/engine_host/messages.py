@@ -1,7 +1,7 @@
 """What client and engine host exchange: pickled frozen values, and live samples through a ring in shared memory."""
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.context import SpawnContext
 from pathlib import Path
 from typing import TypeAlias
@@ -18,6 +18,7 @@ from dragrig.rig import (
     IdleReading,
     Reading,
     RigCheck,
+    RigMemory,
     RunStatus,
     TravelEnd,
 )
@@ -60,6 +61,8 @@ class RigSelection:
     double: bool = False
     assignments: tuple[str, ...] = ()
     pace: Pace | None = None
+    memory: RigMemory = field(default_factory=RigMemory, compare=False)
+    """Where a simulated rig keeps what outlasts a motion; of use in the host alone."""
 
     def choices(self) -> RigChoices:
         """Return the keyword arguments of `dragrig.examine`."""
@@ -69,6 +72,7 @@ class RigSelection:
             "backend": self.backend,
             "double": self.double,
             "assignments": self.assignments,
+            "memory": self.memory,
         }
 
 

@@ -84,7 +84,6 @@ from dragrig.rig import (
     AcquisitionOutcome,
     Answer,
     Backend,
-    BackendRequest,
     Drift,
     IdleReading,
     Phase,
@@ -96,7 +95,7 @@ from dragrig.rig import (
     RunStatus,
     latest_session_record,
 )
-from dragrig.setup import open_backend, resolve, resolve_pace, resolve_rig
+from dragrig.setup import open_backend, resolve, resolve_rig
 
 _POLL_S = 0.05
 CLIENT_GONE = "the window is gone"
@@ -404,12 +403,9 @@ class IdleRig:
 
     def _open(self) -> Backend:
         setup = resolve_rig(**self._rig.choices())
-        pace = resolve_pace(self._rig.pace if setup.double else None, double=setup.double)
-        request = BackendRequest(
-            setup.rig, setup.model, pace.real_time, None, setup.calibrations(), pace=pace.times_faster
-        )
+        request = setup.request(self._rig.pace if setup.double else None)
         backend = open_backend(setup.backend, request, double=setup.double)
-        self._look = idle_reader(backend, timed=pace.real_time or backend.needs_hands)
+        self._look = idle_reader(backend, timed=request.real_time or backend.needs_hands)
         return backend
 
 
@@ -498,7 +494,7 @@ class EngineHost:
         )
         if job.resume is not None:
             self._require_this_rig(job.resume)
-            return resume_campaign(job.resume, options, self._operator)
+            return resume_campaign(job.resume, options, self._operator, memory=self._rig.memory)
         rig = replace(self._rig, assignments=(*self._rig.assignments, *job.specimen))
         if job.append is not None:
             return append_to_campaign(job.plan, job.append, options, self._operator, **rig.choices())

@@ -333,7 +333,10 @@ class NewSession(QWidget):
         self._choose_pace(rig.pace)
         self.queue = button("Add to &queue", lambda: self.submitted.emit(False), help_="Append to the queue")
         self.start = button(
-            "&Start", lambda: self.submitted.emit(True), "main", "Start this session, before those that wait",
+            "&Start",
+            lambda: self.submitted.emit(True),
+            "main",
+            "Start this session, before those that wait",
             "Ctrl+Return",
         )
         self._lay_out()

@@ -299,7 +299,7 @@ class QueueView(QWidget):
         self.up = button("Up", lambda: self._move(-1), help_="Move the selected session up", keys="Ctrl+Up")
         self.down = button("Down", lambda: self._move(1), help_="Move the selected session down", keys="Ctrl+Down")
         self.out = button("Re&move", self._remove, help_="Remove the selected session from the queue")
-        self.edit = button("To the form", self._edit, help_="Put the selected session back into the form, to be changed")
+        self.edit = button("To the form", self._edit, help_="Put the selected session back into the form")
         self.copy = button("Duplicate", self._duplicate, help_="Add the selected session to the queue once more")
         self.missing = button(
             "Make the missing runs", self._make_missing, help_="Go on with the selected session, which ended early"
@@ -595,6 +595,7 @@ class RunPage(QWidget):
         """Store the form for the next start."""
         self.new.keep()
         self.new.destination.finish()
+        self._keep_queue()
 
     def _keep_queue(self) -> None:
         """Store the queue, which outlives this process; nothing starts by itself at the next start."""
@@ -619,9 +620,7 @@ class RunPage(QWidget):
 
     def make_missing(self, entry: QueuedSession) -> None:
         """Queue the missing runs of a session that ended early, before what waits, and start them."""
-        job = replace(
-            entry.job, number=self.queue.next_number(), resume=Path(entry.folder), append=None, specimen=()
-        )
+        job = replace(entry.job, number=self.queue.next_number(), resume=Path(entry.folder), append=None, specimen=())
         title = f"{entry.title.removesuffix(_MISSING)}{_MISSING}"
         left_s = sum(map(entry.time_of, entry.missing))
         again = QueuedSession(job, title, left_s, len(entry.missing), runs=entry.missing)
@@ -775,6 +774,7 @@ class RunPage(QWidget):
                 self.queue.session_started(event)
             case StageHomes(sentence):
                 self.live.readings.end_motion(sentence or "preparing")
+                self.write_log(f"{sentence or 'Homed'}.")
             case SessionWaiting(run, duration_s):
                 self.queue.session_waiting(event)
                 self.live.begin_rest(run.summary, duration_s, run.start_mm)
@@ -892,8 +892,6 @@ class RunPage(QWidget):
                 self.write_log(f"GUARD TRIPPED: {reason}." if reason else "Guard armed.")
             case SessionStarted(_, runs):
                 self.write_log(f"Session started, {len(runs)} runs.")
-            case StageHomes(sentence) if sentence:
-                self.write_log(f"{sentence}.")
             case SessionWaiting(run, duration_s):
                 self.write_log(f"Rest before {run.summary}: {duration_text(duration_s)}.")
             case PromptShown():

@@ -198,7 +198,9 @@ class SessionQueue:
 
     def as_text(self) -> str:
         """Return what waits, runs or was cut off, as JSON, for the next start of the window."""
-        return _KEPT.dump_json([entry for entry in self.entries if entry.stage in _LASTING], exclude_unset=True).decode()
+        return _KEPT.dump_json(
+            [entry for entry in self.entries if entry.stage in _LASTING], exclude_unset=True
+        ).decode()
 
     def restore(self, text: str) -> None:
         """Append the sessions that `as_text` returned, none where it cannot be read; one that ran was cut off."""

@@ -290,7 +290,7 @@ def test_a_specimen_is_stated_in_the_form_and_recorded(window: MainWindow, until
     assert "not stated, and so recorded as unknown, are animal" in run.preview.conditions.text()
     press(new.queue)
     press(new.queue)
-    kept = run.queue.waiting_as_text()
+    kept = run.queue.as_text()
     run.queue.entries.pop()
     run.queue.restore(kept)
     assert [entry.job.specimen for entry in run.queue.entries] == 3 * [run.queue.entries[0].job.specimen]

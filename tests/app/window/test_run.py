@@ -611,8 +611,8 @@ def test_a_reading_is_live_or_gone(window: MainWindow, until: Until) -> None:
     until(lambda: not window.run.session_running)
     assert speed.text() == "–"
     until(lambda: shown.about.text() == "live; idle")
-    assert position.text() == "not homed"  # a simulated drive forgets
-    assert force.text().endswith(" mN")
+    assert 40.0 < float(position.text().split()[0]) < 50.0  # where it was stopped
+    assert 20.0 < float(force.text().split()[0]) < 60.0  # the capsule is in the gut
     assert "Session ended" in window.notices.complaint_text.text()
     press(window.run.new.start)
     assert not window.notices.complaint.isVisible()  # another session: no longer true
@@ -1004,3 +1004,38 @@ def test_homing_is_called_homing_and_no_prompt_open_where_none_is(window: MainWi
     assert about.text() == "live; prompt open"
     press(notices.answers[Answer.DONE])
     assert about.text() == "live; preparing"
+
+
+def test_the_simulated_rig_remembers_home_position_and_the_capsule_in_the_gut(
+    window: MainWindow, until: Until, lab: Path
+) -> None:
+    hand, notices, shown = window.run.hand, window.notices, window.run.live.readings
+    force, position, _ = shown.readings.values()
+
+    def done(action: QWidget) -> None:
+        press(action)
+        while hand.busy:
+            until(lambda: notices.prompt.isVisible() or not hand.busy)
+            if notices.prompt.isVisible():
+                press(notices.answers[Answer.DONE])
+        until(lambda: shown.about.text() == "live; idle")
+
+    done(hand.home)
+    assert position.text() == "0.00 mm"
+    hand.distance.put(5.0)
+    done(hand.jog)
+    assert (position.text(), hand.state.text()) == ("5.00 mm", "The stage is at 5.000 mm.")
+    fill(window, speed_mm_s="20", start_mm="30", prompt="Put it in", prompt_each="yes", repeats="2")
+    press(window.run.new.start)
+    until(notices.prompt.isVisible)
+    until(lambda: shown.about.text() == "live; prompt open")
+    assert (position.text(), abs(float(force.text().split()[0].replace("−", "-"))) < 5.0) == ("30.00 mm", True)
+    press(notices.answers[Answer.DONE])
+    until(notices.answers[Answer.REDO].isVisible)  # before the second run
+    until(lambda: shown.about.text() == "live; prompt open")
+    assert 25.0 < float(force.text().split()[0]) < 60.0
+    press(notices.answers[Answer.ABORT])
+    until(lambda: not window.run.session_running and shown.about.text() == "live; idle")
+    assert position.text() == "40.00 mm"
+    assert 25.0 < float(force.text().split()[0]) < 60.0
+    fill(window, start_mm="")
