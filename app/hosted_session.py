@@ -159,22 +159,28 @@ class SessionOperator(Operator, SessionObserver, Protocol):
 
 
 class RunCounter(NullOperator):
-    """Answers every prompt, and reports how many runs are made."""
+    """Answers every prompt, and reports how many runs are made, and of `further` steps of other work after them."""
 
-    def __init__(self, progress: Callable[[int, int], None]) -> None:
+    def __init__(self, progress: Callable[[int, int], None], further: int = 0) -> None:
         self._progress = progress
-        self._made, self._of = 0, 0
+        self._made, self._of = 0, further
 
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Count the runs to be made."""
         del programme, real_time
-        self._of = len(pending)
+        self._of += len(pending)
 
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         """Count a run."""
         del run, outcome
         self._made += 1
         self._progress(self._made, self._of)
+
+    def step(self, steps: int) -> Callable[[int, int], None]:
+        """Return the progress of work that counts as so many runs."""
+        before = self._made
+        self._made += steps
+        return lambda done, of: self._progress(before + steps * done // max(of, 1), self._of)
 
 
 def discard_message(sentence: str) -> None:

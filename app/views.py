@@ -81,7 +81,7 @@ from dragrig.setup import resolve_pace, resolve_rig
 _UNIT_SUFFIXES = (
     ("_mN_s_mm", "mN·s/mm"), ("_mm_s2", "mm/s²"), ("_mm_s", "mm/s"), ("_per_mm", "per mm"), ("_mm", "mm"),
     ("_um", "µm"), ("_uV", "µV"), ("_N_per_A", "N per A"), ("_per_s", "1/s"), ("_ns", "ns"), ("_s", "s"),
-    ("_mN", "mN"), ("_N", "N"), ("_hz", "Hz"), ("_g", "g"), ("_mb", "MB"), ("_days", "days"),
+    ("_mN", "mN"), ("_N", "N"), ("_hz", "Hz"), ("_g", "g"), ("_mb", "MB"), ("_days", "days"), ("_degC", "°C"),
 )  # fmt: skip
 _VOLT_KEYS = frozenset({"zero_V", "range_V", "rail_V"})
 """Keys in volts; one that ends in per_V is not."""

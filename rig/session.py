@@ -44,7 +44,6 @@ from dragrig.rig.operator import (
 )
 from dragrig.rig.profile import MotionProfile, Phase, stationary_piece
 from dragrig.rig.programme import PlannedRun, Programme
-from dragrig.rig.reading import Reading
 from dragrig.rig.runfile import Attribute, Run, RunHeader, RunStatus, SessionRecord, software_version
 from dragrig.rig.sentinel import SENTINEL_ROLE, Drift, SteadyForce
 from dragrig.rig.stops import Stops
@@ -415,7 +414,7 @@ class Session:
                 announced = True
             if sampled_s > 0:
                 rest = MotionProfile.from_pieces([stationary_piece(sampled_s, Phase.REST)])
-                self._acquire_unrecorded("rest", replace(run, profile=rest), self._observer.reads)
+                self._acquire_unrecorded("rest", replace(run, profile=rest), self._observer)
             else:
                 clock.sleep(left_s, self.engine.cancelled)
             self.engine.require_not_aborted()
@@ -451,12 +450,13 @@ class Session:
         self._contact_since_s = self._backend.clock.monotonic()
 
     def _acquire_unrecorded(
-        self, kind: str, run: PlannedRun, view: Callable[[Reading], None] | None = None
+        self, kind: str, run: PlannedRun, observer: SessionObserver | None = None
     ) -> AcquisitionOutcome:
         """Make an acquisition beside a run."""
         dwell_s = self._backend.clock.monotonic() - self._contact_since_s
         outcome = self.engine.acquire(
-            replace(run_acquisition(self._order, run, dwell_s), kind=kind, recorded=False), view=view
+            replace(run_acquisition(self._order, run, dwell_s), kind=kind, recorded=False),
+            view=observer.reads if observer else None,
         )
         require_complete(outcome)
         require_agreement(outcome)

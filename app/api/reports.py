@@ -1,6 +1,6 @@
 """Reports on a run or a campaign, and the shipped programmes (demonstration, paper) carried out and evaluated."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -10,7 +10,7 @@ from dragrig import present
 from dragrig.analysis import ExportFormat, Progress, export_run, filter_file, no_progress, parts_of
 from dragrig.campaign_session import Made, start_campaign
 from dragrig.config import AnalysisError, OutputError, SettingsError
-from dragrig.hosted_session import SessionOperator, SessionOptions
+from dragrig.hosted_session import RunCounter, SessionOperator, SessionOptions
 from dragrig.present import (
     PAPER_MODEL_FILE,
     PAPER_REPORT_FILE,
@@ -21,11 +21,7 @@ from dragrig.present import (
     write_text,
     write_texts,
 )
-from dragrig.rig import AcquisitionOutcome as RunOutcome
 from dragrig.rig import (
-    NullOperator,
-    PlannedRun,
-    Programme,
     mark_path,
     note_path,
     read_campaign,
@@ -184,39 +180,12 @@ def paper(
 
     folder, setup = Path(out), paper_setup(seed, wall, viscous)
     clear_paper_folder(folder, overwrite=overwrite)
-    counter = _RunCounter(progress)
+    counter = RunCounter(progress, IDENTIFYING_STEPS + WRITING_STEPS)
     made = start_campaign(setup, folder, SessionOptions(folder, note=PAPER_NOTE), counter)
     made.session.require()
     identified = identify(folder, model=setup.model, progress=counter.step(IDENTIFYING_STEPS))
     data = _paper_data(made, setup, identified)
     return _write_paper_files(made, identified, data, counter.step(WRITING_STEPS))
-
-
-class _RunCounter(NullOperator):
-    """Progress of a session and of the steps after it."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._done, self._of = 0, IDENTIFYING_STEPS + WRITING_STEPS
-
-    def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
-        del programme, real_time
-        self._of += len(pending)
-
-    def run_ends(self, run: PlannedRun, outcome: RunOutcome) -> None:
-        del run, outcome
-        self._done += 1
-        self._progress(self._done, self._of)
-
-    def step(self, steps: int) -> Progress:
-        """Return the progress of a step that counts as so many runs."""
-        before = self._done
-        self._done += steps
-
-        def report_step(done: int, of: int) -> None:
-            self._progress(before + steps * done // max(of, 1), self._of)
-
-        return report_step
 
 
 def _write_paper_files(

@@ -321,7 +321,11 @@ class NewSession(QWidget):
         self.specimen = FormEditor()
         self._specimen_form = specimen_form()
         self.specimen.edit(self._specimen_form)
+        self.specimen_told = ElidedLabel("", "faint")
+        self.state_specimen = button("State …", self._show_specimen, help_="What only you can know of the piece")
+        self.state_specimen.setCheckable(True)
         self.operator = QLineEdit(stored.text("operator"))
+        self.operator.setPlaceholderText("nobody is named")
         self.note = QLineEdit()
         self.mirror = QLineEdit(stored.text("mirror"))
         self.mirror.setPlaceholderText("no mirror")
@@ -415,7 +419,13 @@ class NewSession(QWidget):
             self.start.setEnabled(False)
             self.queue.setEnabled(False)
             return
-        self.specimen.mark(self._specimen_form.problems(self.specimen.values()), {})
+        (facts,) = self.specimen.values()
+        problems = self._specimen_form.problems([facts])
+        self.specimen.mark(problems, {})
+        self.specimen_told.setText(", ".join(text.strip() for text in facts.values() if text.strip()) or "not stated")
+        if problems:
+            self.state_specimen.setChecked(True)
+            self._show_specimen()
         try:
             self.session = self._preview()
         except DragrigError as error:
@@ -446,7 +456,9 @@ class NewSession(QWidget):
     def _show_specimen(self) -> None:
         # Of a simulated one nobody can know more than its model; but a campaign may be of several.
         simulated = self._description.title == "SIMULATED"
-        self._specimen_part.setVisible(not simulated or self.destination.adds.isChecked())
+        is_stated = not simulated or self.destination.adds.isChecked()
+        self._specimen_row.setVisible(is_stated)
+        self.specimen.setVisible(is_stated and self.state_specimen.isChecked())
 
     def undo_edit(self) -> None:
         """Take back the last change, also of a plan that is not shown any more."""
@@ -557,7 +569,6 @@ class NewSession(QWidget):
         form = QFormLayout()
         form.setContentsMargins(0, 0, 8, 0)
         form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
-        form.addRow("Operator", named(self.operator, "Operator"))
         form.addRow("Session note", named(self.note, "Session note"))
         if self._paces:
             form.addRow("Pace", named(self.pace, "Pace"))
@@ -566,13 +577,18 @@ class NewSession(QWidget):
         self.plans.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.plans.setMinimumContentsLength(8)
         header = row(label("Plan"), self.plans, self.open, self.save, stretch={1: 1})
-        self._specimen_part = bare_widget(column(label("Specimen", "title"), self.specimen))
+        # Seen first, whatever the plan: the rest may be below the fold.
+        who = row(label("Operator"), named(self.operator, "Operator"), stretch={1: 1})
+        self._specimen_row = bare_widget(
+            row(label("Specimen"), self.specimen_told, self.state_specimen, stretch={1: 1})
+        )
         self._show_specimen()
-        fields = scrolling(column(self.destination, self.editor, form, self._specimen_part, 1), across=False)
+        fields = scrolling(column(self.specimen, self.destination, self.editor, form, 1), across=False)
         buttons = row(self.undo, 1, self.queue, self.start)
         self.changes.hide()
         self.problem.hide()
-        self.setLayout(column(card(column(header, fields, self.changes, self.problem, buttons, stretch={1: 1}))))
+        parts = (who, self._specimen_row, header, fields, self.changes, self.problem, buttons)
+        self.setLayout(column(card(column(*parts, stretch={3: 1}))))
         self.setMinimumWidth(330)
 
     def _choose_pace(self, pace: Pace | None) -> None:

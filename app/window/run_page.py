@@ -957,6 +957,7 @@ class RunPage(QWidget):
         splitter.addWidget(self.new)
         splitter.addWidget(right)
         splitter.setSizes([400, 1000])
-        splitter.setStretchFactor(1, 1)
+        splitter.setStretchFactor(0, 1)
+        splitter.setStretchFactor(1, 3)
         splitter.setChildrenCollapsible(False)
         self.setLayout(column(splitter, margin=6))
