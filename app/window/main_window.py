@@ -152,8 +152,8 @@ class NoticeBar(QWidget):
         self.restart = button("Start the en&gine again", restart, "main", "Restart the process that controls the rig")
         self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip", margin=_NOTICE_PX)
         self.cut_off_text = MessageText(most_lines=2)
-        self.go_on = button("&Go on with it", lambda: go_on(True), "main", "Make its missing runs")
-        self.leave = button("Leave it", lambda: go_on(False), help_="It counts as aborted")
+        self.go_on = button("Go on with it", lambda: go_on(True), "main", "Make its missing runs", "Ctrl+Shift+G")
+        self.leave = button("Leave it", lambda: go_on(False), help_="It counts as aborted", keys="Ctrl+Shift+L")
         self.cut_off = card(
             row(self.cut_off_text, self.go_on, self.leave, stretch={0: 1}), role="notice", margin=_NOTICE_PX
         )

@@ -322,7 +322,9 @@ class NewSession(QWidget):
         self._specimen_form = specimen_form()
         self.specimen.edit(self._specimen_form)
         self.specimen_told = ElidedLabel("", "faint")
-        self.state_specimen = button("State …", self._show_specimen, help_="What only you can know of the piece")
+        self.state_specimen = button(
+            "State …", self._show_specimen, help_="What only you can know of the piece", keys="Ctrl+Shift+I"
+        )
         self.state_specimen.setCheckable(True)
         self.operator = QLineEdit(stored.text("operator"))
         self.operator.setPlaceholderText("nobody is named")

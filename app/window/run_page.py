@@ -299,10 +299,14 @@ class QueueView(QWidget):
         self.up = button("Up", lambda: self._move(-1), help_="Move the selected session up", keys="Ctrl+Up")
         self.down = button("Down", lambda: self._move(1), help_="Move the selected session down", keys="Ctrl+Down")
         self.out = button("Re&move", self._remove, help_="Remove the selected session from the queue")
-        self.edit = button("To the form", self._edit, help_="Put the selected session back into the form")
-        self.copy = button("Duplicate", self._duplicate, help_="Add the selected session to the queue once more")
+        self.edit = button(
+            "To the form", self._edit, help_="Put the selected session back into the form", keys="Ctrl+Shift+F"
+        )
+        self.copy = button(
+            "Duplicate", self._duplicate, help_="Add the selected session once more", keys="Ctrl+Shift+D"
+        )
         self.missing = button(
-            "Make the missing runs", self._make_missing, help_="Go on with the selected session, which ended early"
+            "Make the missing runs", self._make_missing, help_="Go on with what ended early", keys="Ctrl+Shift+M"
         )
         self.clear = button(
             "C&lear finished", self._clear, help_="Remove ended sessions from the list; their files stay"

@@ -306,3 +306,21 @@ def test_a_specimen_is_stated_in_the_form_and_recorded(window: MainWindow, until
     (made, *_) = read_campaign(Path(run.queue.entries[0].folder)).runs
     assert (made.header.specimen["id"], made.header.specimen["animal"]) == ("P7", "unknown")
     assert str(made.header.specimen["excised_at"]).startswith("2026-05-04T09:15")
+
+
+def test_operator_and_specimen_are_seen_first_at_the_least_size(window: MainWindow) -> None:
+    new, size = window.run.new, window.size()
+    window.go_to(window.run)
+    window.resize(940, 500)
+    for field in (new.operator, new.specimen_told, new.state_specimen):
+        assert field.visibleRegion().boundingRect() == field.rect()
+    new.state_specimen.setChecked(True)
+    press(new.state_specimen)
+    assert not new.specimen.isVisible()
+    press(new.state_specimen)
+    new.specimen.put("id", "P7")
+    new.update_preview()
+    assert new.specimen_told.text() == "P7"
+    assert new.specimen.captions["temperature_degC"].text() == "Temperature (°C)"
+    new.specimen.put("id", "")
+    window.resize(size)
