@@ -340,6 +340,8 @@ class RigIdle:
     """Force and position while nothing is acquired: between sessions, and while a prompt is open."""
 
     reading: IdleReading
+    question: int = 0
+    """Number of the open prompt; 0 for none."""
 
 
 @dataclass(frozen=True, slots=True)

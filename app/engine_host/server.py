@@ -292,7 +292,7 @@ class RemoteOperator:
         def show() -> None:
             reading = look() if look is not None else None
             if isinstance(reading, IdleReading):
-                self._sender.say(RigIdle(reading))
+                self._sender.say(RigIdle(reading, number))
 
         idle = None if look is None else show
         return self._receiver.await_answer(number, lambda: self._sender.say(shown), idle)

@@ -459,7 +459,8 @@ class MainWindow(QMainWindow):
         self.engine.ask(ResetGuard())
 
     def _reply(self, question: int, answer: Answer) -> None:
-        self.run.prompt_answered()
+        self.run.answered = question
+        self.run.live.readings.end_motion("preparing")
         self.engine.ask(PromptReply(question, answer))
 
     def _restart(self) -> None:

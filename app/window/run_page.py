@@ -23,7 +23,6 @@ from dragrig.config import DragrigError, NumberRange
 from dragrig.engine_host import (
     MAX_OVERRIDE_SPEED_MM_S,
     AbortSession,
-    CalibrationMeasured,
     Event,
     ExamineRig,
     GuardState,
@@ -37,7 +36,6 @@ from dragrig.engine_host import (
     PauseSession,
     PromptShown,
     QueuedRun,
-    RequestRefused,
     RigExamined,
     RigIdle,
     RigSelection,
@@ -516,9 +514,10 @@ class RunPage(QWidget):
         self.setObjectName("page")
         self._engine, self._stored = engine, stored
         self._queue_started = False
-        self._asked = False
         self._progress_at = 0.0
         self._trip_reason = "the engine is starting"
+        self.answered = 0
+        """Number of the prompt that was answered last."""
         self.calibrating = False
         """Whether a calibration is under way, on the page of the rig."""
         self.restart_due = False
@@ -724,19 +723,12 @@ class RunPage(QWidget):
         self._queue_started = False
         self._engine.ask(AbortSession(reason))
 
-    def prompt_answered(self) -> None:
-        """Say no longer that a prompt is open."""
-        self._asked = False
-        self.live.readings.end_motion("preparing")
-
     def take(self, event: Event) -> None:
         """Handle an event of the engine."""
-        if not isinstance(event, RigIdle):
-            self._follow_prompt(event)
         match event:
-            case RigIdle(reading):
-                running = "a session is running" if self.session_running else "idle"
-                self.live.show_idle(reading, "prompt open" if self._asked else running)
+            case RigIdle(reading, question):
+                if not question or question != self.answered:  # else read just before the answer arrived
+                    self.live.show_idle(reading, "prompt open" if question else "idle")
                 return
             case HostReady():
                 self._engine.ask(WatchRig(self.devices.watch.isChecked()))
@@ -757,18 +749,6 @@ class RunPage(QWidget):
             case _:
                 self._follow_session(event)
         self._show_state()
-
-    def _follow_prompt(self, event: Event) -> None:
-        """Know whether a prompt is open: of a session, of a motion by hand, or of a reset."""
-        match event:
-            case PromptShown():
-                self._asked = True
-            case RunStarted() | SessionFinished() | StageMoved() | CalibrationMeasured():
-                self._asked = False
-            case GuardState() | RequestRefused() | HostLost():
-                self._asked = False
-            case _:
-                pass
 
     def _follow_session(self, event: Event) -> None:
         match event:

@@ -997,12 +997,13 @@ def test_homing_is_called_homing_and_no_prompt_open_where_none_is(window: MainWi
     for shown in (window, window.run):
         shown.take(StageHomes(""))
     assert not notices.homing.isVisible()
-    prompt = PromptShown(1, "Put it in", can_redo=False, can_skip=False, hands=True)
-    for event in (prompt, RigIdle(IdleReading(3.0, None))):
+    prompt = PromptShown(4711, "Put it in", can_redo=False, can_skip=False, hands=True)
+    for event in (prompt, RigIdle(IdleReading(3.0, None), 4711)):
         window.take(event)
         window.run.take(event)
     assert about.text() == "live; prompt open"
     press(notices.answers[Answer.DONE])
+    window.run.take(RigIdle(IdleReading(3.0, None), 4711))  # it was on its way
     assert about.text() == "live; preparing"
 
 
