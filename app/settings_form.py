@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 
 from dragrig.config import (
@@ -229,9 +228,8 @@ def specimen_form(*, of_campaign: bool = False) -> SpecimenForm:
     about = f"What is left empty is recorded as {UNSTATED}."
     if of_campaign:
         about = "What is left empty is as in the campaign; a fresh piece needs an id of its own."
-    example = f"{datetime.now():%H:%M}, or {datetime.now():%Y-%m-%dT%H:%M}"
     fields = (
-        replace(field, default="", empty=example if field.key.endswith("_at") else "")
+        replace(field, default="", empty="as 09:15" if field.key.endswith("_at") else "")
         for field in form_fields(Specimen, sweeps=False)
     )
     return SpecimenForm(
