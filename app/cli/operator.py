@@ -131,8 +131,8 @@ class TerminalOperator:
             self._meter.say(f"  {PAUSE_KEY} pauses after the run in progress, Ctrl-C ends the session")
 
     def homes(self, *, over: bool) -> None:
-        """Print that the stage moves."""
-        if not (over or self._quiet):
+        """Print that the stage moves, in real time."""
+        if self._real_time and not over:
             self._meter.say(f"  {HOMING}")
 
     def waits(self, run: PlannedRun, duration_s: float) -> None:
