@@ -35,6 +35,7 @@ from dragrig.rig import (
     NullOperator,
     RecoveryOutcome,
     ReturnProtocol,
+    RigMemory,
     RunInfo,
     RunStatus,
     SessionRecord,
@@ -126,7 +127,11 @@ class _FolderTakenError(OutputError):
 
 
 def resume_campaign(
-    folder: Path, options: SessionOptions, person: SessionOperator | None, assignments: Sequence[str] = ()
+    folder: Path,
+    options: SessionOptions,
+    person: SessionOperator | None,
+    assignments: Sequence[str] = (),
+    memory: RigMemory | None = None,
 ) -> Made:
     """Make the missing runs of a campaign's latest plan, with its own settings.
 
@@ -136,6 +141,8 @@ def resume_campaign(
     ----------
     assignments
         Changes to the rig, each `rig.key=value`.
+    memory
+        As of `resolve_rig`.
 
     Raises
     ------
@@ -145,7 +152,7 @@ def resume_campaign(
         What `run_session` raises.
     """
     with _continued_campaign(folder, options.tell) as (record, before):
-        setup = _setup_from_record(record, folder).with_rig(assignments)
+        setup = replace(_setup_from_record(record, folder).with_rig(assignments), memory=memory or RigMemory())
         progress = _progress(before, setup, record.first_order)
         return _continue_campaign(setup, record, before, replace(options, progress=progress), person)
 

@@ -21,7 +21,6 @@ from dragrig.rig import (
     AcquisitionOutcome,
     Answer,
     Backend,
-    BackendRequest,
     CampaignProgress,
     IdleReading,
     NullOperator,
@@ -47,7 +46,6 @@ from dragrig.setup import (
     Pace,
     Setup,
     opened_rig,
-    resolve_pace,
 )
 
 ResultT = TypeVar("ResultT")
@@ -89,6 +87,10 @@ class PromptRelay:
         self._prompts.put(pending)
         pending.answered.wait()
         return pending.answer
+
+    def homes(self, *, over: bool) -> None:
+        """Tell the operator, on the thread that moves the stage."""
+        self._operator.homes(over=over)
 
     def answer_next(self, within_s: float, signals: EndSignals) -> None:
         """Answer the next prompt, if there is one in this time; Ctrl-C at or before a prompt ends the session."""
@@ -176,14 +178,10 @@ class RunCounter(NullOperator):
         self._progress(self._made, self._of)
 
     def step(self, steps: int) -> Callable[[int, int], None]:
-        """Return the progress of a step that counts as so many runs."""
+        """Return the progress of work that counts as so many runs."""
         before = self._made
         self._made += steps
-
-        def report_step(done: int, of: int) -> None:
-            self._progress(before + steps * done // max(of, 1), self._of)
-
-        return report_step
+        return lambda done, of: self._progress(before + steps * done // max(of, 1), self._of)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,8 +199,9 @@ class SessionOptions:
     first_run_at: datetime | None = None
     """Start of the campaign's first run, in a resumed campaign."""
     progress: CampaignProgress = field(default_factory=CampaignProgress)
-    begun: Callable[[Callable[[str], None]], None] = ignore
-    """Called before anything moves with a function that ends the session in good order from any thread."""
+    begun: Callable[[Callable[[str], None], Path], None] = ignore
+    """Called before anything moves with a function that ends the session in good order from any thread, and the
+    campaign's folder."""
     pause: Signal | None = None
     """Set by anybody to have the session wait for a person before its next run."""
     mirror: Path | None = None
@@ -244,17 +243,7 @@ def run_session(
     if not left.runs:
         # Without runs, neither prompt nor homing.
         return SessionResult(RunStatus.COMPLETE, "", ())
-    pace = resolve_pace(options.pace, double=setup.double)
-    calibrations = setup.calibrations()
-    request = BackendRequest(
-        setup.rig,
-        setup.model,
-        pace.real_time,
-        options.origin,
-        calibrations,
-        pace=pace.times_faster,
-        first_run_at=options.first_run_at,
-    )
+    request = replace(setup.request(options.pace), origin=options.origin, first_run_at=options.first_run_at)
     with opened_rig(setup.backend, request, double=setup.double) as backend:
         further = len(backend.sampler.channels) - 2
         stops = setup.stops() if backend.needs_hands else None
@@ -262,8 +251,8 @@ def run_session(
         checked.require()
         if backend.needs_hands and (remark := specimen_remark(setup.specimen)):
             options.tell(f"{remark}.")
-        record = _session_record(setup, backend, options, calibrations)
-        timed = pace.real_time or backend.needs_hands
+        record = _session_record(setup, backend, options, request.calibrations)
+        timed = request.real_time or backend.needs_hands
         operator = PromptRelay(observer, idle_reader(backend, timed=timed))
         run_on_worker(
             lambda: _ask_for_commissioning(setup, operator, backend.clock.now, checked.remarks),
@@ -284,7 +273,7 @@ def run_session(
                 steady_force=steady_force_of,
                 stops=stops,
             )
-            options.begun(session.abort)
+            options.begun(session.abort, options.folder)
             with _kept_awake(setup):
                 return run_on_worker(session.run, session.abort, operator)
 

@@ -12,6 +12,7 @@ from pydantic import AwareDatetime, Field, ValidationError
 
 from dragrig.config import OutputError, Settings
 from dragrig.rig import (
+    HOMING,
     AcquisitionOutcome,
     Answer,
     Drift,
@@ -158,10 +159,15 @@ class StatePublisher:
         self._publish("preparing", runs=len(pending), real_time=real_time, after_s=total_s, total_s=total_s)
         self._observer.begins(programme, pending, real_time=real_time)
 
-    def waits(self, duration_s: float, why: str) -> None:
-        """Publish a wait."""
-        self._publish("waiting", said=why, wait_s=duration_s if self._state.real_time else 0.0)
-        self._observer.waits(duration_s, why)
+    def homes(self, *, over: bool) -> None:
+        """Publish that the stage finds its origin."""
+        self._publish("preparing", said="" if over else HOMING)
+        self._operator.homes(over=over)
+
+    def waits(self, run: PlannedRun, duration_s: float) -> None:
+        """Publish a rest."""
+        self._publish("waiting", said=f"rest before {run.summary}", wait_s=duration_s if self._state.real_time else 0.0)
+        self._observer.waits(run, duration_s)
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Publish the run that is recorded."""

@@ -229,7 +229,10 @@ def specimen_form(*, of_campaign: bool = False) -> SpecimenForm:
     about = f"What is left empty is recorded as {UNSTATED}."
     if of_campaign:
         about = "What is left empty is as in the campaign; a fresh piece needs an id of its own."
-    fields = (replace(field, default="", empty="") for field in form_fields(Specimen, sweeps=False))
+    fields = (
+        replace(field, default="", empty="as 09:15" if field.key.endswith("_at") else "")
+        for field in form_fields(Specimen, sweeps=False)
+    )
     return SpecimenForm(
         groups=(FormGroup("specimen", about, tuple(field for field in fields if field.key != "name"), {}),)
     )

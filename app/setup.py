@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
@@ -48,6 +48,7 @@ from dragrig.rig import (
     Backend,
     BackendRequest,
     Programme,
+    RigMemory,
     RunProtocol,
     StageLimits,
     Stops,
@@ -203,6 +204,7 @@ class RigChoices(TypedDict, total=False):
     backend: str | None
     double: bool
     assignments: Sequence[str]
+    memory: RigMemory
 
 
 def with_allowed_effects(
@@ -248,6 +250,7 @@ class RigSetup:
     backend: str
     double: bool = False
     """Whether the backend's double is used, in place of the hardware."""
+    memory: RigMemory = field(default_factory=RigMemory, compare=False)
 
     @property
     def data_root(self) -> Path:
@@ -263,6 +266,13 @@ class RigSetup:
     def made_on(self) -> str:
         """Key of this rig's calibrations: hardware, its double and the simulated rig have separate ones."""
         return f"{self.backend} double" if self.double else self.backend
+
+    def request(self, pace: "Pace | None" = None) -> BackendRequest:
+        """Return what opens this rig; raises `SettingsError` for a pace that it does not support."""
+        paced, calibrations = resolve_pace(pace, double=self.double), self.calibrations()
+        return BackendRequest(
+            self.rig, self.model, paced.real_time, None, calibrations, pace=paced.times_faster, memory=self.memory
+        )
 
     def commissioning(self) -> CommissioningRecord | None:
         """Return what the look at this very wiring found, if there was one; raises `SettingsError` if damaged."""
@@ -306,7 +316,8 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
     choices
         `rig`, `model`: a file or a shipped name; by default the rig of the lab folder, or the shipped one outside of a
         lab. `backend`: by default that of the rig. `double`: whether to use its double. `assignments`: each
-        `rig.key=value` or `model.key=value`.
+        `rig.key=value` or `model.key=value`. `memory`: where a simulated rig keeps position, home and contact from one
+        call to the next; by default it forgets them.
 
     Raises
     ------
@@ -326,6 +337,7 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
         rig_folder=rig_folder,
         backend=backend,
         double=double,
+        memory=choices.get("memory") or RigMemory(),
     )
 
 
@@ -565,6 +577,7 @@ def resolve(
         backend=backend,
         double=double,
         differences=differences,
+        memory=choices.get("memory") or RigMemory(),
     )
 
 

@@ -81,7 +81,7 @@ from dragrig.setup import resolve_pace, resolve_rig
 _UNIT_SUFFIXES = (
     ("_mN_s_mm", "mN·s/mm"), ("_mm_s2", "mm/s²"), ("_mm_s", "mm/s"), ("_per_mm", "per mm"), ("_mm", "mm"),
     ("_um", "µm"), ("_uV", "µV"), ("_N_per_A", "N per A"), ("_per_s", "1/s"), ("_ns", "ns"), ("_s", "s"),
-    ("_mN", "mN"), ("_N", "N"), ("_hz", "Hz"), ("_g", "g"), ("_mb", "MB"), ("_days", "days"),
+    ("_mN", "mN"), ("_N", "N"), ("_hz", "Hz"), ("_g", "g"), ("_mb", "MB"), ("_days", "days"), ("_degC", "°C"),
 )  # fmt: skip
 _VOLT_KEYS = frozenset({"zero_V", "range_V", "rail_V"})
 """Keys in volts; one that ends in per_V is not."""
@@ -466,6 +466,19 @@ def campaign_to_extend(folder: Path) -> CampaignToExtend:
 
     latest, _ = latest_session_record(folder)
     return CampaignToExtend(latest, read_campaign(folder), is_session_running(folder))
+
+
+def last_heard(folder: Path) -> str:
+    """Return when and at which run a session that was cut off was last heard of, by the state file in its campaign."""
+    from dragrig.session_state import is_session_running, read_state
+
+    state = read_state(folder)
+    if state is None:
+        return "before its first run"
+    run = f"at run {state.order}, {state.run}" if state.run else "before its first run"
+    running = "; it runs in another window, or is just being ended" if is_session_running(folder) else ""
+    made = f", {state.made} of {state.runs} in all" if state.made else ""
+    return f"at {state.since.astimezone():%Y-%m-%d %H:%M}, {run}{made}{running}"
 
 
 def preview_session(

@@ -23,6 +23,7 @@ from .devices import Contact as Contact
 from .devices import IdleReading as IdleReading
 from .devices import RawReading as RawReading
 from .devices import RigCheck as RigCheck
+from .devices import RigMemory as RigMemory
 from .devices import Sampler as Sampler
 from .devices import Stage as Stage
 from .devices import StageLimits as StageLimits
@@ -53,6 +54,7 @@ from .manual import measure_pushed_travel as measure_pushed_travel
 from .manual import require_jog as require_jog
 from .manual import require_speed as require_speed
 from .manual import require_touch_off as require_touch_off
+from .operator import HOMING as HOMING
 from .operator import Answer as Answer
 from .operator import LiveReading as LiveReading
 from .operator import NullOperator as NullOperator

@@ -413,6 +413,16 @@ def read_idle(backend: Backend, duration_s: float) -> IdleReading:
     )
 
 
+@dataclass(slots=True)
+class RigMemory:
+    """What a simulated rig keeps from one opening to the next, as a real one does by itself; empty at first.
+
+    It belongs to the program that opens the rig, again and again, and to one opening at a time.
+    """
+
+    kept: object = None
+
+
 @dataclass(frozen=True, slots=True)
 class BackendRequest:
     """Argument of a backend's factory.
@@ -435,6 +445,7 @@ class BackendRequest:
     """Pace of a double of the hardware; 1 is real time, 10 ten times faster."""
     first_run_at: datetime | None = None
     """When the campaign's first run began, in a resumed session."""
+    memory: RigMemory = field(default_factory=RigMemory, compare=False)
 
 
 def with_utc_offset(origin: datetime | None) -> datetime:

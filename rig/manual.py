@@ -41,6 +41,7 @@ from dragrig.rig.operator import (
     await_standstill,
     confirm,
     enable_and_home,
+    find_origin,
     positioning_profile,
     reset_guard,
 )
@@ -190,7 +191,7 @@ class ManualControl:
         self.confirm(Prompt(HOMING_PROMPT, hands=self._backend.needs_hands))
         with self._overridden(override) if override is not None else nullcontext():
             self._backend.stage.enable()
-            self._backend.stage.home()
+            find_origin(self._backend.stage, self._operator)
         return self.position_mm
 
     def jog(self, distance_mm: float, speed_mm_s: float | None = None, override: TravelEnd | None = None) -> float:

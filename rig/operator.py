@@ -11,7 +11,7 @@ from threading import Event as Signal
 from typing import Protocol
 
 from dragrig.config import AbortedError, TrippedError
-from dragrig.rig.devices import Backend, StageLimits, SupportsMotionTrial, TravelEnd
+from dragrig.rig.devices import Backend, Stage, StageLimits, SupportsMotionTrial, TravelEnd
 from dragrig.rig.engine import AcquisitionOutcome, attempt
 from dragrig.rig.guard import LIMIT_SWITCH_CAUSES, Guard
 from dragrig.rig.profile import MotionProfile, trapezoid
@@ -20,6 +20,7 @@ from dragrig.rig.reading import Reading
 from dragrig.rig.sentinel import Drift
 
 START_TOLERANCE_MM = 0.005
+HOMING = "HOMING: the stage moves to the end of its travel to find its origin"
 HOMING_PROMPT = "The stage moves to the end of its travel to find its origin: take the capsule out of its path"
 _MAX_STANDSTILL_WAIT_S = 10.0
 _DRIVE_MAY_BE_ON = "and the drive may still be on: check that it is switched off"
@@ -90,6 +91,9 @@ class Operator(Protocol):
     def ask(self, prompt: Prompt) -> Answer:
         """Show a prompt and wait for the answer."""
 
+    def homes(self, *, over: bool) -> None:
+        """Take that the stage moves to its origin from now on, or no longer."""
+
 
 class SessionObserver(Protocol):
     """Follows a session; called on the session's thread, so it must be quick."""
@@ -97,14 +101,14 @@ class SessionObserver(Protocol):
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Take the start of a session: the runs to make, and whether it waits in real time."""
 
-    def waits(self, duration_s: float, why: str) -> None:
-        """Take the start of a wait without motion."""
+    def waits(self, run: PlannedRun, duration_s: float) -> None:
+        """Take the start of a rest before a run; readings follow it where time is real."""
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Take the start of a run."""
 
     def reads(self, reading: Reading) -> None:
-        """Take a block that was just recorded."""
+        """Take a block of a run that was just recorded, or of the rest before it, counted from its own start."""
 
     def run_ends(self, run: PlannedRun, outcome: AcquisitionOutcome) -> None:
         """Take the end of a run, with its checks."""
@@ -122,10 +126,13 @@ class NullOperator:
         """Answer done, or abort where hands are needed."""
         return Answer.ABORT if prompt.hands else Answer.DONE
 
+    def homes(self, *, over: bool) -> None:
+        """Do nothing."""
+
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Do nothing."""
 
-    def waits(self, duration_s: float, why: str) -> None:
+    def waits(self, run: PlannedRun, duration_s: float) -> None:
         """Do nothing."""
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
@@ -195,7 +202,14 @@ def enable_and_home(backend: Backend, operator: Operator) -> None:
     else:
         if backend.needs_hands:
             confirm(operator, Prompt(HOMING_PROMPT))
-        stage.home()
+        find_origin(stage, operator)
+
+
+def find_origin(stage: Stage, operator: Operator) -> None:
+    """Home the stage, which the operator is told; raises `DeviceError` when the drive refuses."""
+    operator.homes(over=False)
+    stage.home()
+    operator.homes(over=True)
 
 
 def park(backend: Backend, ended_for: str = "") -> list[str]:

@@ -48,6 +48,12 @@ from dragrig.rig.runfile import Attribute, Run, RunHeader, RunStatus, SessionRec
 from dragrig.rig.sentinel import SENTINEL_ROLE, Drift, SteadyForce
 from dragrig.rig.stops import Stops
 
+_SHORTEST_REST_S = 1e-6
+"""Rounding of the clock."""
+_UNSAMPLED_REST_S = 1.0
+"""The end of a rest, which is left for devices to be armed in, so that it does not become longer."""
+_LONGEST_REST_S = 300.0
+"""A longer rest is sampled in several acquisitions."""
 _MAX_START_ERROR_MM = 0.05
 """How far from a run's start the stage may come to rest: more than the velocity loop's hold error of 0.02 mm."""
 
@@ -380,11 +386,7 @@ class Session:
         tare_mN = self._tare(run)
         self._go_to(run)
         clock = self._backend.clock
-        remaining_s = run.wait_s - (clock.monotonic() - self._contact_since_s)
-        if remaining_s > 0:
-            self._observer.waits(remaining_s, f"rest before {run.summary}")
-            clock.sleep(remaining_s, self.engine.cancelled)
-            self.engine.require_not_aborted()
+        self._rest_before(run)
         acquisition = run_acquisition(self._order, run, clock.monotonic() - self._contact_since_s)
         facts: dict[str, Attribute] = dict(self._specimen_facts)
         if tare_mN is not None:
@@ -402,12 +404,27 @@ class Session:
         self._observer.run_ends(run, outcome)
         require_complete(outcome)
 
+    def _rest_before(self, run: PlannedRun) -> None:
+        """Let the contact rest; where time is real, sampled and guarded as a run is, for a person to see it relax."""
+        clock, announced = self._backend.clock, False
+        while (left_s := run.wait_s - (clock.monotonic() - self._contact_since_s)) > _SHORTEST_REST_S:
+            sampled_s = min(left_s - _UNSAMPLED_REST_S, _LONGEST_REST_S) if self._real_time else 0.0
+            if sampled_s > 0 or not announced:
+                self._observer.waits(run, left_s)
+                announced = True
+            if sampled_s > 0:
+                rest = MotionProfile.from_pieces([stationary_piece(sampled_s, Phase.REST)])
+                self._acquire_unrecorded("rest", replace(run, profile=rest), self._observer)
+            else:
+                clock.sleep(left_s, self.engine.cancelled)
+            self.engine.require_not_aborted()
+
     def _tare(self, run: PlannedRun) -> float | None:
         if not run.tare_s:
             return None
         self._confirm("Hold the capsule clear of the gut: the force sensor is tared", run)
         rest = MotionProfile.from_pieces([stationary_piece(run.tare_s, Phase.REST)])
-        mean_mN = self._acquire_unrecorded("tare", run, rest).mean_force_mN
+        mean_mN = self._acquire_unrecorded("tare", _clear_of_gut(run, rest)).mean_force_mN
         if not isfinite(mean_mN):
             raise DeviceError(f"a tare of {run.tare_s:g} s is too short for a sample.")
         self._confirm("Put the capsule into the gut again", run)
@@ -423,7 +440,7 @@ class Session:
             room_mm = limits.highest_mm - run.start_mm if travel_mm > 0 else run.start_mm - limits.lowest_mm
             slow_mm_s = self._stops.approach_speed_mm_s(room_mm)
             limits = replace(limits, speed_mm_s=min(limits.speed_mm_s, slow_mm_s))
-        self._acquire_unrecorded("positioning", run, positioning_profile(travel_mm, limits))
+        self._acquire_unrecorded("positioning", _clear_of_gut(run, positioning_profile(travel_mm, limits)))
         await_standstill(self._backend)
         if not abs(off_mm := self._travel_to(run)) <= _MAX_START_ERROR_MM:
             raise DeviceError(
@@ -432,11 +449,19 @@ class Session:
             )
         self._contact_since_s = self._backend.clock.monotonic()
 
-    def _acquire_unrecorded(self, kind: str, run: PlannedRun, profile: MotionProfile) -> AcquisitionOutcome:
-        """Make an acquisition beside a run, with the capsule clear of the gut."""
-        clear = replace(run, profile=profile, contact=Contact.NONE, fixture=Fixture.NONE)
-        acquisition = replace(run_acquisition(self._order, clear, 0.0), kind=kind, recorded=False)
-        outcome = self.engine.acquire(acquisition)
+    def _acquire_unrecorded(
+        self, kind: str, run: PlannedRun, observer: SessionObserver | None = None
+    ) -> AcquisitionOutcome:
+        """Make an acquisition beside a run."""
+        dwell_s = self._backend.clock.monotonic() - self._contact_since_s
+        outcome = self.engine.acquire(
+            replace(run_acquisition(self._order, run, dwell_s), kind=kind, recorded=False),
+            view=observer.reads if observer else None,
+        )
         require_complete(outcome)
         require_agreement(outcome)
         return outcome
+
+
+def _clear_of_gut(run: PlannedRun, profile: MotionProfile) -> PlannedRun:
+    return replace(run, profile=profile, contact=Contact.NONE, fixture=Fixture.NONE)

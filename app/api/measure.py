@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Unpack
 
 from dragrig.config import OutputError
 from dragrig.rig import (
-    BackendRequest,
     Preflight,
     RigCheck,
     Run,
@@ -67,8 +66,8 @@ def examine(**choices: Unpack[RigChoices]) -> Iterator[RigCheck]:
 
 
 def _rig_findings(setup: RigSetup) -> Iterator[RigCheck]:
-    rig, calibrations = setup.rig, setup.calibrations()
-    request = BackendRequest(rig, setup.model, calibrations=calibrations, connect=False)
+    request = replace(setup.request(), connect=False)
+    rig, calibrations = setup.rig, request.calibrations
     with closing(open_backend(setup.backend, request, double=setup.double)) as backend:
         yield check_limits(rig)
         if backend.needs_hands:

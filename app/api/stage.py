@@ -1,7 +1,7 @@
 """Move the stage by hand (home, jog, touch off), look at the rig's wiring, and calibrate force sensor and encoder."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from math import isfinite
 from pathlib import Path
@@ -23,7 +23,6 @@ from dragrig.rig import (
     JOG_SPEED_MM_S,
     Answer,
     Backend,
-    BackendRequest,
     CalibrationLine,
     Engine,
     Guard,
@@ -54,7 +53,7 @@ from dragrig.rig import (
     write_commissioning,
     write_contact,
 )
-from dragrig.setup import Pace, RigChoices, RigSetup, opened_rig, resolve_pace, resolve_rig
+from dragrig.setup import Pace, RigChoices, RigSetup, opened_rig, resolve_rig
 
 ResultT = TypeVar("ResultT")
 PointT = TypeVar("PointT", LoadReading, TravelReading)
@@ -209,13 +208,7 @@ def commission(
     setup = resolve_rig(**choices)
     require_text(operator=operator)
     folder = _require_lab(setup, "check --live")
-    request = BackendRequest(
-        setup.rig,
-        setup.model,
-        calibrations=setup.calibrations(),
-        connect=False,
-        pace=resolve_pace(pace, double=setup.double).times_faster,
-    )
+    request = replace(setup.request(pace), connect=False)
     with opened_rig(setup.backend, request, double=setup.double) as backend:
         if not isinstance(backend, SupportsLiveLook):
             raise SettingsError(
@@ -270,14 +263,11 @@ def run_on_bench(
     DragrigError
         What the work raises; also when the rig cannot be opened or switched off.
     """
-    paced = resolve_pace(pace, double=setup.double)
-    request = BackendRequest(
-        setup.rig, setup.model, paced.real_time, None, setup.calibrations(), pace=paced.times_faster
-    )
+    request = setup.request(pace)
     with opened_rig(setup.backend, request, double=setup.double) as backend:
         guard = Guard(setup.rig.guard, 1e-3 * setup.rig.encoder.resolution_um)
         engine = Engine(backend, setup.rig, guard)
-        look = idle_reader(backend, timed=paced.real_time or backend.needs_hands)
+        look = idle_reader(backend, timed=request.real_time or backend.needs_hands)
         operator = PromptRelay(person or NullOperator(), look)
         bench = OpenRig(setup, backend, ManualControl(backend, guard, engine, operator))
         begun(engine.abort)

@@ -1,10 +1,14 @@
 """Commands that measure: init, check, run, recover, demo, gui."""
 
 import os
+import re
+import subprocess
 import sys
+from collections.abc import Sequence
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, NoReturn, Unpack
 
 import click
 
@@ -342,6 +346,32 @@ def demo_command(out: Path) -> None:
     print_remark(f"\nInspect it: dragrig info {folder}\nYour own:   dragrig init lab, then in it: dragrig run drag")
 
 
+def _missing_libraries() -> list[str]:
+    """Return the system libraries that Qt's part for X11 needs and does not find: it would end this process for one."""
+    chosen = os.environ.get("QT_QPA_PLATFORM", "" if os.environ.get("WAYLAND_DISPLAY") else "xcb")
+    package = find_spec("PySide6")
+    if sys.platform != "linux" or not chosen.startswith("xcb") or package is None or package.origin is None:
+        return []
+    plugin = Path(package.origin).parent / "Qt" / "plugins" / "platforms" / "libqxcb.so"
+    try:
+        told = subprocess.run(["ldd", str(plugin)], capture_output=True, text=True, check=False).stdout
+    except OSError:
+        return []
+    return sorted(set(re.findall(r"(\S+) => not found", told)))
+
+
+def _refuse_without(libraries: Sequence[str]) -> NoReturn:
+    """Name system libraries that are missing, and their packages, which Debian names after them."""
+    from dragrig.config import SettingsError
+
+    names = (library.lower().split(".so.") for library in libraries)
+    packages = " ".join(f"{name}{'-' * name[-1].isdigit()}{''.join(version)}" for name, *version in names)
+    raise SettingsError(
+        f"gui: Qt needs system libraries that are not here ({', '.join(libraries)}): apt-get install {packages} "
+        "(on Debian and Ubuntu)."
+    )
+
+
 @click.command("gui")
 @click.argument("lab", required=False, type=click.Path(path_type=Path))
 @options.rig
@@ -372,9 +402,10 @@ def gui_command(
     try:
         from dragrig.window.main_window import show_window
     except ImportError as error:
-        if error.name is not None and error.name.split(".")[0] in {"PySide6", "shiboken6", "pyqtgraph"}:
-            missing = "the window needs PySide6 and pyqtgraph; install them with pip install 'dragrig[gui]'"
-        else:
-            missing = f"a system library that Qt needs is missing ({error}); the README names the packages"
+        if library := re.match(r"\S+\.so\.\S+(?=:)", str(error)):
+            _refuse_without([library[0], *_missing_libraries()])
+        missing = "the window needs PySide6 and pyqtgraph; install them with pip install 'dragrig[gui]'"
         raise SettingsError(f"gui: {missing}.") from error
+    if libraries := _missing_libraries():
+        _refuse_without(libraries)
     ctx.exit(show_window(selection, rig_file.parent if rig_file is not None else None))

@@ -17,6 +17,7 @@ from dragrig.cli.console import ProgressMeter, echo, is_quiet
 from dragrig.config import DragrigError, reason_of
 from dragrig.present import duration_text
 from dragrig.rig import (
+    HOMING,
     AcquisitionOutcome,
     Answer,
     Drift,
@@ -129,20 +130,29 @@ class TerminalOperator:
         if self._keys.begin() and real_time:
             self._meter.say(f"  {PAUSE_KEY} pauses after the run in progress, Ctrl-C ends the session")
 
-    def waits(self, duration_s: float, why: str) -> None:
-        """Print what is waited for, in real time."""
+    def homes(self, *, over: bool) -> None:
+        """Print that the stage moves, in real time."""
+        if self._real_time and not over:
+            self._meter.say(f"  {HOMING}")
+
+    def waits(self, run: PlannedRun, duration_s: float) -> None:
+        """Print how long the contact rests, in real time."""
+        self._begin_plot()
         if self._real_time:
-            self._meter.say(f"  {why}: {duration_text(duration_s)}")
+            self._meter.say(f"  rest before {run.summary}: {duration_text(duration_s)}")
+
+    def _begin_plot(self) -> None:
+        self._seen_s = 0.0
+        if self._plot is not None:
+            self._plot.clear()
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Show which run the bar is at."""
-        self._seen_s = 0.0
+        self._begin_plot()
         # Runs before it were made or skipped, and it may be made again.
         before = [earlier for earlier in self._pending if earlier.index < run.index]
         rest_s = run.wait_s if self._real_time else 0.0
         self._order = order
-        if self._plot is not None:
-            self._plot.clear()
         label = f"{len(before) + 1} of {len(self._pending)}: run {order}, {run.summary}"
         self._meter.to(self._duration_s(before) + rest_s, label)
 

@@ -42,6 +42,7 @@ from .messages import SessionJob as SessionJob
 from .messages import SessionStarted as SessionStarted
 from .messages import SessionWaiting as SessionWaiting
 from .messages import SilenceLimits as SilenceLimits
+from .messages import StageHomes as StageHomes
 from .messages import StageMoved as StageMoved
 from .messages import StartSession as StartSession
 from .messages import StoreCalibration as StoreCalibration

@@ -1,7 +1,7 @@
 """What client and engine host exchange: pickled frozen values, and live samples through a ring in shared memory."""
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.context import SpawnContext
 from pathlib import Path
 from typing import TypeAlias
@@ -18,6 +18,7 @@ from dragrig.rig import (
     IdleReading,
     Reading,
     RigCheck,
+    RigMemory,
     RunStatus,
     TravelEnd,
 )
@@ -60,6 +61,8 @@ class RigSelection:
     double: bool = False
     assignments: tuple[str, ...] = ()
     pace: Pace | None = None
+    memory: RigMemory = field(default_factory=RigMemory, compare=False)
+    """Where a simulated rig keeps what outlasts a motion; of use in the host alone."""
 
     def choices(self) -> RigChoices:
         """Return the keyword arguments of `dragrig.examine`."""
@@ -69,6 +72,7 @@ class RigSelection:
             "backend": self.backend,
             "double": self.double,
             "assignments": self.assignments,
+            "memory": self.memory,
         }
 
 
@@ -273,6 +277,8 @@ class QueuedRun:
     duration_s: float
     start_mm: float = 0.0
     """Absolute position where it begins, to which the live positions are relative."""
+    is_way_back: bool = False
+    """Whether it belongs to the run before it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,14 +288,23 @@ class SessionStarted:
     job: int
     runs: tuple[QueuedRun, ...]
     real_time: bool
+    folder: Path = Path()
+    """Of its campaign."""
 
 
 @dataclass(frozen=True, slots=True)
 class SessionWaiting:
-    """A wait before a run."""
+    """A rest before a run begins, of which live samples follow where time is real."""
 
+    run: QueuedRun
     duration_s: float
-    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class StageHomes:
+    """The stage moves to its origin from now on, in a sentence; or no longer, where that is empty."""
+
+    sentence: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,6 +340,8 @@ class RigIdle:
     """Force and position while nothing is acquired: between sessions, and while a prompt is open."""
 
     reading: IdleReading
+    question: int = 0
+    """Number of the open prompt; 0 for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -410,6 +427,7 @@ Event: TypeAlias = (
     | GuardState
     | SessionStarted
     | SessionWaiting
+    | StageHomes
     | RunStarted
     | RunFinished
     | SentinelCompared

@@ -68,6 +68,7 @@ from dragrig.engine_host.messages import (
     SessionStarted,
     SessionWaiting,
     SilenceLimits,
+    StageHomes,
     StageMoved,
     StartSession,
     StopHost,
@@ -78,11 +79,11 @@ from dragrig.engine_host.messages import (
 from dragrig.hosted_session import SessionOptions, idle_reader
 from dragrig.present import encoder_calibration_document, force_calibration_document
 from dragrig.rig import (
+    HOMING,
     LIMIT_SWITCH_CAUSES,
     AcquisitionOutcome,
     Answer,
     Backend,
-    BackendRequest,
     Drift,
     IdleReading,
     Phase,
@@ -94,7 +95,7 @@ from dragrig.rig import (
     RunStatus,
     latest_session_record,
 )
-from dragrig.setup import open_backend, resolve, resolve_pace, resolve_rig
+from dragrig.setup import open_backend, resolve, resolve_rig
 
 _POLL_S = 0.05
 CLIENT_GONE = "the window is gone"
@@ -276,8 +277,8 @@ class RemoteOperator:
         self._sender, self._receiver, self._live = sender, receiver, live
         self._numbers = count(1)
         self._order = 0
-        self.job = 0
-        """Number of the session that is reported."""
+        self.job, self.folder = 0, Path()
+        """Number of the session that is reported, and its campaign's folder."""
 
     attended = True
 
@@ -291,7 +292,7 @@ class RemoteOperator:
         def show() -> None:
             reading = look() if look is not None else None
             if isinstance(reading, IdleReading):
-                self._sender.say(RigIdle(reading))
+                self._sender.say(RigIdle(reading, number))
 
         idle = None if look is None else show
         return self._receiver.await_answer(number, lambda: self._sender.say(shown), idle)
@@ -299,12 +300,17 @@ class RemoteOperator:
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Report the runs still to make."""
         del programme
-        self._sender.say(SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time))
+        self._sender.say(SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time, self.folder))
 
-    def waits(self, duration_s: float, why: str) -> None:
-        """Report a wait."""
+    def homes(self, *, over: bool) -> None:
+        """Report that the stage moves to its origin."""
+        self._sender.say(StageHomes("" if over else HOMING))
+
+    def waits(self, run: PlannedRun, duration_s: float) -> None:
+        """Report a rest, during which the stage stands."""
         self._receiver.stands = True
-        self._sender.say(SessionWaiting(duration_s, why))
+        self._live.begin()
+        self._sender.say(SessionWaiting(_queued_run(run), duration_s))
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Report the start of a run."""
@@ -330,7 +336,7 @@ class RemoteOperator:
 
 
 def _queued_run(run: PlannedRun) -> QueuedRun:
-    return QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm)
+    return QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm, run.follows >= 0)
 
 
 _STANDING = (Phase.REST, Phase.HOLD)
@@ -397,12 +403,9 @@ class IdleRig:
 
     def _open(self) -> Backend:
         setup = resolve_rig(**self._rig.choices())
-        pace = resolve_pace(self._rig.pace if setup.double else None, double=setup.double)
-        request = BackendRequest(
-            setup.rig, setup.model, pace.real_time, None, setup.calibrations(), pace=pace.times_faster
-        )
+        request = setup.request(self._rig.pace if setup.double else None)
         backend = open_backend(setup.backend, request, double=setup.double)
-        self._look = idle_reader(backend, timed=pace.real_time or backend.needs_hands)
+        self._look = idle_reader(backend, timed=request.real_time or backend.needs_hands)
         return backend
 
 
@@ -475,19 +478,23 @@ class EngineHost:
             self._trip(finished.reason)
 
     def _run_session(self, job: SessionJob) -> Made:
+        def begun(abort: Callable[[str], None], folder: Path) -> None:
+            self._operator.folder = folder
+            self._receiver.stops(abort)
+
         options = SessionOptions(
             Path(),
             operator=job.operator,
             note=job.note,
             pace=job.pace,
-            begun=self._receiver.stops,
+            begun=begun,
             pause=self._receiver.pause,
             mirror=job.mirror,
             tell=lambda sentence: self._sender.say(OperatorWarning(sentence)),
         )
         if job.resume is not None:
             self._require_this_rig(job.resume)
-            return resume_campaign(job.resume, options, self._operator)
+            return resume_campaign(job.resume, options, self._operator, memory=self._rig.memory)
         rig = replace(self._rig, assignments=(*self._rig.assignments, *job.specimen))
         if job.append is not None:
             return append_to_campaign(job.plan, job.append, options, self._operator, **rig.choices())

@@ -170,6 +170,8 @@ class RigReadings(QWidget):
 
 
 RECENT_SPAN_S = 10.0
+_COUNTED_S = 100
+"""A shorter rest is counted down in seconds."""
 
 
 class LiveView(QWidget):
@@ -182,6 +184,11 @@ class LiveView(QWidget):
         self.readings = RigReadings()
         self._start_mm = 0.0
         self._recording = False
+        self._rest = ""
+        self._rest_s: float | None = None
+        """Duration of the rest whose samples come; None in a run."""
+        self._serial_before = 0
+        """Serial of the samples that came before it."""
         self.only_last = QCheckBox(f"Onl&y the last {RECENT_SPAN_S:g} s")
         self.only_last.toggled.connect(lambda _: self._draw())
         self.force = TimePlot("Force", "mN")
@@ -230,15 +237,35 @@ class LiveView(QWidget):
         """Show a title."""
         self.title.setText(title)
 
+    def begin_rest(self, name: str, rest_s: float, start_mm: float) -> None:
+        """Show that the contact rests before a run that begins at an absolute position."""
+        self._start_mm, self._recording = start_mm, True
+        self._rest, self._rest_s = f"Rest before {name}", rest_s
+        self._serial_before = 0 if self.run is None else self.run.serial
+        self._count_down()
+
+    @property
+    def rest_left_s(self) -> float:
+        """How long the contact rests still; 0 in a run."""
+        begun_s = self.run.latest.time_s if self.run is not None and self.run.serial != self._serial_before else 0.0
+        return max((self._rest_s or 0.0) - begun_s, 0.0)
+
+    def _count_down(self) -> str:
+        """Show and return how long the rest still is."""
+        left_s = ceil(self.rest_left_s)
+        left = f"{left_s} s to go" if left_s < _COUNTED_S else f"{duration_text(left_s)} to go"
+        self.begin(f"{self._rest}: {left}")
+        return left
+
     def begin_run(self, title: str, start_mm: float) -> None:
         """Show the title of a run that begins at an absolute position."""
         self.begin(title)
-        self._start_mm, self._recording = start_mm, True
+        self._start_mm, self._recording, self._rest_s = start_mm, True, None
 
     def end_run(self, title: str) -> None:
         """Show that the run is over: its curves stay, and its speed is no reading any more."""
         self.begin(title)
-        self._recording = False
+        self._recording, self._rest_s = False, None
         self.readings.end_motion("the run has ended")
 
     def show_idle(self, reading: IdleReading, doing: str) -> None:
@@ -266,12 +293,11 @@ class LiveView(QWidget):
                 line.trace(values, fresh.rate_hz)
         self.run.take(fresh)
         latest = self.run.latest
-        self.readings.show_values(
-            latest.force_mN,
-            latest.position_mm,
-            latest.speed_mm_s if self._recording else None,
-            f"{latest.phase}, {latest.time_s:.1f} s" if self._recording else "the run has ended",
-        )
+        about = f"{latest.phase}, {latest.time_s:.1f} s" if self._recording else "the run has ended"
+        if self._rest_s is not None:
+            about = f"rest, {self._count_down()}"
+        speed_mm_s = latest.speed_mm_s if self._recording else None
+        self.readings.show_values(latest.force_mN, latest.position_mm, speed_mm_s, about)
         if self.isVisible():
             self._draw()
 

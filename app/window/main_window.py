@@ -41,6 +41,7 @@ from dragrig.engine_host import (
     RigSelection,
     SessionFinished,
     SilenceLimits,
+    StageHomes,
     StageMoved,
 )
 from dragrig.views import FurtherRuns, PlanForm, describe_rig
@@ -118,11 +119,14 @@ class NoticeBar(QWidget):
 
     Parameters
     ----------
-    answer, restart
-        Called when the operator answers a prompt (with its number), restarts the engine.
+    answer, restart, go_on
+        Called when the operator answers a prompt (with its number), restarts the engine, decides whether a session
+        that was cut off is gone on with.
     """
 
-    def __init__(self, answer: Callable[[int, Answer], None], restart: Callable[[], None]) -> None:
+    def __init__(
+        self, answer: Callable[[int, Answer], None], restart: Callable[[], None], go_on: Callable[[bool], None]
+    ) -> None:
         super().__init__()
         self._answer = answer
         self._prompt: PromptShown | None = None
@@ -147,13 +151,22 @@ class NoticeBar(QWidget):
         self.lost_text = MessageText(most_lines=2)
         self.restart = button("Start the en&gine again", restart, "main", "Restart the process that controls the rig")
         self.lost = card(row(self.lost_text, self.restart, stretch={0: 1}), role="trip", margin=_NOTICE_PX)
+        self.cut_off_text = MessageText(most_lines=2)
+        self.go_on = button("Go on with it", lambda: go_on(True), "main", "Make its missing runs", "Ctrl+Shift+G")
+        self.leave = button("Leave it", lambda: go_on(False), help_="It counts as aborted", keys="Ctrl+Shift+L")
+        self.cut_off = card(
+            row(self.cut_off_text, self.go_on, self.leave, stretch={0: 1}), role="notice", margin=_NOTICE_PX
+        )
+        self.homing_text = MessageText("prompt")
+        self.homing = card(self.homing_text, role="notice", margin=_NOTICE_PX)
         self.complaint_text = MessageText(most_lines=2)
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
         self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice", margin=_NOTICE_PX)
-        notices = column(self.lost, self.trip, self.prompt, self.complaint)
-        notices.setSpacing(4)
-        self.setLayout(notices)
-        for frame in (self.lost, self.trip, self.prompt, self.complaint):
+        notices = (self.lost, self.trip, self.prompt, self.homing, self.cut_off, self.complaint)
+        below = column(*notices)
+        below.setSpacing(4)
+        self.setLayout(below)
+        for frame in notices:
             frame.hide()
 
     def show_trip(self, reason: str) -> None:
@@ -171,10 +184,20 @@ class NoticeBar(QWidget):
         self.answers[Answer.MEASURE].setVisible(prompt.can_measure)
         self.prompt.show()
 
+    def show_homing(self, sentence: str) -> None:
+        """Show that the stage finds its origin, in the prompt's place; hide for no sentence."""
+        self.homing_text.setText(f"{sentence}. STOP (Esc) stops it.")
+        self.homing.setVisible(bool(sentence))
+
     def hide_prompt(self) -> None:
         """Hide the prompt."""
         self._prompt = None
         self.prompt.hide()
+
+    def show_cut_off(self, sentence: str) -> None:
+        """Show which session was cut off; hide for none."""
+        self.cut_off_text.setText(sentence)
+        self.cut_off.setVisible(bool(sentence))
 
     def complain(self, sentence: str, topic: str = Topic.ANY) -> None:
         """Show an error, with the time, below those already shown, the last four at most."""
@@ -192,6 +215,7 @@ class NoticeBar(QWidget):
     def engine_lost(self, exit_code: int | None) -> None:
         """Show that the engine is gone."""
         self.hide_prompt()
+        self.homing.hide()
         self.trip.hide()
         self.lost_text.setText(
             "ENGINE STOPPED: this window did not respond for too long; the engine stopped the stage, finished the run "
@@ -260,8 +284,8 @@ class MainWindow(QMainWindow):
             "&Reset the guard", self._reset, "main", "Allow motion again once the cause is removed", "Ctrl+R"
         )
         self.reset.setEnabled(False)
-        self.notices = NoticeBar(self._reply, self._restart)
         self.run = RunPage(self.engine, rig, self.description, lab, self._stored)
+        self.notices = NoticeBar(self._reply, self._restart, self.run.decide_cut_off)
         self.look = LookPage(Path(self.description.data_root), self._stored)
         self.diagnose = DiagnosePage(self._stored, lambda: self.run.new.chosen_mirror)
         self.rig = RigPage(rig, self._calibrate, self._cancel_calibration, self.run.new.operator.text)
@@ -287,6 +311,7 @@ class MainWindow(QMainWindow):
         self.engine.event_received.connect(self._follow_calibration)
         self.run.complained.connect(self.notices.complain)
         self.run.settled.connect(self.notices.settle)
+        self.run.cut_off.connect(self.notices.show_cut_off)
         for page, topic in ((self.look, Topic.LOOK), (self.diagnose, Topic.DIAGNOSIS)):
             page.complained.connect(partial(self.notices.complain, topic=topic))
             page.begun.connect(partial(self.notices.settle, topic))
@@ -305,6 +330,7 @@ class MainWindow(QMainWindow):
         self._show_description()
         self._follow_rig()
         self._restore()
+        self.run.show_cut_off()
 
     def go_to(self, page: QWidget) -> None:
         """Show a page."""
@@ -328,11 +354,14 @@ class MainWindow(QMainWindow):
                 set_role(self.guard, "wrong" if reason else "fine")
                 if not reason:
                     self.notices.settle(Topic.GUARD)
+            case StageHomes(sentence):
+                self.notices.show_homing(sentence)
             case PromptShown():
                 self.notices.ask(event)
                 QApplication.alert(self)
             case SessionFinished() | StageMoved() | CalibrationMeasured():
                 self.notices.hide_prompt()
+                self.notices.show_homing("")
                 self.notices.settle(Topic.CLOSING)
             case RequestRefused(sentence):
                 self.notices.hide_prompt()
@@ -430,7 +459,8 @@ class MainWindow(QMainWindow):
         self.engine.ask(ResetGuard())
 
     def _reply(self, question: int, answer: Answer) -> None:
-        self.run.prompt_answered()
+        self.run.answered = question
+        self.run.live.readings.end_motion("preparing")
         self.engine.ask(PromptReply(question, answer))
 
     def _restart(self) -> None:

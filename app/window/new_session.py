@@ -10,7 +10,7 @@ from PySide6.QtCore import QSignalBlocker, QTimer, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLineEdit, QWidget
 
 from dragrig.config import DragrigError, OutputError, Plan, to_toml
-from dragrig.engine_host import Pace, RigSelection
+from dragrig.engine_host import Pace, RigSelection, SessionJob
 from dragrig.present import BLUE, PURPLE, duration_text, size_text, write_text
 from dragrig.settings_form import specimen_form
 from dragrig.views import (
@@ -21,6 +21,7 @@ from dragrig.views import (
     RigDescription,
     SessionPreview,
     campaign_to_extend,
+    form_from_plan,
     known_plans,
     motion_curves,
     plan_form,
@@ -320,7 +321,13 @@ class NewSession(QWidget):
         self.specimen = FormEditor()
         self._specimen_form = specimen_form()
         self.specimen.edit(self._specimen_form)
+        self.specimen_told = ElidedLabel("", "faint")
+        self.state_specimen = button(
+            "State …", self._show_specimen, help_="What only you can know of the piece", keys="Ctrl+Shift+I"
+        )
+        self.state_specimen.setCheckable(True)
         self.operator = QLineEdit(stored.text("operator"))
+        self.operator.setPlaceholderText("nobody is named")
         self.note = QLineEdit()
         self.mirror = QLineEdit(stored.text("mirror"))
         self.mirror.setPlaceholderText("no mirror")
@@ -332,7 +339,11 @@ class NewSession(QWidget):
         self._choose_pace(rig.pace)
         self.queue = button("Add to &queue", lambda: self.submitted.emit(False), help_="Append to the queue")
         self.start = button(
-            "&Start", lambda: self.submitted.emit(True), "main", "Append to the queue and start", "Ctrl+Return"
+            "&Start",
+            lambda: self.submitted.emit(True),
+            "main",
+            "Start this session, before those that wait",
+            "Ctrl+Return",
         )
         self._lay_out()
         self._edit_timer = QTimer(self)
@@ -376,6 +387,21 @@ class NewSession(QWidget):
         self._edited.pop(name, None)
         self._edit(name, plan)
 
+    def take_back(self, job: SessionJob) -> None:
+        """Show a session of the queue, to be changed: all that was chosen for it."""
+        if isinstance(job.plan, str):
+            return
+        self.operator.setText(job.operator)
+        self.note.setText(job.note)
+        self.mirror.setText("" if job.mirror is None else str(job.mirror))
+        self._choose_pace(job.pace)
+        self.destination.campaign.setText("" if job.append is None else str(job.append))
+        self.destination.adds.setChecked(job.append is not None)
+        (texts,) = self._specimen_form.values()
+        stated = (fact.removeprefix("specimen.").split("=", 1) for fact in job.specimen)
+        self.specimen.edit(self._specimen_form, [{**texts, **{key: str(json.loads(text)) for key, text in stated}}])
+        self.offer(f"queue, {job.plan.name}", form_from_plan(job.plan, job.plan.name))
+
     def plan(self) -> Plan:
         """Return the plan in the form; raises `DragrigError`."""
         if self._form is None:
@@ -395,7 +421,13 @@ class NewSession(QWidget):
             self.start.setEnabled(False)
             self.queue.setEnabled(False)
             return
-        self.specimen.mark(self._specimen_form.problems(self.specimen.values()), {})
+        (facts,) = self.specimen.values()
+        problems = self._specimen_form.problems([facts])
+        self.specimen.mark(problems, {})
+        self.specimen_told.setText(", ".join(text.strip() for text in facts.values() if text.strip()) or "not stated")
+        if problems:
+            self.state_specimen.setChecked(True)
+            self._show_specimen()
         try:
             self.session = self._preview()
         except DragrigError as error:
@@ -426,7 +458,9 @@ class NewSession(QWidget):
     def _show_specimen(self) -> None:
         # Of a simulated one nobody can know more than its model; but a campaign may be of several.
         simulated = self._description.title == "SIMULATED"
-        self._specimen_part.setVisible(not simulated or self.destination.adds.isChecked())
+        is_stated = not simulated or self.destination.adds.isChecked()
+        self._specimen_row.setVisible(is_stated)
+        self.specimen.setVisible(is_stated and self.state_specimen.isChecked())
 
     def undo_edit(self) -> None:
         """Take back the last change, also of a plan that is not shown any more."""
@@ -537,7 +571,6 @@ class NewSession(QWidget):
         form = QFormLayout()
         form.setContentsMargins(0, 0, 8, 0)
         form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
-        form.addRow("Operator", named(self.operator, "Operator"))
         form.addRow("Session note", named(self.note, "Session note"))
         if self._paces:
             form.addRow("Pace", named(self.pace, "Pace"))
@@ -546,13 +579,18 @@ class NewSession(QWidget):
         self.plans.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.plans.setMinimumContentsLength(8)
         header = row(label("Plan"), self.plans, self.open, self.save, stretch={1: 1})
-        self._specimen_part = bare_widget(column(label("Specimen", "title"), self.specimen))
+        # Seen first, whatever the plan: the rest may be below the fold.
+        who = row(label("Operator"), named(self.operator, "Operator"), stretch={1: 1})
+        self._specimen_row = bare_widget(
+            row(label("Specimen"), self.specimen_told, self.state_specimen, stretch={1: 1})
+        )
         self._show_specimen()
-        fields = scrolling(column(self.destination, self.editor, form, self._specimen_part, 1), across=False)
+        fields = scrolling(column(self.specimen, self.destination, self.editor, form, 1), across=False)
         buttons = row(self.undo, 1, self.queue, self.start)
         self.changes.hide()
         self.problem.hide()
-        self.setLayout(column(card(column(header, fields, self.changes, self.problem, buttons, stretch={1: 1}))))
+        parts = (who, self._specimen_row, header, fields, self.changes, self.problem, buttons)
+        self.setLayout(column(card(column(*parts, stretch={3: 1}))))
         self.setMinimumWidth(330)
 
     def _choose_pace(self, pace: Pace | None) -> None:

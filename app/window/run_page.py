@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
@@ -22,7 +23,6 @@ from dragrig.config import DragrigError, NumberRange
 from dragrig.engine_host import (
     MAX_OVERRIDE_SPEED_MM_S,
     AbortSession,
-    CalibrationMeasured,
     Event,
     ExamineRig,
     GuardState,
@@ -36,7 +36,6 @@ from dragrig.engine_host import (
     PauseSession,
     PromptShown,
     QueuedRun,
-    RequestRefused,
     RigExamined,
     RigIdle,
     RigSelection,
@@ -48,6 +47,7 @@ from dragrig.engine_host import (
     SessionJob,
     SessionStarted,
     SessionWaiting,
+    StageHomes,
     StageMoved,
     StartSession,
     TouchOffStage,
@@ -55,7 +55,7 @@ from dragrig.engine_host import (
     WatchRig,
 )
 from dragrig.present import duration_text
-from dragrig.views import RIG_LIMIT, FurtherRuns, PlanForm, RigDescription, SessionPreview
+from dragrig.views import RIG_LIMIT, FurtherRuns, PlanForm, RigDescription, SessionPreview, last_heard
 from dragrig.window.background import EngineLink
 from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
@@ -77,6 +77,7 @@ from dragrig.window.widgets import (
     parent_of,
     row,
     scrolling,
+    set_role,
     table,
     tabs_of,
     top_items,
@@ -273,6 +274,10 @@ class QueueView(QWidget):
 
     chosen_folder = Signal(str)
     """Folder of a finished session whose runs are to be shown."""
+    chosen_job = Signal(SessionJob)
+    """Session that is to be shown in the form."""
+    gone_on_with = Signal(QueuedSession)
+    """Session whose missing runs are to be made."""
     changed = Signal()
 
     def __init__(self, queue: SessionQueue) -> None:
@@ -292,14 +297,23 @@ class QueueView(QWidget):
         self.up = button("Up", lambda: self._move(-1), help_="Move the selected session up", keys="Ctrl+Up")
         self.down = button("Down", lambda: self._move(1), help_="Move the selected session down", keys="Ctrl+Down")
         self.out = button("Re&move", self._remove, help_="Remove the selected session from the queue")
+        self.edit = button(
+            "To the form", self._edit, help_="Put the selected session back into the form", keys="Ctrl+Shift+F"
+        )
+        self.copy = button(
+            "Duplicate", self._duplicate, help_="Add the selected session once more", keys="Ctrl+Shift+D"
+        )
+        self.missing = button(
+            "Make the missing runs", self._make_missing, help_="Go on with what ended early", keys="Ctrl+Shift+M"
+        )
         self.clear = button(
             "C&lear finished", self._clear, help_="Remove ended sessions from the list; their files stay"
         )
         self.back = button("Put back", self._put_back, help_="Put back what was removed last", keys="Ctrl+Shift+Z")
         self.look = button("S&how runs", self._open_selected, help_="Show the recorded runs of the selected session")
-        self.setLayout(
-            column(self.tree, flow(self.up, self.down, self.out, self.back, self.clear, self.look), margin=8)
-        )
+        of_selected = (self.up, self.down, self.edit, self.copy, self.out, self.look, self.missing)
+        self.setLayout(column(self.tree, flow(*of_selected, self.back, self.clear), margin=8))
+        self.tree.currentItemChanged.connect(lambda *_: self._show_buttons())
         self.show_queue()
 
     def show_queue(self) -> None:
@@ -310,12 +324,25 @@ class QueueView(QWidget):
             self._rebuild()
             self._follow()
             self.changed.emit()
-        self.back.setEnabled(self._queue.can_put_back)
+        self._show_buttons()
         self._show_progress()
 
+    def _show_buttons(self) -> None:
+        """Allow what can be done with the selected session."""
+        entry, seen = self._selected(), self._queue.entries
+        waits = entry is not None and entry.stage is QueueState.WAITING
+        self.up.setEnabled(waits)
+        self.down.setEnabled(waits)
+        self.out.setEnabled(entry is not None and entry.stage is not QueueState.RUNNING)
+        self.edit.setEnabled(waits and entry is not None and entry.job.resume is None)
+        self.copy.setEnabled(entry is not None and entry.job.resume is None)
+        self.missing.setEnabled(entry is not None and bool(entry.missing))
+        self.look.setEnabled(any(queued.folder for queued in (seen if entry is None else (entry,))))
+        self.back.setEnabled(self._queue.can_put_back)
+
     def _state(self, entry: QueuedSession) -> tuple[object, ...]:
-        current = entry.current_run.index if entry.current_run is not None else -1
-        return entry.job.number, entry.stage, len(entry.runs), tuple(entry.ended), current, entry.reason
+        current = tuple(run.index for run in (entry.current_run, entry.resting) if run is not None)
+        return entry.job.number, entry.stage, len(entry.runs), tuple(entry.ended), current, entry.reason, entry.folder
 
     def _follow(self) -> None:
         """Bring the run in progress into view once it starts; what a person scrolls to then stays."""
@@ -394,6 +421,23 @@ class QueueView(QWidget):
             self._queue.remove(entry)
             self.show_queue()
 
+    def _edit(self) -> None:
+        if (entry := self._selected()) is not None:
+            self._queue.remove(entry)
+            self.show_queue()
+            self.chosen_job.emit(entry.job)
+
+    def _duplicate(self) -> None:
+        if (entry := self._selected()) is not None:
+            job = replace(entry.job, number=self._queue.next_number())
+            runs = () if entry.folder else entry.runs
+            self._queue.add(QueuedSession(job, entry.title, entry.planned_s, entry.run_count, runs=runs))
+            self.show_queue()
+
+    def _make_missing(self) -> None:
+        if (entry := self._selected()) is not None:
+            self.gone_on_with.emit(entry)
+
     def _put_back(self) -> None:
         self._queue.put_back()
         self.show_queue()
@@ -421,6 +465,8 @@ def _embolden(item: QTreeWidgetItem) -> None:
 
 def _run_state_text(entry: QueuedSession, run: QueuedRun) -> str:
     ended = entry.ended.get(run.index)
+    if entry.resting is not None and entry.resting.index == run.index:
+        return "rest before it"
     if ended is None:
         return "running" if entry.current_run is not None and entry.current_run.index == run.index else ""
     reason = [ended.reason] if ended.status is not RunStatus.COMPLETE else []
@@ -438,6 +484,7 @@ def _mirror_text(entry: QueuedSession) -> str:
 
 
 _PROGRESS_INTERVAL_S = 0.2
+_MISSING = ": missing runs"
 _LOG_LINES = 10_000
 
 
@@ -452,6 +499,8 @@ class RunPage(QWidget):
     session_over = Signal(QueuedSession)
     look_at = Signal(str)
     """Folder of a campaign whose runs are to be shown."""
+    cut_off = Signal(str)
+    """Which session was cut off when the window before this one died; empty once that is decided."""
 
     def __init__(
         self,
@@ -465,9 +514,10 @@ class RunPage(QWidget):
         self.setObjectName("page")
         self._engine, self._stored = engine, stored
         self._queue_started = False
-        self._asked = False
         self._progress_at = 0.0
         self._trip_reason = "the engine is starting"
+        self.answered = 0
+        """Number of the prompt that was answered last."""
         self.calibrating = False
         """Whether a calibration is under way, on the page of the rig."""
         self.restart_due = False
@@ -545,10 +595,41 @@ class RunPage(QWidget):
         self.new.describe(description)
 
     def keep(self) -> None:
-        """Store form and waiting sessions for the next start; nothing starts by itself then."""
+        """Store the form for the next start."""
         self.new.keep()
         self.new.destination.finish()
-        self._stored.keep(self._queue_key, self.queue.waiting_as_text())
+        self._keep_queue()
+
+    def _keep_queue(self) -> None:
+        """Store the queue, which outlives this process; nothing starts by itself at the next start."""
+        self._stored.keep(self._queue_key, self.queue.as_text(), at_once=True)
+
+    def show_cut_off(self) -> None:
+        """Say which session was cut off, if any is still to be decided on."""
+        entry = self.queue.cut_off
+        told = "" if entry is None else f"Session {entry.title} was cut off {last_heard(Path(entry.folder))}."
+        self.cut_off.emit(told)
+
+    def decide_cut_off(self, go_on: bool) -> None:
+        """Make the missing runs of the session that was cut off, or leave it as it is."""
+        entry = self.queue.cut_off
+        if entry is None:
+            return
+        if go_on:
+            self.make_missing(entry)
+        entry.stage, entry.reason = QueueState.ABORTED, "cut off"
+        self.show_cut_off()
+        self._show_state()
+
+    def make_missing(self, entry: QueuedSession) -> None:
+        """Queue the missing runs of a session that ended early, before what waits, and start them."""
+        job = replace(entry.job, number=self.queue.next_number(), resume=Path(entry.folder), append=None, specimen=())
+        title = f"{entry.title.removesuffix(_MISSING)}{_MISSING}"
+        left_s = sum(map(entry.time_of, entry.missing))
+        again = QueuedSession(job, title, left_s, len(entry.missing), runs=entry.missing)
+        self.queue.add(again, before=self.queue.next)
+        self._show_state()
+        self.run_queue()
 
     def offer_and_queue(self, name: str, plan: PlanForm) -> None:
         """Append a plan from another page to the queue and preview it; nothing starts."""
@@ -556,8 +637,8 @@ class RunPage(QWidget):
         self.tabs.setCurrentWidget(self.preview)
         self._add_to_queue(start=False)
 
-    def enqueue(self, session: SessionPreview) -> QueuedSession | None:
-        """Append the plan in the form to the queue."""
+    def enqueue(self, session: SessionPreview, *, first: bool = False) -> QueuedSession | None:
+        """Append the plan in the form to the queue, or put it before what waits."""
         try:
             plan, specimen = self.new.plan(), self.new.specimen_facts()
             campaign = self.new.destination.path
@@ -575,8 +656,11 @@ class RunPage(QWidget):
             specimen=specimen,
         )
         title = plan.name if campaign is None else f"{plan.name}, added to {campaign.name}"
-        entry = QueuedSession(job, title, session.preflight.duration_s, len(session.preflight.previews))
-        self.queue.add(entry)
+        previews = session.preflight.previews
+        planned = (preview.run for preview in previews)
+        runs = tuple(QueuedRun(run.index, run.summary, run.wait_s, run.duration_s) for run in planned)
+        entry = QueuedSession(job, title, session.preflight.duration_s, len(previews), runs=runs)
+        self.queue.add(entry, before=self.queue.next if first else None)
         self.new.keep()
         self.new.note_session()
         self._show_state()
@@ -639,18 +723,12 @@ class RunPage(QWidget):
         self._queue_started = False
         self._engine.ask(AbortSession(reason))
 
-    def prompt_answered(self) -> None:
-        """Say no longer that a prompt is open."""
-        self._asked = False
-
     def take(self, event: Event) -> None:
         """Handle an event of the engine."""
-        if not isinstance(event, RigIdle):
-            self._follow_prompt(event)
         match event:
-            case RigIdle(reading):
-                running = "a session is running" if self.session_running else "idle"
-                self.live.show_idle(reading, "prompt open" if self._asked else running)
+            case RigIdle(reading, question):
+                if not question or question != self.answered:  # else read just before the answer arrived
+                    self.live.show_idle(reading, "prompt open" if question else "idle")
                 return
             case HostReady():
                 self._engine.ask(WatchRig(self.devices.watch.isChecked()))
@@ -672,26 +750,18 @@ class RunPage(QWidget):
                 self._follow_session(event)
         self._show_state()
 
-    def _follow_prompt(self, event: Event) -> None:
-        """Know whether a prompt is open: of a session, of a motion by hand, or of a reset."""
-        match event:
-            case PromptShown():
-                self._asked = True
-            case RunStarted() | SessionFinished() | StageMoved() | CalibrationMeasured():
-                self._asked = False
-            case GuardState() | RequestRefused() | HostLost():
-                self._asked = False
-            case _:
-                pass
-
     def _follow_session(self, event: Event) -> None:
         match event:
             case PromptShown():
                 self.pause.setChecked(False)
             case SessionStarted():
                 self.queue.session_started(event)
-            case SessionWaiting(duration_s, reason):
-                self.live.begin(f"{reason}: {duration_text(duration_s)}")
+            case StageHomes(sentence):
+                self.live.readings.end_motion(sentence or "preparing")
+                self.write_log(f"{sentence or 'Homed'}.")
+            case SessionWaiting(run, duration_s):
+                self.queue.session_waiting(event)
+                self.live.begin_rest(run.summary, duration_s, run.start_mm)
             case RunStarted(run, order):
                 self.queue.run_started(event)
                 self.live.begin_run(f"Run {order}: {run.summary}", run.start_mm)
@@ -729,6 +799,7 @@ class RunPage(QWidget):
         if entry is not None and self.live.run is not None and now - self._progress_at > _PROGRESS_INTERVAL_S:
             self._progress_at = now
             entry.elapsed_s = self.live.run.latest.time_s
+            entry.rest_left_s = self.live.rest_left_s
             self.queue_view.show_queue()
 
     def _watch(self, *, on: bool) -> None:
@@ -746,10 +817,10 @@ class RunPage(QWidget):
                 Topic.SESSION,
             )
         if event.status is RunStatus.COMPLETE:
-            self.live.begin(f"Complete: {event.folder}")
+            self.live.end_run(f"Complete: {event.folder}")
         else:
             self._queue_started = False
-            self.live.begin(f"Session ended: {event.reason}")
+            self.live.end_run(f"Session ended: {event.reason}")
             if event.status is RunStatus.TRIPPED:
                 self._trip_reason = event.reason
             else:
@@ -769,7 +840,7 @@ class RunPage(QWidget):
     def _add_to_queue(self, *, start: bool) -> None:
         self.new.update_preview()
         session = self.new.session
-        if session is None or session.preflight.findings or self.enqueue(session) is None:
+        if session is None or session.preflight.findings or self.enqueue(session, first=start) is None:
             return
         if start:
             self.run_queue()
@@ -780,6 +851,16 @@ class RunPage(QWidget):
 
     def _pause(self) -> None:
         self._engine.ask(PauseSession(self.pause.isChecked()))
+        self._show_pause()
+
+    def _show_pause(self) -> None:
+        """Say on the button after which run the session pauses, and that another press takes it back."""
+        entry, pauses = self.queue.current, self.pause.isChecked()
+        last = None if entry is None else entry.last_before_pause
+        number = None if entry is None or last is None else entry.number_of(last)
+        when = "before the next run" if number is None else f"after run {number}"
+        self.pause.setText(f"Pauses {when} (undo)" if pauses else "Pause after this run")
+        set_role(self.pause, "main" if pauses else "")
 
     def write_log(self, sentence: str) -> None:
         """Add a line to the log, with the time."""
@@ -795,8 +876,8 @@ class RunPage(QWidget):
                 self.write_log(f"GUARD TRIPPED: {reason}." if reason else "Guard armed.")
             case SessionStarted(_, runs):
                 self.write_log(f"Session started, {len(runs)} runs.")
-            case SessionWaiting(duration_s, why):
-                self.write_log(f"Waiting {duration_text(duration_s)}: {why}.")
+            case SessionWaiting(run, duration_s):
+                self.write_log(f"Rest before {run.summary}: {duration_text(duration_s)}.")
             case PromptShown():
                 self.write_log(f"Prompt: {event.text}.")
             case RunStarted(run, order):
@@ -822,6 +903,7 @@ class RunPage(QWidget):
         self.pause.setEnabled(running)
         if not running:
             self.pause.setChecked(False)
+        self._show_pause()
         self.devices.set_session_running(running=running)
         self.hand.allow(idle=not (running or self.calibrating), armed=self.armed)
         self.running_changed.emit(running)
@@ -847,6 +929,9 @@ class RunPage(QWidget):
         self.new.submitted.connect(lambda start: self._add_to_queue(start=start))
         self.queue_view.changed.connect(self._show_buttons)
         self.queue_view.changed.connect(self._show_why)
+        self.queue_view.changed.connect(self._keep_queue)
+        self.queue_view.chosen_job.connect(self.new.take_back)
+        self.queue_view.gone_on_with.connect(self.make_missing)
         self.queue_view.chosen_folder.connect(self.look_at.emit)
 
     def _lay_out(self) -> None:
@@ -856,6 +941,7 @@ class RunPage(QWidget):
         splitter.addWidget(self.new)
         splitter.addWidget(right)
         splitter.setSizes([400, 1000])
-        splitter.setStretchFactor(1, 1)
+        splitter.setStretchFactor(0, 1)
+        splitter.setStretchFactor(1, 3)
         splitter.setChildrenCollapsible(False)
         self.setLayout(column(splitter, margin=6))

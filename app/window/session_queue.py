@@ -1,10 +1,11 @@
 """The queue of sessions: waiting, running with its progress, finished; independent of Qt."""
 
-import json
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+
+from pydantic import TypeAdapter
 
 from dragrig.config import Plan
 from dragrig.engine_host import (
@@ -16,6 +17,7 @@ from dragrig.engine_host import (
     SessionFinished,
     SessionJob,
     SessionStarted,
+    SessionWaiting,
 )
 
 
@@ -29,6 +31,12 @@ class QueueState(StrEnum):
     TRIPPED = "tripped"
     FAILED = "failed"
     REFUSED = "not started"
+    CUT_OFF = "cut off"
+    """The window before this one died meanwhile."""
+
+
+_LASTING = frozenset({QueueState.WAITING, QueueState.RUNNING, QueueState.CUT_OFF})
+"""States of sessions that are still to be decided or made."""
 
 
 _STATE_OF_STATUS = {
@@ -52,9 +60,12 @@ class QueuedSession:
     folder: str = ""
     runs: tuple[QueuedRun, ...] = ()
     ended: dict[int, RunFinished] = field(default_factory=dict)
-    """`runs`, `ended`: its runs once it has started, and the results of those that ended, by index."""
+    """`runs`, `ended`: its runs, where they are known, and the results of those that ended, by index."""
     current_run: QueuedRun | None = None
     """The run in progress, `elapsed_s` after its start."""
+    resting: QueuedRun | None = None
+    rest_left_s: float = 0.0
+    """`resting`, `rest_left_s`: the run before which the contact rests, and for how long still."""
     last_index: int = -1
     """Index of the run that started last; runs before it were made or skipped."""
     numbers: dict[int, int] = field(default_factory=dict)
@@ -67,6 +78,14 @@ class QueuedSession:
     def time_of(self, run: QueuedRun) -> float:
         """Return the duration of a run, in real time with the wait before it."""
         return run.duration_s + (run.wait_s if self.real_time else 0.0)
+
+    @property
+    def missing(self) -> tuple[QueuedRun, ...]:
+        """The runs that an ended session left to be made, as far as this window knows; none without a campaign."""
+        early = {QueueState.ABORTED, QueueState.TRIPPED, QueueState.FAILED, QueueState.CUT_OFF}
+        done = {index for index, run in self.ended.items() if run.status is RunStatus.COMPLETE}
+        is_left = bool(self.folder) and self.stage in early
+        return tuple(run for run in self.runs if run.index not in done) if is_left else ()
 
     @property
     def why(self) -> str:
@@ -86,9 +105,20 @@ class QueuedSession:
         if not self.runs:
             return self.planned_s
         left = sum(self.time_of(run) for run in self.runs if run.index > self.last_index)
+        if self.resting is not None and self.resting.index > self.last_index and self.real_time:
+            left -= self.resting.wait_s - self.rest_left_s
         if self.current_run is not None:
             left += self.current_run.duration_s - min(self.elapsed_s, self.current_run.duration_s)
         return max(left, 0.0)
+
+    @property
+    def last_before_pause(self) -> QueuedRun | None:
+        """The run after which a pause would begin: the one in progress or prepared, or its way back."""
+        now = self.current_run or self.resting
+        if now is None:
+            return None
+        after = next((run for run in self.runs if run.index > now.index), None)
+        return after if after is not None and after.is_way_back else now
 
     @property
     def over_count(self) -> int:
@@ -111,23 +141,7 @@ class QueuedSession:
         return 1.0 - self.left_s / self.total_s if self.total_s > 0 and self.runs else 0.0
 
 
-def _entry_as_json(entry: QueuedSession) -> dict[str, object]:
-    job = entry.job
-    plan = job.plan if isinstance(job.plan, str) else job.plan.model_dump(mode="json", exclude_unset=True)
-    mirror = str(job.mirror) if job.mirror is not None else ""
-    return {
-        "plan": plan,
-        "operator": job.operator,
-        "note": job.note,
-        "pace": job.pace,
-        "mirror": mirror,
-        "specimen": job.specimen,
-        "append": None if job.append is None else str(job.append),
-        "resume": None if job.resume is None else str(job.resume),
-        "title": entry.title,
-        "planned_s": entry.planned_s,
-        "run_count": entry.run_count,
-    }
+_KEPT = TypeAdapter(list[QueuedSession])
 
 
 class SessionQueue:
@@ -154,6 +168,11 @@ class SessionQueue:
         return next((entry for entry in self.entries if entry.stage is QueueState.WAITING), None)
 
     @property
+    def cut_off(self) -> QueuedSession | None:
+        """The session that was cut off and is to be decided on."""
+        return next((entry for entry in self.entries if entry.stage is QueueState.CUT_OFF), None)
+
+    @property
     def left_s(self) -> float:
         """Time left for all sessions."""
         return sum(entry.left_s for entry in self.entries)
@@ -163,9 +182,9 @@ class SessionQueue:
         lasting = (entry for entry in self.entries if entry.stage in {QueueState.WAITING, QueueState.RUNNING})
         return next((entry for entry in lasting if (entry.job.campaign, entry.job.plan) == (folder, plan)), None)
 
-    def add(self, entry: QueuedSession) -> None:
-        """Append a session."""
-        self.entries.append(entry)
+    def add(self, entry: QueuedSession, *, before: QueuedSession | None = None) -> None:
+        """Append a session, or put it before another."""
+        self.entries.insert(len(self.entries) if before is None else self.entries.index(before), entry)
 
     def remove(self, entry: QueuedSession) -> None:
         """Remove a session that is not running."""
@@ -177,29 +196,21 @@ class SessionQueue:
         """Whether sessions were removed that can be put back."""
         return bool(self._removed)
 
-    def waiting_as_text(self) -> str:
-        """Return the waiting sessions as JSON, for the next start of the window."""
-        waiting = [entry for entry in self.entries if entry.stage is QueueState.WAITING]
-        return json.dumps([_entry_as_json(entry) for entry in waiting])
+    def as_text(self) -> str:
+        """Return what waits, runs or was cut off, as JSON, for the next start of the window."""
+        return _KEPT.dump_json(
+            [entry for entry in self.entries if entry.stage in _LASTING], exclude_unset=True
+        ).decode()
 
     def restore(self, text: str) -> None:
-        """Append the sessions that `waiting_as_text` returned; what cannot be read is left out."""
-        with suppress(ValueError, TypeError, KeyError, AttributeError):
-            for kept in json.loads(text):
-                plan = Plan.model_validate(kept["plan"])
-                job = SessionJob(
-                    self.next_number(),
-                    plan,
-                    str(kept["operator"]),
-                    str(kept["note"]),
-                    kept["pace"],
-                    resume=Path(kept["resume"]) if kept.get("resume") else None,
-                    append=Path(kept["append"]) if kept.get("append") else None,
-                    mirror=Path(kept["mirror"]) if kept["mirror"] else None,
-                    specimen=tuple(map(str, kept.get("specimen", ()))),
-                )
-                title = str(kept.get("title", plan.name))
-                self.add(QueuedSession(job, title, float(kept["planned_s"]), int(kept["run_count"])))
+        """Append the sessions that `as_text` returned, none where it cannot be read; one that ran was cut off."""
+        with suppress(ValueError):
+            for entry in _KEPT.validate_json(text):
+                entry.job = replace(entry.job, number=self.next_number())
+                entry.current_run = entry.resting = None
+                if entry.stage is QueueState.RUNNING:
+                    entry.stage = QueueState.CUT_OFF if entry.folder else QueueState.WAITING
+                self.add(entry)
 
     def put_back(self) -> None:
         """Put back what was removed last, where it was."""
@@ -223,18 +234,24 @@ class SessionQueue:
 
     def clear_finished(self) -> None:
         """Remove the sessions that have ended."""
-        lasting = {QueueState.WAITING, QueueState.RUNNING}
-        self._take_out([entry for entry in self.entries if entry.stage not in lasting])
+        self._take_out([entry for entry in self.entries if entry.stage not in _LASTING])
 
     def session_started(self, event: SessionStarted) -> None:
         """Store the runs of a session."""
         entry = self.current
         if entry is not None and entry.job.number == event.job:
             entry.runs, entry.real_time, entry.run_count = event.runs, event.real_time, len(event.runs)
+            entry.folder = str(event.folder)
+
+    def session_waiting(self, event: SessionWaiting) -> None:
+        """Store the rest before a run."""
+        if (entry := self.current) is not None:
+            entry.resting, entry.rest_left_s = event.run, event.duration_s
 
     def run_started(self, event: RunStarted) -> None:
         """Store the run in progress."""
         if (entry := self.current) is not None:
+            entry.resting = None
             entry.current_run, entry.last_index, entry.elapsed_s = event.run, event.run.index, 0.0
             entry.numbers[event.run.index] = event.order
             entry.ended.pop(event.run.index, None)
@@ -254,10 +271,12 @@ class SessionQueue:
                     if event.status is None
                     else _STATE_OF_STATUS.get(event.status, QueueState.FAILED)
                 )
-                entry.reason, entry.current_run, entry.mirror = event.reason, None, event.mirror
+                entry.reason, entry.mirror = event.reason, event.mirror
+                entry.current_run = entry.resting = None
                 entry.folder = "" if event.folder is None else str(event.folder)
 
     def engine_lost(self, reason: str) -> None:
         """Fail the running session: the engine is gone."""
         if (entry := self.current) is not None:
-            entry.stage, entry.reason, entry.current_run = QueueState.FAILED, reason, None
+            entry.stage, entry.reason = QueueState.FAILED, reason
+            entry.current_run = entry.resting = None

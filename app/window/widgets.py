@@ -609,9 +609,11 @@ class StoredSettings:
         value = self._settings.value(name)
         return value if isinstance(value, QByteArray) else None
 
-    def keep(self, name: str, value: str | float | QByteArray) -> None:
-        """Store a value."""
+    def keep(self, name: str, value: str | float | QByteArray, *, at_once: bool = False) -> None:
+        """Store a value; on disk before this returns where `at_once` says so."""
         self._settings.setValue(name, value if isinstance(value, QByteArray) else str(value))
+        if at_once:
+            self._settings.sync()
 
 
 MIN_FIGURE_WIDTH_PX = 520

@@ -2,12 +2,13 @@
 
 import threading
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from threading import Event as Signal
 
 from dragrig.config import FrictionModelSettings, RigSettings
-from dragrig.rig import BackendRequest, Clock, RigCheck, WallClock, with_utc_offset
-from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
+from dragrig.rig import BackendRequest, Clock, RigCheck, RigMemory, WallClock, with_utc_offset
+from dragrig.sim_backend.devices.simulated_sampler import LeftContact, SimulatedSampler
 from dragrig.sim_backend.devices.simulated_stage import (
     UNDISTURBED,
     Disturbances,
@@ -48,6 +49,15 @@ class VirtualClock:
         return True
 
 
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What the rig's memory has of a simulated rig."""
+
+    position_mm: float
+    homed: bool
+    left: LeftContact | None
+
+
 class SimulatedBackend:
     """The simulated rig and gut.
 
@@ -57,6 +67,8 @@ class SimulatedBackend:
         The nominal model; with `variation.specimen` a specimen is drawn around it once, here.
     first_run_at
         When the campaign's first run began, if the session resumes one.
+    memory
+        Position, home and contact that the rig was closed with before, and into which `close` puts them.
 
     Raises
     ------
@@ -71,6 +83,7 @@ class SimulatedBackend:
         clock: Clock,
         disturbances: Disturbances = UNDISTURBED,
         first_run_at: datetime | None = None,
+        memory: RigMemory | None = None,
     ) -> None:
         active_effects(model)
         self._rig = rig
@@ -80,6 +93,10 @@ class SimulatedBackend:
         axis = SimulatedAxis(clock, 1.0 / rig.sampling.rate_hz, rig.stage.stop_accel_mm_s2)
         self._stage = SimulatedStage(rig.stage, axis, PositionEncoder.of(rig.encoder), disturbances)
         self._sampler = SimulatedSampler(rig, drawn, clock, axis, disturbances, first_run_at)
+        self._memory = memory or RigMemory()
+        if isinstance(before := self._memory.kept, _Kept):
+            axis.place(before.position_mm)
+            self._stage.homed, self._sampler.left = before.homed, before.left
 
     @property
     def name(self) -> str:
@@ -124,6 +141,20 @@ class SimulatedBackend:
         self._stage.stop()
         self._sampler.stop()
         self._stage.disable()
+        state = self._stage.state()
+        self._memory.kept = _Kept(state.position_mm, state.homed, self._sampler.left)
+
+    def hang(self, load_mN: float) -> None:
+        """Hang a load on the force sensor, in place of the capsule."""
+        self._sampler.hang(load_mN)
+
+    def push(self, distance_mm: float, within_s: float) -> None:
+        """Push the stage during the next measurement."""
+        del within_s
+        self._sampler.push(distance_mm)
+
+    def press(self, switch: str, *, on: bool) -> None:
+        """Do nothing: no wire leads to a switch here."""
 
 
 def open_backend(request: BackendRequest, disturbances: Disturbances = UNDISTURBED) -> SimulatedBackend:
@@ -132,4 +163,4 @@ def open_backend(request: BackendRequest, disturbances: Disturbances = UNDISTURB
     `disturbances` are for tests; a backend opened by name has none.
     """
     clock: Clock = WallClock(request.origin) if request.real_time else VirtualClock(request.origin)
-    return SimulatedBackend(request.rig, request.model, clock, disturbances, request.first_run_at)
+    return SimulatedBackend(request.rig, request.model, clock, disturbances, request.first_run_at, request.memory)

@@ -7,7 +7,7 @@ delivered.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from threading import Event as Signal
 from typing import Protocol
 
@@ -392,6 +392,28 @@ def _chunk_end(index: int) -> int:
     return (index // CHUNK_SAMPLES + 1) * CHUNK_SAMPLES
 
 
+LEFT_S = 3600.0
+"""How long a contact that a motion left behind goes on to relax."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftContact:
+    """The capsule in the gut after a motion, its first sample at `begun_at`; the profile is that which was made."""
+
+    acquisition: Acquisition
+    begun_at: datetime
+
+    def force_mN(self, model: FrictionModelSettings, now: datetime) -> float:
+        """Return the nominal force of a contact that has stood since."""
+        stands = stationary_piece(LEFT_S, Phase.HOLD)
+        made = self.acquisition.profile
+        profile = MotionProfile.from_pieces((*made.pieces(), stands))
+        force = prepare(replace(self.acquisition, profile=profile), model).force
+        # A simulated session may have ended in the future.
+        time_s = max((now - self.begun_at).total_seconds(), made.duration_s)
+        return float(force(np.array([time_s]))[0])
+
+
 class SimulatedSampler:
     """Samples the axis block by block, each once the clock has passed its last sample.
 
@@ -421,12 +443,16 @@ class SimulatedSampler:
         self._block_samples = max(1, int(min(rig.sampling.block_s, MAX_BLOCK_S) * self._rate_hz + 1e-6))
         self._channels = recorded_channels(rig)
         self._reader: BlockReader | None = None
+        self._acquisition: Acquisition | None = None
         self._start_s: float | None = None
         self._silent_from: int | None = None
         self._silence_s = 0.0
         self._was_armed = False
         self._measurements = 0
         self._first_run_at = first_run_at
+        self.left: LeftContact | None = None
+        """The contact after the last motion; None where the capsule is clear of the gut."""
+        self._hung_mN = self._push_mm = 0.0
 
     @property
     def sample_rate_hz(self) -> float:
@@ -463,6 +489,7 @@ class SimulatedSampler:
         begin_s, self._silence_s = disturbances.silence or (math.inf, 0.0)
         self._silent_from = reader.index(begin_s) if math.isfinite(begin_s) else None
         self._start_s = None
+        self._acquisition = acquisition
         self._reader = reader
         self._was_armed = True
 
@@ -506,11 +533,24 @@ class SimulatedSampler:
 
     def stop(self) -> None:
         """End the acquisition; a motion of the stage goes on."""
+        acquisition, start_s, self._acquisition = self._acquisition, self._start_s, None
+        if acquisition is not None and start_s is not None:
+            made = replace(acquisition, profile=self._axis.track.profile)
+            begun_at = self._clock.now() - timedelta(seconds=self._clock.monotonic() - start_s)
+            self.left = None if made.contact is Contact.NONE else LeftContact(made, begun_at)
         self._reader = None
         self._axis.end_sampling()
 
+    def hang(self, load_mN: float) -> None:
+        """Put a load on the sensor, in place of the capsule and of the load before."""
+        self._hung_mN, self.left = load_mN, None
+
+    def push(self, distance_mm: float) -> None:
+        """Push the stage during the next measurement."""
+        self._push_mm = distance_mm
+
     def measure(self, duration_s: float, cancel: Signal | None = None) -> RawReading:
-        """Sample the sensor's zero and noise for a while, in volts according to the wiring in the settings.
+        """Sample what hangs or pulls on the sensor for a while, in volts according to the wiring in the settings.
 
         Raises `DeviceError` when the sampler is armed.
         """
@@ -520,11 +560,15 @@ class SimulatedSampler:
         encoder = PositionEncoder.of(rig.encoder)
         begin_mm = self._axis.state()[0]
         self._clock.sleep(duration_s, cancel or Signal())
+        if self._push_mm:
+            self._axis.place(begin_mm + self._push_mm)
+            self._push_mm = 0.0
         end_mm = self._axis.state()[0]
+        load_mN = self._hung_mN if self.left is None else self.left.force_mN(self._model, self._clock.now())
         white = random_generator(rig.simulated.seed, RandomStream.FORCE_WHITE, self._measurements, "measure")
         self._measurements += 1
         noise_mN = white.standard_normal(max(1, round(duration_s * self._rate_hz))) * rig.simulated.noise.white_mN
-        force_mN = ForceConverter.of(rig.force_sensor).convert(noise_mN)
+        force_mN = ForceConverter.of(rig.force_sensor).convert(noise_mN + load_mN)
         force_V = force_mN / wiring.per_V + wiring.zero_V
         counts = np.rint(np.array([begin_mm, end_mm]) * encoder.counts_per_mm)
         return RawReading.of(force_V, counts, float(np.mean(force_mN)))

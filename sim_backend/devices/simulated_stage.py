@@ -338,7 +338,8 @@ class SimulatedStage:
         self._encoder = encoder
         self._disturbances = disturbances
         self._enabled = False
-        self._homed = False
+        self.homed = False
+        """Whether the origin is known."""
         self._override: TravelEnd | None = None
         self._override_used = False
         self._commands = threading.RLock()
@@ -365,7 +366,7 @@ class SimulatedStage:
         with self._commands:
             self._refuse_unready()
             self._axis.place(min(max(0.0, self._limits.lowest_mm), self._limits.highest_mm))
-            self._homed = True
+            self.homed = True
 
     def move(self, profile: MotionProfile) -> None:
         """Begin to follow a profile: now, or with the first sample when the sampler is armed.
@@ -375,7 +376,7 @@ class SimulatedStage:
         """
         with self._commands:
             self._refuse_unready()
-            if not self._homed:
+            if not self.homed:
                 raise DeviceError("the stage is not homed: home it before it moves.")
             if profile.duration_s <= 0:
                 return
@@ -424,7 +425,7 @@ class SimulatedStage:
         """Return position to the encoder's resolution, and the drive's state."""
         position_mm, moving, fault = self._axis.state()
         fault = fault or self._pressed_switch(position_mm, moving)
-        return StageState(self._encoder.read(position_mm), self._enabled, self._homed, moving, fault)
+        return StageState(self._encoder.read(position_mm), self._enabled, self.homed, moving, fault)
 
     def _pressed_switch(self, position_mm: float, moving: bool) -> Trip | None:
         end = self._disturbances.pressed_switch(position_mm)

@@ -55,7 +55,7 @@ def killed_in_the_appended_part(campaign: Path) -> CampaignState:
 def test_a_campaign_that_goes_on_has_not_ended_while_its_session_is_prepared(campaign: Path) -> None:
     assert CampaignWatch(campaign).look().over
     seen: list[CampaignState] = []
-    options = SessionOptions(Path(), begun=lambda _abort: seen.append(CampaignWatch(campaign).look()))
+    options = SessionOptions(Path(), begun=lambda _abort, _folder: seen.append(CampaignWatch(campaign).look()))
     append_to_campaign("drag", campaign, options, None, assignments=QUICK)
     assert [(state.doing, state.status, state.over) for state in seen] == [("preparing", "", False)]
     state = CampaignWatch(campaign).look()

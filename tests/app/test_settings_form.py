@@ -153,7 +153,7 @@ def test_a_mistake_about_a_specimen_is_told_of_its_field() -> None:
     assert told() == {}
     assert "time of day" in told(excised_at="this morning")["excised_at"]
     assert "not a number" in told(temperature_degC="warm")["temperature_degC"]
-    assert "above 60, the most allowed" in told(temperature_degC="310")["temperature_degC"]
+    assert "above 60 °C, the most allowed" in told(temperature_degC="310")["temperature_degC"]
     late = {"excised_at": "2026-05-04T09:40", "mounted_at": "2026-05-04T09:15"}
     assert "comes before" in told(**late)["mounted_at"]
     with pytest.raises(SettingsError, match=r"^Specimen, Excised at: .*time of day"):

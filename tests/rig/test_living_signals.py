@@ -22,7 +22,7 @@ from dragrig.rig.engine import AcquisitionOutcome, Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.card.scaling import ForceInputMonitor, NoiseLimits
 from dragrig.rig.manual import ManualControl
-from dragrig.rig.operator import Answer, Prompt
+from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, PhaseArray
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.model import Attribute, RunEvent, RunStatus
@@ -71,7 +71,7 @@ class Kept:
         return Path("nowhere")
 
 
-class Hands:
+class Hands(NullOperator):
     """A person who does what is asked."""
 
     def ask(self, prompt: Prompt) -> Answer:

@@ -13,14 +13,14 @@ from dragrig.rig.devices import TravelEnd, TripCause
 from dragrig.rig.engine import Engine
 from dragrig.rig.guard import Guard
 from dragrig.rig.manual import ManualControl
-from dragrig.rig.operator import Answer, Prompt
+from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.sim_backend.devices import SimulatedBackend
 from dragrig.sim_backend.devices.simulated_backend import VirtualClock
 from sim_faults import DriveFault, Faults, ForceSpike, LimitSwitch
 from simulated import Handed, settings
 
 
-class Asked:
+class Asked(NullOperator):
     """A person who answers from a list, then says done."""
 
     def __init__(self, *answers: Answer) -> None:

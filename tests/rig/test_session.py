@@ -16,6 +16,7 @@ from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import Backend, BackendRequest
 from dragrig.rig.engine import Sink
 from dragrig.rig.operator import Answer, NullOperator, Prompt
+from dragrig.rig.profile import Phase
 from dragrig.rig.programme import PlannedRun, Programme, build_programme
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile.campaigns import SessionRecord
@@ -44,7 +45,7 @@ class Scripted(NullOperator):
         self.prompts.append(prompt.text)
         return self.answers.pop(0) if self.answers else Answer.DONE
 
-    def waits(self, duration_s: float, why: str) -> None:
+    def waits(self, run: PlannedRun, duration_s: float) -> None:
         self.waited_s += duration_s
 
 
@@ -60,6 +61,7 @@ def new_session(
     store: MemoryStore | None = None,
     stops: Stops | None = None,
     backend: Backend | None = None,
+    real_time: bool = False,
 ) -> tuple[Session, MemoryStore]:
     rig, model = RigSettings(), FrictionModelSettings()
     plan = parse(Plan, {"name": "p", "steps": list(steps)}, "p.toml")
@@ -69,7 +71,8 @@ def new_session(
     person = person or NullOperator()
     programme = build_programme(plan, SPECIMEN, rig.stage.start_mm, "p.toml")
     progress = progress or CampaignProgress()
-    return Session(backend, programme, record, store, person, person, progress, stops=stops), store
+    session = Session(backend, programme, record, store, person, person, progress, stops=stops, real_time=real_time)
+    return session, store
 
 
 def made(*steps: dict[str, object], **options: object) -> tuple[SessionResult, list[Run]]:
@@ -104,6 +107,54 @@ def test_waits_are_made_and_noted_as_the_contacts_age() -> None:
     assert person.waited_s == pytest.approx(89.5, abs=0.1)
     apart = (drags[1].info.header.start_time - drags[0].info.header.start_time).total_seconds()
     assert apart > 45.0
+
+
+class Watching(NullOperator):
+    """Keeps what is read in rests, and what is told of them; aborts in a rest if asked to."""
+
+    def __init__(self, *, abort_in_rest: bool = False) -> None:
+        self.told: list[str] = []
+        self.force: list[float] = []
+        self.session: Session | None = None
+        self._aborts = abort_in_rest
+
+    def homes(self, *, over: bool) -> None:
+        self.told.append("stands" if over else "homes")
+
+    def waits(self, run: PlannedRun, duration_s: float) -> None:
+        self.told.append(f"{run.summary} in {duration_s:.0f} s")
+
+    def run_begins(self, run: PlannedRun, order: int) -> None:
+        self.told.append(run.summary)
+
+    def reads(self, reading: Reading) -> None:
+        if " in " not in self.told[-1]:
+            return
+        assert set(reading.phase) == {Phase.REST}
+        self.force.extend(reading.channels["force"].tolist())
+        if self._aborts and self.session is not None:
+            self.session.abort("stop button")
+
+
+def test_the_contact_is_seen_to_relax_in_a_rest_in_real_time_and_the_run_begins_no_later() -> None:
+    person = Watching()
+    rest = {**SHORT_DRAG, "wait_s": 400.0, "way_back": "stay"}
+    _, (run,) = made(rest, person=person, real_time=True)
+    assert person.told == ["homes", "stands", "drag 20 mm/s in 400 s", "drag 20 mm/s in 100 s", "drag 20 mm/s"]
+    assert len(person.force) == 399_000
+    assert np.mean(person.force[:100]) > np.mean(person.force[2000:3000]) + 20.0 > np.mean(person.force[-1000:]) + 10.0
+    assert run.info.header.entry["insertion_dwell_s"] == pytest.approx(400.0, abs=0.01)
+
+
+def test_a_rest_in_real_time_is_stopped_and_guarded_as_a_run_is() -> None:
+    person = Watching(abort_in_rest=True)
+    person.session, store = new_session({**SHORT_DRAG, "wait_s": 45.0}, person=person, real_time=True)
+    result = person.session.run()
+    assert (result.status, result.reason, store.runs) == (RunStatus.ABORTED, "stop button", [])
+    faults = Faults(force_spike=ForceSpike(5.0, 12_000.0), affects=lambda acquisition: acquisition.kind == "rest")
+    result, runs = made({**SHORT_DRAG, "wait_s": 45.0}, faults=faults, real_time=True)
+    assert (result.status, runs) == (RunStatus.TRIPPED, [])
+    assert "over the limit" in result.reason
 
 
 @pytest.mark.parametrize(("has_timeout", "speed_mm_s"), [(True, 20.0), (False, 1.0)])

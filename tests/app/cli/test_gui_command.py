@@ -39,6 +39,25 @@ def test_without_a_screen_the_error_says_so(tmp_path: Path) -> None:
     assert "there is no screen here" in done.stderr
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the system brings Qt's libraries on Linux alone")
+def test_libraries_that_qt_lacks_are_named_with_the_command_before_it_aborts(tmp_path: Path) -> None:
+    require_qt()
+    finder = tmp_path / "ldd"  # what it says where they lack
+    lines = (
+        "libxcb.so.1 => /lib/libxcb.so.1 (0x7f)\\nlibxcb-cursor.so.0 => not found\\nlibxkbcommon-x11.so.0 => not found"
+    )
+    finder.write_text(f'#!/bin/sh\nprintf "{lines}\\n"\n', "utf-8")
+    finder.chmod(0o755)
+    screens = {"WAYLAND_DISPLAY", "QT_QPA_PLATFORM"}
+    bare = {name: value for name, value in os.environ.items() if name not in screens}
+    terms = {**bare, "DISPLAY": ":4711", "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
+    command = [sys.executable, "-m", "dragrig", "gui"]
+    done = subprocess.run(command, cwd=tmp_path, env=terms, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stderr
+    assert "not here (libxcb-cursor.so.0, libxkbcommon-x11.so.0)" in done.stderr.replace("\n", " ")
+    assert "apt-get install libxcb-cursor0 libxkbcommon-x11-0 (" in " ".join(done.stderr.split())
+
+
 def test_an_unsupported_pace_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

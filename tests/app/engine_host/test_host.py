@@ -241,8 +241,8 @@ def test_force_and_position_are_read_between_sessions_and_at_prompts(heard: List
     heard.client.ask(WatchRig(on=True))
     idle = heard.until(RigIdle)
     assert isinstance(idle, RigIdle)
-    assert abs(idle.reading.force_mN or 99.0) < 20
-    assert idle.reading.position_mm is None  # nobody has homed it
+    assert idle.question == 0
+    assert idle.reading.force_mN is not None
     heard.answer = None
     heard.client.ask(StartSession(SessionJob(1, plan(prompt="Mount the specimen"), out=tmp_path / "runs")))
     asked = heard.until(PromptShown)
@@ -250,7 +250,9 @@ def test_force_and_position_are_read_between_sessions_and_at_prompts(heard: List
     at_prompt = heard.until(RigIdle)
     assert isinstance(asked, PromptShown)
     assert isinstance(at_prompt, RigIdle)
+    assert at_prompt.question == asked.question
     assert at_prompt.reading.position_mm == pytest.approx(40.0, abs=0.01)
+    assert abs(at_prompt.reading.force_mN or 99.0) < 20  # the stage moved here, clear of the gut
     heard.client.ask(PromptReply(asked.question, Answer.DONE))
     begun = heard.until(RunStarted)
     assert isinstance(begun, RunStarted)

@@ -290,7 +290,7 @@ def test_a_specimen_is_stated_in_the_form_and_recorded(window: MainWindow, until
     assert "not stated, and so recorded as unknown, are animal" in run.preview.conditions.text()
     press(new.queue)
     press(new.queue)
-    kept = run.queue.waiting_as_text()
+    kept = run.queue.as_text()
     run.queue.entries.pop()
     run.queue.restore(kept)
     assert [entry.job.specimen for entry in run.queue.entries] == 3 * [run.queue.entries[0].job.specimen]
@@ -306,3 +306,21 @@ def test_a_specimen_is_stated_in_the_form_and_recorded(window: MainWindow, until
     (made, *_) = read_campaign(Path(run.queue.entries[0].folder)).runs
     assert (made.header.specimen["id"], made.header.specimen["animal"]) == ("P7", "unknown")
     assert str(made.header.specimen["excised_at"]).startswith("2026-05-04T09:15")
+
+
+def test_operator_and_specimen_are_seen_first_at_the_least_size(window: MainWindow) -> None:
+    new, size = window.run.new, window.size()
+    window.go_to(window.run)
+    window.resize(940, 500)
+    for field in (new.operator, new.specimen_told, new.state_specimen):
+        assert field.visibleRegion().boundingRect() == field.rect()
+    new.state_specimen.setChecked(True)
+    press(new.state_specimen)
+    assert not new.specimen.isVisible()
+    press(new.state_specimen)
+    new.specimen.put("id", "P7")
+    new.update_preview()
+    assert new.specimen_told.text() == "P7"
+    assert new.specimen.captions["temperature_degC"].text() == "Temperature (°C)"
+    new.specimen.put("id", "")
+    window.resize(size)

@@ -16,7 +16,7 @@ from windows import WAIT_MS, Until, dressed, opened, press, require_qt
 
 require_qt()
 
-from PySide6.QtCore import QPoint, QPointF, Qt
+from PySide6.QtCore import QPoint, QPointF, QSettings, Qt
 from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
@@ -24,13 +24,17 @@ from pytestqt.qtbot import QtBot
 import dragrig
 from dragrig.engine_host.messages import (
     GuardState,
+    IdleReading,
     MirrorStatus,
+    PromptShown,
     QueuedRun,
+    RigIdle,
     RunFinished,
     RunStarted,
     SessionFinished,
     SessionJob,
     SessionStarted,
+    StageHomes,
 )
 from dragrig.rig.operator import Answer
 from dragrig.rig.runfile import read_campaign
@@ -45,11 +49,14 @@ from dragrig.window.widgets import Topic
 
 
 @pytest.fixture(scope="module")
-def shared(
-    request: pytest.FixtureRequest, qapp: QApplication, lab: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[MainWindow]:
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("settings") / "window.ini"
+
+
+@pytest.fixture(scope="module")
+def shared(request: pytest.FixtureRequest, qapp: QApplication, lab: Path, settings: Path) -> Iterator[MainWindow]:
     """One window for many tests: each engine takes seconds to start."""
-    made = opened(QtBot(request), lab, tmp_path_factory.mktemp("settings") / "window.ini")
+    made = opened(QtBot(request), lab, settings)
     yield made
     made.close_in_order("the tests are over")
 
@@ -604,8 +611,8 @@ def test_a_reading_is_live_or_gone(window: MainWindow, until: Until) -> None:
     until(lambda: not window.run.session_running)
     assert speed.text() == "–"
     until(lambda: shown.about.text() == "live; idle")
-    assert position.text() == "not homed"  # a simulated drive forgets
-    assert force.text().endswith(" mN")
+    assert 40.0 < float(position.text().split()[0]) < 50.0  # where it was stopped
+    assert 20.0 < float(force.text().split()[0]) < 60.0  # the capsule is in the gut
     assert "Session ended" in window.notices.complaint_text.text()
     press(window.run.new.start)
     assert not window.notices.complaint.isVisible()  # another session: no longer true
@@ -863,3 +870,173 @@ def test_settings_and_waiting_sessions_survive_closing_the_window(
         assert len(second.run.queue.entries) == 1
     finally:
         second.close_in_order("the test is over")
+
+
+def test_the_queue_is_on_disk_at_each_change_and_a_session_that_was_cut_off_can_be_gone_on_with(
+    window: MainWindow, settings: Path, lab: Path, tmp_path: Path, qtbot: QtBot, until: Until
+) -> None:
+    fill(window, speed_mm_s="40")
+    press(window.run.new.queue)
+    fill(window, speed_mm_s="0.5, 20")
+    window.run.new.pace.setCurrentText("as fast as the real rig")
+    press(window.run.new.start)
+    until(lambda: moving(window))
+    copy = tmp_path / "died.ini"  # as a window that dies now leaves it
+    copy.write_bytes(settings.read_bytes())
+    press(window.stop_button)
+    until(lambda: not window.run.session_running)
+    again = opened(qtbot, lab, copy)
+    notices, queue = again.notices, again.run.queue
+    assert notices.cut_off.isVisible()
+    assert notices.cut_off_text.text().startswith("Session drag was cut off at 20")
+    assert "at run 0, drag 0.5 mm/s, 1 of 2 in all." in notices.cut_off_text.text()
+    assert [entry.stage for entry in queue.entries] == [QueueState.CUT_OFF, QueueState.WAITING]
+    press(again.reset)
+    until(lambda: again.guard.text() == "guard: armed")
+    folder = Path(queue.entries[0].folder)
+    press(notices.go_on)
+    assert not notices.cut_off.isVisible()
+    assert again.run.queue.current is queue.entries[1]
+    until(lambda: moving(again))
+    press(again.stop_button)
+    until(lambda: not again.run.session_running)
+    assert [run.header.order for run in read_campaign(folder).runs] == [0, 1]
+    assert [entry.stage for entry in queue.entries] == [QueueState.ABORTED, QueueState.ABORTED, QueueState.WAITING]
+    assert not opened_queue(copy).cut_off
+    again.close()
+
+
+def opened_queue(settings: Path) -> SessionQueue:
+    """Return the queue that the next window would have."""
+    stored, queue = QSettings(str(settings), QSettings.Format.IniFormat), SessionQueue()
+    (key,) = (key for key in stored.allKeys() if key.startswith("queue"))
+    queue.restore(str(stored.value(key)))
+    return queue
+
+
+def test_start_starts_the_session_of_the_form_before_those_that_wait(window: MainWindow, until: Until) -> None:
+    fill(window, speed_mm_s="40")
+    press(window.run.new.queue)
+    fill(window, speed_mm_s="20")
+    window.run.new.pace.setCurrentText("as fast as the real rig")
+    press(window.run.new.start)
+    until(lambda: moving(window))
+    assert [entry.stage for entry in window.run.queue.entries] == [QueueState.RUNNING, QueueState.WAITING]
+    assert [run.summary for run in window.run.queue.entries[0].runs if "20" in run.summary]
+    press(window.stop_button)
+    until(lambda: not window.run.session_running)
+
+
+def test_a_waiting_session_is_opened_duplicated_changed_and_its_missing_runs_are_made(
+    window: MainWindow, until: Until
+) -> None:
+    view, new, queue = window.run.queue_view, window.run.new, window.run.queue
+    fill(window, speed_mm_s="0.5, 20")
+    new.note.setText("as it was")
+    press(new.queue)
+    waiting = view.tree.topLevelItem(0)
+    assert [waiting.child(at).text(0) for at in range(waiting.childCount())] == ["0  drag 0.5 mm/s", "1  drag 20 mm/s"]
+    view.tree.setCurrentItem(waiting)
+    assert not view.missing.isEnabled()
+    press(view.copy)
+    assert len(queue.entries) == 2
+    new.note.clear()
+    fill(window, "blank", speed_mm_s="5")
+    view.tree.setCurrentItem(view.tree.topLevelItem(1))
+    press(view.edit)
+    assert len(queue.entries) == 1
+    assert (new.plan().name, new.note.text()) == ("drag", "as it was")
+    assert new.editor.values()[0]["speed_mm_s"] == "0.5, 20"
+    new.note.clear()
+    queue.entries[0].job = replace(queue.entries[0].job, pace="real")
+    press(window.run.start_queue)
+    until(lambda: moving(window))
+    press(window.stop_button)
+    until(lambda: not window.run.session_running)
+    view.tree.setCurrentItem(view.tree.topLevelItem(0))
+    queue.entries[0].job = replace(queue.entries[0].job, pace="fast")
+    press(view.missing)
+    until(lambda: not window.run.session_running)
+    assert [entry.stage for entry in queue.entries] == [QueueState.ABORTED, QueueState.COMPLETE]
+    made = read_campaign(Path(queue.entries[1].folder))
+    assert [(run.header.order, run.status) for run in made.runs] == [
+        (0, RunStatus.ABORTED), (1, RunStatus.COMPLETE), (2, RunStatus.COMPLETE)]  # fmt: skip
+
+
+def test_a_rest_counts_down_with_live_readings_and_a_pause_is_seen_and_taken_back(
+    window: MainWindow, until: Until
+) -> None:
+    run, live, entries = window.run, window.run.live, window.run.queue.entries
+    fill(window, speed_mm_s="20", wait_s="30", way_back="driven")
+    window.run.new.pace.setCurrentText("as fast as the real rig")
+    press(run.new.start)
+    until(lambda: 0.0 < live.rest_left_s < 28.5)
+    left_s = entries[-1].left_s
+    assert live.title.text().startswith("Rest before drag 20 mm/s: 2")
+    assert live.readings.about.text() == f"live; rest, {live.title.text().split(': ')[1]}"
+    assert live.force.lines[1].drawn.getData()[1].size > 10
+    until(lambda: entries[-1].left_s < left_s - 1.0)
+    assert 0 < run.queue_view.progress.value() < 200
+    press(run.pause)
+    assert run.pause.text() == "Pauses after run 1 (undo)"  # with its way back
+    assert run.pause.property("role") == "main"
+    press(run.pause)
+    assert run.pause.text() == "Pause after this run"
+    press(window.stop_button)
+    until(lambda: not run.session_running)
+    assert entries[-1].reason == "stopped by operator (stop button)"
+
+
+def test_homing_is_called_homing_and_no_prompt_open_where_none_is(window: MainWindow) -> None:
+    notices, about = window.notices, window.run.live.readings.about
+    for shown in (window, window.run):
+        shown.take(StageHomes("HOMING: the stage moves"))
+    assert notices.homing.isVisible()
+    assert notices.homing_text.text() == "HOMING: the stage moves. STOP (Esc) stops it."
+    assert "homing" in about.text().lower()
+    for shown in (window, window.run):
+        shown.take(StageHomes(""))
+    assert not notices.homing.isVisible()
+    prompt = PromptShown(4711, "Put it in", can_redo=False, can_skip=False, hands=True)
+    for event in (prompt, RigIdle(IdleReading(3.0, None), 4711)):
+        window.take(event)
+        window.run.take(event)
+    assert about.text() == "live; prompt open"
+    press(notices.answers[Answer.DONE])
+    window.run.take(RigIdle(IdleReading(3.0, None), 4711))  # it was on its way
+    assert about.text() == "live; preparing"
+
+
+def test_the_simulated_rig_remembers_home_position_and_the_capsule_in_the_gut(
+    window: MainWindow, until: Until, lab: Path
+) -> None:
+    hand, notices, shown = window.run.hand, window.notices, window.run.live.readings
+    force, position, _ = shown.readings.values()
+
+    def done(action: QWidget) -> None:
+        press(action)
+        while hand.busy:
+            until(lambda: notices.prompt.isVisible() or not hand.busy)
+            if notices.prompt.isVisible():
+                press(notices.answers[Answer.DONE])
+        until(lambda: shown.about.text() == "live; idle")
+
+    done(hand.home)
+    assert position.text() == "0.00 mm"
+    hand.distance.put(5.0)
+    done(hand.jog)
+    assert (position.text(), hand.state.text()) == ("5.00 mm", "The stage is at 5.000 mm.")
+    fill(window, speed_mm_s="20", start_mm="30", prompt="Put it in", prompt_each="yes", repeats="2")
+    press(window.run.new.start)
+    until(notices.prompt.isVisible)
+    until(lambda: shown.about.text() == "live; prompt open")
+    assert (position.text(), abs(float(force.text().split()[0].replace("−", "-"))) < 5.0) == ("30.00 mm", True)
+    press(notices.answers[Answer.DONE])
+    until(notices.answers[Answer.REDO].isVisible)  # before the second run
+    until(lambda: shown.about.text() == "live; prompt open")
+    assert 25.0 < float(force.text().split()[0]) < 60.0
+    press(notices.answers[Answer.ABORT])
+    until(lambda: not window.run.session_running and shown.about.text() == "live; idle")
+    assert position.text() == "40.00 mm"
+    assert 25.0 < float(force.text().split()[0]) < 60.0
+    fill(window, start_mm="")

@@ -128,7 +128,7 @@ def test_a_queued_session_of_a_campaign_waits_again_at_the_next_start() -> None:
     plan = Plan.model_validate({"name": "few-then-1", "steps": [{"kind": "drag", "speed_mm_s": 5.0}]})
     job = SessionJob(1, plan, note=REASON, append=Path("runs/few"))
     queue.add(QueuedSession(job, "Settle few", 60.0, 1))
-    again.restore(queue.waiting_as_text())
+    again.restore(queue.as_text())
     (entry,) = again.entries
     assert (entry.job.append, entry.why, entry.title) == (Path("runs/few"), REASON, "Settle few")
     assert again.of_campaign(Path("runs/few"), plan) is entry

@@ -59,6 +59,9 @@ class Bench:
         self.prompts.append(prompt)
         return Answer.DONE
 
+    def homes(self, *, over: bool) -> None:
+        pass
+
 
 @pytest.fixture(scope="module")
 def room() -> Iterator[Room[DoubleBackend]]:
