@@ -30,7 +30,7 @@ from dragrig.sim_backend.doubles.card.pci6229 import (
     EncoderChannel,
     VirtualChannel,
 )
-from dragrig.sim_backend.doubles.card.tasks import CardTask, OutputListener, OutputWaveform, TaskEngine
+from dragrig.sim_backend.doubles.card.tasks import CardTask, OutputWaveform, TaskEngine
 from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 
 _PULSES_PER_PERIOD = 4
@@ -49,13 +49,11 @@ class Card:
     ----------
     bench
         What the card is wired to.
-    listener
-        Called with what analog outputs do; see `OutputListener`.
     """
 
-    def __init__(self, bench: SimulatedBench, listener: OutputListener | None = None) -> None:
+    def __init__(self, bench: SimulatedBench) -> None:
         self._bench = bench
-        self._engine = TaskEngine(bench, listener)
+        self._engine = TaskEngine(bench)
         self._changed = self._engine.changed
         self._device = bench.rig.hardware.card.device
 

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from nidaqmx.constants import AcquisitionType, ChannelType, ReadRelativeTo
@@ -22,23 +21,6 @@ from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 _MIN_WAIT_S = 2e-4
 INDEX_HYSTERESIS_COUNTS = -20
 """Where the index pulse is when it is passed downwards: its place is repeatable from one side only."""
-
-
-class SampleSource(Protocol):
-    """What fills an input buffer."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second that come at present; 0 when none come."""
-        ...
-
-    def total(self) -> int:
-        """Return how many samples per channel were taken."""
-        ...
-
-    def fetch(self, first: int, end: int) -> list[FloatArray]:
-        """Return these samples of each channel."""
-        ...
 
 
 class AnalogSource:
@@ -195,7 +177,7 @@ class InputBuffer:
 
     def __init__(
         self,
-        source: SampleSource,
+        source: AnalogSource | EncoderCounter,
         size: int,
         pace: float,
         changed: threading.Condition,
@@ -323,13 +305,6 @@ class OutputWaveform:
         return 0 if self.began_s is None else math.floor((now_s - self.began_s) * self.rate_hz) + 1
 
 
-OutputListener = Callable[[str, FloatArray, float, float], None]
-"""Called with an output's name, its voltages to come, their rate, and the clock's reading at the first of them.
-
-At rate 0 there is one voltage, which the output holds from then on.
-"""
-
-
 @dataclass(frozen=True, slots=True)
 class SampleClock:
     """A task's sample clock; `source` is empty for the card's own."""
@@ -373,13 +348,12 @@ class CardTask:
 class TaskEngine:
     """Tasks on a bench. The caller of a method holds `changed`."""
 
-    def __init__(self, bench: SimulatedBench, listener: OutputListener | None) -> None:
+    def __init__(self, bench: SimulatedBench) -> None:
         self.bench = bench
         self.card = bench.rig.hardware.card
         self.changed = threading.Condition()
         self.tasks: dict[int, CardTask] = {}
         self.held_volts = dict.fromkeys(pci6229.AO, 0.0)
-        self._listener = listener
         self._handles = 0
         self._holders: dict[str, CardTask] = {}
         self._lost_samples = bench.faults.active.overwritten_samples
@@ -545,16 +519,14 @@ class TaskEngine:
     def hold_voltage(self, channel: VirtualChannel, volts: float) -> None:
         """Let an output hold a voltage."""
         self.held_volts[channel.physical] = volts
-        if self._listener is not None:
-            self._listener(channel.physical, np.array([volts]), 0.0, self.now_s)
+        self.bench.put_out(channel.physical, np.array([volts]), 0.0, self.now_s)
 
     def announce(self, task: CardTask, volts: FloatArray, first: int) -> None:
-        """Tell the listener of voltages of a waveform that has begun, the first of them its sample `first`."""
+        """Tell the bench of voltages of a waveform that has begun, the first of them its sample `first`."""
         waveform = task.waveform
-        if self._listener is None or waveform is None or waveform.began_s is None or not len(volts):
-            return
-        due_s = waveform.began_s + first / waveform.rate_hz
-        self._listener(task.channels[0].physical, np.array(volts), waveform.rate_hz, due_s)
+        if waveform is not None and waveform.began_s is not None and len(volts):
+            due_s = waveform.began_s + first / waveform.rate_hz
+            self.bench.put_out(task.channels[0].physical, np.array(volts), waveform.rate_hz, due_s)
 
     def _begin_waveform(self, task: CardTask, at_s: float) -> None:
         if task.waveform is not None and task.waveform.began_s is None:
