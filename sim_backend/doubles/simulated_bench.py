@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from itertools import takewhile
 from threading import Event as Signal
 
@@ -27,9 +27,9 @@ from dragrig.rig import (
     MotionProfile,
     Phase,
     Piece,
+    WallClock,
     stationary_piece,
     trapezoid,
-    with_utc_offset,
 )
 from dragrig.sim_backend.devices import UNDISTURBED, SimulatedChannels, Track, evaluate_profile, profile_position
 
@@ -413,7 +413,7 @@ CONVERTER_NOISE = 0.8 * 2.0**-15
 """The PCI-6229's own noise (standard deviation), as a share of an input's range: 244 µV at ±10 V (specifications)."""
 
 
-class DoubleClock:
+class DoubleClock(WallClock):
     """A clock `pace` times as fast as the wall clock. Any thread may use it.
 
     Parameters
@@ -425,9 +425,8 @@ class DoubleClock:
     """
 
     def __init__(self, pace: float = 1.0, origin: datetime | None = None) -> None:
+        super().__init__(origin)
         self.pace = pace
-        self._origin = with_utc_offset(origin)
-        self._begun_s = time.perf_counter()
         self._skipped_s = 0.0
         self._is_idle: Callable[[], bool] = lambda: False
         self._lock = threading.Lock()
@@ -436,13 +435,9 @@ class DoubleClock:
         """Let long waits take no time while `is_idle`: no sample is taken, nothing moves."""
         self._is_idle = is_idle
 
-    def now(self) -> datetime:
-        """Time of day, with offset."""
-        return self._origin + timedelta(seconds=self.monotonic())
-
     def monotonic(self) -> float:
         """Seconds of this clock since it was made."""
-        return self._skipped_s + self.pace * (time.perf_counter() - self._begun_s)
+        return self._skipped_s + self.pace * super().monotonic()
 
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
         """Wait; return False within milliseconds when `cancel` is set before the time is over."""
@@ -452,7 +447,7 @@ class DoubleClock:
             with self._lock:
                 self._skipped_s += duration_s
             return True
-        return not (cancel.wait(duration_s / self.pace) if duration_s > 0 else cancel.is_set())
+        return super().sleep(duration_s / self.pace, cancel)
 
 
 class SensorForce:

@@ -219,14 +219,9 @@ class Effect(ABC):
         return next((parameter for parameter in self.parameters if parameter.name == self.period_parameter), None)
 
     @property
-    def periodic_in(self) -> Coordinate | None:
-        """What it is periodic in; None for what is not periodic."""
-        return None if self.phase is None else self.coordinate
-
-    @property
     def periodic_in_session(self) -> bool:
         """Whether it is periodic in session time."""
-        return self.periodic_in is Coordinate.SESSION
+        return self.phase is not None and self.coordinate is Coordinate.SESSION
 
     @property
     def shapes(self) -> tuple[EffectParameter, ...]:

@@ -145,10 +145,8 @@ def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motio
     if not (directions[1:] != directions[:-1]).any():
         return motion
     pieces = motion.pieces()
-    times = np.append(pieces.start_s, motion.breaks_s[-1])
+    times = pieces.breaks_s
     position = motion.position(times)
-    if _shortest_reversal(position) > slack_mm:
-        return motion
     leading = _without_short_reversals(position, _turning_points(position, slack_mm))
     if np.array_equal(leading, position):
         return motion
@@ -165,14 +163,6 @@ def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motio
             acceleration_mm_s2=acceleration,
         )
     )
-
-
-def _shortest_reversal(position_mm: FloatArray) -> float:
-    """Return the least distance between two reversals of a position, its ends included [mm]."""
-    steps = np.diff(position_mm)
-    steps = steps[steps != 0]
-    turns = np.flatnonzero(np.sign(steps[1:]) != np.sign(steps[:-1])) + 1
-    return float(np.add.reduceat(np.abs(steps), np.append(0, turns)).min(initial=np.inf)) if steps.size else 0.0
 
 
 def _turning_points(position_mm: FloatArray, slack_mm: float) -> list[int]:

@@ -33,7 +33,7 @@ from dragrig.sim_backend.friction.contact import (
     time_panel_edges,
 )
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
-from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, SidePressure, model_wall, shear_strain
+from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, SidePressure, model_wall
 
 SHEAR_THINNING = 11.24
 """Shear-thinning part of the apparent viscosity in Eq. 11."""
@@ -346,7 +346,7 @@ class StickingForce:
     def total(self, time_s: FloatArray) -> FloatArray:
         """Return the shear force [mN] at any times [s], constant before the motion's start and after its end."""
         time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
-        strain = self.sheared_from + shear_strain(self.branches.pieces, self.branches.thickness_mm, time)
+        strain = self.sheared_from + self.branches.strain(time)
         fast, slow = self.branches.stress(time)
         return np.asarray((self.spring * strain + self.moduli[0] * fast + self.moduli[1] * slow) * self.area_mm2)
 

@@ -23,16 +23,6 @@ ROUNDING_MM_S = 1e-9
 SignArray = npt.NDArray[np.int8]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
-    """Pieces of constant acceleration: state at the start of each, arrays of shape `(K,)`."""
-
-    start_s: FloatArray
-    position_mm: FloatArray
-    velocity_mm_s: FloatArray
-    acceleration_mm_s2: FloatArray
-
-
 class _BitwiseValue:
     """What is equal where all fields are the same, bit for bit: prepared forces are cached by motions."""
 
@@ -66,6 +56,11 @@ class ProfileMotion(_BitwiseValue):
     counted: ClassVar[bool] = False
     """Whether it was measured in encoder counts; a profile is exact."""
 
+    @property
+    def start_s(self) -> FloatArray:
+        """Begin of each piece, shape `(K,)`."""
+        return self.breaks_s[:-1]
+
     @classmethod
     def of(cls, profile: MotionProfile) -> "ProfileMotion":
         """Prepare a profile; an empty one is at rest for an instant."""
@@ -84,17 +79,17 @@ class ProfileMotion(_BitwiseValue):
 
     def position(self, time_s: FloatArray) -> FloatArray:
         """Return the position [mm] at any times within the motion."""
-        return self._position(*self._locate(time_s))
+        return self._position(*self.locate(time_s))
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
         """Return the velocity [mm/s] at any times within the motion."""
-        index, elapsed = self._locate(time_s)
+        index, elapsed = self.locate(time_s)
         return np.asarray(self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed)
 
     def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return position and velocity at times of shape `(n, m)`, each row of which lies within one interval."""
         middle = 0.5 * (time_s[:, :1] + time_s[:, -1:])
-        index, _ = self._locate(middle)
+        index, _ = self.locate(middle)
         elapsed = time_s - self.breaks_s[index]
         velocity = self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed
         return self._position(index, elapsed), np.asarray(velocity)
@@ -112,12 +107,13 @@ class ProfileMotion(_BitwiseValue):
         elapsed = np.divide(distance, mean_speed, out=np.zeros_like(distance), where=mean_speed > 0)
         return np.asarray(np.minimum(self.breaks_s[index] + elapsed, self.breaks_s[index + 1]))
 
-    def pieces(self) -> Pieces:
-        """Return the motion as pieces of constant acceleration."""
-        return Pieces(self.breaks_s[:-1], self.start_mm, self.velocity_mm_s, self.acceleration_mm_s2)
+    def pieces(self) -> "ProfileMotion":
+        """Return the motion as pieces of constant acceleration: itself."""
+        return self
 
-    def _locate(self, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
-        index = np.searchsorted(self.breaks_s[:-1], time_s, side="right") - 1
+    def locate(self, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+        """Return the piece that each time lies in, and the time since that piece began."""
+        index = np.maximum(np.searchsorted(self.start_s, time_s, side="right") - 1, 0)
         return index, time_s - self.breaks_s[index]
 
     def _position(self, index: npt.NDArray[np.intp], elapsed: FloatArray) -> FloatArray:
@@ -323,9 +319,9 @@ class RecordedMotion(_BitwiseValue):
         begin, end = np.searchsorted(self.profile.breaks_s, self.breaks_s[[first, last + 1]]).tolist()
         return self.profile.arrival_time(position_mm, begin, end - 1)
 
-    def pieces(self) -> Pieces:
+    def pieces(self) -> ProfileMotion:
         """Return the motion as pieces of constant acceleration."""
-        return self.profile.pieces()
+        return self.profile
 
 
 Motion: TypeAlias = ProfileMotion | RecordedMotion

@@ -56,11 +56,6 @@ def in_motion(run: RunConditions, speed_mm_s: float = 0.1) -> Floats:
     return np.asarray(-np.expm1(-((run.speed / speed_mm_s) ** 2)))
 
 
-def since_stop(run: RunConditions) -> Floats:
-    """Return the time since the stop [s]; 0 before it."""
-    return np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-
-
 def scaled(effect: HiddenEffect, forces: CapsuleForces) -> Floats:
     """Return what a drawn law is multiplied by, about 1: `on` is 0 for the elastic force, 1 for all of it, 2 for 1."""
     whole = forces.elastic + forces.viscous + np.abs(forces.coulomb)
@@ -157,7 +152,7 @@ def breakaway_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditi
 def presliding_drawn(effect: HiddenEffect, direction: Floats, run: RunConditions) -> Floats:
     """Friction builds up over a deflection and stays locked in at standstill, part of which may be lost in time."""
     built = 1 - faded(effect.law("law"), np.maximum(run.motion.p, 0.0) / effect.slip_mm)
-    left = 1 - effect.lost * (1 - faded(effect.law("release"), since_stop(run) / effect.half_s))
+    left = 1 - effect.lost * (1 - faded(effect.law("release"), run.held_s / effect.half_s))
     return np.asarray((1 - effect.amplitude) * direction + effect.amplitude * built * left)
 
 
@@ -209,7 +204,7 @@ def tether_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions
     """Add a pull that grows beyond some position, and may relax while the capsule is held."""
     begin = effect.begin * effect.stroke_mm
     grown = effect.law("law")((run.motion.p - begin) / (effect.stroke_mm - begin))
-    held = since_stop(run) / effect.half_s
+    held = run.held_s / effect.half_s
     size = scaled(effect, forces)
     return np.asarray(effect.amplitude * size * grown * (1 - effect.lost * held / (1 + held)))
 
@@ -355,8 +350,6 @@ def compliance_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) ->
 @hidden_form("motion", "servo_lag", ANY_LAW, channel="position")
 def lag_drawn(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """Let the stage lag and overshoot: dead time, two poles and a creeping share, by its speed."""
-    if not effect.amplitude:
-        return motion
     t, lag = motion.t, effect.amplitude * (run.plan.peak_mm_s / 20.0) ** effect.grows
     time_s = max((1 - effect.dead) * lag / (2 * effect.damping), 1e-4)
 
@@ -515,7 +508,7 @@ class OutsideDrawn(HiddenEffect):
             "session": run.session_s / self.period_s + self.phase,
             "time": t / 20.0,
             "time in motion": np.clip((t - go) / (stop - go), 0.0, 1.0),
-            "time held": since_stop(run) / self.time_s,
+            "time held": run.held_s / self.time_s,
             "load": np.abs(force) / 1000.0,
             "run": np.full_like(t, run.random("level").random()),
         }

@@ -90,6 +90,11 @@ class RunConditions:
         """Absolute velocity [mm/s], shape `(N,)`."""
         return np.abs(self.motion.v)
 
+    @property
+    def held_s(self) -> Floats:
+        """Time since the stop [s], shape `(N,)`; 0 before it."""
+        return np.maximum(self.motion.t - self.plan.bounds_s[3], 0.0)
+
     def random(self, purpose: str) -> np.random.Generator:
         """Return the run's random generator for one purpose, always in its initial state."""
         later = (self.plan.specimen,) if self.plan.specimen else ()
