@@ -95,7 +95,6 @@ class _Rule:
     integral: FloatArray
     """From 0 to each node, shape `(n, n)`."""
     double_integral: FloatArray
-    identity: FloatArray
     within: FloatArray
     """Values at the points between 0 and each node at which fresh wall is integrated, shape `(n · f, n)`."""
     within_integral: FloatArray
@@ -116,7 +115,6 @@ def _rule() -> _Rule:
         weights=weights,
         integral=integral,
         double_integral=interpolation(nodes, 2),
-        identity=np.eye(NODES),
         within=interpolation(within, 0),
         within_integral=interpolation(within, 1),
         fresh_nodes=fresh_nodes,
@@ -472,11 +470,6 @@ class Slip:
         return float(self.width_s * (places[after - 1] + share * places[1]))
 
     @property
-    def gauss_s(self) -> FloatArray:
-        """Its Gauss points."""
-        return self.start_s + self.width_s * _rule().nodes
-
-    @property
     def loss_uJ(self) -> float:
         """Work of the friction; mN · mm is µJ."""
         return float(self.width_s * (gauss_legendre(NODES)[1] @ (self.resistance_mN * self.speed_mm_s)))
@@ -628,7 +621,7 @@ class Walker:
             gained = relative_mm_s2 * duration_s
             work += 0.5 * self._inner * ((relative_mm_s + gained) ** 2 - relative_mm_s**2)
             for slip in self.slips[number:]:
-                relative = relative_mm_s + relative_mm_s2 * (slip.gauss_s - self.time_s)
+                relative = relative_mm_s + relative_mm_s2 * (slip.start_s + slip.width_s * _rule().nodes - self.time_s)
                 power = float(_rule().weights @ (slip.acceleration_mm_s2 * relative))
                 work += self._inner * slip.direction * slip.width_s * power
             relative_mm_s += gained
@@ -835,7 +828,7 @@ class Walker:
                 stiffness = min(max(float(moved @ stiffened) / square, 0.0), MAX_STIFFNESS) if square else stiffness
             travel_before, speed_before, resistance_before = travel, speed, resistance
             jacobian = (
-                rule.identity
+                np.eye(NODES)
                 + (width_s / self._total) * damping[:, None] * rule.integral
                 + (width_s**2 * stiffness / self._total) * rule.double_integral
             )

@@ -476,6 +476,9 @@ def write_campaign(campaign: BlindCampaign, folder: str | Path, *, runs: str | R
 
 def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> None:
     file.attrs.update({"NX_class": "NXroot", "default": "entry", "format": "dragrig-run", "format_version": 1})
+    # Conditions change a run, and so its id.
+    key = [str(campaign.seed), campaign.programme, str(run.order), *campaign.conditions]
+    key += [str(run.specimen)] if run.specimen else []
     session = SESSION_START + (timedelta(days=1) if campaign.programme == "fresh" else timedelta())
     entry = file.create_group("entry")
     entry.attrs.update(
@@ -483,7 +486,7 @@ def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> N
             "NX_class": "NXentry",
             "default": "trace",
             "backend": "external",
-            "run_id": str(uuid5(_RUN_ID_NAMESPACE, _run_key(campaign, run))),
+            "run_id": str(uuid5(_RUN_ID_NAMESPACE, " ".join(key))),
             "start_time": (session + timedelta(seconds=run.start_s)).isoformat(),
             "order": run.order,
             "status": "complete",
@@ -500,12 +503,6 @@ def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> N
         letter = "AB"[run.specimen]
         specimen |= {"name": f"jejunum-{letter}", "id": f"J-{campaign.seed}-{letter}"}
     entry.create_group("specimen").attrs.update(specimen)
-
-
-def _run_key(campaign: BlindCampaign, run: RunPlan) -> str:
-    """Return what a run's id is made of; conditions change a run, and so its id."""
-    parts = [str(campaign.seed), campaign.programme, str(run.order), *campaign.conditions]
-    return " ".join(parts if not run.specimen else [*parts, str(run.specimen)])
 
 
 def _protocol_attributes(run: RunPlan) -> dict[str, str | float]:

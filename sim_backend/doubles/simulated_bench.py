@@ -49,11 +49,6 @@ class Carriage:
         """Return a carriage at rest."""
         return cls(position_mm, MotionProfile.from_pieces([stationary_piece(_MIN_REST_S, Phase.REST)]))
 
-    @property
-    def has_moved(self) -> bool:
-        """Whether it ever moves."""
-        return self.profile.motion_ends_s > 0
-
     def position(self, time_s: float) -> float:
         """Position [mm] at a time."""
         return self.origin_mm + profile_position(self.profile, time_s)
@@ -485,7 +480,7 @@ class SensorForce:
 
     def _compute(self, first: int, end: int, carriage: Carriage) -> Mapping[str, AnyFloatArray]:
         until_s = end / self._rate_hz
-        if carriage.has_moved:
+        if carriage.profile.motion_ends_s > 0:
             if carriage is not self._followed:
                 self._followed = carriage
                 self._follow((*carriage.profile.pieces(), stationary_piece(_FOREVER_S, Phase.HOLD)))
@@ -799,7 +794,8 @@ class SimulatedBench:
         if faults.force_dead:
             volts = np.zeros_like(volts)
         if faults.sensor_open:
-            volts = np.full_like(volts, self._unplugged_V())
+            unplugged_V = {"rail": 10.0, "zero": 0.0, "floating": _FLOATING_V}[wiring.unplugged]
+            volts = np.full_like(volts, unplugged_V * float(np.sign(wiring.per_V)))
         if faults.force_floats_mN:
             since_s = sampling.floats_since_s = min(sampling.floats_since_s, float(time_s[0]))
             hum_mN = faults.force_floats_hum_mN * np.sin(2 * np.pi * _MAINS_HZ * time_s)
@@ -811,10 +807,6 @@ class SimulatedBench:
         if faults.force_constant_V:
             volts[:] = faults.force_constant_V
         return np.asarray(volts)
-
-    def _unplugged_V(self) -> float:
-        wiring = self.rig.hardware.card.force
-        return {"rail": 10.0, "zero": 0.0, "floating": _FLOATING_V}[wiring.unplugged] * float(np.sign(wiring.per_V))
 
     def _seen_counts(self, sampling: _Sampling, counts: FloatArray, before: dict[str, FloatArray] | None) -> FloatArray:
         """Return the counts that reach the card, with what is wrong with encoder and wires."""

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy.interpolate import PPoly
 
 from dragrig.rig import FloatArray, read_only
-from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion
+from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion, turning_samples
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
 
@@ -147,7 +147,8 @@ def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motio
     pieces = motion.pieces()
     times = pieces.breaks_s
     position = motion.position(times)
-    leading = _without_short_reversals(position, _turning_points(position, slack_mm))
+    turns = [0, *np.sort(turning_samples(position, slack_mm)).tolist(), position.size - 1]
+    leading = _without_short_reversals(position, turns)
     if np.array_equal(leading, position):
         return motion
     unchanged = (leading[:-1] == position[:-1]) & (leading[1:] == position[1:])
@@ -163,14 +164,6 @@ def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motio
             acceleration_mm_s2=acceleration,
         )
     )
-
-
-def _turning_points(position_mm: FloatArray, slack_mm: float) -> list[int]:
-    """Return the indices at which a position reverses by more than the slack, both ends included."""
-    from scipy.signal import find_peaks
-
-    peaks = [find_peaks(side * position_mm, prominence=slack_mm, plateau_size=1)[0] for side in (1.0, -1.0)]
-    return [0, *np.sort(np.concatenate(peaks)).tolist(), position_mm.size - 1]
 
 
 def _without_short_reversals(position_mm: FloatArray, turns: list[int]) -> FloatArray:
@@ -276,11 +269,6 @@ FINE_RULE = QuadratureRule(10, 8)
 COUNTED_RULE = QuadratureRule(4, 5)
 """For a motion measured in encoder counts, whose many bends divide the panels anyway: a rippling force differs by
 0.03 mN r.m.s. from that of the fine rule, where a sensor's noise is 1 mN or more."""
-
-
-def quadrature_rule(motion: Motion) -> QuadratureRule:
-    """Return the rule for a motion."""
-    return COUNTED_RULE if motion.counted else FINE_RULE
 
 
 @cache

@@ -17,6 +17,7 @@ from scipy.interpolate import PPoly
 from dragrig.config import AnalysisError, Capsule, Fixture, FrictionModelSettings, SettingsError
 from dragrig.rig import Acquisition, Contact, FloatArray, read_only
 from dragrig.sim_backend.friction.contact import (
+    COUNTED_RULE,
     FINE_RULE,
     ContactHistory,
     ContactStroke,
@@ -28,7 +29,6 @@ from dragrig.sim_backend.friction.contact import (
     interpolate_panels,
     join_intervals,
     leading_motion,
-    quadrature_rule,
     smooth_intervals,
     time_panel_edges,
 )
@@ -459,5 +459,6 @@ def _prepared(acquisition: Acquisition, model: FrictionModelSettings, motion: Mo
     dwell_s = acquisition.insertion_dwell_s * model.insertion_dwell_scale
     history = ContactHistory.of(leading_motion(motion), reach, dwell_s)
     pressing, mass_g = acquisition.fixture is Fixture.FOAM, acquisition.capsule.mass_g
-    friction = SlidingForce.of(contact, history, mass_g, pressing, quadrature_rule(motion), motion)
+    rule = COUNTED_RULE if motion.counted else FINE_RULE
+    friction = SlidingForce.of(contact, history, mass_g, pressing, rule, motion)
     return PreparedForce(friction, model.force_gain)

@@ -170,7 +170,7 @@ def smooth_between_rests(
         length = min(window, (inner.stop - inner.start - 1) // 2 * 2 + 1)
         if not still[(begin + end) // 2] and length > SMOOTHING_ORDER:
             smooth[inner] = savgol_filter(position_mm[inner], length, SMOOTHING_ORDER)
-            reversals += (begin + _turning_samples(smooth[begin : end + 1], TURN_JITTERS * jitter_mm)).tolist()
+            reversals += (begin + turning_samples(smooth[begin : end + 1], TURN_JITTERS * jitter_mm)).tolist()
     edges = np.union1d(edges, np.array(reversals, dtype=np.intp))
     return _monotone_between(smooth, edges), edges
 
@@ -183,7 +183,7 @@ def _at_rest(position_mm: FloatArray, window: int, span_mm: float) -> BoolArray:
     return np.asarray(maximum_filter1d(quiet.astype(np.uint8), window) > 0)
 
 
-def _turning_samples(position_mm: FloatArray, min_mm: float) -> IndexArray:
+def turning_samples(position_mm: FloatArray, min_mm: float) -> IndexArray:
     """Return peaks and valleys of a position with a prominence of at least `min_mm`."""
     from scipy.signal import find_peaks
 

@@ -6,6 +6,7 @@ Counts of the encoder are its own, four a period, 0 at its index pulse. One lock
 import math
 import threading
 import time
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -591,7 +592,4 @@ def _follows_inputs(task: CardTask) -> bool:
 
 def _default_buffer(rate_hz: float, samples: int) -> int:
     """Return the driver's buffer of a continuous task (NI-DAQmx Help, "How Is Buffer Size Determined?")."""
-    for below_hz, size in ((100.0, 1_000), (10_000.0, 10_000), (1_000_000.0, 100_000)):
-        if rate_hz <= below_hz:
-            return max(size, samples)
-    return max(1_000_000, samples)
+    return max((1_000, 10_000, 100_000, 1_000_000)[bisect_left((100.0, 10_000.0, 1_000_000.0), rate_hz)], samples)
