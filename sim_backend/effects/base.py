@@ -280,10 +280,6 @@ class ForceEffect(Effect):
     def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the true force that is added [mN]."""
 
-    def force_change(self, run: RunState, values: Values, gain: float = 1.0) -> FloatArray:
-        """Return the added force as the channel shows it [mN], shape `(n,)`."""
-        return gain * self.added_force(run, values)
-
 
 class SensorEffect(Effect):
     """An effect in the force sensor or its acquisition: what the channel shows of a force."""

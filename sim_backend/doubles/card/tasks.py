@@ -347,7 +347,15 @@ class CardTask:
 
 
 class TaskEngine:
-    """Tasks on a bench. The caller of a method holds `changed`."""
+    """Tasks on a bench.
+
+    Any thread may call what the driver's clients call; the caller of any other method holds `changed`.
+
+    Parameters
+    ----------
+    bench
+        What the card is wired to.
+    """
 
     def __init__(self, bench: SimulatedBench) -> None:
         self.bench = bench
@@ -365,13 +373,14 @@ class TaskEngine:
         """The bench's clock."""
         return self.bench.clock.monotonic()
 
-    def create(self, name: str) -> int:
-        """Return the handle of a new task."""
-        if any(task.name == name for task in self.tasks.values()):
-            raise CardError(Status.DUPLICATE_TASK, f"Specified task name is already in use.\n\nTask Name: {name}")
-        self._handles += 1
-        self.tasks[self._handles] = CardTask(self._handles, name or f"_unnamedTask<{self._handles - 1}>")
-        return self._handles
+    def create_task(self, name: str) -> int:
+        """Return the handle of a new task; an empty name lets the driver choose one."""
+        with self.changed:
+            if any(task.name == name for task in self.tasks.values()):
+                raise CardError(Status.DUPLICATE_TASK, f"Specified task name is already in use.\n\nTask Name: {name}")
+            self._handles += 1
+            self.tasks[self._handles] = CardTask(self._handles, name or f"_unnamedTask<{self._handles - 1}>")
+            return self._handles
 
     def task(self, handle: int, kind: ChannelType | None = None) -> CardTask:
         """Return a task, whose channels must be of `kind` if that is not None."""
@@ -424,37 +433,39 @@ class TaskEngine:
         task.channels.extend(channels)
         return task
 
-    def set_clock(self, handle: int, source: str, rate_hz: float, mode: int, samples: int) -> None:
+    def cfg_samp_clk_timing(self, handle: int, source: str, rate_hz: float, mode: int, samples: int) -> None:
         """Give a task a continuous sample clock at the nearest rate that the card can make."""
-        task = self.idle_task(handle)
-        if not rate_hz > 0:
-            raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample rate must be above 0, not {rate_hz:g}.")
-        if task.kind not in {ChannelType.ANALOG_INPUT, ChannelType.ANALOG_OUTPUT, ChannelType.COUNTER_INPUT}:
-            raise task.failure(
-                Status.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "Task has no channels with a sample clock."
-            )
-        place = pci6229.find_terminal(source, self.card.device) if source and source != "OnboardClock" else ""
-        if task.kind is not ChannelType.COUNTER_INPUT:
-            is_input = task.kind is ChannelType.ANALOG_INPUT
-            max_hz = pci6229.AI_MAX_RATE_HZ / len(task.channels) if is_input else pci6229.AO_MAX_RATE_HZ
-            rate_hz = pci6229.nearest_rate(rate_hz)
-            if rate_hz > max_hz * (1 + 1e-9):
-                single = len(task.channels) == 1
-                code = Status.SAMP_RATE_TOO_HIGH if single else Status.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO
-                raise task.failure(code, f"Sample rate {rate_hz:g} Hz is above the possible {max_hz:g} Hz.")
-        if mode != AcquisitionType.CONTINUOUS.value:
-            raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample mode {mode} is not supported by this task.")
-        task.clock = SampleClock(rate_hz, place, _default_buffer(rate_hz, samples))
+        with self.changed:
+            task = self.idle_task(handle)
+            if not rate_hz > 0:
+                raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample rate must be above 0, not {rate_hz:g}.")
+            if task.kind not in {ChannelType.ANALOG_INPUT, ChannelType.ANALOG_OUTPUT, ChannelType.COUNTER_INPUT}:
+                raise task.failure(
+                    Status.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "Task has no channels with a sample clock."
+                )
+            place = pci6229.find_terminal(source, self.card.device) if source and source != "OnboardClock" else ""
+            if task.kind is not ChannelType.COUNTER_INPUT:
+                is_input = task.kind is ChannelType.ANALOG_INPUT
+                max_hz = pci6229.AI_MAX_RATE_HZ / len(task.channels) if is_input else pci6229.AO_MAX_RATE_HZ
+                rate_hz = pci6229.nearest_rate(rate_hz)
+                if rate_hz > max_hz * (1 + 1e-9):
+                    single = len(task.channels) == 1
+                    code = Status.SAMP_RATE_TOO_HIGH if single else Status.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO
+                    raise task.failure(code, f"Sample rate {rate_hz:g} Hz is above the possible {max_hz:g} Hz.")
+            if mode != AcquisitionType.CONTINUOUS.value:
+                raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample mode {mode} is not supported by this task.")
+            task.clock = SampleClock(rate_hz, place, _default_buffer(rate_hz, samples))
 
-    def set_trigger(self, handle: int, source: str) -> None:
+    def cfg_dig_edge_start_trig(self, handle: int, source: str) -> None:
         """Let the start of the analog inputs start a task."""
-        task, place = self.idle_task(handle), pci6229.find_terminal(source, self.card.device)
-        if task.kind is not ChannelType.ANALOG_OUTPUT or place != pci6229.AI_START_TRIGGER:
-            raise task.failure(
-                Status.ATTR_NOT_SUPPORTED,
-                f"Only outputs can be triggered here, by {pci6229.AI_START_TRIGGER}, not by {place}.",
-            )
-        task.trigger = place
+        with self.changed:
+            task, place = self.idle_task(handle), pci6229.find_terminal(source, self.card.device)
+            if task.kind is not ChannelType.ANALOG_OUTPUT or place != pci6229.AI_START_TRIGGER:
+                raise task.failure(
+                    Status.ATTR_NOT_SUPPORTED,
+                    f"Only outputs can be triggered here, by {pci6229.AI_START_TRIGGER}, not by {place}.",
+                )
+            task.trigger = place
 
     def reserve(self, task: CardTask) -> None:
         """Assign to a task the resources that it needs of the card; raises `CardError` when another task has them."""
@@ -473,20 +484,35 @@ class TaskEngine:
                 )
         self._holders.update(dict.fromkeys(resources, task))
 
-    def start(self, task: CardTask) -> None:
+    def start(self, handle: int) -> None:
         """Start a task."""
-        self.idle_task(task.handle)
-        self.reserve(task)
-        if task.kind is ChannelType.ANALOG_INPUT and task.clock is not None:
-            self._start_inputs(task, task.clock)
-        elif task.kind is ChannelType.COUNTER_INPUT:
-            self._start_counter(task)
-        elif task.waveform is not None and not task.trigger:
-            self._begin_waveform(task, self.now_s)
-        task.running = True
-        self.changed.notify_all()
+        with self.changed:
+            task = self.idle_task(handle)
+            self.reserve(task)
+            if task.kind is ChannelType.ANALOG_INPUT and task.clock is not None:
+                self._start_inputs(task, task.clock)
+            elif task.kind is ChannelType.COUNTER_INPUT:
+                self._start_counter(task)
+            elif task.waveform is not None and not task.trigger:
+                self._begin_waveform(task, self.now_s)
+            task.running = True
+            self.changed.notify_all()
 
-    def stop(self, task: CardTask) -> None:
+    def stop(self, handle: int) -> None:
+        """Stop a task, release its resources, keep its configuration."""
+        with self.changed:
+            self.end(self.task(handle))
+            self.check_card()
+
+    def clear_task(self, handle: int) -> None:
+        """Stop a task, release its resources and forget it."""
+        with self.changed:
+            task = self.task(handle)
+            task.reserved = False
+            self.end(task)
+            del self.tasks[handle]
+
+    def end(self, task: CardTask) -> None:
         """Stop a task; resources that it did not reserve explicitly are released."""
         if task.running and task.kind is ChannelType.ANALOG_INPUT and task.buffer is not None:
             for latched in self.tasks.values():
@@ -502,12 +528,6 @@ class TaskEngine:
         if not task.reserved:
             self._holders = {resource: holder for resource, holder in self._holders.items() if holder is not task}
         self.changed.notify_all()
-
-    def forget(self, task: CardTask) -> None:
-        """Stop a task and forget it."""
-        task.reserved = False
-        self.stop(task)
-        del self.tasks[task.handle]
 
     def check_running(self, task: CardTask) -> None:
         """Raise when the card is gone or the task was stopped."""
