@@ -15,12 +15,13 @@ What the friction model does not say of a motion that the dynamics decide is dec
   and the wall under it ages; in a longer one the other leads.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 from functools import cache
 from itertools import groupby
-from typing import Protocol, Self, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 from scipy.optimize import brentq
@@ -94,7 +95,6 @@ class _Rule:
     integral: FloatArray
     """From 0 to each node, shape `(n, n)`."""
     double_integral: FloatArray
-    identity: FloatArray
     within: FloatArray
     """Values at the points between 0 and each node at which fresh wall is integrated, shape `(n · f, n)`."""
     within_integral: FloatArray
@@ -115,7 +115,6 @@ def _rule() -> _Rule:
         weights=weights,
         integral=integral,
         double_integral=interpolation(nodes, 2),
-        identity=np.eye(NODES),
         within=interpolation(within, 0),
         within_integral=interpolation(within, 1),
         fresh_nodes=fresh_nodes,
@@ -150,79 +149,60 @@ def _coefficients(integrals: int) -> FloatArray:
 Millimetres = TypeVar("Millimetres", float, FloatArray)
 
 
-class Resistance(Protocol):
-    """Resistance to slip [mN] as the capsule moves; not negative."""
+class Resistance(ABC):
+    """Resistance to slip [mN] as the capsule moves; not negative. It never changes by default."""
 
-    @property
-    def constant(self) -> bool:
-        """Whether it never changes."""
+    __slots__ = ()
+    constant: ClassVar[bool] = True
+    """Whether it never changes."""
+    max_panel_s: ClassVar[float] = np.inf
+    """Longest panel in which its changes are resolved."""
+    max_travel_mm: ClassVar[float] = np.inf
+    """Greatest travel in a panel."""
 
-    @property
-    def max_panel_s(self) -> float:
-        """Longest panel in which its changes are resolved."""
-
-    @property
-    def max_travel_mm(self) -> float:
-        """Greatest travel in a panel."""
-
+    @abstractmethod
     def at_rest(self) -> Callable[[float], float]:
         """Return, by time while it rests, the force that the actuator must exceed."""
 
-    def damping(self, speed_mm_s: FloatArray) -> FloatArray:
-        """Return by how much it grows with the speed [mN·s/mm]."""
-
+    @abstractmethod
     def sliding(
         self, direction: int, start_s: float, width_s: float, position_mm: FloatArray, speed_mm_s: FloatArray
     ) -> FloatArray:
         """Return the resistance at the Gauss points of a panel."""
 
+    def damping(self, speed_mm_s: FloatArray) -> FloatArray:
+        """Return by how much it grows with the speed [mN·s/mm]."""
+        return np.zeros_like(speed_mm_s)
+
     def way_left(self, direction: int, position_mm: float) -> float:
         """Return the distance to where the resistance jumps."""
+        return np.inf
 
-    def advance(self, slip: "Slip") -> None:
+    def advance(self, slip: "Slip") -> None:  # noqa: B027 - what never changes has nothing to take over
         """Take over a finished panel of a slip."""
 
     def moved(self, time_s: float, way_mm: float) -> Self:
         """Return what it would be had everything happened so much later and further on."""
+        return self
 
     def difference(self, before: Self) -> float:
         """Return by how much it differs, in mm and s; infinite where it is not alike."""
+        return 0.0
 
 
 @dataclass(slots=True)
-class _HardSurface:
+class _HardSurface(Resistance):
     """Coulomb friction alone."""
 
     friction_mN: float
-    constant: bool = True
-    max_panel_s: float = np.inf
-    max_travel_mm: float = np.inf
 
     def at_rest(self) -> Callable[[float], float]:
         return lambda _: self.friction_mN
 
-    def damping(self, speed_mm_s: FloatArray) -> FloatArray:
-        return np.zeros_like(speed_mm_s)
-
     def sliding(
         self, direction: int, start_s: float, width_s: float, position_mm: FloatArray, speed_mm_s: FloatArray
     ) -> FloatArray:
-        del direction, start_s, width_s, position_mm
         return np.full_like(speed_mm_s, self.friction_mN)
-
-    def way_left(self, direction: int, position_mm: float) -> float:
-        del direction, position_mm
-        return np.inf
-
-    def advance(self, slip: "Slip") -> None:
-        del slip
-
-    def moved(self, time_s: float, way_mm: float) -> Self:
-        del time_s, way_mm
-        return self
-
-    def difference(self, before: Self) -> float:
-        return abs(self.friction_mN - before.friction_mN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,10 +238,11 @@ def relaxed(branches: FloatArray, age_s: FloatArray) -> FloatArray:
 
 
 @dataclass(slots=True)
-class _GutWall:
+class _GutWall(Resistance):
     """Friction in the gut: f_e and f_v, and Coulomb friction under weight and wall.
 
-    The wall in contact is known at points: `z_mm`, when each was touched, and the length of wall that it stands for.
+    The wall in contact is known at points: `z_mm`, when each was touched, and the length of wall that it stands for, in
+    `points`, shape `(3, n)`.
     `lead_mm` is where the front contact is; `leading` the direction whose hemisphere presses against the wall. The age
     of the wall jumps where the robot rested: at `jumps_mm`, rising, where two points of no length hold both ages.
     """
@@ -271,17 +252,15 @@ class _GutWall:
     side: SidePressure
     weight_mN: float
     reach_mm: float
-    z_mm: FloatArray
-    touched_s: FloatArray
-    length_mm: FloatArray
+    points: FloatArray
     jumps_mm: FloatArray
     led_s: float
     """When wall was last brought into contact."""
     lead_mm: float = 0.0
     leading: int = 1
-    constant: bool = False
-    max_panel_s: float = MAX_PANEL_S
-    max_travel_mm: float = MAX_TRAVEL_MM
+    constant: ClassVar[bool] = False
+    max_panel_s: ClassVar[float] = MAX_PANEL_S
+    max_travel_mm: ClassVar[float] = MAX_TRAVEL_MM
 
     @classmethod
     def inserted(cls, contact: HemisphereContact, weight_mN: float, dwell_s: float) -> "_GutWall":
@@ -297,17 +276,14 @@ class _GutWall:
             side=contact.side_pressure(),
             weight_mN=weight_mN,
             reach_mm=length + side,
-            z_mm=z,
-            touched_s=np.full_like(z, -dwell_s),
-            length_mm=(widths[:, None] * weights).ravel(),
+            points=np.stack((z, np.full_like(z, -dwell_s), (widths[:, None] * weights).ravel())),
             jumps_mm=np.empty(0),
             led_s=-dwell_s,
         )
 
     def at_rest(self) -> Callable[[float], float]:
-        near = self._near()
-        branches = self.table.branches(self._contact_coordinate(self.z_mm[near], self.lead_mm))
-        touched, length = self.touched_s[near], self.length_mm[near]
+        z, touched, length = self._near()
+        branches = self.table.branches(self._contact_coordinate(z, self.lead_mm))
         side_touched = float(self._side_touched(np.array([self.lead_mm]))[0])
 
         def force(time_s: float) -> float:
@@ -333,20 +309,19 @@ class _GutWall:
 
     def _inherited(self, time_s: FloatArray, lead_mm: FloatArray) -> FloatArray:
         """Return f_e of the wall that was in contact before, at times of shape `(n,)`."""
-        near = self._near()
-        x = self._contact_coordinate(self.z_mm[near], lead_mm[:, None])
-        age = time_s[:, None] - self.touched_s[near]
-        return np.asarray(relaxed(self.table.branches(x), age) @ self.length_mm[near])
+        z, touched, length = self._near()
+        x = self._contact_coordinate(z, lead_mm[:, None])
+        return np.asarray(relaxed(self.table.branches(x), time_s[:, None] - touched) @ length)
 
-    def _near(self) -> slice:
-        """Return which points are at the leading hemisphere."""
+    def _near(self) -> FloatArray:
+        """Return the points at the leading hemisphere."""
         if self.leading > 0:
-            return slice(int(np.searchsorted(self.z_mm, self._equator(self.lead_mm))), None)
-        return slice(0, int(np.searchsorted(self.z_mm, self._equator(self.lead_mm), side="right")))
+            return self.points[:, int(np.searchsorted(self.points[0], self._equator(self.lead_mm))) :]
+        return self.points[:, : int(np.searchsorted(self.points[0], self._equator(self.lead_mm), side="right"))]
 
     def _side_touched(self, lead_mm: FloatArray) -> FloatArray:
         """Return when the wall at the equator of the leading hemisphere was touched."""
-        return np.interp(self._equator(lead_mm), self.z_mm, self.touched_s)
+        return np.interp(self._equator(lead_mm), *self.points[:2])
 
     def _equator(self, lead_mm: Millimetres) -> Millimetres:
         length = self.table.length_mm
@@ -401,7 +376,7 @@ class _GutWall:
         if direction != self.leading:
             if self.way_left(direction, slip.end_mm) <= EVENT_TOLERANCE_MM:
                 self.leading = direction
-                self.led_s = float(self.touched_s[-1 if direction > 0 else 0])
+                self.led_s = float(self.points[1, -1 if direction > 0 else 0])
             return
         end = float(self._lead(direction, np.array([slip.end_mm]))[0])
         travel = abs(end - self.lead_mm)
@@ -410,50 +385,37 @@ class _GutWall:
         points = next((count for count, reach in WALL_POINTS if travel < reach), NODES)
         times, weights, values = _wall_points(points)
         position = slip.start_mm + direction * (values @ slip.travel_mm)
-        z, touched = self._lead(direction, position), slip.start_s + slip.width_s * times
         length = slip.width_s * weights * np.maximum(values @ slip.speed_mm_s, 0.0)
+        fresh = np.stack((self._lead(direction, position), slip.start_s + slip.width_s * times, length))
         jumps = self.jumps_mm
         if slip.start_s - self.led_s > MIN_PANEL_S:
-            z = np.concatenate(([self.lead_mm, self.lead_mm], z))
-            touched = np.concatenate(([self.led_s, slip.start_s], touched))
-            length = np.concatenate(([0.0, 0.0], length))
+            rested = [[self.lead_mm, self.lead_mm], [self.led_s, slip.start_s], [0.0, 0.0]]
+            fresh = np.concatenate((rested, fresh), axis=1)
             jump = self.lead_mm if direction > 0 else self.lead_mm - self.reach_mm
             jumps = np.append(jumps, jump) if direction > 0 else np.insert(jumps, 0, jump)
         self.lead_mm, self.led_s = end, slip.end_s
         if direction > 0:
-            kept = self.z_mm >= end - self.reach_mm
-            self.z_mm = np.concatenate((self.z_mm[kept], z))
-            self.touched_s = np.concatenate((self.touched_s[kept], touched))
-            self.length_mm = np.concatenate((self.length_mm[kept], length))
-            self.jumps_mm = jumps[jumps >= end - self.reach_mm]
+            kept = self.points[:, self.points[0] >= end - self.reach_mm]
+            self.points, self.jumps_mm = np.hstack((kept, fresh)), jumps[jumps >= end - self.reach_mm]
         else:
-            kept = self.z_mm <= end
-            self.z_mm = np.concatenate((z[::-1] - self.reach_mm, self.z_mm[kept]))
-            self.touched_s = np.concatenate((touched[::-1], self.touched_s[kept]))
-            self.length_mm = np.concatenate((length[::-1], self.length_mm[kept]))
-            self.jumps_mm = jumps[jumps <= end]
+            fresh[0] -= self.reach_mm
+            kept = self.points[:, self.points[0] <= end]
+            self.points, self.jumps_mm = np.hstack((fresh[:, ::-1], kept)), jumps[jumps <= end]
 
     def moved(self, time_s: float, way_mm: float) -> Self:
         return replace(
             self,
-            z_mm=self.z_mm + way_mm,
-            touched_s=self.touched_s + time_s,
-            length_mm=self.length_mm.copy(),
+            points=self.points + np.array([[way_mm], [time_s], [0.0]]),
             jumps_mm=self.jumps_mm + way_mm,
             led_s=self.led_s + time_s,
             lead_mm=self.lead_mm + way_mm,
         )
 
     def difference(self, before: Self) -> float:
-        sizes = [(wall.z_mm.size, wall.jumps_mm.size, wall.leading) for wall in (self, before)]
+        sizes = [(wall.points.size, wall.jumps_mm.size, wall.leading) for wall in (self, before)]
         if sizes[0] != sizes[1]:
             return np.inf
-        pairs = (
-            (self.z_mm, before.z_mm),
-            (self.touched_s, before.touched_s),
-            (self.length_mm, before.length_mm),
-        )
-        return max(abs(self.lead_mm - before.lead_mm), *(float(np.abs(now - then).max()) for now, then in pairs))
+        return max(abs(self.lead_mm - before.lead_mm), float(np.abs(self.points - before.points).max()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -492,24 +454,20 @@ class Slip:
     @property
     def first_stop_s(self) -> float:
         """Time from its begin to where the speed is first 0."""
-        places = np.linspace(0.0, 1.0, 65)
-        speed = self.direction * self.at(self.start_s + self.width_s * places)[1]
-        after = int(np.argmax(speed[1:] <= 0)) + 1 if bool((speed[1:] <= 0).any()) else 64
-        share = speed[after - 1] / max(speed[after - 1] - speed[after], 1e-300)
-        return float(self.width_s * (places[after - 1] + share * places[1]))
+        return self._time_of(lambda motion: -self.direction * motion[1], 0.0)
 
     def time_of(self, travel_mm: float) -> float:
         """Return the time from its begin to where it has travelled so far, within its own travel."""
-        places = np.linspace(0.0, 1.0, 65)
-        travel = self.direction * (self.at(self.start_s + self.width_s * places)[0] - self.start_mm)
-        after = min(max(int(np.argmax(travel >= travel_mm)), 1), 64)
-        share = (travel_mm - travel[after - 1]) / max(travel[after] - travel[after - 1], 1e-300)
-        return float(self.width_s * (places[after - 1] + share * places[1]))
+        return self._time_of(lambda motion: self.direction * (motion[0] - self.start_mm), travel_mm)
 
-    @property
-    def gauss_s(self) -> FloatArray:
-        """Its Gauss points."""
-        return self.start_s + self.width_s * _rule().nodes
+    def _time_of(self, quantity: Callable[[tuple[FloatArray, ...]], FloatArray], value: float) -> float:
+        """Return the time from its begin to where a quantity of its motion rises to a value; its width if never."""
+        places = np.linspace(0.0, 1.0, 65)
+        rising = quantity(self.at(self.start_s + self.width_s * places))
+        reached = np.flatnonzero(rising[1:] >= value)
+        after = int(reached[0]) + 1 if reached.size else 64
+        share = (value - rising[after - 1]) / max(rising[after] - rising[after - 1], 1e-300)
+        return float(self.width_s * (places[after - 1] + share * places[1]))
 
     @property
     def loss_uJ(self) -> float:
@@ -663,7 +621,7 @@ class Walker:
             gained = relative_mm_s2 * duration_s
             work += 0.5 * self._inner * ((relative_mm_s + gained) ** 2 - relative_mm_s**2)
             for slip in self.slips[number:]:
-                relative = relative_mm_s + relative_mm_s2 * (slip.gauss_s - self.time_s)
+                relative = relative_mm_s + relative_mm_s2 * (slip.start_s + slip.width_s * _rule().nodes - self.time_s)
                 power = float(_rule().weights @ (slip.acceleration_mm_s2 * relative))
                 work += self._inner * slip.direction * slip.width_s * power
             relative_mm_s += gained
@@ -870,7 +828,7 @@ class Walker:
                 stiffness = min(max(float(moved @ stiffened) / square, 0.0), MAX_STIFFNESS) if square else stiffness
             travel_before, speed_before, resistance_before = travel, speed, resistance
             jacobian = (
-                rule.identity
+                np.eye(NODES)
                 + (width_s / self._total) * damping[:, None] * rule.integral
                 + (width_s**2 * stiffness / self._total) * rule.double_integral
             )

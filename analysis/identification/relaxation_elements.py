@@ -35,7 +35,7 @@ from dragrig.analysis.identification.identification import RelaxationFit, Relaxa
 from dragrig.analysis.paper import WALL_UNITS
 from dragrig.config import AnalysisError, WallPolynomials
 from dragrig.rig import Contact, FloatArray
-from dragrig.sim_backend.friction import MaxwellBranches, Pieces, shear_strain
+from dragrig.sim_backend.friction import MaxwellBranches, ProfileMotion
 
 MIN_VALID_PEAK_SHARE = 0.5
 """Smallest share of valid samples about the peak."""
@@ -73,7 +73,7 @@ class ShearRecord:
     shear_strain: float
     area_mm2: float
     thickness_mm: float
-    pieces: Pieces
+    motion: ProfileMotion
     blocks: BlockMeans
     ramp_s: tuple[float, float]
     """Start and end of the ramp."""
@@ -103,7 +103,7 @@ class ShearRecord:
             shear_strain=experiment.shear_strain,
             area_mm2=float(np.pi) * capsule.diameter_mm * capsule.length_mm,
             thickness_mm=experiment.wall_thickness_mm,
-            pieces=experiment.unsmoothed_motion.pieces(),
+            motion=experiment.unsmoothed_motion,
             blocks=blocks,
             ramp_s=ramp,
             rested=bool(experiment.valid[experiment.time_s < ramp[0]].any()),
@@ -114,7 +114,7 @@ class ShearRecord:
 
     def spring(self) -> FloatArray:
         """Mean force of a spring of 1 kPa in each block [mN], shape `(n,)`."""
-        return self.area_mm2 * self.blocks.of(shear_strain(self.pieces, self.thickness_mm, self.blocks.nodes_s))
+        return self.area_mm2 * self.blocks.of(self.motion.position(self.blocks.nodes_s) / self.thickness_mm)
 
     def branches(self, times_s: FloatArray) -> FloatArray:
         """Mean force of Maxwell branches of 1 kPa and these time constants [mN], shape `(B, n)`."""
@@ -123,7 +123,7 @@ class ShearRecord:
     def forces_at(self, times_s: FloatArray, moduli: FloatArray, spring: float, time_s: FloatArray) -> FloatArray:
         """Force of spring and branches [mN] at any times of the run."""
         branches = np.tensordot(moduli, self._prepared(times_s).stress(time_s), axes=1)
-        return np.asarray(self.area_mm2 * (spring * shear_strain(self.pieces, self.thickness_mm, time_s) + branches))
+        return np.asarray(self.area_mm2 * (spring * (self.motion.position(time_s) / self.thickness_mm) + branches))
 
     def rows(self, signals: FloatArray) -> FloatArray:
         """Whiten signals of shape `(B, n)`; one more column holds the prior of the zero."""
@@ -146,7 +146,7 @@ class ShearRecord:
         return np.geomspace(min(MIN_TIME_CONSTANT_S, 0.1 * slowest), slowest, GRID_POINTS)
 
     def _prepared(self, times_s: FloatArray) -> MaxwellBranches:
-        return MaxwellBranches.integrate(1 / times_s, self.pieces, self.thickness_mm)
+        return MaxwellBranches.integrate(1 / times_s, self.motion, self.thickness_mm)
 
 
 def _motion_breaks(experiment: Experiment) -> FloatArray:

@@ -98,25 +98,17 @@ class ExamFolder:
         """Return the folder of runs of the same specimen at other speeds and strains."""
         return self.root / "fresh" / name
 
-    def diagnosis_file(self, name: str) -> Path:
-        """Return the file of its diagnosis."""
-        return self.root / "said" / f"{name}.json"
+    def result(self, kind: str, name: str) -> Path:
+        """Return the file of a campaign's result of a kind.
+
+        `said`: its diagnosis; `withheld`: that without the true effect; `achieved`: the amended model's evaluation on
+        fresh runs; `amounts`: the hidden effects' d′ and the plant's own budget.
+        """
+        return self.root / kind / f"{name}.json"
 
     def model(self, name: str) -> Path:
         """Return the file of the amended model."""
         return self.root / "said" / f"{name}.toml"
-
-    def withheld(self, name: str) -> Path:
-        """Return the file of its diagnosis without the true effect."""
-        return self.root / "withheld" / f"{name}.json"
-
-    def achieved(self, name: str) -> Path:
-        """Return the file of the amended model's evaluation on fresh runs."""
-        return self.root / "achieved" / f"{name}.json"
-
-    def amount(self, name: str) -> Path:
-        """Return the file of the hidden effects' d′ and of the plant's own budget."""
-        return self.root / "amounts" / f"{name}.json"
 
 
 @contextmanager
@@ -389,14 +381,14 @@ class _RunningExam:
         orders = [CampaignOrder(case, folder.campaign(case.name), folder.fresh(case.name)) for case in self.cases]
         to_simulate = [order for order in orders if not (order.campaign.is_dir() and order.fresh.is_dir())]
         to_diagnose = {
-            BlindTask(folder.campaign(name)): name for name in names if not folder.diagnosis_file(name).exists()
+            BlindTask(folder.campaign(name)): name for name in names if not folder.result("said", name).exists()
         }
         to_repeat = {
             BlindTask(folder.campaign(case.name), case.effects): case.name
             for case in single
-            if without_true and not folder.withheld(case.name).exists()
+            if without_true and not folder.result("withheld", case.name).exists()
         }
-        to_measure = [case for case in measured if sizes and not folder.amount(case.name).exists()]
+        to_measure = [case for case in measured if sizes and not folder.result("amounts", case.name).exists()]
         self.meter.expect(SIMULATE_COST_S, len(to_simulate))
         self.meter.expect(DIAGNOSE_COST_S, len(to_diagnose) + len(to_repeat))
         self.meter.expect(D_PRIME_COST_S, len(to_measure))
@@ -417,15 +409,15 @@ class _RunningExam:
             DIAGNOSE_COST_S,
             self.diagnose,
             to_repeat,
-            lambda task, result: write_json(folder.withheld(to_repeat[task]), result.json_or_failure()),
+            lambda task, result: write_json(folder.result("withheld", to_repeat[task]), result.json_or_failure()),
         )
         self._map(
             D_PRIME_COST_S,
             hidden_amounts,
             to_measure,
-            lambda case, amounts: write_json(folder.amount(case.name), amounts),
+            lambda case, amounts: write_json(folder.result("amounts", case.name), amounts),
         )
-        return digest, {name: read_json(folder.diagnosis_file(name)) for name in names}
+        return digest, {name: read_json(folder.result("said", name)) for name in names}
 
     def score(
         self, diagnoses: Mapping[str, Mapping[str, object]], *, without_true: bool
@@ -437,13 +429,13 @@ class _RunningExam:
             name, reason = next(iter(failed.items()))
             raise AnalysisError(f"no campaign was diagnosed; of {name}: {reason}.")
         answers = open_answers(folder, self.cases)
-        d_primes = self._existing(folder.amount, "d")
+        d_primes = self._existing("amounts", "d")
         score = score_exam(
             [(name, answers[name], diagnosis) for name, diagnosis in diagnoses.items() if name not in failed],
-            withheld=self._existing(folder.withheld, "verdict") if without_true else {},
-            achieved=self._existing(folder.achieved, "shrink"),
+            withheld=self._existing("withheld", "verdict") if without_true else {},
+            achieved=self._existing("achieved", "shrink"),
             amounts={name: float(str(content["d"])) for name, content in d_primes.items()},
-            budgets=self._existing(folder.amount, "budget"),
+            budgets=self._existing("amounts", "budget"),
         )
         return score, failed
 
@@ -471,7 +463,7 @@ class _RunningExam:
         if diagnosis.model is not None:
             self.folder.model(name).parent.mkdir(parents=True, exist_ok=True)
             self.folder.model(name).write_text(diagnosis.model, "utf-8", newline="\n")
-        write_json(self.folder.diagnosis_file(name), diagnosis.json_or_failure())
+        write_json(self.folder.result("said", name), diagnosis.json_or_failure())
 
     def _evaluate_models(self) -> None:
         """Evaluate amended models on fresh runs."""
@@ -479,19 +471,19 @@ class _RunningExam:
         names = {
             (folder.model(case.name), folder.fresh(case.name)): case.name
             for case in self.cases
-            if folder.model(case.name).exists() and not folder.achieved(case.name).exists()
+            if folder.model(case.name).exists() and not folder.result("achieved", case.name).exists()
         }
         self._map(
             EVALUATE_COST_S,
             evaluate_blind,
             names,
-            lambda task, reduction: write_json(folder.achieved(names[task]), reduction),
+            lambda task, reduction: write_json(folder.result("achieved", names[task]), reduction),
         )
         self.meter.advance(EVALUATE_COST_S, len(self.cases) - len(names))
 
-    def _existing(self, path_of: Callable[[str], Path], key: str) -> dict[str, Mapping[str, object]]:
+    def _existing(self, kind: str, key: str) -> dict[str, Mapping[str, object]]:
         """Return the contents of the files that exist and have a key, by the campaigns' names."""
-        paths = {case.name: path_of(case.name) for case in self.cases}
+        paths = {case.name: self.folder.result(kind, case.name) for case in self.cases}
         contents = {name: read_json(path) for name, path in paths.items() if path.exists()}
         return {name: content for name, content in contents.items() if key in content}
 

@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from dragrig.sim_backend.blind.effects import CATALOGUE, DRAWN, OUTSIDE
-from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect, one_of
+from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect, OneOf
 from dragrig.sim_backend.blind.run_plans import CapsuleDummy, RunList, RunPlan, draw_programme, in_session
 
 
@@ -241,37 +241,39 @@ def _nominal_off(setting: Setting, random: np.random.Generator, *, by: float, wh
     return replace(setting, errors=errors)
 
 
-def _pink(setting: Setting, random: np.random.Generator) -> Setting:
+_Change = Callable[[Setting, np.random.Generator], Setting]
+
+
+def _noise(change: Callable[[NoiseLevels, np.random.Generator], NoiseLevels]) -> _Change:
+    """Make a condition of what it changes in the noise."""
+    return lambda setting, random: replace(setting, noise=change(setting.noise, random))
+
+
+def _pink(noise: NoiseLevels, random: np.random.Generator) -> NoiseLevels:
     size, power = float(random.uniform(0.4, 1.0)), float(random.uniform(0.8, 1.2))
-    return replace(setting, noise=replace(setting.noise, pink_mN=size * setting.noise.white_mN, pink_power=power))
+    return replace(noise, pink_mN=size * noise.white_mN, pink_power=power)
 
 
-def _hum(setting: Setting, random: np.random.Generator) -> Setting:
+def _hum(noise: NoiseLevels, random: np.random.Generator) -> NoiseLevels:
     size, hertz = float(random.uniform(0.3, 1.0)), float(random.choice([50.0, 60.0]))
-    return replace(setting, noise=replace(setting.noise, hum_mN=size * setting.noise.white_mN, hum_hz=hertz))
+    return replace(noise, hum_mN=size * noise.white_mN, hum_hz=hertz)
 
 
-def _bits(setting: Setting, _: np.random.Generator, *, bits: int) -> Setting:
-    return replace(setting, noise=replace(setting.noise, bits=bits))
+def _bits(noise: NoiseLevels, _: np.random.Generator, *, bits: int) -> NoiseLevels:
+    return replace(noise, bits=bits)
 
 
-def _jitter(setting: Setting, _: np.random.Generator) -> Setting:
-    return replace(setting, noise=replace(setting.noise, jitter_s=0.0002))
-
-
-def _impulses(setting: Setting, random: np.random.Generator) -> Setting:
+def _impulses(noise: NoiseLevels, random: np.random.Generator) -> NoiseLevels:
     often, size = 0.03 * 10.0 ** random.random(), 20.0 * 10.0 ** random.random()
-    return replace(setting, noise=replace(setting.noise, impulses_per_s=float(often), impulse_mN=float(size)))
+    return replace(noise, impulses_per_s=float(often), impulse_mN=float(size))
 
 
-def _dropouts(setting: Setting, random: np.random.Generator) -> Setting:
+def _dropouts(noise: NoiseLevels, random: np.random.Generator) -> NoiseLevels:
     often, length = 0.02 * 5.0 ** random.random(), 0.01 * 10.0 ** random.random()
     kind = str(random.choice(["held", "zero", "lost"]))
-    noise = replace(setting.noise, dropouts_per_s=float(often), dropout_s=float(length), dropout=kind)
-    return replace(setting, noise=noise)
+    return replace(noise, dropouts_per_s=float(often), dropout_s=float(length), dropout=kind)
 
 
-_Change = Callable[[Setting, np.random.Generator], Setting]
 RATES_HZ = (50.0, 100.0, 250.0, 1000.0, 2000.0, 10_000.0)
 PROGRAMME_CONDITIONS: Mapping[str, _Change] = MappingProxyType(
     {
@@ -296,12 +298,12 @@ CONDITIONS: Mapping[str, _Change] = MappingProxyType(
             for what in ("parameters", "laws", "both")
             for part in (5, 10, 20)
         },
-        "1/f noise": _pink,
-        "hum": _hum,
-        **{f"{bits} bits": partial(_bits, bits=bits) for bits in (12, 13, 14, 15)},
-        "jitter": _jitter,
-        "impulses": _impulses,
-        "dropouts": _dropouts,
+        "1/f noise": _noise(_pink),
+        "hum": _noise(_hum),
+        **{f"{bits} bits": _noise(partial(_bits, bits=bits)) for bits in (12, 13, 14, 15)},
+        "jitter": _noise(lambda noise, _: replace(noise, jitter_s=0.0002)),
+        "impulses": _noise(_impulses),
+        "dropouts": _noise(_dropouts),
     }
 )
 """All conditions by name, in the order in which they are applied."""
@@ -487,7 +489,7 @@ def _draw_effect(seed: int, name: str, size: float, plant: str, runs: Sequence[R
     random = _random(seed, f"effect {name}")
     if plant == "drawn" and name in DRAWN:
         kinds = DRAWN[name]
-        effect = kinds[int(one_of(*(kind.weight for kind in kinds))(random)) if len(kinds) > 1 else 0].drawn(
+        effect = kinds[int(OneOf(tuple(kind.weight for kind in kinds))(random)) if len(kinds) > 1 else 0].drawn(
             random, size
         )
         # What laws of position and of the session's time refer to: the first session's own stroke and length.

@@ -207,12 +207,8 @@ def hidden_shares(campaign: BlindCampaign, directions: NuisanceDirections | None
     found = []
     for cause, channel, without in causes:
         bare = [noise_free_run(without, index) for index in range(len(campaign.runs))]
-        if channel == "position":
-            added = [run.position - other.position for run, other in zip(whole, bare, strict=True)]
-            left: Sequence[Floats] = added
-        else:
-            added = [run.force - other.force for run, other in zip(whole, bare, strict=True)]
-            left = beyond_specimen(known, added)
+        added = [getattr(run, channel) - getattr(other, channel) for run, other in zip(whole, bare, strict=True)]
+        left = added if channel == "position" else beyond_specimen(known, added)
         each = tuple(float(np.sqrt(np.mean(run**2))) for run in added)
         found.append(HiddenShare(cause, channel, each, _rms(added), _rms(left), 0.0))
     squares = {"force": 0.0, "position": 0.0}

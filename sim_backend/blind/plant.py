@@ -3,10 +3,10 @@
 A capsule slides (drag and Coulomb runs), or a dummy shears the wall and holds it (relaxation).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
-from functools import cached_property
+from functools import cached_property, partial
 from math import ceil, cos, pi, prod, radians, sin
 from pathlib import Path
 from uuid import UUID, uuid5
@@ -168,13 +168,9 @@ def _stretched_branch(gut: GutContact, fine_s: Floats, strain: Floats, tau: floa
     """Return a branch's stress over its modulus where it does not fade exponentially: a sum over the ramp's steps."""
     from scipy.signal import oaconvolve
 
-    steps = np.diff(strain, prepend=0.0)
-    moving = np.flatnonzero(np.abs(steps) > 1e-12)
-    first, last = int(moving[0]), int(moving[-1]) + 1
     # Each step of strain is made evenly over its interval: the age in its middle.
     left = gut.relaxed(fine_s - fine_s[0] + (fine_s[1] - fine_s[0]) / 2, np.array(tau))
-    ramp = oaconvolve(left, steps[first:last])[: fine_s.size - first]
-    return np.concatenate([np.zeros(first), ramp])
+    return _summed_over_ramp(left, strain, oaconvolve)
 
 
 def _first_order_rule(strain: Floats, fine_s: Floats, tau: float, step_s: float) -> Floats:
@@ -192,10 +188,15 @@ def _tail_stress(gut: GutContact, t: Floats, strain: Floats) -> Floats:
     tail = gut.tail(t - t[0], np.full_like(t, strain[-1]))
     if not tail.any():
         return np.zeros_like(t)
+    return _summed_over_ramp(tail, strain, np.convolve)
+
+
+def _summed_over_ramp(response: Floats, strain: Floats, convolve: Callable[[Floats, Floats], Floats]) -> Floats:
+    """Return the sum of a step's response over the steps of the ramp."""
     steps = np.diff(strain, prepend=0.0)
     moving = np.flatnonzero(np.abs(steps) > 1e-12)
     first, last = int(moving[0]), int(moving[-1]) + 1
-    ramp = np.convolve(tail, steps[first:last])[: t.size - first]
+    ramp = convolve(response, steps[first:last])[: strain.size - first]
     return np.concatenate([np.zeros(first), ramp])
 
 
@@ -329,20 +330,10 @@ class PlantRecord:
     phase: npt.NDArray[np.uint8]
 
 
-def noise_free_run(campaign: BlindCampaign, index: int) -> PlantRecord:
-    """Return run number `index` without noise, offset and rounding."""
-    return _simulate_run(campaign, index, noisy=False)
-
-
-def recorded_run(campaign: BlindCampaign, index: int) -> PlantRecord:
-    """Return run number `index` as sensor, encoder and converter deliver it."""
-    return _simulate_run(campaign, index, noisy=True)
-
-
 def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantRecord:
     plan, variation, errors = campaign.runs[index], campaign.variations[index], campaign.nominal_errors
     seed = crc32(f"{campaign.seed} {campaign.programme}".encode())
-    effects = tuple(effect for effect in campaign.effects if plan.kind in effect.kinds)
+    effects = tuple(effect for effect in campaign.effects if plan.kind in effect.kinds and effect.amplitude)
     time = np.arange(plan.samples) / plan.rate_hz
     # Slow records are samples of a motion that is followed finely; so are those at uneven instants.
     finer = ceil(FINEST_STEP_HZ / plan.rate_hz) * (2 if noisy and campaign.noise.jitter_s else 1)
@@ -386,6 +377,12 @@ def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantR
     nominal = command.p if true_time is time else planned_motion(plan, time, errors.blunt_s).p
     record = PlantRecord(plan, time, force, position, nominal, sample_phases(plan, time))
     return with_dropouts(record, campaign.noise, run) if noisy and campaign.noise.dropouts_per_s else record
+
+
+noise_free_run = partial(_simulate_run, noisy=False)
+"""Returns run number `index` of a campaign without noise, offset and rounding."""
+recorded_run = partial(_simulate_run, noisy=True)
+"""Returns run number `index` of a campaign as sensor, encoder and converter deliver it."""
 
 
 def unusual_noise(noise: NoiseLevels, time: Floats, run: RunConditions) -> Floats:
@@ -479,6 +476,9 @@ def write_campaign(campaign: BlindCampaign, folder: str | Path, *, runs: str | R
 
 def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> None:
     file.attrs.update({"NX_class": "NXroot", "default": "entry", "format": "dragrig-run", "format_version": 1})
+    # Conditions change a run, and so its id.
+    key = [str(campaign.seed), campaign.programme, str(run.order), *campaign.conditions]
+    key += [str(run.specimen)] if run.specimen else []
     session = SESSION_START + (timedelta(days=1) if campaign.programme == "fresh" else timedelta())
     entry = file.create_group("entry")
     entry.attrs.update(
@@ -486,7 +486,7 @@ def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> N
             "NX_class": "NXentry",
             "default": "trace",
             "backend": "external",
-            "run_id": str(uuid5(_RUN_ID_NAMESPACE, _run_key(campaign, run))),
+            "run_id": str(uuid5(_RUN_ID_NAMESPACE, " ".join(key))),
             "start_time": (session + timedelta(seconds=run.start_s)).isoformat(),
             "order": run.order,
             "status": "complete",
@@ -503,12 +503,6 @@ def _write_metadata(file: h5py.File, campaign: BlindCampaign, run: RunPlan) -> N
         letter = "AB"[run.specimen]
         specimen |= {"name": f"jejunum-{letter}", "id": f"J-{campaign.seed}-{letter}"}
     entry.create_group("specimen").attrs.update(specimen)
-
-
-def _run_key(campaign: BlindCampaign, run: RunPlan) -> str:
-    """Return what a run's id is made of; conditions change a run, and so its id."""
-    parts = [str(campaign.seed), campaign.programme, str(run.order), *campaign.conditions]
-    return " ".join(parts if not run.specimen else [*parts, str(run.specimen)])
 
 
 def _protocol_attributes(run: RunPlan) -> dict[str, str | float]:

@@ -44,7 +44,7 @@ class DoubleBackend(HardwareBackend):
             self.drive = stack.enter_context(make_drive_double(self.bench))
             """The drive, as its maker sees it."""
             port = stack.enter_context(DoublePort(self.drive))
-            stack.enter_context(installed(Card(self.bench, self.bench.put_out)))
+            stack.enter_context(installed(Card(self.bench)))
             card = rig.hardware.card.model_copy(update={"server": ""})
             drive = rig.hardware.drive.model_copy(update={"port": port.address})
             hardware = rig.hardware.model_copy(update={"card": card, "drive": drive})

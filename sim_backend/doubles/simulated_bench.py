@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from itertools import takewhile
 from threading import Event as Signal
 
@@ -27,9 +27,9 @@ from dragrig.rig import (
     MotionProfile,
     Phase,
     Piece,
+    WallClock,
     stationary_piece,
     trapezoid,
-    with_utc_offset,
 )
 from dragrig.sim_backend.devices import UNDISTURBED, SimulatedChannels, Track, evaluate_profile, profile_position
 
@@ -48,11 +48,6 @@ class Carriage:
     def standing(cls, position_mm: float) -> "Carriage":
         """Return a carriage at rest."""
         return cls(position_mm, MotionProfile.from_pieces([stationary_piece(_MIN_REST_S, Phase.REST)]))
-
-    @property
-    def has_moved(self) -> bool:
-        """Whether it ever moves."""
-        return self.profile.motion_ends_s > 0
 
     def position(self, time_s: float) -> float:
         """Position [mm] at a time."""
@@ -413,7 +408,7 @@ CONVERTER_NOISE = 0.8 * 2.0**-15
 """The PCI-6229's own noise (standard deviation), as a share of an input's range: 244 µV at ±10 V (specifications)."""
 
 
-class DoubleClock:
+class DoubleClock(WallClock):
     """A clock `pace` times as fast as the wall clock. Any thread may use it.
 
     Parameters
@@ -425,9 +420,8 @@ class DoubleClock:
     """
 
     def __init__(self, pace: float = 1.0, origin: datetime | None = None) -> None:
+        super().__init__(origin)
         self.pace = pace
-        self._origin = with_utc_offset(origin)
-        self._begun_s = time.perf_counter()
         self._skipped_s = 0.0
         self._is_idle: Callable[[], bool] = lambda: False
         self._lock = threading.Lock()
@@ -436,13 +430,9 @@ class DoubleClock:
         """Let long waits take no time while `is_idle`: no sample is taken, nothing moves."""
         self._is_idle = is_idle
 
-    def now(self) -> datetime:
-        """Time of day, with offset."""
-        return self._origin + timedelta(seconds=self.monotonic())
-
     def monotonic(self) -> float:
         """Seconds of this clock since it was made."""
-        return self._skipped_s + self.pace * (time.perf_counter() - self._begun_s)
+        return self._skipped_s + self.pace * super().monotonic()
 
     def sleep(self, duration_s: float, cancel: Signal) -> bool:
         """Wait; return False within milliseconds when `cancel` is set before the time is over."""
@@ -452,7 +442,7 @@ class DoubleClock:
             with self._lock:
                 self._skipped_s += duration_s
             return True
-        return not (cancel.wait(duration_s / self.pace) if duration_s > 0 else cancel.is_set())
+        return super().sleep(duration_s / self.pace, cancel)
 
 
 class SensorForce:
@@ -490,7 +480,7 @@ class SensorForce:
 
     def _compute(self, first: int, end: int, carriage: Carriage) -> Mapping[str, AnyFloatArray]:
         until_s = end / self._rate_hz
-        if carriage.has_moved:
+        if carriage.profile.motion_ends_s > 0:
             if carriage is not self._followed:
                 self._followed = carriage
                 self._follow((*carriage.profile.pieces(), stationary_piece(_FOREVER_S, Phase.HOLD)))
@@ -804,7 +794,8 @@ class SimulatedBench:
         if faults.force_dead:
             volts = np.zeros_like(volts)
         if faults.sensor_open:
-            volts = np.full_like(volts, self._unplugged_V())
+            unplugged_V = {"rail": 10.0, "zero": 0.0, "floating": _FLOATING_V}[wiring.unplugged]
+            volts = np.full_like(volts, unplugged_V * float(np.sign(wiring.per_V)))
         if faults.force_floats_mN:
             since_s = sampling.floats_since_s = min(sampling.floats_since_s, float(time_s[0]))
             hum_mN = faults.force_floats_hum_mN * np.sin(2 * np.pi * _MAINS_HZ * time_s)
@@ -816,10 +807,6 @@ class SimulatedBench:
         if faults.force_constant_V:
             volts[:] = faults.force_constant_V
         return np.asarray(volts)
-
-    def _unplugged_V(self) -> float:
-        wiring = self.rig.hardware.card.force
-        return {"rail": 10.0, "zero": 0.0, "floating": _FLOATING_V}[wiring.unplugged] * float(np.sign(wiring.per_V))
 
     def _seen_counts(self, sampling: _Sampling, counts: FloatArray, before: dict[str, FloatArray] | None) -> FloatArray:
         """Return the counts that reach the card, with what is wrong with encoder and wires."""

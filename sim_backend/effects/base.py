@@ -219,14 +219,9 @@ class Effect(ABC):
         return next((parameter for parameter in self.parameters if parameter.name == self.period_parameter), None)
 
     @property
-    def periodic_in(self) -> Coordinate | None:
-        """What it is periodic in; None for what is not periodic."""
-        return None if self.phase is None else self.coordinate
-
-    @property
     def periodic_in_session(self) -> bool:
         """Whether it is periodic in session time."""
-        return self.periodic_in is Coordinate.SESSION
+        return self.phase is not None and self.coordinate is Coordinate.SESSION
 
     @property
     def shapes(self) -> tuple[EffectParameter, ...]:
@@ -284,10 +279,6 @@ class ForceEffect(Effect):
     @abstractmethod
     def added_force(self, run: RunState, values: Values) -> FloatArray:
         """Return the true force that is added [mN]."""
-
-    def force_change(self, run: RunState, values: Values, gain: float = 1.0) -> FloatArray:
-        """Return the added force as the channel shows it [mN], shape `(n,)`."""
-        return gain * self.added_force(run, values)
 
 
 class SensorEffect(Effect):

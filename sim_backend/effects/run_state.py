@@ -28,7 +28,6 @@ from dragrig.sim_backend.friction import (
     linear_recursion,
     model_wall,
     prepare,
-    shear_strain,
 )
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -148,8 +147,7 @@ class ShearedWall:
     @cached_property
     def strain(self) -> FloatArray:
         """Shear strain, shape `(n,)`."""
-        branches = self.force.branches
-        return np.asarray(self.force.sheared_from + shear_strain(branches.pieces, branches.thickness_mm, self._time))
+        return np.asarray(self.force.sheared_from + self.force.branches.strain(self._time))
 
     @cached_property
     def stresses(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -288,8 +286,7 @@ class RunState:
     def acceleration_mm_s2(self) -> FloatArray:
         """Acceleration, constant in pieces."""
         pieces = self.motion.pieces()
-        index = np.searchsorted(pieces.start_s, self.time_s, side="right") - 1
-        return np.asarray(pieces.acceleration_mm_s2[np.maximum(index, 0)])
+        return np.asarray(pieces.acceleration_mm_s2[pieces.locate(self.time_s)[0]])
 
     @cached_property
     def coulomb_sign(self) -> FloatArray:

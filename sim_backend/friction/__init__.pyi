@@ -20,7 +20,6 @@ from .motion import MIN_SAMPLES as MIN_SAMPLES
 from .motion import SMOOTHING_ORDER as SMOOTHING_ORDER
 from .motion import SMOOTHING_WINDOW_S as SMOOTHING_WINDOW_S
 from .motion import Motion as Motion
-from .motion import Pieces as Pieces
 from .motion import ProfileMotion as ProfileMotion
 from .motion import RecordedMotion as RecordedMotion
 from .motion import commanded_motion as commanded_motion
@@ -38,6 +37,5 @@ from .wall import WallParameters as WallParameters
 from .wall import linear_recursion as linear_recursion
 from .wall import model_wall as model_wall
 from .wall import parameter_set_differences as parameter_set_differences
-from .wall import shear_strain as shear_strain
 from .wall import stress_log_derivatives as stress_log_derivatives
 from .wall import wall_parameters as wall_parameters

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy.interpolate import PPoly
 
 from dragrig.rig import FloatArray, read_only
-from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion
+from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion, turning_samples
 from dragrig.sim_backend.friction.wall import HemisphereContact
 
 
@@ -145,11 +145,10 @@ def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motio
     if not (directions[1:] != directions[:-1]).any():
         return motion
     pieces = motion.pieces()
-    times = np.append(pieces.start_s, motion.breaks_s[-1])
+    times = pieces.breaks_s
     position = motion.position(times)
-    if _shortest_reversal(position) > slack_mm:
-        return motion
-    leading = _without_short_reversals(position, _turning_points(position, slack_mm))
+    turns = [0, *np.sort(turning_samples(position, slack_mm)).tolist(), position.size - 1]
+    leading = _without_short_reversals(position, turns)
     if np.array_equal(leading, position):
         return motion
     unchanged = (leading[:-1] == position[:-1]) & (leading[1:] == position[1:])
@@ -165,22 +164,6 @@ def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motio
             acceleration_mm_s2=acceleration,
         )
     )
-
-
-def _shortest_reversal(position_mm: FloatArray) -> float:
-    """Return the least distance between two reversals of a position, its ends included [mm]."""
-    steps = np.diff(position_mm)
-    steps = steps[steps != 0]
-    turns = np.flatnonzero(np.sign(steps[1:]) != np.sign(steps[:-1])) + 1
-    return float(np.add.reduceat(np.abs(steps), np.append(0, turns)).min(initial=np.inf)) if steps.size else 0.0
-
-
-def _turning_points(position_mm: FloatArray, slack_mm: float) -> list[int]:
-    """Return the indices at which a position reverses by more than the slack, both ends included."""
-    from scipy.signal import find_peaks
-
-    peaks = [find_peaks(side * position_mm, prominence=slack_mm, plateau_size=1)[0] for side in (1.0, -1.0)]
-    return [0, *np.sort(np.concatenate(peaks)).tolist(), position_mm.size - 1]
 
 
 def _without_short_reversals(position_mm: FloatArray, turns: list[int]) -> FloatArray:
@@ -286,11 +269,6 @@ FINE_RULE = QuadratureRule(10, 8)
 COUNTED_RULE = QuadratureRule(4, 5)
 """For a motion measured in encoder counts, whose many bends divide the panels anyway: a rippling force differs by
 0.03 mN r.m.s. from that of the fine rule, where a sensor's noise is 1 mN or more."""
-
-
-def quadrature_rule(motion: Motion) -> QuadratureRule:
-    """Return the rule for a motion."""
-    return COUNTED_RULE if motion.counted else FINE_RULE
 
 
 @cache

@@ -17,6 +17,7 @@ from scipy.interpolate import PPoly
 from dragrig.config import AnalysisError, Capsule, Fixture, FrictionModelSettings, SettingsError
 from dragrig.rig import Acquisition, Contact, FloatArray, read_only
 from dragrig.sim_backend.friction.contact import (
+    COUNTED_RULE,
     FINE_RULE,
     ContactHistory,
     ContactStroke,
@@ -28,12 +29,11 @@ from dragrig.sim_backend.friction.contact import (
     interpolate_panels,
     join_intervals,
     leading_motion,
-    quadrature_rule,
     smooth_intervals,
     time_panel_edges,
 )
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
-from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, SidePressure, model_wall, shear_strain
+from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, SidePressure, model_wall
 
 SHEAR_THINNING = 11.24
 """Shear-thinning part of the apparent viscosity in Eq. 11."""
@@ -346,7 +346,7 @@ class StickingForce:
     def total(self, time_s: FloatArray) -> FloatArray:
         """Return the shear force [mN] at any times [s], constant before the motion's start and after its end."""
         time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
-        strain = self.sheared_from + shear_strain(self.branches.pieces, self.branches.thickness_mm, time)
+        strain = self.sheared_from + self.branches.strain(time)
         fast, slow = self.branches.stress(time)
         return np.asarray((self.spring * strain + self.moduli[0] * fast + self.moduli[1] * slow) * self.area_mm2)
 
@@ -459,5 +459,6 @@ def _prepared(acquisition: Acquisition, model: FrictionModelSettings, motion: Mo
     dwell_s = acquisition.insertion_dwell_s * model.insertion_dwell_scale
     history = ContactHistory.of(leading_motion(motion), reach, dwell_s)
     pressing, mass_g = acquisition.fixture is Fixture.FOAM, acquisition.capsule.mass_g
-    friction = SlidingForce.of(contact, history, mass_g, pressing, quadrature_rule(motion), motion)
+    rule = COUNTED_RULE if motion.counted else FINE_RULE
+    friction = SlidingForce.of(contact, history, mass_g, pressing, rule, motion)
     return PreparedForce(friction, model.force_gain)

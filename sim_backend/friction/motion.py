@@ -9,7 +9,7 @@ unsmoothed, since smoothing would round the corners of a ramp by 20 µm, which i
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -23,77 +23,43 @@ ROUNDING_MM_S = 1e-9
 SignArray = npt.NDArray[np.int8]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
-    """Pieces of constant acceleration: state at the start of each, arrays of shape `(K,)`."""
+class _BitwiseValue:
+    """What is equal where all fields are the same, bit for bit: prepared forces are cached by motions."""
 
-    start_s: FloatArray
-    position_mm: FloatArray
-    velocity_mm_s: FloatArray
-    acceleration_mm_s2: FloatArray
-
-
-class Motion(Protocol):
-    """A motion made of `K` smooth intervals without reversals inside."""
-
-    def __hash__(self) -> int:
-        """Hash the motion as a value: prepared forces are cached by it."""
-
-    @property
-    def breaks_s(self) -> FloatArray:
-        """Ends of the intervals, shape `(K + 1,)`, from 0 to the motion's duration."""
-
-    @property
-    def signs(self) -> SignArray:
-        """Direction of motion in each interval, shape `(K,)`: 1, −1, or 0 at rest."""
-
-    @property
-    def uniform(self) -> BoolArray:
-        """Whether the velocity is constant in each interval, shape `(K,)`."""
-
-    @property
-    def counted(self) -> bool:
-        """Whether it was measured in encoder counts."""
-
-    def position(self, time_s: FloatArray) -> FloatArray:
-        """Return the position [mm] at any times within the motion."""
-
-    def velocity(self, time_s: FloatArray) -> FloatArray:
-        """Return the velocity [mm/s] at any times within the motion."""
-
-    def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return position and velocity at times of shape `(n, m)`, each row of which lies within one interval."""
-
-    def arrival_time(self, position_mm: FloatArray, first: int, last: int) -> FloatArray:
-        """Return the last time of a position within the intervals `first` to `last`, which have no reversal."""
-
-    def pieces(self) -> Pieces:
-        """Return the motion as pieces of constant acceleration."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ProfileMotion:
-    """A motion profile, its pieces divided at reversals; equal to another of the same pieces."""
-
-    breaks_s: FloatArray
-    signs: SignArray
-    uniform: BoolArray
-    start_mm: FloatArray
-    velocity_mm_s: FloatArray
-    acceleration_mm_s2: FloatArray
+    __slots__: tuple[str, ...] = ()
 
     def __eq__(self, other: object) -> bool:
-        """Whether all pieces are the same, bit for bit."""
-        return self is other or (isinstance(other, ProfileMotion) and self._bits == other._bits)
+        return self is other or (isinstance(other, _BitwiseValue) and self._bits == other._bits)
 
     def __hash__(self) -> int:
-        """Hash consistently with equality."""
         return hash(self._bits)
 
     @property
-    def _bits(self) -> tuple[bytes, ...]:
-        state = (self.breaks_s, self.signs, self.uniform, self.start_mm, self.velocity_mm_s, self.acceleration_mm_s2)
-        return tuple(array.tobytes() for array in state)
+    def _bits(self) -> tuple[object, ...]:
+        values = (getattr(self, name) for name in self.__slots__)
+        return type(self), *(value.tobytes() if isinstance(value, np.ndarray) else value for value in values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProfileMotion(_BitwiseValue):
+    """A motion profile, its `K` pieces divided at reversals; equal to another of the same pieces."""
+
+    breaks_s: FloatArray
+    """Ends of the pieces, shape `(K + 1,)`, from 0 to the motion's duration."""
+    signs: SignArray
+    """Direction of motion in each piece, shape `(K,)`: 1, −1, or 0 at rest."""
+    uniform: BoolArray
+    """Whether the velocity is constant in each piece, shape `(K,)`."""
+    start_mm: FloatArray
+    velocity_mm_s: FloatArray
+    acceleration_mm_s2: FloatArray
+    counted: ClassVar[bool] = False
+    """Whether it was measured in encoder counts; a profile is exact."""
+
+    @property
+    def start_s(self) -> FloatArray:
+        """Begin of each piece, shape `(K,)`."""
+        return self.breaks_s[:-1]
 
     @classmethod
     def of(cls, profile: MotionProfile) -> "ProfileMotion":
@@ -111,24 +77,19 @@ class ProfileMotion:
         signs = np.where(np.abs(mean) < ROUNDING_MM_S, 0.0, np.sign(mean)).astype(np.int8)
         return cls(breaks, signs, acceleration == 0, profile.position(begin), velocity, acceleration)
 
-    @property
-    def counted(self) -> bool:
-        """False: a profile is exact."""
-        return False
-
     def position(self, time_s: FloatArray) -> FloatArray:
         """Return the position [mm] at any times within the motion."""
-        return self._position(*self._locate(time_s))
+        return self._position(*self.locate(time_s))
 
     def velocity(self, time_s: FloatArray) -> FloatArray:
         """Return the velocity [mm/s] at any times within the motion."""
-        index, elapsed = self._locate(time_s)
+        index, elapsed = self.locate(time_s)
         return np.asarray(self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed)
 
     def state_within_interval(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return position and velocity at times of shape `(n, m)`, each row of which lies within one interval."""
         middle = 0.5 * (time_s[:, :1] + time_s[:, -1:])
-        index, _ = self._locate(middle)
+        index, _ = self.locate(middle)
         elapsed = time_s - self.breaks_s[index]
         velocity = self.velocity_mm_s[index] + self.acceleration_mm_s2[index] * elapsed
         return self._position(index, elapsed), np.asarray(velocity)
@@ -146,12 +107,13 @@ class ProfileMotion:
         elapsed = np.divide(distance, mean_speed, out=np.zeros_like(distance), where=mean_speed > 0)
         return np.asarray(np.minimum(self.breaks_s[index] + elapsed, self.breaks_s[index + 1]))
 
-    def pieces(self) -> Pieces:
-        """Return the motion as pieces of constant acceleration."""
-        return Pieces(self.breaks_s[:-1], self.start_mm, self.velocity_mm_s, self.acceleration_mm_s2)
+    def pieces(self) -> "ProfileMotion":
+        """Return the motion as pieces of constant acceleration: itself."""
+        return self
 
-    def _locate(self, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
-        index = np.searchsorted(self.breaks_s[:-1], time_s, side="right") - 1
+    def locate(self, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+        """Return the piece that each time lies in, and the time since that piece began."""
+        index = np.maximum(np.searchsorted(self.start_s, time_s, side="right") - 1, 0)
         return index, time_s - self.breaks_s[index]
 
     def _position(self, index: npt.NDArray[np.intp], elapsed: FloatArray) -> FloatArray:
@@ -208,7 +170,7 @@ def smooth_between_rests(
         length = min(window, (inner.stop - inner.start - 1) // 2 * 2 + 1)
         if not still[(begin + end) // 2] and length > SMOOTHING_ORDER:
             smooth[inner] = savgol_filter(position_mm[inner], length, SMOOTHING_ORDER)
-            reversals += (begin + _turning_samples(smooth[begin : end + 1], TURN_JITTERS * jitter_mm)).tolist()
+            reversals += (begin + turning_samples(smooth[begin : end + 1], TURN_JITTERS * jitter_mm)).tolist()
     edges = np.union1d(edges, np.array(reversals, dtype=np.intp))
     return _monotone_between(smooth, edges), edges
 
@@ -221,7 +183,7 @@ def _at_rest(position_mm: FloatArray, window: int, span_mm: float) -> BoolArray:
     return np.asarray(maximum_filter1d(quiet.astype(np.uint8), window) > 0)
 
 
-def _turning_samples(position_mm: FloatArray, min_mm: float) -> IndexArray:
+def turning_samples(position_mm: FloatArray, min_mm: float) -> IndexArray:
     """Return peaks and valleys of a position with a prominence of at least `min_mm`."""
     from scipy.signal import find_peaks
 
@@ -267,8 +229,8 @@ BEND_SHARE = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordedMotion:
-    """A measured motion: a `Motion` whose times and positions count from the first sample.
+class RecordedMotion(_BitwiseValue):
+    """A measured motion, whose times and positions count from the first sample, in smooth intervals without reversals.
 
     Rests are found first and made exactly still; the motion between them is smoothed on its own and then described by
     as few pieces of constant acceleration as stay within its jitter.
@@ -277,24 +239,12 @@ class RecordedMotion:
     breaks_s: FloatArray
     signs: SignArray
     uniform: BoolArray
-    """`breaks_s`, `signs`, `uniform`: as in `Motion`; breaks are edges of rests, reversals, and bends of the velocity.
+    """`breaks_s`, `signs`, `uniform`: as of a profile; breaks are edges of rests, reversals, and bends of the velocity.
     """
     profile: ProfileMotion
     """All pieces of constant acceleration."""
     counted: bool = False
     """Whether it was measured in counts."""
-
-    def __eq__(self, other: object) -> bool:
-        """Whether both are the same, bit for bit, as for repeats that followed one command exactly."""
-        return self is other or (isinstance(other, RecordedMotion) and self._bits == other._bits)
-
-    def __hash__(self) -> int:
-        """Hash consistently with equality."""
-        return hash(self._bits)
-
-    @property
-    def _bits(self) -> tuple[object, ...]:
-        return self.breaks_s.tobytes(), self.signs.tobytes(), self.uniform.tobytes(), self.profile, self.counted
 
     @classmethod
     def of(
@@ -369,9 +319,13 @@ class RecordedMotion:
         begin, end = np.searchsorted(self.profile.breaks_s, self.breaks_s[[first, last + 1]]).tolist()
         return self.profile.arrival_time(position_mm, begin, end - 1)
 
-    def pieces(self) -> Pieces:
+    def pieces(self) -> ProfileMotion:
         """Return the motion as pieces of constant acceleration."""
-        return self.profile.pieces()
+        return self.profile
+
+
+Motion: TypeAlias = ProfileMotion | RecordedMotion
+"""A motion made of smooth intervals without reversals inside."""
 
 
 def check_record(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from dragrig.config import Capsule, FrictionModelSettings, SettingsError
 from dragrig.rig import FloatArray, read_only
-from dragrig.sim_backend.friction.motion import Pieces
+from dragrig.sim_backend.friction.motion import ProfileMotion
 
 WallKind = Literal["eq14", "table1"]
 """Published parameter sets."""
@@ -145,7 +145,7 @@ class MaxwellBranches:
 
     rates: FloatArray
     """Relaxation rates E/η [1/s], shape `(B,)`."""
-    pieces: Pieces
+    pieces: ProfileMotion
     """The motion, `K` pieces."""
     thickness_mm: float
     """Thickness of the wall that is sheared."""
@@ -153,7 +153,7 @@ class MaxwellBranches:
     """Stress over modulus of each branch at the begin of each piece, shape `(B, K)`."""
 
     @classmethod
-    def integrate(cls, rates: FloatArray, pieces: Pieces, thickness_mm: float) -> "MaxwellBranches":
+    def integrate(cls, rates: FloatArray, pieces: ProfileMotion, thickness_mm: float) -> "MaxwellBranches":
         """Integrate dσ/dt = dε/dt − rate · σ through all pieces."""
         duration = np.diff(pieces.start_s)
         rate = rates[:, None]
@@ -164,28 +164,19 @@ class MaxwellBranches:
         begin[:, 1:] = linear_recursion(np.exp(-rate * duration), driven)
         return cls(rates, pieces, thickness_mm, begin)
 
+    def strain(self, time_s: FloatArray) -> FloatArray:
+        """Return the shear strain since the first piece at times not before it, of the shape of `time_s`."""
+        return self.pieces.position(time_s) / self.thickness_mm
+
     def stress(self, time_s: FloatArray) -> FloatArray:
         """Return stress over modulus at times not before the first piece; shape `(B, *time_s.shape)`."""
         flat = time_s.ravel()
-        index, elapsed = locate_pieces(self.pieces, flat)
+        index, elapsed = self.pieces.locate(flat)
         rate = self.rates[:, None]
         relaxed = self.begin[:, index] * np.exp(-rate * elapsed)
         velocity, acceleration = self.pieces.velocity_mm_s[index], self.pieces.acceleration_mm_s2[index]
         stress = relaxed + _driven_stress(rate, elapsed, velocity, acceleration) / self.thickness_mm
         return np.asarray(stress.reshape(self.rates.size, *time_s.shape))
-
-
-def shear_strain(pieces: Pieces, thickness_mm: float, time_s: FloatArray) -> FloatArray:
-    """Return the shear strain since the first piece at times not before it, of the shape of `time_s`."""
-    index, elapsed = locate_pieces(pieces, time_s)
-    velocity, acceleration = pieces.velocity_mm_s[index], pieces.acceleration_mm_s2[index]
-    return np.asarray((pieces.position_mm[index] + (velocity + 0.5 * acceleration * elapsed) * elapsed) / thickness_mm)
-
-
-def locate_pieces(pieces: Pieces, time_s: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
-    """Return the piece that each time lies in, and the time since that piece began."""
-    index = np.maximum(np.searchsorted(pieces.start_s, time_s, side="right") - 1, 0)
-    return index, np.asarray(time_s - pieces.start_s[index])
 
 
 def linear_recursion(factor: InexactArray, addend: InexactArray) -> InexactArray:

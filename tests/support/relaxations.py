@@ -11,7 +11,7 @@ from dragrig.rig.profile import MotionProfile, Phase, stationary_piece, trapezoi
 from dragrig.rig.runfile.model import RecordedChannel, Run, RunHeader, RunInfo, RunStatus, Trace
 from dragrig.sim_backend.devices.variability import SlowNoise
 from dragrig.sim_backend.friction import ProfileMotion
-from dragrig.sim_backend.friction.wall import MaxwellBranches, shear_strain
+from dragrig.sim_backend.friction.wall import MaxwellBranches
 
 AREA_MM2 = np.pi * 12.9 * 15.2
 COUNT_MM, STEP_MN = 1e-3, 20_000 / 65_536
@@ -44,7 +44,7 @@ def relaxation(
     wall = MaxwellBranches.integrate(1 / times, motion.pieces(), 2.5)
     parts = np.array_split(time, 1 + time.size // 100_000)
     force = AREA_MM2 * np.concatenate(
-        [E3 * shear_strain(motion.pieces(), 2.5, part) + np.tensordot(moduli, wall.stress(part), 1) for part in parts]
+        [E3 * wall.strain(part) + np.tensordot(moduli, wall.stress(part), 1) for part in parts]
     )
     random = np.random.default_rng(seed)
     force += zero_mN + 1.5 * random.standard_normal(time.size)

@@ -161,7 +161,7 @@ def serve(rig: RigSettings, model: FrictionModelSettings, pace: float) -> None:
     bench = SimulatedBench(rig, model, DoubleClock(pace))
 
     with ExitStack() as opened:
-        card = opened.enter_context(CardServer(Card(bench, bench.put_out)))
+        card = opened.enter_context(CardServer(Card(bench)))
         drive = opened.enter_context(make_drive_double(bench))
         port = opened.enter_context(SocketPort(drive))
         control = opened.enter_context(ControlServer(bench.faults, bench.present, lambda: stage_status(drive), end))

@@ -140,7 +140,7 @@ class NearDoubles:
         self._open = ExitStack()
 
     def __enter__(self) -> Self:
-        self._plug_in(Card(self._bench, self._bench.put_out))
+        self._plug_in(Card(self._bench))
         self._open.enter_context(self._drive)
         self._port = self._open.enter_context(SocketPort(self._drive)).address
         return self

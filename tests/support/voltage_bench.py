@@ -117,18 +117,23 @@ def velocity_rig(
     )
 
 
+class _StallingBench(SimulatedBench):
+    """A bench whose clock learns what is put out."""
+
+    clock: StallingClock
+
+    def put_out(self, output: str, volts: FloatArray, rate_hz: float, at_s: float) -> None:
+        self.clock.put_out(volts, rate_hz, at_s)
+        super().put_out(output, volts, rate_hz, at_s)
+
+
 def open_voltage_rig(rig: RigSettings) -> VoltageRig:
     clock = StallingClock()
-    bench = SimulatedBench(rig, FrictionModelSettings(), clock)
-
-    def put_out(output: str, volts: FloatArray, rate_hz: float, at_s: float) -> None:
-        clock.put_out(volts, rate_hz, at_s)
-        bench.put_out(output, volts, rate_hz, at_s)
-
+    bench = _StallingBench(rig, FrictionModelSettings(), clock)
     with ExitStack() as opened:
         drive = opened.enter_context(make_drive_double(bench))
         port = opened.enter_context(ANY_PORT(drive))
-        opened.enter_context(installed(Card(bench, put_out)))
+        opened.enter_context(installed(Card(bench)))
         reached = rig.hardware.drive.model_copy(update={"port": port.address})
         wired = rig.model_copy(update={"hardware": rig.hardware.model_copy(update={"drive": reached})})
         backend = VoltageRig(BackendRequest(wired, FrictionModelSettings()), bench, drive)

@@ -56,11 +56,6 @@ def in_motion(run: RunConditions, speed_mm_s: float = 0.1) -> Floats:
     return np.asarray(-np.expm1(-((run.speed / speed_mm_s) ** 2)))
 
 
-def since_stop(run: RunConditions) -> Floats:
-    """Return the time since the stop [s]; 0 before it."""
-    return np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-
-
 def scaled(effect: HiddenEffect, forces: CapsuleForces) -> Floats:
     """Return what a drawn law is multiplied by, about 1: `on` is 0 for the elastic force, 1 for all of it, 2 for 1."""
     whole = forces.elastic + forces.viscous + np.abs(forces.coulomb)
@@ -84,8 +79,8 @@ class LiftOffDrawn(HiddenEffect):
         return first_order(run.speed, self.late_s, run.motion.t)
 
     def contact(self, where: Floats, speed: Floats) -> Floats:
-        opened = self.law("speeds")((speed - self.begin_mm_s) / (60.0 - self.begin_mm_s))
-        profile = 1 - self.law("front")(1 - np.clip(where / self.reach, 0.0, 1.0))
+        opened = self.laws["speeds"]((speed - self.begin_mm_s) / (60.0 - self.begin_mm_s))
+        profile = 1 - self.laws["front"](1 - np.clip(where / self.reach, 0.0, 1.0))
         return np.asarray(1 - self.amplitude * opened * profile)
 
 
@@ -94,7 +89,7 @@ class LiftOffDrawn(HiddenEffect):
 def inertia_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Add a force that grows about with the square of speed, alone or with the wall's elastic force."""
     part = run.speed / 60.0
-    growth = part**effect.power * (1 + effect.bent * (effect.law("law")(part) - 0.5))
+    growth = part**effect.power * (1 + effect.bent * (effect.laws["law"](part) - 0.5))
     return np.asarray(effect.amplitude * run.direction * growth * scaled(effect, forces))
 
 
@@ -102,7 +97,7 @@ def inertia_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunCondition
 @hidden_form("branches", "hyperelastic_wall", ANY_LAW, TISSUE_RUNS)
 def hyperelastic_drawn(effect: HiddenEffect, strain: Floats) -> tuple[Floats, Floats, Floats]:
     """Moduli grow with strain, often far more steeply at its end, fast branches more than the spring."""
-    grown = effect.law("late" if effect.steep else "even")(strain / 2.0)
+    grown = effect.laws["late" if effect.steep else "even"](strain / 2.0)
     more = effect.amplitude * (1.3 if effect.steep else 1.0) * grown
     return 1 + more, 1 + more * effect.slower**0.5, 1 + more * effect.slower
 
@@ -113,7 +108,7 @@ def relaxation_drawn(effect: HiddenEffect, age_s: Floats, strain: Floats) -> Flo
     """Stress that fades with age by a drawn law, faster and of another share at larger strain."""
     at = np.clip(strain, 0.1, 2.5)
     return np.asarray(
-        effect.amplitude * at**effect.grows * faded(effect.law("law"), age_s / effect.half_s * at**effect.faster)
+        effect.amplitude * at**effect.grows * faded(effect.laws["law"], age_s / effect.half_s * at**effect.faster)
     )
 
 
@@ -130,7 +125,7 @@ def stribeck_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditio
     """Friction falls with speed by a drawn law; it may need some travel until the film is drawn in."""
     film = -np.expm1(-np.maximum(run.motion.p, 0.0) / effect.film_mm) if effect.on else 1.0
     speed = (run.speed / effect.half_mm_s) ** effect.power
-    return np.asarray(forces.coulomb * effect.amplitude * faded(effect.law("law"), speed * film))
+    return np.asarray(forces.coulomb * effect.amplitude * faded(effect.laws["law"], speed * film))
 
 
 @drawn(amplitude=(0.4, 1.0), slip_mm=in_log(0.08, 0.5), law=fading, on=one_of(0.7, 0.3))
@@ -142,7 +137,9 @@ def breakaway_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditi
         if effect.on == 0
         else np.full_like(forces.coulomb, float(np.max(np.abs(forces.coulomb))))
     )
-    return np.asarray(effect.amplitude * size * run.direction * faded(effect.law("law"), run.motion.p / effect.slip_mm))
+    return np.asarray(
+        effect.amplitude * size * run.direction * faded(effect.laws["law"], run.motion.p / effect.slip_mm)
+    )
 
 
 @drawn(
@@ -156,8 +153,8 @@ def breakaway_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditi
 @hidden_form("grip", "presliding", ANY_LAW, SLIDING_RUNS)
 def presliding_drawn(effect: HiddenEffect, direction: Floats, run: RunConditions) -> Floats:
     """Friction builds up over a deflection and stays locked in at standstill, part of which may be lost in time."""
-    built = 1 - faded(effect.law("law"), np.maximum(run.motion.p, 0.0) / effect.slip_mm)
-    left = 1 - effect.lost * (1 - faded(effect.law("release"), since_stop(run) / effect.half_s))
+    built = 1 - faded(effect.laws["law"], np.maximum(run.motion.p, 0.0) / effect.slip_mm)
+    left = 1 - effect.lost * (1 - faded(effect.laws["release"], run.held_s / effect.half_s))
     return np.asarray((1 - effect.amplitude) * direction + effect.amplitude * built * left)
 
 
@@ -166,7 +163,7 @@ def presliding_drawn(effect: HiddenEffect, direction: Floats, run: RunConditions
 def adhesion_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Tack of its own size, weaker with speed by a drawn law."""
     return np.asarray(
-        effect.amplitude * run.direction * faded(effect.law("law"), (run.speed / effect.half_mm_s) ** effect.power)
+        effect.amplitude * run.direction * faded(effect.laws["law"], (run.speed / effect.half_mm_s) ** effect.power)
     )
 
 
@@ -175,7 +172,7 @@ def adhesion_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditio
 def film_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Friction grows with distance, in the Coulomb part alone or in the viscous part too."""
     part = forces.coulomb + (forces.viscous if effect.on else 0.0)
-    return np.asarray(effect.amplitude * part * effect.law("law")(run.motion.p / effect.stroke_mm))
+    return np.asarray(effect.amplitude * part * effect.laws["law"](run.motion.p / effect.stroke_mm))
 
 
 @drawn(
@@ -193,7 +190,7 @@ def folds_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions)
     p = run.motion.p
     turn = p / effect.period_mm + effect.phase + effect.wander * np.sin(2 * np.pi * p / 33.0)
     gate = in_motion(run) if effect.gate else 1.0
-    return np.asarray(effect.amplitude * scaled(effect, forces) * effect.law("law")(turn) * gate)
+    return np.asarray(effect.amplitude * scaled(effect, forces) * effect.laws["law"](turn) * gate)
 
 
 @drawn(
@@ -208,8 +205,8 @@ def folds_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions)
 def tether_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Add a pull that grows beyond some position, and may relax while the capsule is held."""
     begin = effect.begin * effect.stroke_mm
-    grown = effect.law("law")((run.motion.p - begin) / (effect.stroke_mm - begin))
-    held = since_stop(run) / effect.half_s
+    grown = effect.laws["law"]((run.motion.p - begin) / (effect.stroke_mm - begin))
+    held = run.held_s / effect.half_s
     size = scaled(effect, forces)
     return np.asarray(effect.amplitude * size * grown * (1 - effect.lost * held / (1 + held)))
 
@@ -226,7 +223,7 @@ def tether_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions
 def peristalsis_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Pulses periodic in the session's time, while holding too."""
     turn = run.session_s / effect.period_s + effect.phase
-    beat = effect.law("law")(turn + effect.wander * np.sin(1.9 * turn))
+    beat = effect.laws["law"](turn + effect.wander * np.sin(1.9 * turn))
     return np.asarray(effect.amplitude * scaled(effect, forces) * beat)
 
 
@@ -237,7 +234,7 @@ class AgeingDrawn(HiddenEffect):
     name, form, kinds = "tissue_ageing", ANY_LAW, TISSUE_RUNS
 
     def stiffness(self, plan: RunPlan) -> float:
-        return float(1 + self.amplitude * self.law("law")(plan.session_s / self.session_s))
+        return float(1 + self.amplitude * self.laws["law"](plan.session_s / self.session_s))
 
     def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
         # What is not elastic has not been scaled by the stiffness; the normal force behind the friction has.
@@ -254,7 +251,7 @@ class PreconditioningDrawn(HiddenEffect):
 
     def stiffness(self, plan: RunPlan) -> float:
         fresh = (1.0 if plan.strain is None else plan.strain) ** self.grows
-        return float(1 + self.amplitude * fresh * faded(self.law("law"), np.array(plan.order / self.half)))
+        return float(1 + self.amplitude * fresh * faded(self.laws["law"], np.array(plan.order / self.half)))
 
     def pull(self, forces: CapsuleForces, run: RunConditions) -> Floats | float:
         return (self.stiffness(run.plan) - 1) * forces.viscous if self.on else 0.0
@@ -265,7 +262,7 @@ class PreconditioningDrawn(HiddenEffect):
 def drift_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Zero that creeps one way during a run, somewhat differently in every run."""
     own = 1 + effect.spread * run.random("drift").uniform(-1.7, 1.7)
-    crept = effect.law("law")(-np.expm1(-run.motion.t / effect.span_s))
+    crept = effect.laws["law"](-np.expm1(-run.motion.t / effect.span_s))
     return np.asarray(force + effect.amplitude * own * crept)
 
 
@@ -273,7 +270,7 @@ def drift_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floa
 @hidden_form("sensor", "force_nonlinearity", ANY_LAW, rank=2)
 def nonlinearity_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Gain that changes one way with load, alike for push and pull."""
-    return np.asarray(force * (1 + effect.amplitude * effect.law("law")(np.abs(force) / effect.full_mN)))
+    return np.asarray(force * (1 + effect.amplitude * effect.laws["law"](np.abs(force) / effect.full_mN)))
 
 
 @drawn(
@@ -287,7 +284,7 @@ def nonlinearity_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) 
 def hysteresis_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Play in the force chain: one or several of drawn widths, part of which may creep back."""
     count = int(effect.plays) + 1
-    halves = effect.amplitude * (0.3 + 1.4 * effect.law("widths")((np.arange(count) + 0.5) / count))
+    halves = effect.amplitude * (0.3 + 1.4 * effect.laws["widths"]((np.arange(count) + 0.5) / count))
     held = np.mean([play_operator(force, half) for half in halves.tolist()], axis=0)
     behind = force - held
     return np.asarray(force - behind + effect.creeps * first_order(behind, effect.time_s, run.motion.t))
@@ -301,7 +298,7 @@ def hum_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats
     hertz = (60.0 if effect.mains else 50.0) + 0.03 * random.standard_normal()
     first, second = random.random(2).tolist()
     strength = 1 + effect.swell * np.sin(2 * np.pi * (effect.swell_hz * t + second))
-    return np.asarray(force + effect.amplitude * strength * effect.law("law")(hertz * t + first))
+    return np.asarray(force + effect.amplitude * strength * effect.laws["law"](hertz * t + first))
 
 
 @drawn(
@@ -316,7 +313,7 @@ def payload_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Fl
     """Mass times acceleration [g], bent, unlike when slowing down, and through a coupling that is not quite stiff."""
     a = low_pass(run.motion.a, effect.time_s, 1.0, run.motion.t)
     full = max(float(np.abs(a).max()), 1.0)
-    bent = 1 + effect.bent * (effect.law("law")(np.abs(a) / full) - 0.5) + effect.uneven * np.sign(a) / 2
+    bent = 1 + effect.bent * (effect.laws["law"](np.abs(a) / full) - 0.5) + effect.uneven * np.sign(a) / 2
     return np.asarray(force + effect.amplitude / 1000 * a * bent)
 
 
@@ -355,8 +352,6 @@ def compliance_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) ->
 @hidden_form("motion", "servo_lag", ANY_LAW, channel="position")
 def lag_drawn(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """Let the stage lag and overshoot: dead time, two poles and a creeping share, by its speed."""
-    if not effect.amplitude:
-        return motion
     t, lag = motion.t, effect.amplitude * (run.plan.peak_mm_s / 20.0) ** effect.grows
     time_s = max((1 - effect.dead) * lag / (2 * effect.damping), 1e-4)
 
@@ -386,7 +381,7 @@ def ripple_drawn(effect: HiddenEffect, motion: SampledMotion, run: RunConditions
         first_order((speed > 0.01).astype(np.float64), effect.settle_s, t),
         first_order(1 / (1 + (effect.begin_mm_s / np.maximum(speed, 1e-9)) ** 4), effect.settle_s, t),
     )
-    wave = effect.law("law")(motion.p / effect.period_mm + effect.phase)
+    wave = effect.laws["law"](motion.p / effect.period_mm + effect.phase)
     error = effect.amplitude * (wave - wave[0]) * gates[int(effect.gate)]
     v = np.gradient(error, t)
     return SampledMotion(t, motion.p + error, motion.v + v, motion.a + np.gradient(v, t))
@@ -404,7 +399,7 @@ def latency_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Fl
     """Force and position are not of one instant: by a time that varies, grows or is smeared over samples."""
     t = run.motion.t
     own = effect.amplitude * (1 + effect.spread * run.random("latency").uniform(-1.0, 1.0))
-    late = own * (1 + effect.grows * (effect.law("law")(t / max(float(t[-1]), 1e-9)) - 0.5))
+    late = own * (1 + effect.grows * (effect.laws["law"](t / max(float(t[-1]), 1e-9)) - 0.5))
     taps = np.linspace(-0.5, 0.5, 5) * effect.smears * effect.amplitude
     return np.asarray(np.mean([delayed(force, late + tap, t) for tap in taps.tolist()], axis=0))
 
@@ -419,7 +414,7 @@ def latency_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Fl
 def scale_drawn(effect: HiddenEffect, position: Floats, force: Floats, run: RunConditions) -> Floats:
     """Count with an error that grows with travel, less when the scale is warm."""
     part = position / effect.stroke_mm
-    grown = effect.stroke_mm * (effect.law("law")(part) + np.minimum(part, 0.0) + np.maximum(part - 1, 0.0))
+    grown = effect.stroke_mm * (effect.laws["law"](part) + np.minimum(part, 0.0) + np.maximum(part - 1, 0.0))
     warm = 1 - effect.warming * run.session_s / (run.session_s + effect.half_s)
     return np.asarray(position + effect.amplitude * grown * warm)
 
@@ -505,7 +500,7 @@ class OutsideDrawn(HiddenEffect):
             return 0.0
         along = self._coordinate(one, force, run)
         gate = in_motion(run) if one.while_ == "in motion" else 1.0
-        return np.asarray(self.amplitude * PLACE_SIZES[place] * self.law(one.course)(along) * gate)
+        return np.asarray(self.amplitude * PLACE_SIZES[place] * self.laws[one.course](along) * gate)
 
     def _coordinate(self, one: Combination, force: Floats, run: RunConditions) -> Floats:
         t, p, (go, _, _, stop) = run.motion.t, run.motion.p, run.plan.bounds_s
@@ -515,7 +510,7 @@ class OutsideDrawn(HiddenEffect):
             "session": run.session_s / self.period_s + self.phase,
             "time": t / 20.0,
             "time in motion": np.clip((t - go) / (stop - go), 0.0, 1.0),
-            "time held": since_stop(run) / self.time_s,
+            "time held": run.held_s / self.time_s,
             "load": np.abs(force) / 1000.0,
             "run": np.full_like(t, run.random("level").random()),
         }

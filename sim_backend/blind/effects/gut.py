@@ -171,8 +171,9 @@ def folds_wandering(effect: HiddenEffect, forces: CapsuleForces, run: RunConditi
 def tether_power(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """A pull that grows with a power of the travel beyond a place, and relaxes while the capsule is held."""
     beyond = np.maximum(run.motion.p - effect.place_mm, 0.0) / (40.0 - effect.place_mm)
-    held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-    return np.asarray(effect.amplitude * beyond**effect.power * (1 + effect.relaxes * np.expm1(-held / effect.time_s)))
+    return np.asarray(
+        effect.amplitude * beyond**effect.power * (1 + effect.relaxes * np.expm1(-run.held_s / effect.time_s))
+    )
 
 
 @drawn(amplitude=(12.0, 34.0), place_mm=(15.0, 28.0), width_mm=(2.0, 5.0), step_mm=(6.0, 11.0), slips=(0.4, 0.65))
@@ -368,8 +369,7 @@ def presliding_hyperbola(effect: HiddenEffect, direction: Floats, run: RunCondit
     """Friction builds up as s / (s + l), to a power; at standstill it fades inversely with time."""
     slip = np.maximum(run.motion.p, 0.0)
     built = (slip / (slip + effect.slip_mm)) ** effect.power
-    held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-    return (1 - effect.amplitude) * direction + effect.amplitude * built / (1 + held / effect.half_s)
+    return (1 - effect.amplitude) * direction + effect.amplitude * built / (1 + run.held_s / effect.half_s)
 
 
 @drawn(amplitude=(0.35, 0.9), slip_mm=in_log(0.08, 0.4), creep=(0.12, 0.19))
@@ -377,8 +377,9 @@ def presliding_hyperbola(effect: HiddenEffect, direction: Floats, run: RunCondit
 def presliding_creep(effect: HiddenEffect, direction: Floats, run: RunConditions) -> Floats:
     """Friction builds up in a straight line over the slip, stays at standstill, and creeps off."""
     built = np.clip(run.motion.p / effect.slip_mm, 0.0, 1.0)
-    held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-    return (1 - effect.amplitude) * direction + effect.amplitude * built * (1 - effect.creep * np.log1p(held / 0.05))
+    return (1 - effect.amplitude) * direction + effect.amplitude * built * (
+        1 - effect.creep * np.log1p(run.held_s / 0.05)
+    )
 
 
 @drawn(amplitude=(0.45, 0.95), slip_mm=in_log(0.06, 0.3), stays=(0.4, 0.7), release_s=(0.3, 0.9))
@@ -387,8 +388,7 @@ def presliding_release(effect: HiddenEffect, direction: Floats, run: RunConditio
     """Friction builds up as s / √(s² + l²); at standstill part of it springs back and the rest stays."""
     slip = np.maximum(run.motion.p, 0.0)
     built = slip / np.hypot(slip, effect.slip_mm)
-    held = np.maximum(run.motion.t - run.plan.bounds_s[3], 0.0)
-    left = effect.stays + (1 - effect.stays) * np.exp(-held / effect.release_s)
+    left = effect.stays + (1 - effect.stays) * np.exp(-run.held_s / effect.release_s)
     return (1 - effect.amplitude) * direction + effect.amplitude * built * left
 
 

@@ -5,7 +5,8 @@ Also the linear systems and the rate-independent hysteresis that several share, 
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Self
+from functools import partial
+from typing import ClassVar, Self, cast
 from zlib import crc32
 
 import numpy as np
@@ -37,16 +38,10 @@ class DrawnFrom:
         return float(value * (random.choice([-1.0, 1.0]) if self.signed else 1.0))
 
 
-def in_log(low: float, high: float) -> DrawnFrom:
-    """Return a range that a parameter is drawn from uniformly in its logarithm."""
-    return DrawnFrom(low, high, log=True)
-
-
-def signed(low: float, high: float) -> DrawnFrom:
-    """Return a range of absolute values; the sign is drawn too."""
-    return DrawnFrom(low, high, signed=True)
-
-
+in_log = partial(DrawnFrom, log=True)
+"""A range that a parameter is drawn from uniformly in its logarithm."""
+signed = partial(DrawnFrom, signed=True)
+"""A range of absolute values; the sign is drawn too."""
 PHASE = DrawnFrom(0.0, 2 * np.pi)
 
 
@@ -89,6 +84,11 @@ class RunConditions:
     def speed(self) -> Floats:
         """Absolute velocity [mm/s], shape `(N,)`."""
         return np.abs(self.motion.v)
+
+    @property
+    def held_s(self) -> Floats:
+        """Time since the stop [s], shape `(N,)`; 0 before it."""
+        return np.maximum(self.motion.t - self.plan.bounds_s[3], 0.0)
 
     def random(self, purpose: str) -> np.random.Generator:
         """Return the run's random generator for one purpose, always in its initial state."""
@@ -136,10 +136,6 @@ class HiddenEffect:
     def described(self) -> str:
         """Its form in words."""
         return self.form
-
-    def law(self, name: str) -> RandomLaw:
-        """Return a drawn function; raises `KeyError` where this form has none of this name."""
-        return self.laws[name]
 
     def motion(self, motion: SampledMotion, run: RunConditions) -> SampledMotion:
         """Return the true motion of the stage, from the commanded one."""
@@ -220,15 +216,9 @@ def hidden_form(
     """Make a form of a function: a hidden effect whose only hook, of this name, it is."""
 
     def make(law: Callable[..., object]) -> type[HiddenEffect]:
-        class Form(HiddenEffect):
-            __doc__ = law.__doc__
-
         described = {"name": name, "form": form, "kinds": kinds, "rank": rank, "channel": channel, hook: law}
-        for attribute, value in described.items():
-            setattr(Form, attribute, value)
-        Form.__name__ = Form.__qualname__ = law.__name__
-        Form.__module__ = law.__module__
-        return Form
+        of_law = {"__doc__": law.__doc__, "__module__": law.__module__, "__qualname__": law.__name__}
+        return cast("type[HiddenEffect]", type(law.__name__, (HiddenEffect,), described | of_law))
 
     return make
 

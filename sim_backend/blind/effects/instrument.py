@@ -135,8 +135,6 @@ def compliance_two_modes(effect: HiddenEffect, force: Floats, run: RunConditions
 @hidden_form("motion", "servo_lag", "second order, integrated away", channel="position")
 def lag_second_order(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """A stage that follows as a damped second-order system; an integrator removes a share of its lag [s]."""
-    if not effect.amplitude:
-        return motion
     time_s = effect.amplitude / (2 * effect.damping)
 
     def follow(values: Floats) -> Floats:
@@ -150,8 +148,6 @@ def lag_second_order(effect: HiddenEffect, motion: SampledMotion, run: RunCondit
 @hidden_form("motion", "servo_lag", "dead time, grows with speed", channel="position")
 def lag_dead_time(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -> SampledMotion:
     """A stage that starts late and follows through two poles, later at speed as its voltage runs out."""
-    if not effect.amplitude:
-        return motion
     lag = effect.amplitude * (run.plan.peak_mm_s / 40.0) ** effect.grows
     late, time_s = effect.dead * lag, (1 - effect.dead) * lag / 2
     p, v, a = (
@@ -167,8 +163,6 @@ def lag_two_times(effect: HiddenEffect, motion: SampledMotion, run: RunCondition
 
     `share_1_s` is the share that creeps over the fast lag.
     """
-    if not effect.amplitude:
-        return motion
     slow = effect.share_1_s * effect.amplitude
 
     def follow(values: Floats) -> Floats:
@@ -326,7 +320,7 @@ def table_vibration(effect: HiddenEffect, force: Floats, run: RunConditions) -> 
 @hidden_form("sensor", "missing_bits", "steps", rank=4)
 def missing_bits(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """The converter has lost its lowest bits: the force comes in steps [mN]."""
-    return np.round(force / effect.amplitude) * effect.amplitude if effect.amplitude else force
+    return np.round(force / effect.amplitude) * effect.amplitude
 
 
 @drawn(amplitude=signed(8.0, 20.0), after_s=(0.3, 1.5))

@@ -2,7 +2,7 @@
 
 It has the calls, options and attributes that this program uses. The C library (`c_library`) is a thin interface to it,
 and so is a gRPC server in the tests. Handles are positive integers. Every method raises `CardError`, which carries the
-driver's status code; any thread may call any method.
+driver's status code.
 """
 
 import math
@@ -30,8 +30,7 @@ from dragrig.sim_backend.doubles.card.pci6229 import (
     EncoderChannel,
     VirtualChannel,
 )
-from dragrig.sim_backend.doubles.card.tasks import CardTask, OutputListener, OutputWaveform, TaskEngine
-from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
+from dragrig.sim_backend.doubles.card.tasks import CardTask, OutputWaveform, TaskEngine
 
 _PULSES_PER_PERIOD = 4
 _MIN_WAIT_S = 1e-3
@@ -42,67 +41,32 @@ _REQUIRED_VALUES: dict[int, AttributeValue] = {
 """Attributes of which the double supports one value."""
 
 
-class Card:
-    """One card in a computer with NI's driver.
-
-    Parameters
-    ----------
-    bench
-        What the card is wired to.
-    listener
-        Called with what analog outputs do; see `OutputListener`.
-    """
-
-    def __init__(self, bench: SimulatedBench, listener: OutputListener | None = None) -> None:
-        self._bench = bench
-        self._engine = TaskEngine(bench, listener)
-        self._changed = self._engine.changed
-        self._device = bench.rig.hardware.card.device
-
-    def create_task(self, name: str) -> int:
-        """Return the handle of a new task; an empty name lets the driver choose one."""
-        with self._changed:
-            return self._engine.create(name)
-
-    def clear_task(self, task: int) -> None:
-        """Stop a task, release its resources and forget it."""
-        with self._changed:
-            self._engine.forget(self._engine.task(task))
-
-    def start(self, task: int) -> None:
-        """Start a task."""
-        with self._changed:
-            self._engine.start(self._engine.task(task))
-
-    def stop(self, task: int) -> None:
-        """Stop a task, release its resources, keep its configuration."""
-        with self._changed:
-            self._engine.stop(self._engine.task(task))
-            self._engine.check_card()
+class Card(TaskEngine):
+    """One card in a computer with NI's driver."""
 
     def control(self, task: int, action: int) -> None:
         """Reserve or commit a task; see `nidaqmx.constants.TaskMode`."""
-        with self._changed:
+        with self.changed:
             if action not in {TaskMode.TASK_RESERVE.value, TaskMode.TASK_COMMIT.value}:
                 raise CardError(Status.INVALID_ATTRIBUTE_VALUE, f"The double has no task action {action}.")
-            reserved = self._engine.task(task)
-            self._engine.reserve(reserved)
+            reserved = self.task(task)
+            self.reserve(reserved)
             reserved.reserved = True
 
     def create_ai_voltage_chan(
         self, task: int, physical: str, name: str, terminals: int, min_V: float, max_V: float
     ) -> None:
         """Add analog inputs."""
-        with self._changed:
+        with self.changed:
             kind = ChannelType.ANALOG_INPUT
-            channels = pci6229.analog_channels(self._device, kind, physical, name, terminals, min_V, max_V)
-            self._engine.add(task, channels)
+            channels = pci6229.analog_channels(self.card.device, kind, physical, name, terminals, min_V, max_V)
+            self.add(task, channels)
 
     def create_ao_voltage_chan(self, task: int, physical: str, name: str, min_V: float, max_V: float) -> None:
         """Add analog outputs."""
-        with self._changed:
+        with self.changed:
             kind = ChannelType.ANALOG_OUTPUT
-            self._engine.add(task, pci6229.analog_channels(self._device, kind, physical, name, 0, min_V, max_V))
+            self.add(task, pci6229.analog_channels(self.card.device, kind, physical, name, 0, min_V, max_V))
 
     def create_ci_lin_encoder_chan(
         self,
@@ -116,8 +80,8 @@ class Card:
         initial_position_m: float,
     ) -> None:
         """Add a counter that follows a linear encoder, with X4 decoding and in metres."""
-        with self._changed:
-            added = self._engine.add(task, [pci6229.encoder_counter(self._device, counter, name)])
+        with self.changed:
+            added = self.add(task, [pci6229.encoder_counter(self.card.device, counter, name)])
             count_m = distance_per_pulse_m / _PULSES_PER_PERIOD
             added.encoder = EncoderChannel(
                 count_m, initial_position_m, bool(z_enable), z_value_m, EncoderZIndexPhase(z_phase)
@@ -125,25 +89,15 @@ class Card:
 
     def create_di_chan(self, task: int, lines: str, name: str, grouping: int) -> None:
         """Add digital inputs."""
-        with self._changed:
+        with self.changed:
             kind = ChannelType.DIGITAL_INPUT
-            self._engine.add(task, pci6229.digital_lines(self._device, kind, lines, name, grouping))
+            self.add(task, pci6229.digital_lines(self.card.device, kind, lines, name, grouping))
 
     def create_do_chan(self, task: int, lines: str, name: str, grouping: int) -> None:
         """Add digital outputs."""
-        with self._changed:
+        with self.changed:
             kind = ChannelType.DIGITAL_OUTPUT
-            self._engine.add(task, pci6229.digital_lines(self._device, kind, lines, name, grouping))
-
-    def cfg_samp_clk_timing(self, task: int, source: str, rate_hz: float, mode: int, samples: int) -> None:
-        """Give a task a sample clock."""
-        with self._changed:
-            self._engine.set_clock(task, source, rate_hz, mode, samples)
-
-    def cfg_dig_edge_start_trig(self, task: int, source: str) -> None:
-        """Let an edge of a terminal start a task."""
-        with self._changed:
-            self._engine.set_trigger(task, source)
+            self.add(task, pci6229.digital_lines(self.card.device, kind, lines, name, grouping))
 
     def read_analog_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
         """Read volts into `out`, C-contiguous of any shape; return the samples per channel.
@@ -151,16 +105,16 @@ class Card:
         A negative timeout waits for ever. On an error the samples read so far are in `out`, and their number in
         `CardError.samples`.
         """
-        with self._changed:
-            return self._read_buffer(self._engine.task(task, ChannelType.ANALOG_INPUT), samples, timeout_s, fill, out)
+        with self.changed:
+            return self._read_buffer(self.task(task, ChannelType.ANALOG_INPUT), samples, timeout_s, fill, out)
 
     def read_counter_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
         """Read latched positions [m] into `out` as `read_analog_f64`, or the present one of a task without a clock."""
-        with self._changed:
-            counting = self._engine.task(task, ChannelType.COUNTER_INPUT)
+        with self.changed:
+            counting = self.task(task, ChannelType.COUNTER_INPUT)
             if counting.clock is not None:
                 return self._read_buffer(counting, samples, timeout_s, fill, out)
-            self._engine.check_card()
+            self.check_card()
             if counting.counter is None:
                 raise _not_started(counting)
             out.reshape(-1)[0] = counting.counter.position_m()
@@ -168,10 +122,10 @@ class Card:
 
     def read_digital_lines(self, task: int, samples: int, out: BoolArray) -> int:
         """Read levels, one element a line; return the samples per channel."""
-        with self._changed:
-            self._engine.check_card()
-            channels = self._engine.task(task).channels
-            levels = [self._bench.read_line(channel.physical) for channel in channels]
+        with self.changed:
+            self.check_card()
+            channels = self.task(task).channels
+            levels = [self.bench.read_line(channel.physical) for channel in channels]
             wanted = max(samples, 1)
             if wanted * len(levels) > out.size:
                 raise _array_too_small(out.size)
@@ -180,17 +134,17 @@ class Card:
 
     def write_digital_lines(self, task: int, samples: int, auto_start: bool, data: BoolArray) -> int:
         """Set levels, one element a line; return the samples written per channel."""
-        with self._changed:
+        with self.changed:
             written = self._started_for_write(task, ChannelType.DIGITAL_OUTPUT, auto_start)
             levels = np.asarray(data).reshape(len(written.channels), samples)[:, -1]
             for channel, high in zip(written.channels, levels.tolist(), strict=True):
-                self._bench.write_line(channel.physical, bool(high))
+                self.bench.write_line(channel.physical, bool(high))
             return samples
 
     def write_analog_f64(self, task: int, auto_start: bool, timeout_s: float, data: FloatArray) -> int:
         """Set the voltage of an output, or append to its waveform; return the samples written."""
-        with self._changed:
-            output = self._engine.task(task, ChannelType.ANALOG_OUTPUT)
+        with self.changed:
+            output = self.task(task, ChannelType.ANALOG_OUTPUT)
             channel, volts = output.channels[0], data.reshape(-1)
             if not np.all(np.abs(volts) <= channel.range_V):
                 raise output.failure(
@@ -200,14 +154,14 @@ class Card:
                 )
             if output.clock is None:
                 self._started_for_write(task, ChannelType.ANALOG_OUTPUT, auto_start)
-                self._engine.hold_voltage(channel, float(volts[-1]))
+                self.hold_voltage(channel, float(volts[-1]))
                 return len(volts)
-            self._engine.check_card()
+            self.check_card()
             if output.waveform is None:
                 output.waveform = OutputWaveform(output.output_buffer or max(len(volts), 1), output.clock.rate_hz)
             self._append(output, output.waveform, volts, timeout_s)
             if auto_start and not output.running:
-                self._engine.start(output)
+                self.start(output.handle)
             return len(volts)
 
     def get_attribute(self, subject: int | str, attribute: int, channel: str = "") -> AttributeValue:
@@ -220,9 +174,9 @@ class Card:
         channel
             A virtual channel of the task; default: the first.
         """
-        with self._changed:
+        with self.changed:
             if isinstance(subject, int):
-                attributes = self._task_attributes(self._engine.task(subject), channel)
+                attributes = self._task_attributes(self.task(subject), channel)
             else:
                 attributes = self._device_attributes(subject)
             if attribute not in attributes:
@@ -231,8 +185,8 @@ class Card:
 
     def set_attribute(self, task: int, attribute: int, value: AttributeValue, channel: str = "") -> None:
         """Set an attribute of a task or its channels."""
-        with self._changed:
-            changed = self._engine.task(task)
+        with self.changed:
+            changed = self.task(task)
             number = int(value) if isinstance(value, int | float) else 0
             match attribute:
                 case Attribute.READ_RELATIVE_TO:
@@ -240,31 +194,31 @@ class Card:
                 case Attribute.READ_OFFSET:
                     changed.offset = number
                 case Attribute.INPUT_BUFFER:
-                    self._engine.idle_task(task).input_buffer = number
+                    self.idle_task(task).input_buffer = number
                 case Attribute.OUTPUT_BUFFER:
-                    self._engine.idle_task(task).output_buffer = number
+                    self.idle_task(task).output_buffer = number
                 case _ if attribute in _REQUIRED_VALUES:
                     if value != _REQUIRED_VALUES[attribute]:
                         raise changed.failure(Status.INVALID_ATTRIBUTE_VALUE, f"The double does not support {value}.")
                 case _ if changed.kind is ChannelType.COUNTER_INPUT:
-                    self._engine.idle_task(task)
+                    self.idle_task(task)
                     for counter in _named_channels(changed, channel):
-                        pci6229.set_property(counter, self._device, attribute, value)
+                        pci6229.set_property(counter, self.card.device, attribute, value)
                 case _:
                     raise _unsupported_attribute(attribute)
 
     def voltage(self, output: str) -> float:
         """Return the present voltage of an analog output, such as ao0; it holds its last one when its task ends."""
-        with self._changed:
-            for task in self._engine.tasks.values():
+        with self.changed:
+            for task in self.tasks.values():
                 if task.waveform is not None and task.channels[0].physical == output:
-                    volts = task.waveform.voltage(self._engine.now_s)
+                    volts = task.waveform.voltage(self.now_s)
                     if volts is not None:
                         return volts
-            return self._engine.held_volts[output]
+            return self.held_volts[output]
 
     def _read_buffer(self, task: CardTask, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
-        self._engine.check_card()
+        self.check_card()
         buffer, channels = task.buffer, len(task.channels)
         if buffer is None:
             raise _not_started(task)
@@ -272,7 +226,7 @@ class Card:
             raise _array_too_small(out.size)
         origin = 0 if task.relative_to == ReadRelativeTo.FIRST_SAMPLE.value else buffer.position
         first = origin + task.offset
-        end, failure = buffer.read(first, samples, timeout_s, self._bench.faults.active.short_reads)
+        end, failure = buffer.read(first, samples, timeout_s, self.bench.faults.active.short_reads)
         if end > first:
             # Fewer samples than requested lie together at the array's beginning, not at the places of a full read.
             rows = np.array(buffer.source.fetch(first, end))
@@ -283,25 +237,25 @@ class Card:
         return end - first
 
     def _started_for_write(self, handle: int, kind: ChannelType, auto_start: bool) -> CardTask:
-        task = self._engine.task(handle, kind)
-        self._engine.check_card()
+        task = self.task(handle, kind)
+        self.check_card()
         if not task.running:
             if not auto_start:
                 raise task.failure(
                     Status.CANNOT_WRITE_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
                     "Write cannot be performed when the auto start input is false and the task is not running.",
                 )
-            self._engine.start(task)
-            self._engine.stop(task)
+            self.start(handle)
+            self.end(task)
         return task
 
     def _append(self, task: CardTask, waveform: OutputWaveform, volts: FloatArray, timeout_s: float) -> None:
         deadline_s = math.inf if timeout_s < 0 else time.perf_counter() + timeout_s
         written = 0
         while True:
-            now_s = self._engine.now_s
+            now_s = self.now_s
             if waveform.ran_empty(now_s):
-                self._engine.stop(task)
+                self.end(task)
                 raise task.failure(
                     Status.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES,
                     "The generation has stopped to prevent the regeneration of old samples: new ones were not written "
@@ -311,7 +265,7 @@ class Card:
             part = volts[written : written + waveform.space(now_s)]
             first = waveform.written
             waveform.write(part)
-            self._engine.announce(task, part, first)
+            self.announce(task, part, first)
             written += len(part)
             if written == len(volts):
                 return
@@ -322,22 +276,22 @@ class Card:
                     "Attempted to write more samples than the buffer has space for.",
                     written,
                 )
-            due_s = min(len(volts) - written, waveform.size) / (waveform.rate_hz * self._bench.clock.pace)
-            self._changed.wait(min(left_s, max(due_s, _MIN_WAIT_S)))
-            self._engine.check_running(task)
+            due_s = min(len(volts) - written, waveform.size) / (waveform.rate_hz * self.bench.clock.pace)
+            self.changed.wait(min(left_s, max(due_s, _MIN_WAIT_S)))
+            self.check_running(task)
 
     def _device_attributes(self, device: str) -> dict[int, AttributeValue]:
         if device:
-            if device.lower() != self._device.lower():
+            if device.lower() != self.card.device.lower():
                 raise CardError(
                     Status.INVALID_DEVICE_ID, f"Device identifier is invalid.\n\nDevice Specified: {device}"
                 )
-            self._engine.check_card(listed=True)
+            self.check_card(listed=True)
             return {Attribute.DEVICE_PRODUCT: pci6229.PRODUCT, Attribute.DEVICE_SERIAL: pci6229.SERIAL_NUMBER}
-        faults = self._bench.faults.active
+        faults = self.bench.faults.active
         missing = faults.card_absent or faults.card_gone or faults.card_unplugged
         return {
-            Attribute.SYSTEM_DEVICES: "" if missing else self._device,
+            Attribute.SYSTEM_DEVICES: "" if missing else self.card.device,
             Attribute.SYSTEM_MAJOR_VERSION: pci6229.DRIVER_VERSION,
             Attribute.SYSTEM_MINOR_VERSION: 0,
             Attribute.SYSTEM_UPDATE_VERSION: 0,
@@ -345,7 +299,7 @@ class Card:
 
     def _task_attributes(self, task: CardTask, channel: str) -> dict[int, AttributeValue]:
         names = str(flatten_channel_string([channel.name for channel in task.channels]))
-        buffer, waveform, now_s = task.buffer, task.waveform, self._engine.now_s
+        buffer, waveform, now_s = task.buffer, task.waveform, self.now_s
         return {
             Attribute.TASK_NAME: task.name,
             Attribute.TASK_CHANNELS: names,

@@ -6,9 +6,9 @@ Counts of the encoder are its own, four a period, 0 at its index pulse. One lock
 import math
 import threading
 import time
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 from nidaqmx.constants import AcquisitionType, ChannelType, ReadRelativeTo
@@ -22,20 +22,6 @@ from dragrig.sim_backend.doubles.simulated_bench import SimulatedBench
 _MIN_WAIT_S = 2e-4
 INDEX_HYSTERESIS_COUNTS = -20
 """Where the index pulse is when it is passed downwards: its place is repeatable from one side only."""
-
-
-class SampleSource(Protocol):
-    """What fills an input buffer."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second that come at present; 0 when none come."""
-
-    def total(self) -> int:
-        """Return how many samples per channel were taken."""
-
-    def fetch(self, first: int, end: int) -> list[FloatArray]:
-        """Return these samples of each channel."""
 
 
 class AnalogSource:
@@ -192,7 +178,7 @@ class InputBuffer:
 
     def __init__(
         self,
-        source: SampleSource,
+        source: AnalogSource | EncoderCounter,
         size: int,
         pace: float,
         changed: threading.Condition,
@@ -320,13 +306,6 @@ class OutputWaveform:
         return 0 if self.began_s is None else math.floor((now_s - self.began_s) * self.rate_hz) + 1
 
 
-OutputListener = Callable[[str, FloatArray, float, float], None]
-"""Called with an output's name, its voltages to come, their rate, and the clock's reading at the first of them.
-
-At rate 0 there is one voltage, which the output holds from then on.
-"""
-
-
 @dataclass(frozen=True, slots=True)
 class SampleClock:
     """A task's sample clock; `source` is empty for the card's own."""
@@ -368,15 +347,22 @@ class CardTask:
 
 
 class TaskEngine:
-    """Tasks on a bench. The caller of a method holds `changed`."""
+    """Tasks on a bench.
 
-    def __init__(self, bench: SimulatedBench, listener: OutputListener | None) -> None:
+    Any thread may call what the driver's clients call; the caller of any other method holds `changed`.
+
+    Parameters
+    ----------
+    bench
+        What the card is wired to.
+    """
+
+    def __init__(self, bench: SimulatedBench) -> None:
         self.bench = bench
         self.card = bench.rig.hardware.card
         self.changed = threading.Condition()
         self.tasks: dict[int, CardTask] = {}
         self.held_volts = dict.fromkeys(pci6229.AO, 0.0)
-        self._listener = listener
         self._handles = 0
         self._holders: dict[str, CardTask] = {}
         self._lost_samples = bench.faults.active.overwritten_samples
@@ -387,13 +373,14 @@ class TaskEngine:
         """The bench's clock."""
         return self.bench.clock.monotonic()
 
-    def create(self, name: str) -> int:
-        """Return the handle of a new task."""
-        if any(task.name == name for task in self.tasks.values()):
-            raise CardError(Status.DUPLICATE_TASK, f"Specified task name is already in use.\n\nTask Name: {name}")
-        self._handles += 1
-        self.tasks[self._handles] = CardTask(self._handles, name or f"_unnamedTask<{self._handles - 1}>")
-        return self._handles
+    def create_task(self, name: str) -> int:
+        """Return the handle of a new task; an empty name lets the driver choose one."""
+        with self.changed:
+            if any(task.name == name for task in self.tasks.values()):
+                raise CardError(Status.DUPLICATE_TASK, f"Specified task name is already in use.\n\nTask Name: {name}")
+            self._handles += 1
+            self.tasks[self._handles] = CardTask(self._handles, name or f"_unnamedTask<{self._handles - 1}>")
+            return self._handles
 
     def task(self, handle: int, kind: ChannelType | None = None) -> CardTask:
         """Return a task, whose channels must be of `kind` if that is not None."""
@@ -446,37 +433,39 @@ class TaskEngine:
         task.channels.extend(channels)
         return task
 
-    def set_clock(self, handle: int, source: str, rate_hz: float, mode: int, samples: int) -> None:
+    def cfg_samp_clk_timing(self, handle: int, source: str, rate_hz: float, mode: int, samples: int) -> None:
         """Give a task a continuous sample clock at the nearest rate that the card can make."""
-        task = self.idle_task(handle)
-        if not rate_hz > 0:
-            raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample rate must be above 0, not {rate_hz:g}.")
-        if task.kind not in {ChannelType.ANALOG_INPUT, ChannelType.ANALOG_OUTPUT, ChannelType.COUNTER_INPUT}:
-            raise task.failure(
-                Status.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "Task has no channels with a sample clock."
-            )
-        place = pci6229.find_terminal(source, self.card.device) if source and source != "OnboardClock" else ""
-        if task.kind is not ChannelType.COUNTER_INPUT:
-            is_input = task.kind is ChannelType.ANALOG_INPUT
-            max_hz = pci6229.AI_MAX_RATE_HZ / len(task.channels) if is_input else pci6229.AO_MAX_RATE_HZ
-            rate_hz = pci6229.nearest_rate(rate_hz)
-            if rate_hz > max_hz * (1 + 1e-9):
-                single = len(task.channels) == 1
-                code = Status.SAMP_RATE_TOO_HIGH if single else Status.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO
-                raise task.failure(code, f"Sample rate {rate_hz:g} Hz is above the possible {max_hz:g} Hz.")
-        if mode != AcquisitionType.CONTINUOUS.value:
-            raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample mode {mode} is not supported by this task.")
-        task.clock = SampleClock(rate_hz, place, _default_buffer(rate_hz, samples))
+        with self.changed:
+            task = self.idle_task(handle)
+            if not rate_hz > 0:
+                raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample rate must be above 0, not {rate_hz:g}.")
+            if task.kind not in {ChannelType.ANALOG_INPUT, ChannelType.ANALOG_OUTPUT, ChannelType.COUNTER_INPUT}:
+                raise task.failure(
+                    Status.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK, "Task has no channels with a sample clock."
+                )
+            place = pci6229.find_terminal(source, self.card.device) if source and source != "OnboardClock" else ""
+            if task.kind is not ChannelType.COUNTER_INPUT:
+                is_input = task.kind is ChannelType.ANALOG_INPUT
+                max_hz = pci6229.AI_MAX_RATE_HZ / len(task.channels) if is_input else pci6229.AO_MAX_RATE_HZ
+                rate_hz = pci6229.nearest_rate(rate_hz)
+                if rate_hz > max_hz * (1 + 1e-9):
+                    single = len(task.channels) == 1
+                    code = Status.SAMP_RATE_TOO_HIGH if single else Status.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO
+                    raise task.failure(code, f"Sample rate {rate_hz:g} Hz is above the possible {max_hz:g} Hz.")
+            if mode != AcquisitionType.CONTINUOUS.value:
+                raise task.failure(Status.INVALID_ATTRIBUTE_VALUE, f"Sample mode {mode} is not supported by this task.")
+            task.clock = SampleClock(rate_hz, place, _default_buffer(rate_hz, samples))
 
-    def set_trigger(self, handle: int, source: str) -> None:
+    def cfg_dig_edge_start_trig(self, handle: int, source: str) -> None:
         """Let the start of the analog inputs start a task."""
-        task, place = self.idle_task(handle), pci6229.find_terminal(source, self.card.device)
-        if task.kind is not ChannelType.ANALOG_OUTPUT or place != pci6229.AI_START_TRIGGER:
-            raise task.failure(
-                Status.ATTR_NOT_SUPPORTED,
-                f"Only outputs can be triggered here, by {pci6229.AI_START_TRIGGER}, not by {place}.",
-            )
-        task.trigger = place
+        with self.changed:
+            task, place = self.idle_task(handle), pci6229.find_terminal(source, self.card.device)
+            if task.kind is not ChannelType.ANALOG_OUTPUT or place != pci6229.AI_START_TRIGGER:
+                raise task.failure(
+                    Status.ATTR_NOT_SUPPORTED,
+                    f"Only outputs can be triggered here, by {pci6229.AI_START_TRIGGER}, not by {place}.",
+                )
+            task.trigger = place
 
     def reserve(self, task: CardTask) -> None:
         """Assign to a task the resources that it needs of the card; raises `CardError` when another task has them."""
@@ -495,20 +484,35 @@ class TaskEngine:
                 )
         self._holders.update(dict.fromkeys(resources, task))
 
-    def start(self, task: CardTask) -> None:
+    def start(self, handle: int) -> None:
         """Start a task."""
-        self.idle_task(task.handle)
-        self.reserve(task)
-        if task.kind is ChannelType.ANALOG_INPUT and task.clock is not None:
-            self._start_inputs(task, task.clock)
-        elif task.kind is ChannelType.COUNTER_INPUT:
-            self._start_counter(task)
-        elif task.waveform is not None and not task.trigger:
-            self._begin_waveform(task, self.now_s)
-        task.running = True
-        self.changed.notify_all()
+        with self.changed:
+            task = self.idle_task(handle)
+            self.reserve(task)
+            if task.kind is ChannelType.ANALOG_INPUT and task.clock is not None:
+                self._start_inputs(task, task.clock)
+            elif task.kind is ChannelType.COUNTER_INPUT:
+                self._start_counter(task)
+            elif task.waveform is not None and not task.trigger:
+                self._begin_waveform(task, self.now_s)
+            task.running = True
+            self.changed.notify_all()
 
-    def stop(self, task: CardTask) -> None:
+    def stop(self, handle: int) -> None:
+        """Stop a task, release its resources, keep its configuration."""
+        with self.changed:
+            self.end(self.task(handle))
+            self.check_card()
+
+    def clear_task(self, handle: int) -> None:
+        """Stop a task, release its resources and forget it."""
+        with self.changed:
+            task = self.task(handle)
+            task.reserved = False
+            self.end(task)
+            del self.tasks[handle]
+
+    def end(self, task: CardTask) -> None:
         """Stop a task; resources that it did not reserve explicitly are released."""
         if task.running and task.kind is ChannelType.ANALOG_INPUT and task.buffer is not None:
             for latched in self.tasks.values():
@@ -525,12 +529,6 @@ class TaskEngine:
             self._holders = {resource: holder for resource, holder in self._holders.items() if holder is not task}
         self.changed.notify_all()
 
-    def forget(self, task: CardTask) -> None:
-        """Stop a task and forget it."""
-        task.reserved = False
-        self.stop(task)
-        del self.tasks[task.handle]
-
     def check_running(self, task: CardTask) -> None:
         """Raise when the card is gone or the task was stopped."""
         self.check_card()
@@ -542,16 +540,14 @@ class TaskEngine:
     def hold_voltage(self, channel: VirtualChannel, volts: float) -> None:
         """Let an output hold a voltage."""
         self.held_volts[channel.physical] = volts
-        if self._listener is not None:
-            self._listener(channel.physical, np.array([volts]), 0.0, self.now_s)
+        self.bench.put_out(channel.physical, np.array([volts]), 0.0, self.now_s)
 
     def announce(self, task: CardTask, volts: FloatArray, first: int) -> None:
-        """Tell the listener of voltages of a waveform that has begun, the first of them its sample `first`."""
+        """Tell the bench of voltages of a waveform that has begun, the first of them its sample `first`."""
         waveform = task.waveform
-        if self._listener is None or waveform is None or waveform.began_s is None or not len(volts):
-            return
-        due_s = waveform.began_s + first / waveform.rate_hz
-        self._listener(task.channels[0].physical, np.array(volts), waveform.rate_hz, due_s)
+        if waveform is not None and waveform.began_s is not None and len(volts):
+            due_s = waveform.began_s + first / waveform.rate_hz
+            self.bench.put_out(task.channels[0].physical, np.array(volts), waveform.rate_hz, due_s)
 
     def _begin_waveform(self, task: CardTask, at_s: float) -> None:
         if task.waveform is not None and task.waveform.began_s is None:
@@ -616,7 +612,4 @@ def _follows_inputs(task: CardTask) -> bool:
 
 def _default_buffer(rate_hz: float, samples: int) -> int:
     """Return the driver's buffer of a continuous task (NI-DAQmx Help, "How Is Buffer Size Determined?")."""
-    for below_hz, size in ((100.0, 1_000), (10_000.0, 10_000), (1_000_000.0, 100_000)):
-        if rate_hz <= below_hz:
-            return max(size, samples)
-    return max(1_000_000, samples)
+    return max((1_000, 10_000, 100_000, 1_000_000)[bisect_left((100.0, 10_000.0, 1_000_000.0), rate_hz)], samples)

@@ -288,8 +288,8 @@ def test_what_a_killed_worker_had_begun_to_write_is_cleared_by_its_exam(tmp_path
     [case] = draw_cases(1, 5)
     with open_exam_folder(out, 1, 5, "exam") as folder:
         first = {"hypothesis": "+".join(case.effects), "probability": 0.9}
-        write_json(folder.diagnosis_file(case.name), {"verdict": "effect", "effects": case.effects, "ranking": [first]})
-        write_json(folder.amount(case.name), {"d": 30.0})
+        write_json(folder.result("said", case.name), {"verdict": "effect", "effects": case.effects, "ranking": [first]})
+        write_json(folder.result("amounts", case.name), {"d": 30.0})
     arguments = ["gap", "blind", "--cases", "1", "--seed", "5", "--workers", "1", "--quiet", "--out", str(out)]
     with subprocess.Popen([sys.executable, "-m", "dragrig", *arguments], stdout=subprocess.DEVNULL) as exam:
         frozen_while_it_writes(exam.pid, out).kill()
@@ -325,11 +325,11 @@ def test_the_command_prints_what_the_exam_says_and_writes_its_page(
             verdict = "effect" if len(case.effects) == 1 else "no_gap"
             first = {"hypothesis": "+".join(case.effects) or "no_gap", "probability": 0.9}
             write_json(
-                folder.diagnosis_file(case.name),
+                folder.result("said", case.name),
                 {**message, "verdict": verdict, "effects": case.effects, "ranking": [first]},
             )
-            write_json(folder.amount(case.name), {"d": 30.0})
-        write_json(folder.diagnosis_file("0002"), {"failed": "it broke"})
+            write_json(folder.result("amounts", case.name), {"d": 30.0})
+        write_json(folder.result("said", "0002"), {"failed": "it broke"})
     report = tmp_path / "exam.html"
     arguments = ["gap", "blind", "--cases", "2", "--seed", "5", "--out", str(out), "--quiet"]
     assert main([*arguments, "--report", str(report)]) == 2

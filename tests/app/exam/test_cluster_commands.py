@@ -88,7 +88,7 @@ def test_an_exam_whose_worker_is_killed_while_it_diagnoses_is_the_same_exam(
         # To measure how large the hidden effects are takes as long as to diagnose, and is kept as any other part.
         with open_exam_folder(out, CASES, SEED, "exam") as folder:
             for case in draw_cases(CASES, SEED):
-                write_json(folder.amount(case.name), {"d": 30.0})
+                write_json(folder.result("amounts", case.name), {"d": 30.0})
     assert make_campaigns(CASES, SEED, there, scheduler=cluster) == make_campaigns(CASES, SEED, here, workers=2)
     arguments = ["gap", "blind", "--cases", str(CASES), "--seed", str(SEED), "--quiet", "--out"]
     assert main([*arguments, str(here), "--workers", "2"]) == 0

@@ -68,7 +68,7 @@ def test_a_server_that_hangs_counts_as_gone(port: int) -> None:
 
 def test_output_and_counter_of_a_killed_program_are_taken_back() -> None:
     bench = SimulatedBench(settings(), FrictionModelSettings(), DoubleClock(1.0))
-    with CardServer(Card(bench, bench.put_out)) as server, ExitStack() as stack:
+    with CardServer(Card(bench)) as server, ExitStack() as stack:
         for _ in range(2):
             connection = Connection(CardSettings(server=f"127.0.0.1:{server.port}"))
             stack.callback(connection.close)

@@ -160,7 +160,7 @@ def test_two_seeds_draw_two_laws_and_one_seed_the_same_bytes(tmp_path: Path) -> 
         return sha256(b"".join(file.read_bytes() for file in sorted(folder.glob("*.h5")))).hexdigest()
 
     assert digest(tmp_path / "a", 4) == digest(tmp_path / "b", 4) != digest(tmp_path / "c", 5)
-    laws = [drawn(seed, "stribeck").effects[0].law("law") for seed in range(20)]
+    laws = [drawn(seed, "stribeck").effects[0].laws["law"] for seed in range(20)]
     assert len(set(laws)) == 20
 
 
