@@ -59,10 +59,6 @@ SWITCH_NAMES: Mapping[str, str] = {
 _BenchAction: TypeAlias = Callable[[SupportsBenchActions], None]
 
 
-def _do_nothing(bench: SupportsBenchActions) -> None:
-    del bench
-
-
 def _press(bench: SupportsBenchActions, *, switch: str, on: bool) -> None:
     bench.press(switch, on=on)
 
@@ -245,7 +241,7 @@ class _Guide:
     def __init__(self, live: LiveRig, bench: SupportsBenchActions | None, confirm: Callable[[Prompt], Answer]) -> None:
         self._live, self._bench, self._confirm = live, bench, confirm
 
-    def watch(self, text: str, act: _BenchAction = _do_nothing, undo: _BenchAction = _do_nothing) -> Watched:
+    def watch(self, text: str, act: _BenchAction = lambda _: None, undo: _BenchAction = lambda _: None) -> Watched:
         """Return what was seen; `act` and `undo` are what a double does in the person's place."""
         before = self._live.view()
         views: list[LiveView] = []

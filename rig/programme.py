@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 
 from dragrig.config import (
@@ -428,7 +429,7 @@ def preflight(
         findings += [f"{name} {violation}" for violation in limit_violations(extremes, run.start_mm, limits)]
         run_ons = {failure: RunOn.of(run.profile, rig, stop) for failure, stop in stops or ()}
         for failure, on in run_ons.items():
-            furthest[failure] = max(furthest.get(failure, on), on, key=_way_mm)
+            furthest[failure] = max(furthest.get(failure, on), on, key=attrgetter("distance_mm"))
         # Of two failures that carry it beyond, the worse one is said.
         worst_first = sorted(run_ons.items(), key=lambda item: -item[1].stop.after_s)
         beyond = (list(on.violations(failure, extremes, run.start_mm, limits)) for failure, on in worst_first)
@@ -456,10 +457,6 @@ def preflight(
     fastest_mm_s = max((preview.speed_mm_s for preview in previews), default=0.0)
     remarks = [run_on_remark(failure, on, fastest_mm_s) for failure, on in furthest.items() if on.distance_mm]
     return Preflight(tuple(previews), programme.duration_s, total, free, tuple(findings), tuple(remarks))
-
-
-def _way_mm(on: RunOn) -> float:
-    return on.distance_mm
 
 
 def check_limits(rig: RigSettings) -> RigCheck:
