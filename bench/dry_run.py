@@ -18,11 +18,11 @@ from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
 from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Specimen
+from dragrig.rig import FolderStore
 from dragrig.rig.devices import BackendRequest
 from dragrig.rig.engine import Store
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import build_programme
-from dragrig.rig.runfile import FolderStore
 from dragrig.rig.runfile.campaigns import SessionRecord
 from dragrig.rig.runfile.store import MemoryStore
 from dragrig.rig.session import Session

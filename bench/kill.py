@@ -13,7 +13,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
-from dragrig.rig.runfile import recover, verify
+from dragrig.rig import recover
+from dragrig.rig.runfile import verify
 from killed import STEPS, Loss, loss_of, run_victim
 
 BOUND_S = 0.25

@@ -465,15 +465,11 @@ class RigSettings(Settings):
     data: DataSettings = DataSettings()
 
     @model_validator(mode="after")
-    def _sees_the_force_limit(self) -> Self:
+    def _guard_fits_the_sensors(self) -> Self:
         if self.guard.force_limit_mN >= self.force_sensor.range_mN:
             raise ValueError(
                 "guard.force_limit_mN must be below force_sensor.range_mN, or no force could trip the guard"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _tells_silence_from_rest(self) -> Self:
         if self.guard.encoder_silent_mm < 3e-3 * self.encoder.resolution_um:
             raise ValueError(
                 "guard.encoder_silent_mm must be at least three counts (encoder.resolution_um), or a healthy encoder "

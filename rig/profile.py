@@ -78,19 +78,19 @@ class MotionProfile:
         chain = [piece for piece in pieces if piece.duration_s > 0]
         duration = np.array([piece.duration_s for piece in chain])
         acceleration = np.array([piece.acceleration_mm_s2 for piece in chain])
-        ends = np.cumsum(duration)
+        edges = np.concatenate(([0.0], np.cumsum(duration)))
         velocity = np.concatenate(([0.0], np.cumsum(acceleration * duration)))
         velocity[np.abs(velocity) < 1e-9] = 0.0
         # An absurd distance is for its limits to refuse, not for a warning here.
         with np.errstate(over="ignore", invalid="ignore"):
             travel = velocity[:-1] * duration + 0.5 * acceleration * duration**2
         profile = cls(
-            start_s=np.concatenate(([0.0], ends[:-1])) if chain else np.zeros(0),
-            position_mm=np.concatenate(([0.0], np.cumsum(travel)[:-1])) if chain else np.zeros(0),
+            start_s=edges[:-1],
+            position_mm=np.concatenate(([0.0], np.cumsum(travel)))[:-1],
             velocity_mm_s=velocity[:-1],
             acceleration_mm_s2=acceleration,
             phase=np.array([piece.phase for piece in chain], dtype=np.uint8),
-            duration_s=float(ends[-1]) if chain else 0.0,
+            duration_s=float(edges[-1]),
         )
         for array in (profile.start_s, profile.position_mm, profile.velocity_mm_s, profile.acceleration_mm_s2):
             read_only(array)

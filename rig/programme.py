@@ -7,7 +7,7 @@ disk; the settings of the rig are checked against each other, and the calibratio
 import random
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
 
@@ -346,10 +346,6 @@ BYTES_PER_EXTRA_CHANNEL = 4
 BYTES_PER_FILE = 60_000
 
 
-_SECONDS_PER_DAY = 86_400
-_CALIBRATION_COMMANDS = {"force": "dragrig calibrate force", "encoder": "dragrig calibrate encoder"}
-
-
 @dataclass(frozen=True, slots=True)
 class RunPreview:
     """Extremes and size of a run, before it is made."""
@@ -498,14 +494,13 @@ def check_wiring(rig: RigSettings, calibrations: Mapping[str, Calibration]) -> I
 def check_calibration(quantity: str, entry: Calibration | None, rig: RigSettings, now: datetime) -> RigCheck:
     """Check the latest calibration of a quantity: whether there is one, its age, and its sensor."""
     name, max_days = f"calibration of {quantity}", rig.hardware.calibration_days
+    command = f"dragrig calibrate {quantity}"
     if entry is None:
-        return RigCheck(name, False, f"missing; make it with {_CALIBRATION_COMMANDS[quantity]}")
-    age_days = (now - entry.made_at).total_seconds() / _SECONDS_PER_DAY
+        return RigCheck(name, False, f"missing; make it with {command}")
+    age_days = (now - entry.made_at) / timedelta(days=1)
     detail = f"{entry.id}, {max(age_days, 0):.0f} days old"
     if age_days > max_days:
-        return RigCheck(
-            name, False, f"{detail}, more than {max_days:g}: repeat it with {_CALIBRATION_COMMANDS[quantity]}"
-        )
+        return RigCheck(name, False, f"{detail}, more than {max_days:g}: repeat it with {command}")
     if quantity == "force" and rig.force_sensor.serial and entry.sensor_serial != rig.force_sensor.serial:
         sensor = entry.sensor_serial or "a sensor without a serial number"
         return RigCheck(name, False, f"{detail}, made with {sensor}, and the rig has {rig.force_sensor.serial}")

@@ -1,12 +1,8 @@
-"""Digital lines beside the drive's serial link: enable, emergency stop, limit switches, heartbeat.
-
-`DigitalLines` is the interface, `CardLines` its implementation on the card.
-"""
+"""Digital lines beside the drive's serial link: enable, emergency stop, limit switches, heartbeat."""
 
 from contextlib import ExitStack
 from dataclasses import dataclass
 from threading import RLock
-from typing import Protocol
 
 import nidaqmx
 import numpy as np
@@ -58,27 +54,11 @@ class SwitchStates:
         return None
 
 
-class DigitalLines(Protocol):
-    """The lines of one rig. Any thread may call any method; each raises `DeviceError` when the card does not answer."""
-
-    @property
-    def has_heartbeat(self) -> bool:
-        """Whether a heartbeat relay is wired."""
-
-    def read_switches(self) -> SwitchStates:
-        """Read all switches now. Called at every block, so it has to return within milliseconds."""
-
-    def set_enable(self, on: bool) -> None:
-        """Set the drive's enable line; no effect where it is not wired."""
-
-    def toggle_heartbeat(self) -> None:
-        """Invert the heartbeat line; no effect where it is not wired."""
-
-
 class CardLines:
-    """Implements `DigitalLines` on the card. All tasks are reserved in the constructor; the caller closes them.
+    """The lines of one rig, on the card. All tasks are reserved in the constructor; the caller closes them.
 
-    Raises `DeviceError` when the card refuses.
+    Any thread may call any method. Each, and the constructor, raises `DeviceError` when the card refuses or does not
+    answer. A line that is not wired is set and inverted without effect.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -106,7 +86,10 @@ class CardLines:
         return self._heartbeat is not None
 
     def read_switches(self) -> SwitchStates:
-        """Read all switches and the encoder's error line in one call of the driver."""
+        """Read all switches and the encoder's error line in one call of the driver.
+
+        Called at every block, so it has to return within milliseconds.
+        """
         if self._switch_reader is None:
             return SwitchStates()
         high = np.zeros(len(self._inputs), dtype=np.bool_)

@@ -4,13 +4,13 @@ At a standstill, and over 2 mm at 1 mm/s: few drives show at a standstill that t
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from dragrig.config import DeviceError, RigSettings, reason_of
 from dragrig.rig import RELAY_BEATS, Clock, RigCheck, StopName
 from dragrig.rig.hardware.dialects import Dialect, Lack
 from dragrig.rig.hardware.drive import MonitoredStage, PositionModeStage
-from dragrig.rig.hardware.lines import DigitalLines
+from dragrig.rig.hardware.lines import CardLines
 
 CREEP_MM = 2.0
 CREEP_SPEED_MM_S = 1.0
@@ -26,11 +26,20 @@ _MIN_SILENCE_SHARE = 0.5
 _MIN_SEEN_S = 1e-3
 
 
+_ABSENT = {
+    StopName.ENABLE: "not wired (hardware.card.lines.enable is empty): only the serial line switches the drive",
+    StopName.RELAY: (
+        "not wired (hardware.card.lines.heartbeat is empty): a killed program takes no power from the drive"
+    ),
+    StopName.WATCHDOG: "a drive of this dialect has none, so that relay and enable line alone stop it",
+}
+
+
 class StopTrial:
     """Takes enable line, heartbeat and requests away from a drive that is on, and looks whether it goes off."""
 
     def __init__(
-        self, rig: RigSettings, stage: MonitoredStage, lines: DigitalLines, clock: Clock, dialect: Dialect
+        self, rig: RigSettings, stage: MonitoredStage, lines: CardLines, clock: Clock, dialect: Dialect
     ) -> None:
         self._rig, self._stage, self._lines, self._clock, self._dialect = rig, stage, lines, clock, dialect
         self._wired = rig.hardware.card.lines
@@ -38,48 +47,34 @@ class StopTrial:
         self._relay_wait_s = _WAIT_S + RELAY_BEATS * self._wired.heartbeat_s
         longest_s = max(self._quiet_s, self._relay_wait_s)
         self._speed_mm_s = min(CREEP_SPEED_MM_S, _MOST_MM / longest_s)
+        self._in_motion = False
 
     def run(self, *, in_motion: bool) -> Iterator[RigCheck]:
         """Yield a finding for each stop; a device that fails ends the trial with one."""
-        trials: tuple[tuple[StopName, str, Callable[[bool], RigCheck]], ...] = (
-            (StopName.ENABLE, self._absent_enable(), self._try_enable),
-            (StopName.RELAY, self._absent_relay(), self._try_relay),
-            (StopName.WATCHDOG, self._absent_timeout(), self._try_silence),
-        )
-        for name, absent, trial in trials:
-            if absent:
+        self._in_motion = in_motion
+        for name, is_there, trial in (
+            (StopName.ENABLE, bool(self._wired.enable), self._try_enable),
+            (StopName.RELAY, bool(self._wired.heartbeat), self._try_relay),
+            (StopName.WATCHDOG, Lack.SILENCE_TIMEOUT not in self._dialect.lacks, self._try_silence),
+        ):
+            if not is_there:
                 if not in_motion:
-                    yield RigCheck(name.value, True, absent)
+                    yield RigCheck(name.value, True, _ABSENT[name])
                 continue
             try:
-                self._switch_on(in_motion=in_motion)
+                self._switch_on()
                 try:
-                    yield trial(in_motion)
+                    yield trial()
                 finally:
                     self._stage.disable()
             except DeviceError as error:
-                yield RigCheck(_label(name, in_motion=in_motion), False, reason_of(error))
+                yield RigCheck(self._label(name), False, reason_of(error))
                 return
 
-    def _absent_enable(self) -> str:
-        if self._wired.enable:
-            return ""
-        return "not wired (hardware.card.lines.enable is empty): only the serial line switches the drive"
-
-    def _absent_relay(self) -> str:
-        if self._wired.heartbeat:
-            return ""
-        return "not wired (hardware.card.lines.heartbeat is empty): a killed program takes no power from the drive"
-
-    def _absent_timeout(self) -> str:
-        if Lack.SILENCE_TIMEOUT not in self._dialect.lacks:
-            return ""
-        return "a drive of this dialect has none, so that relay and enable line alone stop it"
-
-    def _switch_on(self, *, in_motion: bool) -> None:
+    def _switch_on(self) -> None:
         stage = self._stage
         stage.enable()
-        if not in_motion or not isinstance(stage, PositionModeStage):
+        if not self._in_motion or not isinstance(stage, PositionModeStage):
             return
         from_mm, until_s = stage.state().position_mm, time.monotonic() + _SET_OUT_S
         stage.creep(CREEP_MM, self._speed_mm_s)
@@ -88,7 +83,7 @@ class StopTrial:
                 raise DeviceError("the stage did not set out: check the motor's power, and whether it is blocked.")
             time.sleep(_POLL_S)
 
-    def _try_enable(self, in_motion: bool) -> RigCheck:
+    def _try_enable(self) -> RigCheck:
         from_mm, from_s = self._stage.state().position_mm, time.monotonic()
         self._lines.set_enable(False)
         off_s = self._await_off(_WAIT_S)
@@ -97,11 +92,10 @@ class StopTrial:
                 StopName.ENABLE,
                 f"the drive stays on when {self._wired.enable} goes low: check the wire, and the drive's setting of "
                 "this input; without it, nothing but the serial line switches the drive off",
-                in_motion=in_motion,
             )
-        return self._found(StopName.ENABLE, off_s - from_s, "its enable line went low", from_mm, in_motion=in_motion)
+        return self._found(StopName.ENABLE, off_s - from_s, "its enable line went low", from_mm)
 
-    def _try_relay(self, in_motion: bool) -> RigCheck:
+    def _try_relay(self) -> RigCheck:
         from_mm = self._stage.state().position_mm
         with self._stage.withholding(beats=True):
             off_s = self._await_off(self._relay_wait_s)
@@ -114,39 +108,35 @@ class StopTrial:
                 f"the drive stays on without edges on {self._wired.heartbeat}: check the relay, and that its contact "
                 "is in the drive's motor power or its enable chain; without it, nothing takes the drive's power when "
                 "the program is killed",
-                in_motion=in_motion,
             )
-        return self._found(
-            StopName.RELAY, off_s - from_s, f"the last edge on {self._wired.heartbeat}", from_mm, in_motion=in_motion
-        )
+        return self._found(StopName.RELAY, off_s - from_s, f"the last edge on {self._wired.heartbeat}", from_mm)
 
-    def _try_silence(self, in_motion: bool) -> RigCheck:
+    def _try_silence(self) -> RigCheck:
         with self._stage.withholding(polls=True):
             before, from_s, model_s = self._stage.state(), time.monotonic(), self._clock.monotonic()
             self._keep_quiet()
             passed_s = time.monotonic() - from_s
             pace = (self._clock.monotonic() - model_s) / passed_s
             after = self._stage.state()
-        if not in_motion and after.enabled:
+        if not self._in_motion and after.enabled:
             stays = "shows in motion only: at a standstill the drive stays on when it hears nothing, as most do"
             return RigCheck(StopName.WATCHDOG.value, True, stays)
-        if in_motion and after.moving:
+        if self._in_motion and after.moving:
             return self._missing(
                 StopName.WATCHDOG,
                 f"the drive went on for {passed_s:.2f} s without a request, although it holds a silence timeout of "
                 f"{self._rig.hardware.drive.silence_s:g} s: set up what it does then, or wire a heartbeat relay "
                 "(hardware.card.lines.heartbeat)",
-                in_motion=in_motion,
             )
         travel_mm = abs(after.position_mm - before.position_mm)
-        took_s = travel_mm / (self._speed_mm_s * pace) if in_motion else passed_s
+        took_s = travel_mm / (self._speed_mm_s * pace) if self._in_motion else passed_s
         if took_s < _MIN_SILENCE_SHARE * self._rig.hardware.drive.silence_s:
             raise DeviceError(
                 f"the stage stopped {took_s:.2f} s after the last request, sooner than hardware.drive.silence_s: see "
                 "what else stopped it, and try again."
             )
         heard = "the last request (hardware.drive.silence_s)"
-        return self._found(StopName.WATCHDOG, took_s, heard, before.position_mm, in_motion=in_motion)
+        return self._found(StopName.WATCHDOG, took_s, heard, before.position_mm)
 
     def _keep_quiet(self) -> None:
         """Say nothing to the drive."""
@@ -174,16 +164,15 @@ class StopTrial:
         self._refuse_pressed()
         return off_s
 
-    def _found(self, name: StopName, took_s: float, since: str, from_mm: float, *, in_motion: bool) -> RigCheck:
-        went = f", and {abs(self._stage.state().position_mm - from_mm):.2f} mm on" if in_motion else ""
+    def _found(self, name: StopName, took_s: float, since: str, from_mm: float) -> RigCheck:
+        went = f", and {abs(self._stage.state().position_mm - from_mm):.2f} mm on" if self._in_motion else ""
         verb = "stops by itself" if name is StopName.WATCHDOG else "goes off"
         detail = f"the drive {verb} {took_s:.2f} s after {since}{went}"
-        return RigCheck(_label(name, in_motion=in_motion), True, detail, max(took_s, _MIN_SEEN_S))
+        return RigCheck(self._label(name), True, detail, max(took_s, _MIN_SEEN_S))
 
-    def _missing(self, name: StopName, why: str, *, in_motion: bool) -> RigCheck:
+    def _missing(self, name: StopName, why: str) -> RigCheck:
         self._stage.stop()
-        return RigCheck(_label(name, in_motion=in_motion), False, why)
+        return RigCheck(self._label(name), False, why)
 
-
-def _label(name: StopName, *, in_motion: bool) -> str:
-    return name.in_motion if in_motion else name.value
+    def _label(self, name: StopName) -> str:
+        return name.in_motion if self._in_motion else name.value

@@ -1,7 +1,5 @@
 """The stage moves with nothing attached: the record shows the rig alone."""
 
-from typing import ClassVar
-
 from dragrig.config import Fixture
 from dragrig.rig import Contact
 from dragrig.rig.protocols import StrokeProtocol
@@ -10,7 +8,7 @@ from dragrig.rig.protocols import StrokeProtocol
 class BlankProtocol(StrokeProtocol):
     """The stage moves with nothing attached: the record shows the rig alone."""
 
-    kind: ClassVar[str] = "blank"
-    fixture: ClassVar[Fixture] = Fixture.NONE
-    contact: ClassVar[Contact] = Contact.NONE
-    capsule: ClassVar[str] = "none"
+    kind = "blank"
+    fixture = Fixture.NONE
+    contact = Contact.NONE
+    capsule = "none"

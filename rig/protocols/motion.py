@@ -1,6 +1,6 @@
 """Any other motion: a list of strokes, each with its own speed and pause; reversals included."""
 
-from typing import ClassVar, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
@@ -27,10 +27,10 @@ class Move(Settings):
 class MotionProtocol(RunProtocol):
     """A drag with any sequence of strokes, recorded as one run."""
 
-    kind: ClassVar[str] = "motion"
-    fixture: ClassVar[Fixture] = Fixture.FOAM
-    contact: ClassVar[Contact] = Contact.SLIDING
-    capsule: ClassVar[str] = "drag"
+    kind = "motion"
+    fixture = Fixture.FOAM
+    contact = Contact.SLIDING
+    capsule = "drag"
 
     strokes: tuple[Move, ...] = Field(min_length=1, max_length=1000)
     """Strokes in order, each with travel_mm and speed_mm_s, optionally accel_mm_s2 and pause_s."""

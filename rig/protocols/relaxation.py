@@ -1,6 +1,6 @@
 """Shear relaxation: a rough capsule that does not slip is moved by strain × wall thickness, then held."""
 
-from typing import ClassVar, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
@@ -12,10 +12,10 @@ from dragrig.rig.protocols import RunProtocol
 class RelaxationProtocol(RunProtocol):
     """A fast ramp to a shear strain, and a long hold (section 3.2 of the paper)."""
 
-    kind: ClassVar[str] = "relaxation"
-    fixture: ClassVar[Fixture] = Fixture.VACUUM
-    contact: ClassVar[Contact] = Contact.STICKING
-    capsule: ClassVar[str] = "rough"
+    kind = "relaxation"
+    fixture = Fixture.VACUUM
+    contact = Contact.STICKING
+    capsule = "rough"
 
     shear_strain: float = Field(gt=0, le=5)
     """Strain that is held: the ramp's travel over the wall thickness; 1 is 100 %."""

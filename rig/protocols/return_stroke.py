@@ -1,7 +1,5 @@
 """The driven return stroke, recorded like any other run."""
 
-from typing import ClassVar
-
 from pydantic import Field
 
 from dragrig.config import Fixture, Specimen
@@ -12,10 +10,10 @@ from dragrig.rig.protocols import RunProtocol
 class ReturnProtocol(RunProtocol):
     """One stroke back to the start of the run before; fixture and contact are that run's."""
 
-    kind: ClassVar[str] = "return"
-    fixture: ClassVar[Fixture] = Fixture.FOAM
-    contact: ClassVar[Contact] = Contact.SLIDING
-    capsule: ClassVar[str] = "drag"
+    kind = "return"
+    fixture = Fixture.FOAM
+    contact = Contact.SLIDING
+    capsule = "drag"
 
     travel_mm: float = Field(ge=-5000, le=5000)
     speed_mm_s: float = Field(default=20.0, ge=1e-4, le=5000)

@@ -17,12 +17,13 @@ import mmap
 import os
 import tempfile
 from collections.abc import Iterator
-from io import FileIO
+from io import FileIO, RawIOBase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import h5py
+    from _typeshed import WriteableBuffer
 
 HEAP_SIGNATURE = b"GCOL\x01\0\0\0"
 HEAP_HEADER_BYTES = 16
@@ -134,7 +135,7 @@ def _little_endian(view: mmap.mmap, offset: int, size: int) -> int:
     return int.from_bytes(view[offset : offset + size], "little")
 
 
-class UnfinishedFile:
+class UnfinishedFile(RawIOBase):
     """A read-only view of a file that is open for writing, for h5py's file-object driver."""
 
     def __init__(self, file: FileIO) -> None:
@@ -152,17 +153,7 @@ class UnfinishedFile:
         self._position = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._position, os.SEEK_END: self._end}[whence]
         return self._position
 
-    def tell(self) -> int:
-        """Return the position."""
-        return self._position
-
-    def read(self, size: int = -1) -> bytes:
-        """Return bytes from the position on."""
-        buffer = bytearray(max(0, self._end - self._position) if size < 0 else size)
-        self.readinto(buffer)
-        return bytes(buffer)
-
-    def readinto(self, buffer: bytearray | memoryview) -> int:
+    def readinto(self, buffer: "WriteableBuffer") -> int:
         """Fill a buffer from the position on, with zeros where nothing was written."""
         view = memoryview(buffer).cast("B")
         self._file.seek(self._position)

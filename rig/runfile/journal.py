@@ -19,8 +19,6 @@ from typing import BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.runfile import schema
-
 _HEAD = struct.Struct("<4sIQI")
 _MAGIC = b"DRJ1"
 MAX_FIRST_FRAME_BYTES = 1 << 20
@@ -34,8 +32,11 @@ class FrameKind(IntEnum):
 
     EMPTY_RECORDING = 0
     SAMPLES = 1
+    """Every column of the trace, in the order of their names and the type that it is recorded in."""
     EVENTS = 2
+    """Rows of the table of events."""
     ANNOTATIONS = 3
+    """Lines of JSON that became known during the run."""
 
 
 def _checksum(kind: int, body: "bytes | memoryview", before: int) -> int:
@@ -52,33 +53,22 @@ class Journal:
         self._file = FileIO(path, "x")
         self._checksum = 0
         try:
-            self._append(FrameKind.EMPTY_RECORDING, empty_recording)
+            self.append(FrameKind.EMPTY_RECORDING, empty_recording)
         except OSError:
             self._file.close()
             path.unlink()
             raise
 
-    def append_samples(self, columns: Mapping[str, npt.NDArray[np.generic]]) -> None:
-        """Append samples, every column of the trace in the type that it is recorded in."""
-        self._append(FrameKind.SAMPLES, b"".join(columns[name].tobytes() for name in sorted(columns)))
-
-    def append_events(self, rows: npt.NDArray[np.void]) -> None:
-        """Append rows of the table of events."""
-        self._append(FrameKind.EVENTS, rows.tobytes())
-
-    def append_annotations(self, text: bytes) -> None:
-        """Append lines of JSON that became known during the run."""
-        self._append(FrameKind.ANNOTATIONS, text)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _append(self, kind: FrameKind, body: bytes) -> None:
+    def append(self, kind: FrameKind, body: bytes) -> None:
+        """Append a frame."""
         self._checksum = _checksum(kind, body, self._checksum)
         frame = memoryview(_HEAD.pack(_MAGIC, kind, len(body), self._checksum) + body)
         while frame:
             frame = frame[self._file.write(frame) :]
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
 
 def read_frames(path: Path) -> Iterator[tuple[FrameKind, bytes]]:
@@ -128,8 +118,3 @@ def split_samples(body: bytes, types: Mapping[str, np.dtype[np.generic]]) -> dic
         columns[name] = np.frombuffer(body, types[name], samples, start)
         start += samples * types[name].itemsize
     return columns
-
-
-def read_event_rows(body: bytes) -> npt.NDArray[np.void]:
-    """Return the rows of a frame of events."""
-    return np.frombuffer(body, schema.event_dtype())

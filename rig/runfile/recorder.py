@@ -36,7 +36,7 @@ from dragrig.rig.runfile.filesystem import (
     sync_folder,
 )
 from dragrig.rig.runfile.hdf5 import abandon_hdf5_file
-from dragrig.rig.runfile.journal import FrameKind, Journal, read_event_rows, read_frames, split_samples
+from dragrig.rig.runfile.journal import FrameKind, Journal, read_frames, split_samples
 from dragrig.rig.runfile.model import Attribute, RecordedChannel, RunEnding, RunEvent, RunHeader, RunStatus
 from dragrig.rig.runfile.reader import LayoutError, valid_count
 from dragrig.rig.runfile.writer import (
@@ -221,13 +221,7 @@ def rebuild(recording: Path) -> None:
         part.write_bytes(image)
         file = RecordingFile(part)
         for kind, body in frames:
-            match kind:
-                case FrameKind.SAMPLES:
-                    file.append(split_samples(body, file.types))
-                case FrameKind.EVENTS:
-                    file.append_event_rows(read_event_rows(body))
-                case FrameKind.ANNOTATIONS:
-                    file.append_annotation_text(body)
+            file.append_frame(kind, body)
         file.flush()
         file.close()
         move_into_place(part, recording)
@@ -280,33 +274,30 @@ class RecordingFile:
 
     def append(self, columns: Columns) -> None:
         """Append samples to every dataset of the trace."""
-        if self._journal is not None:
-            self._journal.append_samples(columns)
-        end = self.samples + len(columns[schema.TIME])
-        for name, dataset in self._trace.items():
-            dataset.resize((end,))
-            dataset[self.samples : end] = columns[name]
-        self.samples = end
+        self.append_frame(FrameKind.SAMPLES, b"".join(columns[name].tobytes() for name in sorted(columns)))
 
     def append_events(self, events: Sequence[RunEvent]) -> None:
         """Append events to their table."""
-        self.append_event_rows(event_rows(events))
-
-    def append_event_rows(self, rows: np.ndarray[tuple[int], np.dtype[np.void]]) -> None:
-        """Append rows to the table of events."""
-        if self._journal is not None:
-            self._journal.append_events(rows)
-        _extend(self._events, rows)
+        self.append_frame(FrameKind.EVENTS, event_rows(events).tobytes())
 
     def append_annotations(self, annotations: Sequence[Mapping[str, object]]) -> None:
         """Append what became known during the run, one line of JSON each."""
-        self.append_annotation_text("".join(f"{json.dumps(line)}\n" for line in annotations).encode())
+        text = "".join(f"{json.dumps(line)}\n" for line in annotations)
+        self.append_frame(FrameKind.ANNOTATIONS, text.encode())
 
-    def append_annotation_text(self, text: bytes) -> None:
-        """Append lines of JSON that became known during the run."""
+    def append_frame(self, kind: FrameKind, body: bytes) -> None:
+        """Append what a frame of a journal holds."""
         if self._journal is not None:
-            self._journal.append_annotations(text)
-        _extend(self._annotations, np.frombuffer(text, dtype="u1"))
+            self._journal.append(kind, body)
+        match kind:
+            case FrameKind.SAMPLES:
+                for name, column in split_samples(body, self.types).items():
+                    _extend(self._trace[name], column)
+                self.samples = len(self._trace[schema.TIME])
+            case FrameKind.EVENTS:
+                _extend(self._events, np.frombuffer(body, schema.event_dtype()))
+            case FrameKind.ANNOTATIONS:
+                _extend(self._annotations, np.frombuffer(body, "u1"))
 
     def flush(self) -> None:
         """Hand everything to the operating system, then record how much of it is valid."""

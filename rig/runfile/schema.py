@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -205,39 +205,27 @@ def run_name(path: Path) -> str:
     return path.name.removesuffix(next((suffix for suffix in suffixes if path.name.endswith(suffix)), ""))
 
 
-def finished_path(path: Path) -> Path:
-    """Return the path of a run's finished file."""
-    return path.with_name(run_name(path) + FINISHED_SUFFIX)
+def _beside(suffix: str, path: Path) -> Path:
+    return path.with_name(run_name(path) + suffix)
 
 
-def recording_path(path: Path) -> Path:
-    """Return the path of a run's recording."""
-    return path.with_name(run_name(path) + RECORDING_SUFFIX)
-
-
-def journal_path(path: Path) -> Path:
-    """Return the path of the journal of a run's recording."""
-    return path.with_name(run_name(path) + JOURNAL_SUFFIX)
+finished_path = partial(_beside, FINISHED_SUFFIX)
+"""Path of a run's finished file."""
+recording_path = partial(_beside, RECORDING_SUFFIX)
+"""Path of a run's recording."""
+journal_path = partial(_beside, JOURNAL_SUFFIX)
+"""Path of the journal of a run's recording."""
+lock_path = partial(_beside, LOCK_SUFFIX)
+"""Lock file of the process that writes a run."""
+mark_path = partial(_beside, MARK_SUFFIX)
+"""Path of a run's mark."""
+note_path = partial(_beside, NOTE_SUFFIX)
+"""Path of the note on a run."""
 
 
 def part_path(path: Path) -> Path:
     """Return where a file is written before it is moved into place."""
     return path.with_name(path.name + PART_SUFFIX)
-
-
-def lock_path(path: Path) -> Path:
-    """Return the lock file of the process that writes a run."""
-    return path.with_name(run_name(path) + LOCK_SUFFIX)
-
-
-def mark_path(path: Path) -> Path:
-    """Return the path of a run's mark."""
-    return path.with_name(run_name(path) + MARK_SUFFIX)
-
-
-def note_path(path: Path) -> Path:
-    """Return the path of the note on a run."""
-    return path.with_name(run_name(path) + NOTE_SUFFIX)
 
 
 @cache

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from threading import Thread
 from typing import Self, TypeVar
@@ -68,8 +69,7 @@ class FolderStore:
         max_stall_s: float = MAX_STALL_S,
     ) -> None:
         self._folder, self._max_stall_s = folder, max_stall_s
-        self._flush_s = flush_s
-        self._reserve_bytes = round(reserve_mb * 2**20)
+        self._recorder = partial(Recorder, flush_s=flush_s, reserve_bytes=round(reserve_mb * 2**20))
         self._on_finished = on_finished
         self._finisher = Finisher(on_finished)
         self._paths: dict[int, Path] = {}
@@ -90,13 +90,7 @@ class FolderStore:
     def open(self, header: RunHeader, expected_samples: int) -> "FolderSink":
         """Begin a record; raises `RecordingError` or `OutputError` when it cannot be."""
         path = self._folder / schema.run_file_name(header.start_time, header.kind, header.order)
-        recorder = Recorder(
-            path,
-            header,
-            flush_s=self._flush_s,
-            reserve_bytes=self._reserve_bytes,
-            expected_samples=expected_samples,
-        )
+        recorder = self._recorder(path, header, expected_samples=expected_samples)
         self._paths[header.order] = path
         return FolderSink(recorder, self._finisher)
 
@@ -435,7 +429,7 @@ class MemorySink:
 
     def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
         """Finish the record; the path is a name without a file."""
-        time = _joined([np.asarray(piece["time"], np.float64) for piece in self._pieces], np.float64)
+        time = self._column("time", np.float64)
         path = Path(f"{self._header.run_id}.h5")
         info = RunInfo(
             path=path,
@@ -451,19 +445,16 @@ class MemorySink:
             sample_rate_hz=self._header.sample_rate_hz,
             signal="force",
             time=time,
-            command=self._column("command"),
-            phase=_joined([np.asarray(piece["phase"], np.uint8) for piece in self._pieces], np.uint8),
-            channels={channel.name: self._column(channel.name) for channel in self._header.channels},
+            command=self._column("command", np.float32),
+            phase=self._column("phase", np.uint8),
+            channels={channel.name: self._column(channel.name, np.float32) for channel in self._header.channels},
             units={channel.name: channel.units for channel in self._header.channels},
         )
         self._runs.append(Run(info, trace, tuple(self._events)))
         return path
 
-    def _column(self, name: str) -> npt.NDArray[np.float32]:
-        return _joined([np.asarray(piece[name], np.float32) for piece in self._pieces], np.float32)
-
-
-def _joined(pieces: list[npt.NDArray[ScalarT]], dtype: type[ScalarT]) -> npt.NDArray[ScalarT]:
-    joined = np.concatenate(pieces) if pieces else np.zeros(0, dtype)
-    read_only(joined)
-    return joined
+    def _column(self, name: str, dtype: type[ScalarT]) -> npt.NDArray[ScalarT]:
+        pieces = [np.asarray(piece[name], dtype) for piece in self._pieces]
+        joined = np.concatenate([np.zeros(0, dtype), *pieces])
+        read_only(joined)
+        return joined

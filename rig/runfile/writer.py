@@ -462,22 +462,16 @@ def store_filtered(path: Path, filtered: FilteredTrace, events: Sequence[RunEven
 
 
 def _copy_run(source: h5py.File, file: h5py.File, without: frozenset[str]) -> None:
-    file.attrs.update(source.attrs)
-    for name in source:
-        if name != "entry":
-            _copy_member(source, name, file)
-    entry = file.create_group(schema.ENTRY)
-    for name, value in source[schema.ENTRY].attrs.items():
-        entry.attrs[name] = value
-    for name in source[schema.ENTRY]:
-        if name not in without:
-            _copy_member(source[schema.ENTRY], name, entry)
+    _copy_group(source, file, frozenset({"entry"}))
+    _copy_group(source[schema.ENTRY], file.create_group(schema.ENTRY), without)
 
 
-def _copy_member(source: h5py.Group, name: str, target: h5py.Group) -> None:
-    """Copy a member of a group; a link as the link that it is, for it may lead nowhere."""
-    link = source.get(name, getlink=True)
-    if isinstance(link, h5py.HardLink):
-        source.copy(name, target)
-    else:
-        target[name] = link
+def _copy_group(source: h5py.Group, target: h5py.Group, without: frozenset[str]) -> None:
+    """Copy attributes and members of a group; a link as the link that it is, for it may lead nowhere."""
+    target.attrs.update(source.attrs)
+    for name in (name for name in source if name not in without):
+        link = source.get(name, getlink=True)
+        if isinstance(link, h5py.HardLink):
+            source.copy(name, target)
+        else:
+            target[name] = link

@@ -28,7 +28,8 @@ from dragrig.analysis.export import (
 )
 from dragrig.analysis.savgol import filter_file
 from dragrig.config.errors import AnalysisError, OutputError, RunFileError
-from dragrig.rig.runfile import finish, mark_bad, read_run
+from dragrig.rig import mark_bad
+from dragrig.rig.runfile import finish, read_run
 from places import CAMPAIGN
 from runfiles import record
 

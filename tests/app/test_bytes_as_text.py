@@ -16,7 +16,8 @@ from dragrig.cli.commands import LazyGroup, TypedText, dragrig_group
 from dragrig.cli.console import run_command_line
 from dragrig.config import Settings
 from dragrig.config.errors import DragrigError, OutputError, RunFileError, SettingsError
-from dragrig.rig.runfile import mark_bad, read_info, read_run, write_run
+from dragrig.rig import mark_bad, write_run
+from dragrig.rig.runfile import read_info, read_run
 from dragrig.rig.runfile.campaigns import write_note
 from places import DATA
 from property_tests import thorough

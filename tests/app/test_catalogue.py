@@ -24,7 +24,7 @@ from dragrig.analysis.savgol import filter_file
 from dragrig.catalogue import ask_runs
 from dragrig.cli import main
 from dragrig.config import RunFileError
-from dragrig.rig.runfile import mark_bad, unmark
+from dragrig.rig import mark_bad, unmark
 from dragrig.run_listing import FileListing, RunListing, RunQuery
 from places import CAMPAIGN
 from property_tests import examples, thorough

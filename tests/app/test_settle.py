@@ -35,7 +35,7 @@ from dragrig.config.errors import OutputError, PlanError, RunFileError, Settings
 from dragrig.engine_host import RigSelection, SessionFinished, SessionJob, StartSession
 from dragrig.present import settlement_document
 from dragrig.present.terminal import document_text
-from dragrig.rig.runfile import mark_bad
+from dragrig.rig import mark_bad
 from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
 from dragrig.session_state import session_lock
 from dragrig.setup import create_lab, resolve

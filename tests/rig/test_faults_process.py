@@ -18,9 +18,10 @@ from pathlib import Path
 import pytest
 
 from dragrig.cli import main
+from dragrig.rig import recover
 from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile import read_campaign, read_info, read_run, recover
+from dragrig.rig.runfile import read_campaign, read_info, read_run
 from dragrig.rig.runfile.model import RunStatus
 from places import SUPPORT, TESTS
 from remote_doubles import StageStatus

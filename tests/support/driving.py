@@ -17,7 +17,7 @@ from dragrig.rig.hardware.dialects.base import find_dialect
 from dragrig.rig.hardware.drive.link import DriveLink
 from dragrig.rig.hardware.drive.monitor import StageDevices, Watchdog
 from dragrig.rig.hardware.drive.position_mode import PositionModeStage
-from dragrig.rig.hardware.lines import DigitalLines, SwitchStates
+from dragrig.rig.hardware.lines import CardLines, SwitchStates
 from dragrig.rig.hardware.sync import FirstSample, MotionSamplingSync
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.doubles.drive_double import DriveDouble
@@ -158,7 +158,7 @@ class Reached:
         return self.devices.watchdog
 
     @property
-    def lines(self) -> DigitalLines:
+    def lines(self) -> CardLines | BenchLines | NoDigitalLines:
         return self.devices.lines
 
 

@@ -18,7 +18,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from dragrig.rig.runfile import finish, finisher, read_run, recorder, recover, schema, writer
+from dragrig.rig import recover
+from dragrig.rig.runfile import finish, finisher, read_run, recorder, schema, writer
 from dragrig.rig.runfile.model import RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import Recorder
 from runfiles import START, arrays, header

@@ -17,7 +17,8 @@ from threading import Event, Lock, Thread
 
 import numpy as np
 
-from dragrig.rig.runfile import Recorder, RecoveryOutcome, finish, left_recordings, read_run, recover, verify
+from dragrig.rig import RecoveryOutcome, left_recordings, recover
+from dragrig.rig.runfile import Recorder, finish, read_run, verify
 from dragrig.rig.runfile.model import RunEvent, RunStatus
 from runfiles import START, arrays, header
 

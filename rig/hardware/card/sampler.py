@@ -435,17 +435,10 @@ class CardSampler:
         StaleDataError
             When nothing arrives for as long as `guard.stale_data_s`.
         """
-        if self._acquisition is not None:
-            raise DeviceError("the sampler is armed for an acquisition: stop it before a measurement.")
-        with driver_errors_wrapped(self._connection.card, "it measures"):
-            tasks = self._reserved_tasks("it measures")
-            try:
-                tasks.start(lambda start: start())
-                samples = max(1, round(duration_s * self.sample_rate_hz))
-                monitor = self._monitor()
-                volts, counts, fault = self._collect(self._fetcher(tasks), monitor, samples, cancel)
-            finally:
-                tasks.close()
+        with self._sampling("it measures") as fetcher:
+            samples = max(1, round(duration_s * self.sample_rate_hz))
+            monitor = self._monitor()
+            volts, counts, fault = self._collect(fetcher, monitor, samples, cancel)
         mean_mN = self._scaling.mN_per_V * float(np.mean(volts, dtype=np.float64)) + self._scaling.zero_mN
         reading = RawReading.of(volts, -counts if self._connection.card.encoder.reversed else counts, mean_mN)
         return replace(reading, force_noise_V=monitor.noise_V, fault=fault)
@@ -465,29 +458,31 @@ class CardSampler:
         DeviceError
             When the sampler is armed, or the card fails.
         """
+        card, stale_s = self._connection.card, self._rig.guard.stale_data_s
+        sign = -1.0 if card.encoder.reversed else 1.0
+        with self._sampling("it is watched") as fetcher:
+
+            def read() -> tuple[FloatArray, FloatArray]:
+                with driver_errors_wrapped(card, "it is watched"):
+                    batch, until_s = fetcher.fetch_newest(self._block_samples), time.monotonic() + stale_s
+                    while not batch.samples:
+                        if time.monotonic() > until_s:
+                            raise no_samples_error(card, stale_s)
+                        batch = fetcher.fetch(self._block_samples)
+                return batch.volts[0].copy(), sign * batch.counts
+
+            yield read
+
+    @contextmanager
+    def _sampling(self, doing: str) -> Iterator[SampleFetcher | OversampledFetcher]:
+        """Sample without an acquisition until the end of the context."""
         if self._acquisition is not None:
             raise DeviceError("the sampler is armed for an acquisition: stop it before a measurement.")
-        card = self._connection.card
-        sign = -1.0 if card.encoder.reversed else 1.0
-        tasks = self._reserved_tasks("it is watched")
-        fetcher = self._fetcher(tasks)
-
-        def read() -> tuple[FloatArray, FloatArray]:
-            with driver_errors_wrapped(card, "it is watched"):
-                batch, until_s = (
-                    fetcher.fetch_newest(self._block_samples),
-                    time.monotonic() + self._rig.guard.stale_data_s,
-                )
-                while not batch.samples:
-                    if time.monotonic() > until_s:
-                        raise no_samples_error(card, self._rig.guard.stale_data_s)
-                    batch = fetcher.fetch(self._block_samples)
-            return batch.volts[0].copy(), sign * batch.counts
-
-        with driver_errors_wrapped(card, "it is watched"):
+        with driver_errors_wrapped(self._connection.card, doing):
+            tasks = self._reserved_tasks(doing)
             try:
                 tasks.start(lambda start: start())
-                yield read
+                yield self._fetcher(tasks)
             finally:
                 tasks.close()
 

@@ -11,7 +11,7 @@ change once the drive's manual is at hand.
     refusal   STX  station(2)  command(2)  [parameter(2)] ! code(2)              ETX  CRC(4)
 
 Everything is ASCII; the CRC is CRC-16/XMODEM from STX to ETX in capital hexadecimal digits. Values are whole numbers of
-the steps in `_STEPS`. A status is flags(2) alarm(2) halt(1), hexadecimal.
+the steps in `_PARAMETERS`. A status is flags(2) alarm(2) halt(1), hexadecimal.
 """
 
 import re
@@ -48,38 +48,18 @@ _COMMANDS = {
     "GO": Command.GO,
     "SP": Command.STOP,
 }
-_PARAMETERS = {
-    "01": Parameter.THRUST_LIMIT_N,
-    "02": Parameter.LOWEST_MM,
-    "03": Parameter.HIGHEST_MM,
-    "04": Parameter.SPEED_MM_S,
-    "05": Parameter.ACCELERATION_MM_S2,
-    "06": Parameter.STOP_ACCELERATION_MM_S2,
-    "07": Parameter.HOMING_SPEED_MM_S,
-    "08": Parameter.SILENCE_S,
-}
-_STEPS = {  # per unit: 1 mN, 0.1 µm, 10 nm/s, 1 µm/s², 1 ms
-    Parameter.THRUST_LIMIT_N: 1000,
-    Parameter.LOWEST_MM: 10_000,
-    Parameter.HIGHEST_MM: 10_000,
-    Parameter.SPEED_MM_S: 100_000,
-    Parameter.ACCELERATION_MM_S2: 1000,
-    Parameter.STOP_ACCELERATION_MM_S2: 1000,
-    Parameter.HOMING_SPEED_MM_S: 1000,
-    Parameter.SILENCE_S: 1000,
+_PARAMETERS = {  # number, and steps per unit: 1 mN, 0.1 µm, 10 nm/s, 1 µm/s², 1 ms
+    Parameter.THRUST_LIMIT_N: ("01", 1000),
+    Parameter.LOWEST_MM: ("02", 10_000),
+    Parameter.HIGHEST_MM: ("03", 10_000),
+    Parameter.SPEED_MM_S: ("04", 100_000),
+    Parameter.ACCELERATION_MM_S2: ("05", 1000),
+    Parameter.STOP_ACCELERATION_MM_S2: ("06", 1000),
+    Parameter.HOMING_SPEED_MM_S: ("07", 1000),
+    Parameter.SILENCE_S: ("08", 1000),
 }
 _POSITION_STEPS = 10_000
-_REFUSALS = {
-    "01": Refusal.DISABLED,
-    "02": Refusal.NOT_HOMED,
-    "03": Refusal.MOVING,
-    "04": Refusal.SOFT_LIMIT,
-    "05": Refusal.ALARM,
-    "06": Refusal.EMERGENCY_STOP,
-    "07": Refusal.LIMIT_SWITCH,
-    "08": Refusal.BAD_VALUE,
-    "09": Refusal.UNKNOWN,
-}
+_REFUSALS = {f"{code:02d}": refusal for code, refusal in enumerate(Refusal, 1)}
 _ALARMS = {
     0x01: "overcurrent",
     0x02: "overload of the motor",
@@ -92,7 +72,7 @@ _ALARMS = {
 _HALTS = dict(enumerate(Halt))
 
 _COMMAND_NAMES = {command: name for name, command in _COMMANDS.items()}
-_PARAMETER_NAMES = {parameter: name for name, parameter in _PARAMETERS.items()}
+_PARAMETERS_BY_NUMBER = {number: parameter for parameter, (number, _) in _PARAMETERS.items()}
 _ENABLED, _HOMED, _MOVING = 1, 2, 4
 
 _BODY = re.compile(
@@ -147,7 +127,7 @@ class NikkiDialect(Dialect):
     def resolution(self, parameter: Parameter, drive: DriveSettings) -> float:
         """One step of the parameter's whole numbers."""
         del drive
-        return 1.0 / _STEPS[parameter]
+        return 1.0 / _PARAMETERS[parameter][1]
 
     def alarm(self, code: int) -> str:
         """Words for the codes of `_ALARMS`, the number for any other."""
@@ -157,7 +137,7 @@ class NikkiDialect(Dialect):
 def _build_frame(station: int, command: Command, parameter: Parameter | None, text: str) -> bytes:
     if not 0 <= station <= 99:
         raise FrameError(f"station {station} is not between 0 and 99")
-    number = "" if parameter is None else _PARAMETER_NAMES[parameter]
+    number = "" if parameter is None else _PARAMETERS[parameter][0]
     covered = _STX + f"{station:02d}{_COMMAND_NAMES[command]}{number}{text}".encode("ascii") + _ETX
     return covered + f"{crc_hqx(covered, 0):04X}".encode("ascii")
 
@@ -173,7 +153,7 @@ def _parse_frame(frame: bytes, station: int) -> tuple[dict[str, str | None], Com
         raise FrameError("no known command")
     if int(match["station"]) != station:
         raise FrameError(f"station {match['station']} speaks where {station:02d} was asked")
-    parameter = None if match["parameter"] is None else _PARAMETERS.get(match["parameter"])
+    parameter = None if match["parameter"] is None else _PARAMETERS_BY_NUMBER.get(match["parameter"])
     command = _COMMANDS[match["command"]]
     if (parameter is not None) != (command in {Command.SET, Command.READ}):
         raise FrameError("a parameter that is not known, or where none was due")
@@ -182,7 +162,7 @@ def _parse_frame(frame: bytes, station: int) -> tuple[dict[str, str | None], Com
 
 def _steps_per_unit(command: Command, parameter: Parameter | None) -> int:
     if parameter is not None:
-        return _STEPS[parameter]
+        return _PARAMETERS[parameter][1]
     return 1 if command is Command.HOME else _POSITION_STEPS
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from dragrig.config import DeviceError, RigSettings, reason_of
 from dragrig.rig import Clock, Trip, TripCause
-from dragrig.rig.hardware import DigitalLines, MotionSamplingSync
+from dragrig.rig.hardware import CardLines, MotionSamplingSync
 from dragrig.rig.hardware.drive.link import DriveLink
 
 _FAST_POLL_S = 0.005
@@ -66,7 +66,7 @@ class StageDevices:
 
     settings: RigSettings
     link: DriveLink
-    lines: DigitalLines
+    lines: CardLines
     sync: MotionSamplingSync
     clock: Clock
     """The rig's time, in which motions are."""

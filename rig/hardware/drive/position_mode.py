@@ -22,6 +22,7 @@ from dragrig.rig import (
     TripCause,
     limits_with_override,
 )
+from dragrig.rig.hardware.card import PositionCounter
 from dragrig.rig.hardware.dialects import Command, Halt, Parameter, Refusal, Request, Status
 from dragrig.rig.hardware.drive.link import CancelledByStopError, RefusedError
 from dragrig.rig.hardware.drive.monitor import StageDevices
@@ -36,7 +37,6 @@ from dragrig.rig.hardware.drive.trial import (
     PULSE_MM,
     PULSE_SPEED_MM_S,
     HomingWay,
-    PositionReader,
     Pulse,
     homing_remedy,
 )
@@ -286,7 +286,7 @@ class PositionModeStage(MonitoredStage):
         When the drive does not answer.
     """
 
-    def __init__(self, devices: StageDevices, counter: PositionReader | None = None) -> None:
+    def __init__(self, devices: StageDevices, counter: PositionCounter | None = None) -> None:
         settings = devices.settings
         braking_s = settings.stage.max_speed_mm_s / settings.stage.stop_accel_mm_s2
         super().__init__(devices, settings.hardware.drive.silence_s + braking_s + _SILENCE_MARGIN_S)
@@ -379,7 +379,7 @@ class PositionModeStage(MonitoredStage):
         finally:
             counter.close()
 
-    def _measured(self, counter: PositionReader, pulse: Callable[[float, int], Pulse], planned_at: int) -> Pulse:
+    def _measured(self, counter: PositionCounter, pulse: Callable[[float, int], Pulse], planned_at: int) -> Pulse:
         comes_back = self._is_homed and self._override is None
         counter.begin(0.0)
         begin_mm = self._position_mm()
@@ -447,10 +447,6 @@ class PositionModeStage(MonitoredStage):
             movement.mark_complete()
             self._await_standstill(self._drive.silence_s + _STANDSTILL_TIMEOUT_S)
         return Pulse(None, self._position_mm() - begin_mm, 0.0, way.is_wrong())
-
-    def _is_on_switch(self, side: TravelEnd) -> bool:
-        switches = self._lines.read_switches()
-        return switches.limit_low if side is TravelEnd.LOW else switches.limit_high
 
     def _find_index(self, side: TravelEnd, planned_at: int) -> None:
         speed_mm_s, key = self._drive.homing_speed_mm_s, "hardware.drive.homing_speed_mm_s"

@@ -476,6 +476,10 @@ class MonitoredStage(ABC):
             self._tracker.clear_stop_cause(LIMIT_SWITCH_CAUSES[side])
             self._monitor.poll()
 
+    def _is_on_switch(self, side: TravelEnd) -> bool:
+        switches = self._lines.read_switches()
+        return switches.limit_low if side is TravelEnd.LOW else switches.limit_high
+
     def _may_beat(self) -> bool:
         """Whether the heartbeat relay may keep the drive's power on."""
         return True

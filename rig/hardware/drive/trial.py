@@ -6,7 +6,6 @@ words which wire it is. The drive's own position tells a wrong polarity from an 
 
 from dataclasses import dataclass
 from math import nan
-from typing import Protocol
 
 from dragrig.config import RigSettings
 from dragrig.rig import TravelEnd
@@ -19,19 +18,6 @@ _MIN_COUNTS = 5
 _MAX_RESOLUTION_ERROR = 0.1
 _MAX_VOLTAGE_SCALE_ERROR = 0.3
 """Of the velocity output's scale: the drive has an offset and a lag as well."""
-
-
-class PositionReader(Protocol):
-    """A counter on the encoder, read on demand; both methods raise `DeviceError` when the card refuses."""
-
-    def begin(self, position_mm: float, *, index: bool = False) -> None:
-        """Start counting from the stage's present position."""
-
-    def read(self) -> float:
-        """Return the position now [mm]."""
-
-    def close(self) -> None:
-        """Release the counter. Safe to call twice."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,16 +150,6 @@ class AOStreamer:
         self.error_mm = 0.0
         """The latest following error."""
 
-    @property
-    def written(self) -> int:
-        """Samples of the present waveform that were written."""
-        return self._output.written
-
-    @property
-    def generated(self) -> int:
-        """Samples of the present waveform that were put out; raises what `VoltageOutput.generated` raises."""
-        return self._output.generated
-
     def begin(self, command: MotionCommand, trigger: str = "") -> None:
         """End the waveform where it is, at 0 V, and begin one for `command`; see `VoltageOutput.begin`."""
         self._output.end()
@@ -199,10 +189,6 @@ class AOStreamer:
             return
         finally:
             self._output.end()
-
-    def zero(self) -> None:
-        """Put out 0 V at once."""
-        self._output.zero()
 
     def _volts(self, samples: int) -> FloatArray:
         speeds = self._controller.speeds(samples, self.error_mm)
@@ -300,7 +286,7 @@ class VelocityLoop:
         on_rest: Callable[[], None],
     ) -> None:
         settings = devices.settings
-        self._counter, self._sync, self._clock = counter, devices.sync, devices.clock
+        self._output, self._counter, self._sync, self._clock = output, counter, devices.sync, devices.clock
         self._on_fault, self._cut_power, self._on_rest = on_fault, cut_power, on_rest
         self._velocity, self._guard = settings.hardware.drive.velocity, settings.guard
         self._controller = SpeedController(self._velocity, settings.stage)
@@ -356,7 +342,7 @@ class VelocityLoop:
             self._handled_stops = planned_at
             first = self._begin(MotionCommand(profile, origin_mm, closed=closed))
             self._sync.set_moving(True)
-        while not self._sync.armed and self._sync.moving and self._streamer.generated <= first:
+        while not self._sync.armed and self._sync.moving and self._output.generated <= first:
             self._clock.sleep(1.0 / self._velocity.rate_hz, self._ended)
 
     def hold(self) -> None:
@@ -410,9 +396,9 @@ class VelocityLoop:
             self._streamer.begin(command, AI_START_TRIGGER)
             self.start_uncertainty_s = 1.0 / rate_hz
             return 0.0
-        first, self.start_uncertainty_s = float(self._streamer.written), 0.0
+        first, self.start_uncertainty_s = float(self._output.written), 0.0
         if sample is not None:
-            due = self._streamer.generated - (self._clock.monotonic() - sample.at_s) * rate_hz
+            due = self._output.generated - (self._clock.monotonic() - sample.at_s) * rate_hz
             first = max(due, first - first_motion_s(command.profile) * rate_hz)
             self.start_uncertainty_s = sample.uncertainty_s + (first - due + 1.0) / rate_hz
         self._controller.follow(replace(command, first=first))
@@ -446,7 +432,7 @@ class VelocityLoop:
                 self._controller.brake()
                 self._standstill.reset()
         # After an underflow the stage has left its command too, but then filling reports the cause.
-        if generated < self._streamer.written:
+        if generated < self._output.written:
             self._check_following_error(generated, position_mm)
         wait_s = self._streamer.fill(generated)
         self._update_motion(generated, position_mm)
@@ -456,9 +442,9 @@ class VelocityLoop:
         """Return how much was put out and the position at that time; update the following error."""
         max_span = max(1, self._velocity.update_samples // 4)
         for _ in range(_OBSERVATION_ATTEMPTS):
-            before = self._streamer.generated
+            before = self._output.generated
             position_mm = self._counter.read()
-            after = self._streamer.generated
+            after = self._output.generated
             if after - before <= max_span:
                 # Sample `n - 1` is put out while `n` were.
                 middle = (before + after - 1) / 2
@@ -483,7 +469,7 @@ class VelocityLoop:
             if self._controller.is_over(generated):
                 self._come_to_rest()
             return
-        written = self._streamer.written
+        written = self._output.written
         if self._controller.at_rest and self._standstill.is_standing(generated, written, position_mm):
             self._controller.follow(MotionCommand.hold(position_mm))
             self._come_to_rest()
@@ -495,7 +481,7 @@ class VelocityLoop:
     def _fail(self, trip: Trip) -> None:
         self._on_fault(trip)
         try:
-            self._streamer.zero()
+            self._output.zero()
             at_rest = self._standstill.wait(self._counter, self._clock)
         except DeviceError:
             at_rest = False

@@ -26,101 +26,6 @@ _HOMING_ACCELERATION_MM_S2 = 500.0
 _POLL_S = 0.005
 _ARRIVAL_COUNTS = 3
 _ARRIVAL_TIMEOUT_S = 1.0
-
-
-class IndexSearch:
-    """Homing by the velocity loop. The caller holds the stage's command lock."""
-
-    def __init__(self, devices: StageDevices, loop: VelocityLoop) -> None:
-        settings = devices.settings
-        self._loop, self._lines, self._sync, self._clock = loop, devices.lines, devices.sync, devices.clock
-        self._stage, self._drive, self._card = settings.stage, settings.hardware.drive, settings.hardware.card
-        self._arrival_mm = _ARRIVAL_COUNTS * settings.encoder.resolution_um / 1000.0
-
-    def run(self, planned_at: int) -> None:
-        """Find the index pulse, make it 0, and go to it or to the soft limit next to it.
-
-        Parameters
-        ----------
-        planned_at
-            The loop's `stop_count` when this was planned: a stop requested since ends it at once.
-
-        Raises
-        ------
-        SettingsError
-            When switch or index pulse are not wired.
-        DeviceError
-            When a stop or a fault came first, or one of the two was not found.
-        """
-        side = TravelEnd(self._drive.homing_direction)
-        lines = self._card.lines
-        if not ((lines.limit_low if side is TravelEnd.LOW else lines.limit_high) and self._card.encoder.z):
-            raise SettingsError(
-                f"homing in velocity mode needs the {LIMIT_SWITCH_CAUSES[side]} and the index pulse: name them in "
-                f"hardware.card.lines.limit_{side} and hardware.card.encoder.z."
-            )
-        direction = -1.0 if side is TravelEnd.LOW else 1.0
-        travel_mm = self._stage.highest_mm - self._stage.lowest_mm
-        if not self._is_pressed(side):
-            planned_at = self._creep(
-                direction * (travel_mm + _HOMING_OVERTRAVEL_MM),
-                lambda: self._is_pressed(side),
-                f"the {LIMIT_SWITCH_CAUSES[side]} was found: see what stopped the stage",
-                planned_at,
-            )
-        # Passed from the switch alone, because the place of an index pulse is repeatable from one side only.
-        self._loop.reset_counter(_UNREFERENCED_MM, index=True)
-        planned_at = self._creep(
-            -direction * travel_mm,
-            lambda: abs(self._loop.position_mm()) < _UNREFERENCED_MM / 2,
-            "the index pulse was found: see what stopped the stage; if nothing did, check z and z_phase of "
-            "hardware.card.encoder",
-            planned_at,
-        )
-        position_mm = self._loop.position_mm()
-        self._loop.reset_counter(position_mm, index=False)
-        target_mm = min(max(0.0, self._stage.lowest_mm), self._stage.highest_mm)
-        self._loop.follow(self._travel(target_mm - position_mm), position_mm, planned_at)
-        self._poll_while(lambda: self._sync.moving)
-        # A drive with a small offset never quite gets there, and need not: the counter knows where it is.
-        until_s = self._clock.monotonic() + _ARRIVAL_TIMEOUT_S
-        self._poll_while(
-            lambda: abs(self._loop.position_mm() - target_mm) > self._arrival_mm and self._clock.monotonic() < until_s
-        )
-        if self._loop.stop_count != planned_at:
-            raise DeviceError("homing was stopped: home again.")
-
-    def _creep(self, travel_mm: float, is_there: Callable[[], bool], aim: str, planned_at: int) -> int:
-        """Move slowly by `travel_mm` at most, until `is_there`, then brake; return the loop's new `stop_count`."""
-        self._loop.follow(self._travel(travel_mm), self._loop.position_mm(), planned_at, closed=False)
-        reached = False
-        while self._sync.moving:
-            if not reached and is_there():
-                reached = True
-                stop_count = self._loop.brake()
-                if stop_count != planned_at + 1:
-                    break
-                planned_at = stop_count
-            self._loop.position_mm()
-            self._clock.sleep(_POLL_S, threading.Event())
-        if not reached or self._loop.stop_count != planned_at:
-            raise DeviceError(f"homing ended before {aim}, then home again.")
-        return planned_at
-
-    def _poll_while(self, condition: Callable[[], bool]) -> None:
-        while condition():
-            self._loop.position_mm()
-            self._clock.sleep(_POLL_S, threading.Event())
-
-    def _travel(self, travel_mm: float) -> MotionProfile:
-        acceleration = min(_HOMING_ACCELERATION_MM_S2, self._stage.max_accel_mm_s2)
-        return MotionProfile.from_pieces(trapezoid(travel_mm, self._drive.homing_speed_mm_s, acceleration))
-
-    def _is_pressed(self, side: TravelEnd) -> bool:
-        switches = self._lines.read_switches()
-        return switches.limit_low if side is TravelEnd.LOW else switches.limit_high
-
-
 _STANDSTILL_TIMEOUT_S = 1.0
 _PULSE_SETTLING_S = 0.05
 """Added to the drive's lag, after which it stands at 0 V."""
@@ -161,7 +66,6 @@ class VelocityModeStage(MonitoredStage):
         self._loop = VelocityLoop(
             devices, self._output, self._counter, self._monitor.latch, self._cut_power, self._end_override
         )
-        self._index_search = IndexSearch(devices, self._loop)
         self._counter.begin(0.0)
         self._monitor.start()
 
@@ -250,7 +154,7 @@ class VelocityModeStage(MonitoredStage):
         self._homed = False
         with self._tolerating(side):
             try:
-                self._index_search.run(planned_at)
+                self._search_index(side, planned_at)
             except DeviceError:
                 # The fault that stopped the stage explains more than that it stopped.
                 self._refuse_fault(LIMIT_SWITCH_CAUSES[side])
@@ -259,6 +163,80 @@ class VelocityModeStage(MonitoredStage):
                 self._loop.brake()
         self._refuse_fault()
         self._homed = True
+
+    def _search_index(self, side: TravelEnd, planned_at: int) -> None:
+        """Find the index pulse over a limit switch, make it 0, and go to it or to the soft limit next to it.
+
+        Raises
+        ------
+        SettingsError
+            When switch or index pulse are not wired.
+        DeviceError
+            When a stop or a fault came first, or one of the two was not found.
+        """
+        card, lines = self._settings.hardware.card, self._settings.hardware.card.lines
+        if not ((lines.limit_low if side is TravelEnd.LOW else lines.limit_high) and card.encoder.z):
+            raise SettingsError(
+                f"homing in velocity mode needs the {LIMIT_SWITCH_CAUSES[side]} and the index pulse: name them in "
+                f"hardware.card.lines.limit_{side} and hardware.card.encoder.z."
+            )
+        direction = -1.0 if side is TravelEnd.LOW else 1.0
+        travel_mm = self._limits.highest_mm - self._limits.lowest_mm
+        if not self._is_on_switch(side):
+            planned_at = self._creep(
+                direction * (travel_mm + _HOMING_OVERTRAVEL_MM),
+                lambda: self._is_on_switch(side),
+                f"the {LIMIT_SWITCH_CAUSES[side]} was found: see what stopped the stage",
+                planned_at,
+            )
+        # Passed from the switch alone, because the place of an index pulse is repeatable from one side only.
+        self._loop.reset_counter(_UNREFERENCED_MM, index=True)
+        planned_at = self._creep(
+            -direction * travel_mm,
+            lambda: abs(self._loop.position_mm()) < _UNREFERENCED_MM / 2,
+            "the index pulse was found: see what stopped the stage; if nothing did, check z and z_phase of "
+            "hardware.card.encoder",
+            planned_at,
+        )
+        position_mm = self._loop.position_mm()
+        self._loop.reset_counter(position_mm, index=False)
+        target_mm = min(max(0.0, self._limits.lowest_mm), self._limits.highest_mm)
+        self._loop.follow(self._creeping(target_mm - position_mm), position_mm, planned_at)
+        self._poll_while(lambda: self._sync.moving)
+        arrival_mm = _ARRIVAL_COUNTS * self._settings.encoder.resolution_um / 1000.0
+        # A drive with a small offset never quite gets there, and need not: the counter knows where it is.
+        until_s = self._clock.monotonic() + _ARRIVAL_TIMEOUT_S
+        self._poll_while(
+            lambda: abs(self._loop.position_mm() - target_mm) > arrival_mm and self._clock.monotonic() < until_s
+        )
+        if self._loop.stop_count != planned_at:
+            raise DeviceError("homing was stopped: home again.")
+
+    def _creep(self, travel_mm: float, is_there: Callable[[], bool], aim: str, planned_at: int) -> int:
+        """Move slowly by `travel_mm` at most, until `is_there`, then brake; return the loop's new `stop_count`."""
+        self._loop.follow(self._creeping(travel_mm), self._loop.position_mm(), planned_at, closed=False)
+        reached = False
+        while self._sync.moving:
+            if not reached and is_there():
+                reached = True
+                stop_count = self._loop.brake()
+                if stop_count != planned_at + 1:
+                    break
+                planned_at = stop_count
+            self._loop.position_mm()
+            self._clock.sleep(_POLL_S, threading.Event())
+        if not reached or self._loop.stop_count != planned_at:
+            raise DeviceError(f"homing ended before {aim}, then home again.")
+        return planned_at
+
+    def _poll_while(self, condition: Callable[[], bool]) -> None:
+        while condition():
+            self._loop.position_mm()
+            self._clock.sleep(_POLL_S, threading.Event())
+
+    def _creeping(self, travel_mm: float) -> MotionProfile:
+        acceleration = min(_HOMING_ACCELERATION_MM_S2, self._limits.acceleration_mm_s2)
+        return MotionProfile.from_pieces(trapezoid(travel_mm, self._drive.homing_speed_mm_s, acceleration))
 
     @contextmanager
     def _tolerating(self, side: TravelEnd) -> Iterator[None]:

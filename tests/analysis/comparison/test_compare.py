@@ -34,7 +34,8 @@ from dragrig.analysis.comparison.comparison import (
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, RunFileError
 from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
-from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig import mark_bad
+from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run, RunStatus
 from places import CAMPAIGN, copied_runs
 from true_model import TRUE_MODEL

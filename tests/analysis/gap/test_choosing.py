@@ -7,7 +7,8 @@ import h5py
 import pytest
 
 from dragrig.analysis.gap.run_data import choose_runs
-from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig import mark_bad
+from dragrig.rig.runfile import read_run
 from places import CAMPAIGN
 
 

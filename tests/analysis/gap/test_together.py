@@ -33,7 +33,7 @@ from dragrig.analysis.gap.together import (
 from dragrig.cli import main
 from dragrig.config import AnalysisError, Plan
 from dragrig.present import pooled_document
-from dragrig.rig.runfile import mark_bad
+from dragrig.rig import mark_bad
 from dragrig.sim_backend.effects import catalogue
 from hidden import hidden
 from places import CAMPAIGN, copied_runs

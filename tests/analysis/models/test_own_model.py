@@ -12,7 +12,7 @@ from dragrig.analysis.identification.identify import fit_jointly
 from dragrig.analysis.models.catalogue import find_model, model_names
 from dragrig.analysis.selection import select_runs
 from dragrig.config.errors import AnalysisError, SettingsError
-from dragrig.rig.runfile import write_run
+from dragrig.rig import write_run
 from places import DATA, ROOT
 from runfiles import header
 from simulated import stroke

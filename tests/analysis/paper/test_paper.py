@@ -58,7 +58,8 @@ from dragrig.present.files import PAPER_MODEL_FILE, PAPER_REPORT_FILE, PAPER_TAB
 from dragrig.present.html_page import render_page, without_breaks
 from dragrig.present.numbers import percent_difference
 from dragrig.present.paper import PaperReportData, paper_document, paper_tables
-from dragrig.rig.runfile import mark_bad, read_campaign
+from dragrig.rig import mark_bad
+from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import RunStatus
 from places import CAMPAIGN
 from property_tests import thorough

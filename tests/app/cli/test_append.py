@@ -12,7 +12,8 @@ import dragrig
 from dragrig.analysis import pool_campaigns, select_runs, table_rows
 from dragrig.cli import main
 from dragrig.config import OutputError, RunFileError, SettingsError, TrippedError
-from dragrig.rig.runfile import Recorder, mark_bad, read_campaign
+from dragrig.rig import mark_bad
+from dragrig.rig.runfile import Recorder, read_campaign
 from dragrig.rig.runfile.campaigns import read_session_records
 from dragrig.session_state import session_lock
 from runfiles import header

@@ -12,7 +12,8 @@ import pytest
 import dragrig
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError
-from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig import mark_bad
+from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run
 from places import CAMPAIGN, copied_runs
 from property_tests import thorough

@@ -20,8 +20,9 @@ from dragrig import campaign_session as campaigns
 from dragrig.cli import main
 from dragrig.config import RIG_FILE
 from dragrig.hosted_session import SessionOptions
+from dragrig.rig import mark_bad
 from dragrig.rig.operator import NullOperator
-from dragrig.rig.runfile import Recorder, mark_bad, read_campaign, read_run
+from dragrig.rig.runfile import Recorder, read_campaign, read_run
 from dragrig.rig.runfile.model import RunInfo, RunStatus
 from dragrig.setup import resolve
 from loaded_processes import command

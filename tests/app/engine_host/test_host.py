@@ -29,9 +29,10 @@ from dragrig.engine_host.messages import (
     StartSession,
     WatchRig,
 )
+from dragrig.rig import mark_bad
 from dragrig.rig.operator import Answer
 from dragrig.rig.profile import Phase
-from dragrig.rig.runfile import mark_bad, read_campaign, read_run
+from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import (
     Run,
     RunStatus,  # fmt: skip

@@ -27,8 +27,9 @@ from dragrig.present.campaign_figures import campaign_figure
 from dragrig.present.drawing import DPI, SMALL_PT, figure_style, lay_out, new_figure, shortened_to_width
 from dragrig.present.model_figures import forces_figure, skew_figure, wall_figure
 from dragrig.present.run_figures import WIDTH_IN, run_figure
+from dragrig.rig import mark_bad
 from dragrig.rig.profile import Phase
-from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import FilteredTrace, Run, RunEvent, RunStatus
 from places import CAMPAIGN, copied_runs
 from property_tests import thorough

@@ -21,7 +21,8 @@ from dragrig.present.document import Column, Table
 from dragrig.present.exam import exam_document
 from dragrig.present.html_page import inline_svg, render_page
 from dragrig.present.run import attribute_texts, check_texts
-from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig import mark_bad
+from dragrig.rig.runfile import read_run
 from exams import large_exam
 from places import CAMPAIGN
 from property_tests import thorough

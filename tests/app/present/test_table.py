@@ -30,7 +30,8 @@ from dragrig.present.campaign import campaign_table_document, mean_tables
 from dragrig.present.document import FormattedNumber
 from dragrig.present.run import measures_table
 from dragrig.present.terminal import document_text
-from dragrig.rig.runfile import mark_bad, read_run
+from dragrig.rig import mark_bad
+from dragrig.rig.runfile import read_run
 from places import CAMPAIGN, copied_runs
 
 

@@ -11,7 +11,8 @@ import psutil
 import pytest
 
 from dragrig.config.errors import OutputError
-from dragrig.rig.runfile import Finisher, Recorder, left_recordings, read_info, read_run, recover, verify
+from dragrig.rig import left_recordings, recover
+from dragrig.rig.runfile import Finisher, Recorder, read_info, read_run, verify
 from dragrig.rig.runfile.finisher import RecoveryOutcome
 from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.runfile.schema import journal_path
@@ -64,7 +65,7 @@ def test_a_recording_whose_writer_lives_is_left_alone(tmp_path: Path) -> None:
         (recovered,) = recover(tmp_path)
         assert recovered.outcome is RecoveryOutcome.IN_USE
         elsewhere = subprocess.run(
-            [sys.executable, "-c", "import sys; from pathlib import Path; from dragrig.rig.runfile import recover;"
+            [sys.executable, "-c", "import sys; from pathlib import Path; from dragrig.rig import recover;"
              "print(recover(Path(sys.argv[1]))[0].outcome)", str(tmp_path)],
             capture_output=True, text=True, check=True,
         )  # fmt: skip

@@ -16,20 +16,11 @@ from nexusformat.nexus import nxload
 import dragrig
 from dragrig.analysis import filter_file
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.rig.runfile import (
-    finish,
-    mark_bad,
-    read_campaign,
-    read_mark,
-    read_run,
-    rewrite,
-    store_filtered,
-    unmark,
-    verify,
-    write_run,
-)
+from dragrig.rig import mark_bad, store_filtered, unmark, write_run
+from dragrig.rig.runfile import finish, read_campaign, read_mark, read_run, verify
 from dragrig.rig.runfile.filesystem import lock_run
 from dragrig.rig.runfile.model import FilteredTrace, RunEvent
+from dragrig.rig.runfile.writer import rewrite
 from runfiles import START, arrays, header, record
 
 NXCHECK = Path(sys.executable).with_name("nxcheck")

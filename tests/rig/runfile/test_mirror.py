@@ -13,10 +13,10 @@ from dragrig.analysis import filter_file
 from dragrig.campaign_session import MIRROR_ANSWER_S
 from dragrig.cli import main
 from dragrig.config.errors import OutputError
+from dragrig.rig import mark_bad, unmark
 from dragrig.rig.engine import AcquisitionOutcome
 from dragrig.rig.operator import NullOperator
 from dragrig.rig.programme import PlannedRun
-from dragrig.rig.runfile import mark_bad, unmark
 from dragrig.rig.runfile.schema import mark_path, part_path
 from dragrig.rig.runfile.store import Mirror, copy_verified
 from driving import until

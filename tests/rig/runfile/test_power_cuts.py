@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from dragrig.cli import main
 from dragrig.config.errors import OutputError
-from dragrig.rig.runfile import finisher, left_recordings, read_run, recover
+from dragrig.rig import left_recordings, recover
+from dragrig.rig.runfile import finisher, read_run
 from dragrig.rig.runfile.finisher import RecoveryOutcome
 from dragrig.rig.runfile.journal import FrameKind, Journal, read_frames
 from dragrig.rig.runfile.recorder import create_recording
@@ -83,7 +84,7 @@ def test_a_damaged_journal_is_read_up_to_the_damage(
     journal = Journal(path, bodies[0])
     ends = [path.stat().st_size]
     for body in bodies[1:]:
-        journal.append_annotations(body)
+        journal.append(FrameKind.ANNOTATIONS, body)
         ends.append(path.stat().st_size)
     journal.close()
     whole = path.read_bytes()
@@ -100,9 +101,9 @@ def test_a_damaged_journal_is_read_up_to_the_damage(
 
 def test_frames_of_an_older_journal_behind_the_end_are_no_part_of_this_one(tmp_path: Path) -> None:
     journals = {name: Journal(tmp_path / name, b"image") for name in ("old", "new")}
-    journals["old"].append_annotations(b"first")
-    journals["old"].append_annotations(b"second")
-    journals["new"].append_annotations(b"other")
+    journals["old"].append(FrameKind.ANNOTATIONS, b"first")
+    journals["old"].append(FrameKind.ANNOTATIONS, b"second")
+    journals["new"].append(FrameKind.ANNOTATIONS, b"other")
     for journal in journals.values():
         journal.close()
     old, new = ((tmp_path / name).read_bytes() for name in ("old", "new"))

@@ -18,17 +18,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.rig.runfile import (
-    finish,
-    read_campaign,
-    read_info,
-    read_run,
-    read_tail,
-    run_file_name,
-    store_filtered,
-    verify,
-    write_run,
-)
+from dragrig.rig import read_tail, run_file_name, store_filtered, write_run
+from dragrig.rig.runfile import finish, read_campaign, read_info, read_run, verify
 from dragrig.rig.runfile.hdf5 import find_damaged_text
 from dragrig.rig.runfile.model import FilteredTrace, RecordedChannel, RunEvent, RunStatus
 from places import CAMPAIGN

@@ -20,8 +20,9 @@ from hypothesis import strategies as st
 
 from disks import is_root, mounted
 from dragrig.config.errors import OutputError, RecordingError, RunFileError
+from dragrig.rig import FolderStore, recover
 from dragrig.rig.engine import Store
-from dragrig.rig.runfile import FolderStore, Recorder, finish, read_info, read_run, recorder, recover, schema, verify
+from dragrig.rig.runfile import Recorder, finish, read_info, read_run, recorder, schema, verify
 from dragrig.rig.runfile import store as store_module
 from dragrig.rig.runfile.finisher import Finisher, finish_here
 from dragrig.rig.runfile.model import Run, RunEnding, RunEvent, RunStatus
@@ -106,7 +107,7 @@ def test_lost_samples_leave_a_jump_in_time_and_an_event(tmp_path: Path) -> None:
     index = np.concatenate([np.arange(first, first + 100) for first in (0, 100, 250, 350, 1000)])
     np.testing.assert_array_equal(run.trace.time, index / 1000.0)
     assert [(event.time_s, event.kind) for event in run.events] == [(0.2, "gap"), (0.45, "gap")]
-    assert ["50 samples" in run.events[0].message, "550 samples" in run.events[1].message] == [True, True]
+    assert [event.message.partition(" samples")[0] for event in run.events] == ["50", "550"]
 
 
 def test_all_that_is_known_of_a_run_is_in_its_file(tmp_path: Path) -> None:
