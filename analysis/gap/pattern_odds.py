@@ -11,7 +11,7 @@ from math import log
 
 import numpy as np
 
-from dragrig.analysis.gap.presence import PRIOR_PROBABILITIES, CauseKind
+from dragrig.analysis.gap.presence import PRIOR_PROBABILITIES, CauseKind, log_evidence
 from dragrig.rig import BoolArray, FloatArray, IndexArray
 
 PATTERN_PRIORS: Mapping[bool, tuple[float, float, float]] = {True: (0.8, 0.1, 0.1), False: (0.5, 0.25, 0.25)}
@@ -110,17 +110,8 @@ class SharedInformation:
 
     def evidence(self, gram: FloatArray, moment: FloatArray, constant: FloatArray) -> FloatArray:
         """Return the log evidence of sums over sets of campaigns, shapes `(P, k, k)`, `(P, k)` and `(P,)`."""
-        width = gram.shape[1]
-        root = np.linalg.cholesky(np.eye(width) + self.mean_variance * gram)
-        fitted = np.linalg.solve(root, np.sqrt(self.mean_variance) * moment[:, :, None])[:, :, 0]
-        log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-        value = constant + 0.5 * (fitted**2).sum(axis=1) - log_det
-        if self.direction is not None and self.mean_variance > 0:
-            from scipy.special import log_ndtr
-
-            along = np.linalg.solve(root, np.broadcast_to(self.direction, (len(gram), width))[:, :, None])[:, :, 0]
-            value = value + log_ndtr((along * fitted).sum(axis=1) / np.sqrt((along**2).sum(axis=1))) + log(2.0)
-        return np.asarray(value)
+        size = np.array([self.mean_variance**0.5])
+        return constant + log_evidence(gram, moment, size, 0.0 if self.direction is None else self.direction)
 
     def of_members(self, members: BoolArray) -> float:
         """Return the log evidence that the cause is in some campaigns and in no others."""
@@ -170,14 +161,22 @@ def _some_evidence(setting: SharedInformation, singles: FloatArray) -> tuple[flo
                 best_value, best = float(values[size - 2]), members
     gains = setting.gains(best)
     of_best = float(gains[best].sum())
-    sums, likely = [], []
-    for prevalence in PREVALENCES:
-        with_cause = np.log(prevalence) + gains
-        each = np.logaddexp(with_cause, np.log1p(-prevalence))
-        sums.append(float(each.sum()))
-        likely.append(np.exp(with_cause - each))
-    weights = np.exp(np.array(sums) - np.logaddexp.reduce(sums))
-    return best_value - of_best + float(np.logaddexp.reduce(sums)) - log(len(sums)), weights @ np.array(likely)
+    total, members = _over_prevalences(gains[None])
+    return best_value - of_best + float(total[0]), members[0]
+
+
+def _over_prevalences(gains: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean over prevalences of the evidence `(H,)`, as its log, and each campaign's probability `(H, C)`.
+
+    Whether a cause is in a campaign, `gains` tell, its log Bayes factors there, shape `(H, C)`.
+    """
+    prevalences = np.array(PREVALENCES)[:, None, None]
+    with_cause = np.log(prevalences) + gains
+    each = np.logaddexp(with_cause, np.log1p(-prevalences))
+    sums = each.sum(axis=2)
+    total = np.logaddexp.reduce(sums, axis=0)
+    members = np.einsum("ph,phc->hc", np.exp(sums - total), np.exp(with_cause - each))
+    return total - log(len(PREVALENCES)), members
 
 
 def pattern_odds(
@@ -220,12 +219,7 @@ def independent_odds(log_factors: FloatArray, scales: Sequence[float], *, of_rig
     weight = -log(len(log_factors))
     some, members = np.full(len(log_factors), -np.inf), np.ones(log_factors.shape)
     if count >= MIN_CAMPAIGNS_FOR_SOME:
-        with_effect = np.log(PREVALENCES)[:, None, None] + log_factors
-        each = np.logaddexp(with_effect, np.log1p(-np.array(PREVALENCES))[:, None, None])
-        sums = each.sum(axis=2)
-        some = np.logaddexp.reduce(sums, axis=0) - log(len(PREVALENCES))
-        shares = np.exp(sums - np.logaddexp.reduce(sums, axis=0))
-        members = np.einsum("ph,phc->hc", shares, np.exp(with_effect - each))
+        some, members = _over_prevalences(log_factors)
     return _joined(
         CauseKind.EFFECT,
         weight + log_factors.sum(axis=1),
