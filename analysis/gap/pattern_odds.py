@@ -12,7 +12,7 @@ from math import log
 import numpy as np
 
 from dragrig.analysis.gap.presence import PRIOR_PROBABILITIES, CauseKind, log_evidence
-from dragrig.rig import BoolArray, FloatArray, IndexArray
+from dragrig.rig import BoolArray, FloatArray
 
 PATTERN_PRIORS: Mapping[bool, tuple[float, float, float]] = {True: (0.8, 0.1, 0.1), False: (0.5, 0.25, 0.25)}
 """Prior probabilities that an effect which is there is in all, some, or one; where it is the rig's, and the gut's."""
@@ -115,13 +115,8 @@ class SharedInformation:
 
     def of_members(self, members: BoolArray) -> float:
         """Return the log evidence that the cause is in some campaigns and in no others."""
-        return float(
-            self.evidence(
-                self.gram[members].sum(axis=0)[None],
-                self.moment[members].sum(axis=0)[None],
-                self.constant[members].sum()[None],
-            )[0]
-        )
+        sums = (values[members].sum(axis=0)[None] for values in (self.gram, self.moment, self.constant))
+        return float(self.evidence(*sums)[0])
 
     def gains(self, members: BoolArray) -> FloatArray:
         """Return the log evidence of each campaign for the cause at the mean that some campaigns have, shape `(C,)`."""
@@ -129,15 +124,6 @@ class SharedInformation:
         precision = np.eye(width) + self.mean_variance * self.gram[members].sum(axis=0)
         mean = self.mean_variance * np.linalg.solve(precision, self.moment[members].sum(axis=0))
         return np.asarray(self.constant + self.moment @ mean - 0.5 * np.einsum("k,ckl,l->c", mean, self.gram, mean))
-
-
-def _prefixes(setting: SharedInformation, rows: IndexArray) -> FloatArray:
-    """Return the log evidence of the first 1, 2, … campaigns in an order, shape `(C,)`."""
-    return setting.evidence(
-        np.cumsum(setting.gram[rows], axis=0),
-        np.cumsum(setting.moment[rows], axis=0),
-        np.cumsum(setting.constant[rows]),
-    )
 
 
 def _some_evidence(setting: SharedInformation, singles: FloatArray) -> tuple[float, FloatArray]:
@@ -153,7 +139,9 @@ def _some_evidence(setting: SharedInformation, singles: FloatArray) -> tuple[flo
         members = start
         for _ in range(ORDERINGS):
             order = np.argsort(-setting.gains(members), kind="stable")
-            values = _prefixes(setting, order)[1:-1]
+            # Of the first 2, 3, … campaigns in this order, but not of all.
+            sums = (np.cumsum(each[order], axis=0) for each in (setting.gram, setting.moment, setting.constant))
+            values = setting.evidence(*sums)[1:-1]
             size = 2 + int(np.argmax(values))
             members = np.zeros(count, dtype=bool)
             members[order[:size]] = True

@@ -241,7 +241,6 @@ def _pooled_causes(
 class _Layout:
     """Linear combinations of the competition's columns that are shared."""
 
-    competition: Competition
     mixing: FloatArray
     """Coefficients of the competition's columns, residual first, of each shared one, shape `(1 + C, 1 + S)`."""
     columns: Mapping[str, SharedColumns]
@@ -253,9 +252,16 @@ class _Layout:
         pooled: Mapping[str, tuple[Cause, VariantSpan]],
         periodic: Mapping[str, PeriodicColumns],
     ) -> "_Layout":
-        blocks, first = [], 1
         size = len(competition.products)
-        columns = {}
+        residual = np.zeros((size, 1))
+        residual[0] = 1.0
+        blocks, columns = [residual], dict[str, SharedColumns]()
+
+        def placed(block: FloatArray) -> IndexArray:
+            first = sum(before.shape[1] for before in blocks)
+            blocks.append(block)
+            return np.arange(first, first + block.shape[1])
+
         for name, (cause, span) in pooled.items():
             width = span.mixing.shape[1]
             block = np.zeros((size, len(span.mixing)))
@@ -263,42 +269,33 @@ class _Layout:
             forms = np.zeros((size, 0))
             if cause.kind is CauseKind.EFFECT:
                 forms = _form_directions(competition, cause, width)
-            rows = np.arange(first, first + block.shape[1])
-            form_rows = np.arange(rows[-1] + 1, rows[-1] + 1 + forms.shape[1])
             columns[name] = SharedColumns(
                 name,
                 cause.kind,
                 span.variants,
-                rows,
-                form_rows,
+                placed(block),
+                placed(forms),
                 span.sizes_mN,
                 cause.direction is not None,
                 POOLED_MODEL_SCALES if cause.kind is CauseKind.MODEL else POOLED_SCALES_MN,
             )
-            blocks += [block, forms]
-            first += block.shape[1] + forms.shape[1]
         for name, found in periodic.items():
             acting = np.flatnonzero(found.sizes_mN > 0)
             if not acting.size:
                 continue
             block = np.zeros((size, acting.size))
             block[1 + found.columns[acting], np.arange(acting.size)] = 1.0
-            rows = np.arange(first, first + acting.size)
             columns[name] = SharedColumns(
                 name,
                 CauseKind.EFFECT,
                 acting,
-                rows,
+                placed(block),
                 np.zeros(0, dtype=np.intp),
                 found.sizes_mN[acting],
                 False,
                 POOLED_SCALES_MN,
             )
-            blocks.append(block)
-            first += acting.size
-        residual = np.zeros((size, 1))
-        residual[0] = 1.0
-        return cls(competition, np.concatenate((residual, *blocks), axis=1), columns)
+        return cls(np.concatenate(blocks, axis=1), columns)
 
     def information(self, products: FloatArray) -> FloatArray:
         """Return the products of residual and shared columns by those of the competition's columns."""

@@ -39,7 +39,7 @@ from dragrig.analysis.gap.features import EXCHANGE
 from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearchResult, nonparametric_columns
 from dragrig.analysis.gap.run_data import rms_where_active
 from dragrig.rig import BoolArray, FloatArray, IndexArray
-from dragrig.sim_backend.effects import Coordinate, Effect, Role, catalogue, find_effect
+from dragrig.sim_backend.effects import Coordinate, Effect, Role, find_effect
 
 SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to the largest forces."""
@@ -81,11 +81,6 @@ MAX_SETS_EXPANDED = 40
 LOG_ODDS_WINDOW = 7.0
 """Sets are expanded down to these log odds against the best one: less likely ones cannot change a probability by more
 than 0.1 % each."""
-
-
-def effect_ids() -> tuple[str, ...]:
-    """Return the ids of all effects of the catalogue."""
-    return tuple(catalogue())
 
 
 def form_laws(effect: str) -> tuple[str, ...]:
@@ -617,11 +612,6 @@ class Presence:
             ]
             chosen = max(larger, default=(0.0, chosen))[1]
         return chosen
-
-    def of_kind(self, kind: CauseKind) -> Mapping[str, float]:
-        """Return the probabilities of the causes of a kind, the most likely first."""
-        chosen = [name for name in self.probabilities if self.kinds[name] is kind]
-        return {name: self.probabilities[name] for name in sorted(chosen, key=lambda name: -self.probabilities[name])}
 
 
 def judge_presence(competition: Competition) -> Presence:
