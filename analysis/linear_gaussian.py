@@ -299,14 +299,6 @@ def _noise_root(covariance: FloatArray, uncertainty: FloatArray) -> FloatArray:
     return np.asarray(cholesky(covariance, lower=True, overwrite_a=True))
 
 
-def _effect_signatures(varying: FloatArray, variation_sds: FloatArray, zero_sd: float) -> FloatArray:
-    """Signatures of a run's zero and factors, times their prior standard deviations, shape `(B, k)`."""
-    rows = varying * variation_sds[:, None]
-    if zero_sd > 0:
-        rows = np.vstack((np.full((1, rows.shape[1]), zero_sd), rows))
-    return rows.T
-
-
 @dataclass(frozen=True, eq=False)
 class JointProblem:
     """All inputs of a joint fit, prepared.
@@ -450,8 +442,9 @@ class JointProblem:
 
     def _run_signatures(self, number: int, varying: FloatArray) -> FloatArray:
         """Signatures of what is a run's own, times prior standard deviations: zero, factors, and a line in motion."""
-        own = _effect_signatures(varying, self.variation_sds, self.zero_sds[number])
-        return np.column_stack((own, self.channels[number].line_signatures))
+        zero = np.full((varying.shape[1], int(self.zero_sds[number] > 0)), self.zero_sds[number])
+        factors = (varying * self.variation_sds[:, None]).T
+        return np.column_stack((zero, factors, self.channels[number].line_signatures))
 
     def _require_finite(self, arrays: Sequence[tuple[FloatArray, ...]]) -> None:
         for blocks, channel_arrays in zip(self.channels, arrays, strict=True):

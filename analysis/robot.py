@@ -1,7 +1,7 @@
 """What a capsule robot reaches: its steady walk, the fastest drive, what assumptions change, the price of effects."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import exp, log
 from types import MappingProxyType
@@ -205,6 +205,38 @@ class RelaxedWalk:
     converged: bool
 
 
+@dataclass(frozen=True, slots=True)
+class RobotInGut:
+    """A robot in the gut of a specimen, as a model without effects has it."""
+
+    robot: RobotSettings
+    model: FrictionModelSettings
+    specimen: Specimen
+
+    def surface(self) -> Resistance:
+        """Return a gut through which nothing has gone."""
+        return gut(self.robot, self.model, self.specimen.wall_thickness_mm)
+
+    def walk(self, drive: RobotDrive, effects: Sequence[ActiveEffect]) -> RelaxedWalk:
+        """Walk with effects: simulate, compute their force along the motion, simulate with it, until both agree."""
+        periodic = any(active.effect.period is not None for active in effects)
+        further_mm = MEAN_MM if periodic else 0.0
+        walk = steady_walk(self.robot, drive, self.surface, further_mm=further_mm)
+        if not effects:
+            return RelaxedWalk(walk, None, 0, converged=True)
+        added: AddedForce | None = None
+        tolerance = max(1e-3 * abs(walk.speed_mm_s), 1e-4)
+        for number in range(1, MAX_RELAXATIONS + 1):
+            fresh = added_force(walk, effects, self.model, self.specimen)
+            if fresh is None:
+                return RelaxedWalk(walk, added, number, converged=True)
+            added = fresh if added is None or number <= UNDAMPED else _mean_force(added, fresh)
+            before, walk = walk.speed_mm_s, steady_walk(self.robot, drive, self.surface, added, further_mm=further_mm)
+            if abs(walk.speed_mm_s - before) < tolerance:
+                return RelaxedWalk(walk, added, number, converged=True)
+        return RelaxedWalk(walk, added, MAX_RELAXATIONS, converged=False)
+
+
 def added_force(
     walk: SteadyWalk, effects: Sequence[ActiveEffect], model: FrictionModelSettings, specimen: Specimen
 ) -> AddedForce | None:
@@ -254,33 +286,6 @@ def added_force(
     if forwards is None or backwards is None:
         return None
     return AddedForce(since_s, forwards, backwards)
-
-
-def walk_with_effects(
-    robot: RobotSettings,
-    drive: RobotDrive,
-    surface: Callable[[], Resistance],
-    effects: Sequence[ActiveEffect],
-    model: FrictionModelSettings,
-    specimen: Specimen,
-) -> RelaxedWalk:
-    """Walk with effects: simulate, compute their force along the motion found, simulate with it, until both agree."""
-    periodic = any(active.effect.period is not None for active in effects)
-    further_mm = MEAN_MM if periodic else 0.0
-    walk = steady_walk(robot, drive, surface, further_mm=further_mm)
-    if not effects:
-        return RelaxedWalk(walk, None, 0, converged=True)
-    added: AddedForce | None = None
-    tolerance = max(1e-3 * abs(walk.speed_mm_s), 1e-4)
-    for number in range(1, MAX_RELAXATIONS + 1):
-        fresh = added_force(walk, effects, model, specimen)
-        if fresh is None:
-            return RelaxedWalk(walk, added, number, converged=True)
-        added = fresh if added is None or number <= UNDAMPED else _mean_force(added, fresh)
-        before, walk = walk.speed_mm_s, steady_walk(robot, drive, surface, added, further_mm=further_mm)
-        if abs(walk.speed_mm_s - before) < tolerance:
-            return RelaxedWalk(walk, added, number, converged=True)
-    return RelaxedWalk(walk, added, MAX_RELAXATIONS, converged=False)
 
 
 def _mean_force(before: AddedForce, after: AddedForce) -> AddedForce:
@@ -383,100 +388,77 @@ def study_robot(
         raise SettingsError(f"{reason}; choose a weaker drive or a stronger actuator.")
     base = (model if diagnosed is None else diagnosed).model_copy(update={"effects": ()})
     acting = [active for active in active_effects(model) if active.effect.belongs_to_gut]
-    hard, inside = partial(hard_ground, robot), partial(gut, robot, base, specimen.wall_thickness_mm)
+    hard, inside = partial(hard_ground, robot), RobotInGut(robot, base, specimen)
     varied = robot.ranges if sensitivity and drive is None else {}
     priced = () if diagnosed is None else active_effects(diagnosed)
     steps = 2 + len(varied) + len(priced)
     if drive is None:
         hard_drive = fastest_drive(robot, hard, seed)
         progress(1, steps)
-        gut_drive = fastest_drive(robot, inside, seed)
+        gut_drive = fastest_drive(robot, inside.surface, seed)
         if acting:
-            relaxed = walk_with_effects(robot, gut_drive, inside, acting, base, specimen)
-            gut_drive = fastest_drive(robot, inside, seed, place_of(robot, gut_drive), relaxed.added)
+            added = inside.walk(gut_drive, acting).added
+            gut_drive = fastest_drive(robot, inside.surface, seed, place_of(robot, gut_drive), added)
         chosen = {HARD_DRIVE: hard_drive, GUT_DRIVE: gut_drive}
     else:
         chosen = {OWN_DRIVE: drive}
     progress(2, steps)
     drives = []
     for name, of in chosen.items():
-        relaxed = walk_with_effects(robot, of, inside, acting, base, specimen)
+        relaxed = inside.walk(of, acting)
         drives.append(
             DrivenRobot(name, steady_walk(robot, of, hard), relaxed.walk, relaxed.iterations, relaxed.converged)
         )
     sensitivities = []
     places = [place_of(robot, driven.gut.drive) for driven in drives]
     for number, (key, (low, high)) in enumerate(varied.items()):
-        ends = [_speeds(robot.model_copy(update={key: value}), base, specimen, places) for value in (low, high)]
+        others = (replace(inside, robot=robot.model_copy(update={key: value})) for value in (low, high))
+        ends = [_speeds(other, places) for other in others]
         sensitivities.append(Sensitivity(key, float(getattr(robot, key)), low, high, ends[0], ends[1]))
         progress(3 + number, steps)
     prices = []
-    without = steady_walk(robot, drives[-1].gut.drive, inside) if acting else drives[-1].gut
+    without = steady_walk(robot, drives[-1].gut.drive, inside.surface) if acting else drives[-1].gut
     for number, active in enumerate(priced):
-        prices.append(_price(without, inside, active, errors, base, specimen))
+        prices.append(_price(without, inside, active, errors.get(active.effect.id)))
         progress(3 + len(varied) + number, steps)
     slips = [active for active in priced if active.effect.belongs_to_gut]
     if len(slips) > 1:
-        together = walk_with_effects(robot, drives[-1].gut.drive, inside, slips, base, specimen)
+        together = inside.walk(drives[-1].gut.drive, slips)
         prices.append(_difference("all of them together", without, together, None))
     return RobotStudy(
         robot=robot,
         model=model,
         seed=seed,
         drives=tuple(drives),
-        static_mN=inside().at_rest()(0.0),
+        static_mN=inside.surface().at_rest()(0.0),
         sensitivities=tuple(sensitivities),
         prices=tuple(prices),
         effects=tuple(active.effect.id for active in acting),
     )
 
 
-def _speeds(
-    robot: RobotSettings,
-    model: FrictionModelSettings,
-    specimen: Specimen,
-    places: Sequence[FloatArray],
-) -> tuple[float, float, float]:
+def _speeds(inside: RobotInGut, places: Sequence[FloatArray]) -> tuple[float, float, float]:
     """Return the three speeds of another robot, whose drives are sought near the same share of its limits."""
-    hard, inside = partial(hard_ground, robot), partial(gut, robot, model, specimen.wall_thickness_mm)
-    best_hard, best_gut = (
-        fastest_drive(robot, surface, 1, place) for surface, place in zip((hard, inside), places, strict=True)
-    )
+    robot, hard = inside.robot, partial(hard_ground, inside.robot)
+    best_hard = fastest_drive(robot, hard, 1, places[0])
+    best_gut = fastest_drive(robot, inside.surface, 1, places[1])
     return (
         steady_walk(robot, best_hard, hard).speed_mm_s,
-        steady_walk(robot, best_hard, inside).speed_mm_s,
-        steady_walk(robot, best_gut, inside).speed_mm_s,
+        steady_walk(robot, best_hard, inside.surface).speed_mm_s,
+        steady_walk(robot, best_gut, inside.surface).speed_mm_s,
     )
 
 
-def _price(
-    without: SteadyWalk,
-    surface: Callable[[], Resistance],
-    active: ActiveEffect,
-    errors: Mapping[str, float],
-    model: FrictionModelSettings,
-    specimen: Specimen,
-) -> Price:
+def _price(without: SteadyWalk, inside: RobotInGut, active: ActiveEffect, error: float | None) -> Price:
     effect = active.effect
     if not effect.belongs_to_gut:
         return Price(effect.id, None, None, None, None, "belongs to the rig, not to the robot: no price")
-    robot, drive = without.walker.robot, without.drive
-    relaxed = walk_with_effects(robot, drive, surface, [active], model, specimen)
-    error = errors.get(effect.id)
+    relaxed = inside.walk(without.drive, [active])
     spread = None
     if error:
         sizes = [active.values[effect.size.name] + sign * error for sign in (-1, 1)]
-        ends = [
-            walk_with_effects(
-                robot,
-                drive,
-                surface,
-                [ActiveEffect(effect, {**active.values, effect.size.name: size})],
-                model,
-                specimen,
-            ).walk.speed_mm_s
-            for size in sizes
-        ]
+        resized = (ActiveEffect(effect, {**active.values, effect.size.name: size}) for size in sizes)
+        ends = [inside.walk(without.drive, [other]).walk.speed_mm_s for other in resized]
         spread = 0.5 * abs(ends[1] - ends[0])
     return _difference(effect.id, without, relaxed, spread)
 

@@ -49,9 +49,6 @@ class SavgolKernel:
     """
 
     window: int
-    order: int
-    derivative: int
-    sample_rate_hz: float
     orthonormal: FloatArray
     """Polynomials on the window, orthonormal, shape `(window, order + 1)`."""
     derived: FloatArray
@@ -68,7 +65,7 @@ class SavgolKernel:
         per_second = (2 * sample_rate_hz / (window - 1)) ** derivative
         derived = np.ascontiguousarray(np.linalg.solve(triangle.T, np.array(rows)).T * per_second)
         weights = np.ascontiguousarray((orthonormal @ derived[window // 2])[::-1])
-        return cls(window, order, derivative, sample_rate_hz, orthonormal, derived, weights)
+        return cls(window, orthonormal, derived, weights)
 
     @property
     def half(self) -> int:
@@ -318,7 +315,7 @@ class SavgolStream:
                 raise AnalysisError(
                     f"Sample {first_index} was pushed after sample {self._next_index - 1}; push blocks in order."
                 )
-            ready.append(self._end_piece())
+            ready.append(self.flush())
             self._next_index = first_index
         at = 0
         for start, stop in mask_spans(np.isfinite(block)):
@@ -332,7 +329,14 @@ class SavgolStream:
 
     def flush(self) -> FloatArray:
         """End the piece and return its remaining samples; the next sample pushed begins a new piece."""
-        return self._end_piece()
+        seen, held = self._seen, self._held
+        self._seen, self._held = 0, np.empty(0)
+        if seen == 0:
+            return held
+        if seen < self._window:
+            self._events.append(too_short_event(self._piece_start / self._rate, seen, self._window))
+            return np.full(seen, np.nan)
+        return self._kernel.ends(held[-self._window :])[self._half + 1 :]
 
     def _extend(self, samples: FloatArray) -> FloatArray:
         if self._seen == 0:
@@ -351,19 +355,9 @@ class SavgolStream:
         return np.concatenate(ready)
 
     def _skip(self, samples: int) -> FloatArray:
-        ended = self._end_piece()
+        ended = self.flush()
         self._next_index += samples
         return np.concatenate((ended, np.full(samples, np.nan)))
-
-    def _end_piece(self) -> FloatArray:
-        seen, held = self._seen, self._held
-        self._seen, self._held = 0, np.empty(0)
-        if seen == 0:
-            return held
-        if seen < self._window:
-            self._events.append(too_short_event(self._piece_start / self._rate, seen, self._window))
-            return np.full(seen, np.nan)
-        return self._kernel.ends(held[-self._window :])[self._half + 1 :]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -332,9 +332,7 @@ def _constant_force(experiment: Experiment) -> str | None:
 
 def _motion_in_gap(experiment: Experiment) -> str | None:
     """Whether the stage changes speed while samples are missing: its motion is then not known."""
-    position = np.asarray(experiment.run.trace.position, dtype=np.float64)
-    finite = np.isfinite(position)
-    time, position = experiment.time_s[finite], position[finite]
+    time, position = experiment.recorded
     steps = np.diff(time)
     for last in np.flatnonzero(steps > 1.5 / experiment.run.trace.sample_rate_hz).tolist():
         first = last + 1

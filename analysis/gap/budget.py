@@ -28,10 +28,8 @@ from dragrig.analysis.gap.diagnosis import (
 )
 from dragrig.analysis.gap.gap_reduction import (
     BOOTSTRAP_SAMPLES,
-    MIN_RUNS,
     folds_by_condition,
-    run_factor_force,
-    run_zero_offset,
+    without_own,
 )
 from dragrig.analysis.gap.presence import (
     MODULATION_SD,
@@ -40,11 +38,10 @@ from dragrig.analysis.gap.presence import (
     Competition,
     ForceCompetition,
     Presence,
-    effect_ids,
     form_laws,
 )
 from dragrig.rig import FloatArray, IndexArray
-from dragrig.sim_backend.effects import hum_effect
+from dragrig.sim_backend.effects import catalogue, hum_effect
 
 MIN_GAP_OVER_NOISE = 0.1
 """Mean square of a gap above noise, relative to noise, below which shares of it mean nothing."""
@@ -152,7 +149,7 @@ def presence_of_effects(
         Effects that may be in the errors of the position.
     """
     elsewhere = {name: classification.marginal(name) for name in (hum_effect().id, *in_position)}
-    presence = dict.fromkeys(effect_ids(), MIN_PROBABILITY) | dict(on_force) | elsewhere
+    presence = dict.fromkeys(catalogue(), MIN_PROBABILITY) | dict(on_force) | elsewhere
     return {name: min(max(value, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY) for name, value in presence.items()}
 
 
@@ -222,17 +219,18 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
     unnamed = parts.pop(UNEXPLAINED, ())
     contributions, held_out = first.runs, first.held_out
     rows = np.array([run.sums for run in contributions])
-    duration, noise, square, rest = rows.sum(axis=0)[:4].tolist()
+    total = rows.sum(axis=0)
+    duration, noise, square, rest = total[:4].tolist()
     if square - noise < MIN_GAP_OVER_NOISE * noise:
         return ForceBudget((), float(np.sqrt(max(square - noise, 0.0) / duration)), held_out, ())
-    shares = _shares(rows[None])[0].tolist()
+    shares = (total[4 : 4 + len(parts)] / max(square - noise, 1e-12)).tolist()
     intervals = [
         with_form_error(share, interval)
         for share, interval in zip(
             (*shares, 1.0 - sum(shares)), share_intervals((first, *others), weights, tuple(parts)), strict=True
         )
     ]
-    sizes = np.sqrt(rows.sum(axis=0)[4 + len(parts) :] / duration).tolist()
+    sizes = np.sqrt(total[4 + len(parts) :] / duration).tolist()
     entries = [
         BudgetEntry(
             cause,
@@ -240,7 +238,10 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
             shares[number],
             intervals[number],
             sizes[number],
-            presence=established.get(cause, _presence_of_part(presence, competition, members)),
+            # That of a part with several causes is that of the most probable one.
+            presence=established.get(
+                cause, max(presence.probabilities[competition.causes[index].name] for index, _ in members)
+            ),
             what=words_of(competition, members) if cause in {MODEL, SPECIMEN} else "",
             not_separable_from=_not_separable(cause, chosen, competition, presence) if cause in established else (),
         )
@@ -270,11 +271,6 @@ def _contributions_to_run(study: Study, index: int, split: _Contributions, cause
         gap=split.gap,
         parts=dict(zip(causes, split.parts, strict=True)),
     )
-
-
-def _presence_of_part(presence: Presence, competition: ForceCompetition, causes: CauseSet) -> float:
-    """Return the probability of the most probable cause of a part."""
-    return max(presence.probabilities[competition.causes[index].name] for index, _ in causes)
 
 
 def parts_of(
@@ -434,12 +430,11 @@ def _held_out_explanation(
     scales = np.append(np.ones(1 + nuisances.size), sds)
     each = [gram[np.ix_(chosen, chosen)] * np.outer(scales, scales) for gram in grams]
     folds = folds_by_condition(study)
-    held_out = len(study.runs) >= MIN_RUNS and len(folds) > 1
     total = np.sum(each, axis=0)
     prior = design.prior_precision[nuisances], design.prior_mean[nuisances]
     found: dict[int, tuple[_Contributions, FloatArray, FloatArray]] = {}
-    for fold in folds if held_out else (tuple(range(len(study.runs))),):
-        others = total - np.sum([each[index] for index in fold], axis=0) if held_out else total
+    for fold in folds or (tuple(range(len(study.runs))),):
+        others = total - np.sum([each[index] for index in fold], axis=0) if folds else total
         coefficients = _fold_coefficients(others, prior, nuisances.size)
         for index in fold:
             split = _split_run(
@@ -449,7 +444,7 @@ def _held_out_explanation(
     runs, by_run, moments = zip(*(found[index] for index in range(len(study.runs))), strict=True)
     root = np.linalg.cholesky(_reduced_precision(total, prior, nuisances.size)[2])
     return _Explanation(
-        key, tuple(parts), members, runs, held_out, np.array(by_run), np.array(moments), np.asarray(root)
+        key, tuple(parts), members, runs, bool(folds), np.array(by_run), np.array(moments), np.asarray(root)
     )
 
 
@@ -457,13 +452,9 @@ def _columns_of_parts(
     competition: ForceCompetition, parts: Sequence[CauseSet]
 ) -> tuple[IndexArray, FloatArray, IndexArray]:
     """Return the columns of all parts, the prior sds of their coefficients, and the part that each belongs to."""
-    columns, sds, members = [np.zeros(0, dtype=np.intp)], [np.zeros(0)], [np.zeros(0, dtype=np.intp)]
-    for number, part in enumerate(parts):
-        rows, sds_of_part = competition.scaled_columns(part)
-        columns.append(rows - 1)
-        sds.append(sds_of_part)
-        members.append(np.full(rows.size, number))
-    return np.concatenate(columns), np.concatenate(sds), np.concatenate(members)
+    rows, sds = competition.scaled_columns(tuple(entry for part in parts for entry in part))
+    sizes = [sum(competition.causes[index].columns.size for index, _ in part) for part in parts]
+    return rows - 1, sds, np.repeat(np.arange(len(parts)), sizes)
 
 
 def _fold_coefficients(
@@ -513,20 +504,11 @@ def _split_run(
     # What the run itself is off by, as far as the best explanation of all runs leaves it; no more than repeats differ,
     # so that no run can make up for a cause.
     zero_sd, rest = study.problem.zero_sds[index], gap - each.sum(axis=1)
-    own = run_factor_force(rest, run.whitening, zero_sd, MAX_OWN_SIGMAS)
-    gap = gap - own - run_zero_offset(rest - own, run.whitening, zero_sd)
+    gap = gap - (rest - without_own(rest, run.whitening, zero_sd, MAX_OWN_SIGMAS))
     blocks = study.runs[index].block_data.blocks
     variance = noise.white**2 / blocks.samples + noise.slow_sd**2 + run.motion_sd**2
     widths_s = study.runs[index].coordinates.width_s
     return _Contributions(gap, parts, variance, widths_s), np.asarray((widths_s * gap) @ columns)
-
-
-def _shares(rows: FloatArray) -> FloatArray:
-    """Return the shares of all parts in each sample of runs, `(S, R, 4 + 2 K)` to `(S, K)`."""
-    total = rows.sum(axis=1)
-    parts = (rows.shape[2] - 4) // 2
-    gap = np.maximum(total[:, 2] - total[:, 1], 1e-12)
-    return np.asarray(total[:, 4 : 4 + parts] / gap[:, None])
 
 
 def with_form_error(share: float, interval: tuple[float, float] | None) -> tuple[float, float] | None:

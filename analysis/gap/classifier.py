@@ -300,10 +300,9 @@ such campaigns a third was none, so that these count three times less."""
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The verdict on a campaign, what the classifier makes of the force alone, and which effects are in the force."""
+    """The verdict on a campaign, and which effects are in the force."""
 
     verdict: Classification
-    on_force: Classification
     presence: Mapping[str, float]
     """Probability that each effect on the force is there."""
 
@@ -318,14 +317,14 @@ def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalib
     if inputs.has_position_error:
         on_force = classify(inputs.without_position, tolerance_mN, learnt)
     if not inputs.competition:
-        return Judgement(verdict, on_force, {})
+        return Judgement(verdict, {})
     presence = combined_presence(on_force, inputs.competition, learnt.presence, stage_strays=inputs.moves_astray)
     # The competition does not know why runs do not establish an effect, and so cannot make it likelier.
     for name in {name for tried in inputs.hypotheses if tried.lookalikes for name in tried.effects} & presence.keys():
         presence[name] = min(presence[name], on_force.marginal(name))
     in_position = {name for name, _ in inputs.position}
     verdict = restate(verdict, {name: value for name, value in presence.items() if name not in in_position})
-    return Judgement(verdict, on_force, presence)
+    return Judgement(verdict, presence)
 
 
 def combined_presence(

@@ -18,16 +18,6 @@ from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray, Phase, Phase
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BandPowers:
-    """Mean squares of a steady phase without its mean, by the bands of `BANDS_HZ`."""
-
-    residual: FloatArray
-    """Of the residual [the channel's unit squared], shape `(bands,)`."""
-    expected: FloatArray
-    """Of noise."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ResidualBlocks:
     """Residuals of one channel of one run after the nominal fit: means over `B` blocks."""
 
@@ -57,8 +47,6 @@ class ResidualBlocks:
     """Phases of the blocks."""
     position_mm: FloatArray
     """Position of the stage, from the first sample on."""
-    bands: BandPowers | None = None
-    """Spectrum of the steady phase from the whole trace; default: from the blocks."""
     force_mN: FloatArray | None = None
     """Measured force, shape `(B,)`, where known."""
     explained: FloatArray | None = None
@@ -122,16 +110,13 @@ def band_powers(signal: FloatArray, rate_hz: float) -> FloatArray:
 def band_excess(blocks: ResidualBlocks) -> FloatArray:
     """Return the excess of the steady phase by band, relative to the run's expected mean square, shape `(bands,)`.
 
-    Without a spectrum of the trace, blocks are resampled at their median duration, with white noise.
+    Blocks are resampled at their median duration, with white noise.
     """
     steady = blocks.phase == Phase.STEADY
     zeros = np.zeros(len(BANDS_HZ) - 1)
     if not steady.any():
         return zeros
     share = float(blocks.weight[steady].sum())
-    if blocks.bands is not None:
-        expected = float(np.average(blocks.noise_sd[steady] ** 2, weights=blocks.duration_s[steady]))
-        return np.asarray(share * (blocks.bands.residual - blocks.bands.expected) / expected)
     step = float(np.median(blocks.duration_s[steady]))
     time, value = blocks.time_s[steady], blocks.deviation[steady]
     count = int((time[-1] - time[0]) / step + 1e-6) + 1
@@ -294,12 +279,9 @@ def _position_axis(runs: CampaignResiduals) -> ExcessAxis:
 
 
 def _band_axis(runs: CampaignResiduals) -> ExcessAxis:
-    energy = np.array([sum((band_excess(blocks) for blocks in channels), start=_NO_BANDS) for channels in runs.blocks])
+    energy = np.array([np.sum([band_excess(blocks) for blocks in channels], axis=0) for channels in runs.blocks])
     edges = np.stack((BANDS_HZ[:-1], BANDS_HZ[1:]), axis=1)
     return ExcessAxis("band_hz", (), edges, energy, np.ones_like(energy), ComparisonBasis.NOISE)
-
-
-_NO_BANDS = np.zeros(len(BANDS_HZ) - 1)
 
 
 def _moves(blocks: ResidualBlocks) -> bool:

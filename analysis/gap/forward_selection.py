@@ -284,10 +284,10 @@ def inflate_by_form_error(design: Design) -> Design:
     first effect is small, a residual force cannot be its form error.
     """
     runs = zip(design.runs, design.grams, strict=True)
-    inflated = [_inflated_run(run) if run.effect_force.any() else (run, gram) for run, gram in runs]
-    return replace(
-        design, runs=tuple(run_of_design for run_of_design, _ in inflated), grams=tuple(gram for _, gram in inflated)
+    inflated, grams = zip(
+        *(_inflated_run(run) if run.effect_force.any() else (run, gram) for run, gram in runs), strict=True
     )
+    return replace(design, runs=inflated, grams=grams)
 
 
 def _inflated_run(run: RunDesign) -> tuple[RunDesign, FloatArray]:

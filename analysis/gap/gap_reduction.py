@@ -1,6 +1,6 @@
 """Size of the gap before and after an explanation: residuals, noise floor, held-out runs and closed share."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,10 +87,7 @@ def gap_of_run(
     weights = np.where(informative, run.coordinates.width_s, 0.0)
     share = weights / weights.sum()
     floor = noise.white**2 + noise.slow_sd**2 + float(share @ motion_sd**2)
-    residuals = []
-    for residual, whitening in (before, after):
-        without_factors = residual - run_factor_force(residual, whitening, zero_sd, max_own_sigmas)
-        residuals.append(without_factors - run_zero_offset(without_factors, whitening, zero_sd))
+    residuals = [without_own(*each, zero_sd, max_own_sigmas) for each in (before, after)]
     within_block_sd = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / run.block_data.blocks.samples)), 0.0)))
     return RunGap(
         run,
@@ -103,26 +100,23 @@ def gap_of_run(
     )
 
 
-def run_factor_force(
-    residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float = np.inf
-) -> FloatArray:
-    """Return the force of the run's own factors [mN], shape `(B,)`, limited to some standard deviations."""
+def without_own(residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float) -> FloatArray:
+    """Return a residual [mN] without what the run itself is off by, shape `(B,)`.
+
+    These are its own factors, limited to some standard deviations, and then its zero, fitted together with them.
+    """
     run_effects = whitening.run_effects
     precision = np.eye(run_effects.shape[1]) + run_effects.T @ run_effects
-    factors = np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(residual))
-    factors = np.clip(factors, -max_sigmas, max_sigmas)
-    if zero_sd > 0:
-        factors[0] = 0.0
-    return np.asarray(whitening.noise_root @ (run_effects @ factors))
 
+    def own(values: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(values)))
 
-def run_zero_offset(residual: FloatArray, whitening: Whitening, zero_sd: float) -> float:
-    """Return the run's zero offset [mN], fitted together with its factors."""
+    factors = np.clip(own(residual), -max_sigmas, max_sigmas)
     if zero_sd <= 0:
-        return 0.0
-    run_effects = whitening.run_effects
-    precision = np.eye(run_effects.shape[1]) + run_effects.T @ run_effects
-    return zero_sd * float(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(residual))[0])
+        return np.asarray(residual - whitening.noise_root @ (run_effects @ factors))
+    factors[0] = 0.0
+    left = residual - whitening.noise_root @ (run_effects @ factors)
+    return np.asarray(left - zero_sd * own(left)[0])
 
 
 def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
@@ -150,8 +144,8 @@ def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
         closed=closed,
         closed_95ci=interval,
         boundary_mm_s=BOUNDARY_MM_S if on_both_sides else None,
-        r2_eq15=_r2_before_after(sides, "eq15"),
-        r2_corr=_r2_before_after(sides, "corr"),
+        r2_eq15=_r2_before_after(sides, r2_eq15),
+        r2_corr=_r2_before_after(sides, squared_correlation),
         runs=tuple(gap.run.file for gap in gaps),
     )
 
@@ -177,17 +171,12 @@ def _steady_forces(run: RunData, before: FloatArray, after: FloatArray) -> tuple
 SteadyPoint = tuple[float, float, float, float]
 
 
-def _r2_before_after(sides: tuple[list[SteadyPoint], list[SteadyPoint]], form: str) -> R2BeforeAfter:
-    values: list[float | None] = []
-    for column in (2, 3):
-        for side in sides:
-            if len(side) < MIN_POINTS:
-                values.append(None)
-                continue
-            table = np.array(side)
-            compare = r2_eq15 if form == "eq15" else squared_correlation
-            values.append(compare(table[:, column], table[:, 1]))
-    return R2BeforeAfter(values[0], values[1], values[2], values[3])
+def _r2_before_after(
+    sides: tuple[list[SteadyPoint], list[SteadyPoint]], compare: Callable[[FloatArray, FloatArray], float | None]
+) -> R2BeforeAfter:
+    tables = [(column, np.array(side)) for column in (2, 3) for side in sides]
+    enough = (compare(table[:, column], table[:, 1]) if len(table) >= MIN_POINTS else None for column, table in tables)
+    return R2BeforeAfter(*enough)
 
 
 MIN_NOISE_SHARE = 0.3
@@ -209,10 +198,6 @@ def force_residual_blocks(
         slow = noise.slow_sd if line.is_mains or not line.amplitude else MIN_NOISE_SHARE * noise.slow_sd
         variance = white**2 / blocks.samples + slow**2 + run_design.motion_sd**2 + tolerance_mN**2
         zero_sd = study.problem.zero_sds[number]
-        without_factors = residual_of_run - run_factor_force(
-            residual_of_run, run_design.whitening, zero_sd, MAX_SCATTER_SIGMAS
-        )
-        residual = without_factors - run_zero_offset(without_factors, run_design.whitening, zero_sd)
         blocks_of_runs.append(
             ResidualBlocks(
                 run_id=run.experiment.run.info.header.run_id,
@@ -222,7 +207,7 @@ def force_residual_blocks(
                 speed_mm_s=run.typical_speed_mm_s,
                 strain=run.experiment.shear_strain,
                 session_s=run.session_start_s if run.has_clock else None,
-                residual=residual,
+                residual=without_own(residual_of_run, run_design.whitening, zero_sd, MAX_SCATTER_SIGMAS),
                 noise_sd=np.sqrt(variance),
                 duration_s=coordinates.width_s,
                 time_s=coordinates.time_s,
@@ -271,17 +256,11 @@ HELD_OUT_FOLDS = 4
 MIN_RUNS = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldOutResiduals:
-    """Residuals of each run when it was held out."""
-
-    before: tuple[FloatArray, ...]
-    after: tuple[FloatArray, ...]
-    """`before`, `after`: residual block means of each run [mN], without and with the effects."""
-
-
 def folds_by_condition(study: Study) -> tuple[tuple[int, ...], ...]:
-    """Return the runs of each fold: whole conditions, those of a kind dealt in the order of speed or strain."""
+    """Return the runs of each fold: whole conditions, those of a kind dealt in the order of speed or strain.
+
+    Empty where runs or conditions are too few to hold any out.
+    """
     conditions = sorted({run.condition for run in study.runs})
     fold_of_condition: dict[tuple[str, float], int] = {}
     counts: dict[str, int] = {}
@@ -291,20 +270,19 @@ def folds_by_condition(study: Study) -> tuple[tuple[int, ...], ...]:
     members: list[list[int]] = [[] for _ in range(HELD_OUT_FOLDS)]
     for number, run in enumerate(study.runs):
         members[fold_of_condition[run.condition]].append(number)
-    return tuple(tuple(fold) for fold in members if fold)
+    folds = tuple(tuple(fold) for fold in members if fold)
+    return folds if len(study.runs) >= MIN_RUNS and len(folds) > 1 else ()
 
 
-def predict_held_out(search: ForceSearchResult, chosen: HypothesisFit | None) -> HeldOutResiduals | None:
-    """Predict every run from fits to the others; None for too few runs.
+def predict_held_out(
+    search: ForceSearchResult, chosen: HypothesisFit | None
+) -> tuple[tuple[FloatArray, FloatArray], ...]:
+    """Return the residuals [mN] of each run by fits to the others, without and with the effects; none for too few runs.
 
     In each fold the effect is chosen anew from the other runs; if it differs from `chosen`, the fold is predicted with
     it.
     """
-    study, nominal = search.study, search.nominal
-    folds = folds_by_condition(study)
-    if len(study.runs) < MIN_RUNS or len(folds) < 2:
-        return None
-    runs = range(len(study.runs))
+    nominal, folds, runs = search.nominal, folds_by_condition(search.study), range(len(search.study.runs))
     before: dict[int, FloatArray] = {}
     after: dict[int, FloatArray] = {}
     for fold in folds:
@@ -322,12 +300,7 @@ def predict_held_out(search: ForceSearchResult, chosen: HypothesisFit | None) ->
         elif chosen is not None and best is not None:
             coefficients = _fit_with_variants(nominal, others, best)
             after |= {index: _run_residual(nominal, index, *coefficients) for index in fold}
-    if not after:
-        after = before
-    return HeldOutResiduals(
-        tuple(before[index] for index in runs),
-        tuple(after[index] for index in runs),
-    )
+    return tuple((before[index], (after or before)[index]) for index in runs) if folds else ()
 
 
 def held_out_improvement(search: ForceSearchResult, fit: HypothesisFit) -> float | None:
@@ -336,7 +309,7 @@ def held_out_improvement(search: ForceSearchResult, fit: HypothesisFit) -> float
     None for too few runs, or without excess beyond chance.
     """
     folds = folds_by_condition(search.study)
-    if len(search.study.runs) < MIN_RUNS or len(folds) < 2:
+    if not folds:
         return None
     without = with_effects = 0.0
     for fold in folds:

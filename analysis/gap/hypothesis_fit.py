@@ -20,6 +20,7 @@ from dragrig.analysis.gap.design import (
     RunDesign,
     Study,
     fit_columns,
+    forms_of,
     gauss_newton,
     gauss_newton_step,
     joint_fit,
@@ -71,18 +72,12 @@ def free_phase_llr(design: Design, nuisances: LeastSquaresFit, pair: Sequence[in
     return llr, runs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CommonPhaseFit:
-    """An effect periodic in session time that keeps its phase through the session."""
+def fit_common_phase(study: Study, design: Design, variant: EffectVariant) -> tuple[Candidate, float]:
+    """Search for the period near a variant's, and the waveform, that all runs of a session share.
 
-    candidate: Candidate
-    """The effect with the best period and phase."""
-    llr: float
-    """Log likelihood ratio of any waveform with this period, up to its first harmonics."""
-
-
-def fit_common_phase(study: Study, design: Design, variant: EffectVariant) -> CommonPhaseFit:
-    """Search for the period near a variant's, and the waveform, that all runs of a session share."""
+    Return the effect with the best period and phase, and the log likelihood ratio of any waveform with this period, up
+    to its first harmonics.
+    """
     last_s = max(float(run.coordinates.session_s.max()) for run in study.runs)
     period = variant.values[variant.effect.period_parameter]
     # The strongest period may be the first overtone of the true one.
@@ -115,7 +110,7 @@ def fit_common_phase(study: Study, design: Design, variant: EffectVariant) -> Co
         size.name: best_variant.values[size.name] * max(product[index], 0.0) / max(gram[index], 1e-12),
     }
     values[size.name] = float(np.clip(values[size.name], size.low, size.high))
-    return CommonPhaseFit(Candidate(best_variant.effect, values), float(llrs[best]))
+    return Candidate(best_variant.effect, values), float(llrs[best])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,29 +142,17 @@ def _strongest_periods(residuals: Sequence[_WhitenedResidual], periods_s: FloatA
 
 def _llr_of_periods(residuals: Sequence[_WhitenedResidual], periods_s: FloatArray, harmonics: int) -> FloatArray:
     """Return the log likelihood ratio of each period with some harmonics, over all runs."""
-    products = [
-        _harmonic_products(_harmonic_rows(residual, periods_s, harmonics), residual, harmonics)
-        for residual in residuals
-    ]
-    grams, moments = (np.sum([product[index] for product in products], axis=0) for index in (0, 1))
-    return _llr_of_products(grams, moments)
-
-
-def _harmonic_rows(residual: _WhitenedResidual, periods_s: FloatArray, harmonics: int) -> FloatArray:
-    """Return cosines and sines of session time, shape `(periods · 2 H, B)`."""
-    angle = 2 * np.pi * residual.scene.session_s / periods_s[:, None]
-    waves = [function(harmonic * angle) for harmonic in range(1, harmonics + 1) for function in (np.cos, np.sin)]
-    return residual.run.block_means(np.stack(waves, axis=1).reshape(-1, angle.shape[1]))
-
-
-def _harmonic_products(rows: FloatArray, residual: _WhitenedResidual, harmonics: int) -> tuple[FloatArray, FloatArray]:
-    whitened = residual.design.whitening.whiten(rows.T).T.reshape(-1, 2 * harmonics, rows.shape[1])
-    return whitened @ whitened.transpose(0, 2, 1), whitened @ residual.values
-
-
-def _llr_of_products(grams: FloatArray, moments: FloatArray) -> FloatArray:
-    size = np.trace(grams, axis1=1, axis2=2)[:, None, None] / grams.shape[1]
-    coefficients = np.linalg.solve(grams + (1e-6 * size + 1e-12) * np.eye(grams.shape[1]), moments[:, :, None])[:, :, 0]
+    width = 2 * harmonics
+    grams, moments = np.zeros((periods_s.size, width, width)), np.zeros((periods_s.size, width))
+    for residual in residuals:
+        angle = 2 * np.pi * residual.scene.session_s / periods_s[:, None]
+        waves = [function(harmonic * angle) for harmonic in range(1, harmonics + 1) for function in (np.cos, np.sin)]
+        rows = residual.run.block_means(np.stack(waves, axis=1).reshape(-1, angle.shape[1]))
+        whitened = residual.design.whitening.whiten(rows.T).T.reshape(-1, width, rows.shape[1])
+        grams += whitened @ whitened.transpose(0, 2, 1)
+        moments += whitened @ residual.values
+    size = np.trace(grams, axis1=1, axis2=2)[:, None, None] / width
+    coefficients = np.linalg.solve(grams + (1e-6 * size + 1e-12) * np.eye(width), moments[:, :, None])[:, :, 0]
     return np.asarray(0.5 * np.sum(coefficients * moments, axis=1))
 
 
@@ -262,8 +245,8 @@ def refit_with_effect(study: Study, design: Design, ranked: RankedEffect, nomina
         start_at_design = ParameterPoint(design.z, start.candidates)
         fallbacks = [fit_hypothesis(study, point, nominal, design)[0] for point in (start, start_at_design)]
         return min((fit, *fallbacks), key=lambda hypothesis: hypothesis.chi2)
-    common = fit_common_phase(study, design, variant)
-    start = ParameterPoint(design.z, (*design.candidates, common.candidate))
+    common, common_llr = fit_common_phase(study, design, variant)
+    start = ParameterPoint(design.z, (*design.candidates, common))
     points = [start, gauss_newton(study, start, GAUSS_NEWTON_STEPS, design)]
     fit = min(
         (fit_hypothesis(study, point, nominal, design)[0] for point in points), key=lambda hypothesis: hypothesis.chi2
@@ -272,7 +255,7 @@ def refit_with_effect(study: Study, design: Design, ranked: RankedEffect, nomina
     return replace(
         fit,
         chi2_with_form_error=min(
-            fit.chi2_with_form_error, before - 2 * max(common.llr - PERIOD_SEARCH_LLR, ranked.llr)
+            fit.chi2_with_form_error, before - 2 * max(common_llr - PERIOD_SEARCH_LLR, ranked.llr)
         ),
     )
 
@@ -393,7 +376,11 @@ def _add_own_variants(design: Design, total: FloatArray, ids: set[str]) -> tuple
 
 def rank_with_free_phases(design: Design, ranked: tuple[RankedEffect, ...]) -> tuple[RankedEffect, ...]:
     """Rank periodic effects with a phase of their own in each run, unless a common phase ranks higher."""
-    pairs = _quadrature_pairs(design.variants)
+    pairs = [
+        form
+        for form in forms_of(design.variants)
+        if len(form) > 1 and design.variants[form[0]].effect.periodic_in_session
+    ]
     if not pairs:
         return ranked
     nuisances = fit_columns(design, design.total_gram(), *NUISANCES)
@@ -407,12 +394,3 @@ def rank_with_free_phases(design: Design, ranked: tuple[RankedEffect, ...]) -> t
         return ranked
     free_phase = RankedEffect(effect, corrected_llr, common_phase.d_prime_per_unit, pair, np.array([0.5, 0.5]))
     return tuple(sorted((free_phase if best.effect == effect else best for best in ranked), key=lambda best: -best.llr))
-
-
-def _quadrature_pairs(variants: Sequence[EffectVariant]) -> list[tuple[int, int]]:
-    """Return the pairs of variants that are periodic in session time."""
-    return [
-        (number, number + 1)
-        for number, variant in enumerate(variants)
-        if variant.effect.periodic_in_session and not variant.is_quadrature and variant.effect.phase is not None
-    ]

@@ -353,11 +353,6 @@ class Isolability:
         }
 
 
-def effect_pairs(names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-    """Yield every pair of names once."""
-    return combinations(names, 2)
-
-
 MAX_VARIANTS = 3
 """Number of variants of a position effect that are tried, evenly spaced in its grid."""
 TRIAL_PHASE_RAD = 0.7
@@ -383,7 +378,7 @@ def position_isolability(
     }
     visibilities = tuple(_position_visibility(acting, trials[acting.id]) for acting in position_effects)
     shown = tuple(visibility.effect for visibility in visibilities if visibility.smallest is not None)
-    return visibilities, tuple(_position_pair(pair, trials) for pair in effect_pairs(shown))
+    return visibilities, tuple(_position_pair(pair, trials) for pair in combinations(shown, 2))
 
 
 def _trial_candidates(effect: Effect) -> Iterator[Candidate]:
@@ -471,7 +466,7 @@ def isolate(
     design = linearise(study, point.z, dictionary=True)
     advance(DICTIONARY_COST)
     angles = SignatureAngles.of(design)
-    pairs = [_force_pair(angles, pair) for pair in effect_pairs(angles.effects)]
+    pairs = [_force_pair(angles, pair) for pair in combinations(angles.effects, 2)]
     order = order_by_similarity(
         angles.effects, {frozenset(effect_pair.effects): effect_pair.sin2 for effect_pair in pairs}
     )
@@ -602,7 +597,7 @@ def _sentences(isolability: Isolability) -> Iterator[str]:
     if isolability.invisible:
         names = join_names([display_name(effect) for effect in isolability.invisible])
         yield f"{capitalise(names)} would not be detected at the default size."
-    visible = [visibility for visibility in isolability.visible_in("force") if visibility.smallest is not None]
+    visible = isolability.visible_in("force")
     if visible:
         weakest = max(visible, key=lambda visibility: (visibility.smallest or 0.0) / abs(visibility.usual))
         yield (

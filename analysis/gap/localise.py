@@ -55,36 +55,32 @@ class BlockTable:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DomainCoordinate:
-    """Bin of each block along a domain's coordinate, and a scale of the residual in it."""
-
-    bins: IndexArray
-    scale: FloatArray
+DomainCoordinate = tuple[IndexArray, FloatArray]
+"""Bin of each block along a domain's coordinate, and a scale of the residual in it."""
 
 
-def cross_predicted_share(table: BlockTable, coordinate: DomainCoordinate) -> float:
+def cross_predicted_share(table: BlockTable, bins: IndexArray, scale: FloatArray) -> float:
     """Return the weighted share of the squares that other runs' bins predict; negative where they mislead.
 
     In each bin the residual is a factor times the scale, fitted to the other runs by least squares.
     """
     runs = int(table.run.max()) + 1
-    cell = np.unique(coordinate.bins * runs + table.run, return_inverse=True)
-    keys = cell[0]
-    product = np.bincount(cell[1], table.weight * coordinate.scale * table.deviation)
-    square = np.bincount(cell[1], table.weight * coordinate.scale**2)
-    bins = np.unique(keys // runs, return_inverse=True)[1]
-    moment = np.bincount(bins, product)[bins] - product
-    squares = np.bincount(bins, square)[bins] - square
+    keys, cell = np.unique(bins * runs + table.run, return_inverse=True)
+    product = np.bincount(cell, table.weight * scale * table.deviation)
+    square = np.bincount(cell, table.weight * scale**2)
+    bin_of_cell = np.unique(keys // runs, return_inverse=True)[1]
+    moment = np.bincount(bin_of_cell, product)[bin_of_cell] - product
+    squares = np.bincount(bin_of_cell, square)[bin_of_cell] - square
     factor = np.divide(moment, squares, out=np.zeros_like(moment), where=squares > 1e-9 * square)
-    residual = table.deviation - factor[cell[1]] * coordinate.scale
+    residual = table.deviation - factor[cell] * scale
     total = float((table.weight * table.deviation**2).sum())
     return 1 - float((table.weight * residual**2).sum()) / total if total > 0 else 0.0
 
 
 def domain_coordinates(blocks: Sequence[ResidualBlocks]) -> Mapping[str, tuple[DomainCoordinate, ...]]:
     """Return the coordinates of each domain that other runs can predict."""
-    group = _per_block(blocks, [_group_index(blocks, run) for run in blocks])
+    groups = list(dict.fromkeys((run.channel, run.kind) for run in blocks))
+    group = _per_block(blocks, [groups.index((run.channel, run.kind)) for run in blocks])
     ones = np.ones(group.size)
     strain = np.concatenate([np.full(run.residual.size, run.strain or 1.0) for run in blocks])
     phase = np.concatenate([run.phase.astype(np.intp) for run in blocks])
@@ -95,26 +91,18 @@ def domain_coordinates(blocks: Sequence[ResidualBlocks]) -> Mapping[str, tuple[D
     neighbours = [_per_block(blocks, _session_pairs(blocks, shift)) for shift in shifts]
     sheared = _per_block(blocks, [int(run.contact is Contact.STICKING) for run in blocks]) > 0
     return {
-        CONSTANT_DOMAIN: (DomainCoordinate(_combined_index(group, phase), ones),),
-        "speed": (DomainCoordinate(_combined_index(group, phase, speed), np.where(sheared, 0.0, 1.0)),),
-        "position": (DomainCoordinate(_combined_index(group, position), np.where(sheared, 0.0, 1.0)),),
-        "time": (
-            DomainCoordinate(_combined_index(group, time), ones),
-            DomainCoordinate(_combined_index(group, time), strain),
-        ),
-        "session": tuple(DomainCoordinate(_combined_index(group, phase, pair), ones) for pair in neighbours),
-        "strain": (DomainCoordinate(_combined_index(group, time), np.where(sheared, strain**2, 0.0)),),
+        CONSTANT_DOMAIN: ((_combined_index(group, phase), ones),),
+        "speed": ((_combined_index(group, phase, speed), np.where(sheared, 0.0, 1.0)),),
+        "position": ((_combined_index(group, position), np.where(sheared, 0.0, 1.0)),),
+        "time": tuple((_combined_index(group, time), scale) for scale in (ones, strain)),
+        "session": tuple((_combined_index(group, phase, pair), ones) for pair in neighbours),
+        "strain": ((_combined_index(group, time), np.where(sheared, strain**2, 0.0)),),
     }
 
 
 def _per_block(blocks: Sequence[ResidualBlocks], number: Sequence[int]) -> IndexArray:
     """Repeat a number of each run for each of its blocks."""
     return np.concatenate([np.full(run.residual.size, value) for run, value in zip(blocks, number, strict=True)])
-
-
-def _group_index(blocks: Sequence[ResidualBlocks], run: ResidualBlocks) -> int:
-    names = list(dict.fromkeys((run_blocks.channel, run_blocks.kind) for run_blocks in blocks))
-    return names.index((run.channel, run.kind))
 
 
 def _session_pairs(blocks: Sequence[ResidualBlocks], shift: int) -> list[int]:
@@ -165,12 +153,6 @@ MIN_PERIODS = 2.0
 """Fewest periods of a sine in a run that contributes to it."""
 
 
-def best_periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[float, float]:
-    """Return the share of all squares that the best sine explains, in position and in time."""
-    in_position, in_time = periodic_shares(blocks)
-    return float(in_position.max()), float(in_time.max())
-
-
 def trial_wavenumbers(blocks: Sequence[ResidualBlocks]) -> FloatArray:
     """Return the trial wave numbers per mm: the standard ones, and shorter waves that the blocks resolve."""
     steady = [np.abs(run.position_mm[run.phase == Phase.STEADY]) for run in blocks]
@@ -185,7 +167,10 @@ def trial_wavenumbers(blocks: Sequence[ResidualBlocks]) -> FloatArray:
 
 
 def periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[FloatArray, FloatArray]:
-    """Return the share for a sine of each of `trial_wavenumbers` in position and of `FREQUENCIES_HZ` in time."""
+    """Return the share of all squares that a sine explains.
+
+    One of each of `trial_wavenumbers` in position, and of `FREQUENCIES_HZ` in time.
+    """
     total = sum(float((run.weight * run.deviation**2).sum()) for run in blocks)
     waves = trial_wavenumbers(blocks)
     in_position, in_time = np.zeros(waves.size), np.zeros(FREQUENCIES_HZ.size)
@@ -240,10 +225,10 @@ def domain_scores(blocks: Sequence[ResidualBlocks]) -> Mapping[str, float]:
     table = BlockTable.of(blocks)
     coordinates = domain_coordinates(blocks)
     scores = {
-        name: max((cross_predicted_share(table, coordinate) for coordinate in coordinates[name]), default=0.0)
+        name: max((cross_predicted_share(table, *coordinate) for coordinate in coordinates[name]), default=0.0)
         for name in coordinates
     }
-    in_position, in_time = best_periodic_shares(blocks)
+    in_position, in_time = (float(shares.max()) for shares in periodic_shares(blocks))
     scores["position"] = max(scores["position"], scores[CONSTANT_DOMAIN] + in_position)
     # Without a clock, and in a single run, nothing distinguishes session time from time within the run.
     periodic_domain = "session" if has_session_clock(blocks) and len({run.run_id for run in blocks}) > 1 else "time"

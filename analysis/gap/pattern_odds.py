@@ -11,8 +11,8 @@ from math import log
 
 import numpy as np
 
-from dragrig.analysis.gap.presence import PRIOR_PROBABILITIES, CauseKind
-from dragrig.rig import BoolArray, FloatArray, IndexArray
+from dragrig.analysis.gap.presence import PRIOR_PROBABILITIES, CauseKind, log_evidence
+from dragrig.rig import BoolArray, FloatArray
 
 PATTERN_PRIORS: Mapping[bool, tuple[float, float, float]] = {True: (0.8, 0.1, 0.1), False: (0.5, 0.25, 0.25)}
 """Prior probabilities that an effect which is there is in all, some, or one; where it is the rig's, and the gut's."""
@@ -110,27 +110,13 @@ class SharedInformation:
 
     def evidence(self, gram: FloatArray, moment: FloatArray, constant: FloatArray) -> FloatArray:
         """Return the log evidence of sums over sets of campaigns, shapes `(P, k, k)`, `(P, k)` and `(P,)`."""
-        width = gram.shape[1]
-        root = np.linalg.cholesky(np.eye(width) + self.mean_variance * gram)
-        fitted = np.linalg.solve(root, np.sqrt(self.mean_variance) * moment[:, :, None])[:, :, 0]
-        log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-        value = constant + 0.5 * (fitted**2).sum(axis=1) - log_det
-        if self.direction is not None and self.mean_variance > 0:
-            from scipy.special import log_ndtr
-
-            along = np.linalg.solve(root, np.broadcast_to(self.direction, (len(gram), width))[:, :, None])[:, :, 0]
-            value = value + log_ndtr((along * fitted).sum(axis=1) / np.sqrt((along**2).sum(axis=1))) + log(2.0)
-        return np.asarray(value)
+        size = np.array([self.mean_variance**0.5])
+        return constant + log_evidence(gram, moment, size, 0.0 if self.direction is None else self.direction)
 
     def of_members(self, members: BoolArray) -> float:
         """Return the log evidence that the cause is in some campaigns and in no others."""
-        return float(
-            self.evidence(
-                self.gram[members].sum(axis=0)[None],
-                self.moment[members].sum(axis=0)[None],
-                self.constant[members].sum()[None],
-            )[0]
-        )
+        sums = (values[members].sum(axis=0)[None] for values in (self.gram, self.moment, self.constant))
+        return float(self.evidence(*sums)[0])
 
     def gains(self, members: BoolArray) -> FloatArray:
         """Return the log evidence of each campaign for the cause at the mean that some campaigns have, shape `(C,)`."""
@@ -138,15 +124,6 @@ class SharedInformation:
         precision = np.eye(width) + self.mean_variance * self.gram[members].sum(axis=0)
         mean = self.mean_variance * np.linalg.solve(precision, self.moment[members].sum(axis=0))
         return np.asarray(self.constant + self.moment @ mean - 0.5 * np.einsum("k,ckl,l->c", mean, self.gram, mean))
-
-
-def _prefixes(setting: SharedInformation, rows: IndexArray) -> FloatArray:
-    """Return the log evidence of the first 1, 2, … campaigns in an order, shape `(C,)`."""
-    return setting.evidence(
-        np.cumsum(setting.gram[rows], axis=0),
-        np.cumsum(setting.moment[rows], axis=0),
-        np.cumsum(setting.constant[rows]),
-    )
 
 
 def _some_evidence(setting: SharedInformation, singles: FloatArray) -> tuple[float, FloatArray]:
@@ -162,7 +139,9 @@ def _some_evidence(setting: SharedInformation, singles: FloatArray) -> tuple[flo
         members = start
         for _ in range(ORDERINGS):
             order = np.argsort(-setting.gains(members), kind="stable")
-            values = _prefixes(setting, order)[1:-1]
+            # Of the first 2, 3, … campaigns in this order, but not of all.
+            sums = (np.cumsum(each[order], axis=0) for each in (setting.gram, setting.moment, setting.constant))
+            values = setting.evidence(*sums)[1:-1]
             size = 2 + int(np.argmax(values))
             members = np.zeros(count, dtype=bool)
             members[order[:size]] = True
@@ -170,14 +149,22 @@ def _some_evidence(setting: SharedInformation, singles: FloatArray) -> tuple[flo
                 best_value, best = float(values[size - 2]), members
     gains = setting.gains(best)
     of_best = float(gains[best].sum())
-    sums, likely = [], []
-    for prevalence in PREVALENCES:
-        with_cause = np.log(prevalence) + gains
-        each = np.logaddexp(with_cause, np.log1p(-prevalence))
-        sums.append(float(each.sum()))
-        likely.append(np.exp(with_cause - each))
-    weights = np.exp(np.array(sums) - np.logaddexp.reduce(sums))
-    return best_value - of_best + float(np.logaddexp.reduce(sums)) - log(len(sums)), weights @ np.array(likely)
+    total, members = _over_prevalences(gains[None])
+    return best_value - of_best + float(total[0]), members[0]
+
+
+def _over_prevalences(gains: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean over prevalences of the evidence `(H,)`, as its log, and each campaign's probability `(H, C)`.
+
+    Whether a cause is in a campaign, `gains` tell, its log Bayes factors there, shape `(H, C)`.
+    """
+    prevalences = np.array(PREVALENCES)[:, None, None]
+    with_cause = np.log(prevalences) + gains
+    each = np.logaddexp(with_cause, np.log1p(-prevalences))
+    sums = each.sum(axis=2)
+    total = np.logaddexp.reduce(sums, axis=0)
+    members = np.einsum("ph,phc->hc", np.exp(sums - total), np.exp(with_cause - each))
+    return total - log(len(PREVALENCES)), members
 
 
 def pattern_odds(
@@ -220,12 +207,7 @@ def independent_odds(log_factors: FloatArray, scales: Sequence[float], *, of_rig
     weight = -log(len(log_factors))
     some, members = np.full(len(log_factors), -np.inf), np.ones(log_factors.shape)
     if count >= MIN_CAMPAIGNS_FOR_SOME:
-        with_effect = np.log(PREVALENCES)[:, None, None] + log_factors
-        each = np.logaddexp(with_effect, np.log1p(-np.array(PREVALENCES))[:, None, None])
-        sums = each.sum(axis=2)
-        some = np.logaddexp.reduce(sums, axis=0) - log(len(PREVALENCES))
-        shares = np.exp(sums - np.logaddexp.reduce(sums, axis=0))
-        members = np.einsum("ph,phc->hc", shares, np.exp(with_effect - each))
+        some, members = _over_prevalences(log_factors)
     return _joined(
         CauseKind.EFFECT,
         weight + log_factors.sum(axis=1),

@@ -10,7 +10,6 @@ columns alone.
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import log
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from dragrig.analysis.gap.presence import (
     PeriodicColumns,
     Presence,
     VariantSpan,
+    log_evidence,
 )
 from dragrig.rig import FloatArray, IndexArray
 
@@ -124,7 +124,9 @@ def force_evidence(
     sets = _WeighedSets.of(competition, presence, strong)
     contexts = {name: sets.context(name, _without(competition, own_causes, name)) for name in layout.columns}
     different = tuple(dict.fromkeys(contexts.values()))
-    projected = {own_causes: _projected(competition, own_causes) for own_causes in different}
+    projected = {
+        causes: projected_out(competition.products, *competition.scaled_columns(causes)) for causes in different
+    }
     evidence = ForceEvidence(
         tuple(map(layout.information, projected.values())),
         layout.columns,
@@ -210,12 +212,14 @@ def _form_evidence(
     rows = 1 + cause.columns
     gram, moment = products[np.ix_(rows, rows)] * np.outer(cause.sds, cause.sds), products[rows, 0] * cause.sds
     information = evidence.information_for(shared.name)
-    direction = np.ones(len(shared.rows)) if shared.one_signed else None
-    return tuple(
-        log_evidence(gram, moment, scale, cause.direction)
-        - log_evidence(*normalised(information, shared, shared.sizes_mN, scale), scale, direction)
+    of_all = log_evidence(gram, moment, np.array(shared.scales), 0.0 if cause.direction is None else cause.direction)
+    of_shared = [
+        log_evidence(
+            *normalised(information, shared, shared.sizes_mN, scale), np.array([scale]), float(shared.one_signed)
+        )
         for scale in shared.scales
-    )
+    ]
+    return tuple((of_all - np.concatenate(of_shared)).tolist())
 
 
 def _without(competition: Competition, causes: CauseSet, name: str) -> CauseSet:
@@ -237,7 +241,6 @@ def _pooled_causes(
 class _Layout:
     """Linear combinations of the competition's columns that are shared."""
 
-    competition: Competition
     mixing: FloatArray
     """Coefficients of the competition's columns, residual first, of each shared one, shape `(1 + C, 1 + S)`."""
     columns: Mapping[str, SharedColumns]
@@ -249,9 +252,16 @@ class _Layout:
         pooled: Mapping[str, tuple[Cause, VariantSpan]],
         periodic: Mapping[str, PeriodicColumns],
     ) -> "_Layout":
-        blocks, first = [], 1
         size = len(competition.products)
-        columns = {}
+        residual = np.zeros((size, 1))
+        residual[0] = 1.0
+        blocks, columns = [residual], dict[str, SharedColumns]()
+
+        def placed(block: FloatArray) -> IndexArray:
+            first = sum(before.shape[1] for before in blocks)
+            blocks.append(block)
+            return np.arange(first, first + block.shape[1])
+
         for name, (cause, span) in pooled.items():
             width = span.mixing.shape[1]
             block = np.zeros((size, len(span.mixing)))
@@ -259,42 +269,33 @@ class _Layout:
             forms = np.zeros((size, 0))
             if cause.kind is CauseKind.EFFECT:
                 forms = _form_directions(competition, cause, width)
-            rows = np.arange(first, first + block.shape[1])
-            form_rows = np.arange(rows[-1] + 1, rows[-1] + 1 + forms.shape[1])
             columns[name] = SharedColumns(
                 name,
                 cause.kind,
                 span.variants,
-                rows,
-                form_rows,
+                placed(block),
+                placed(forms),
                 span.sizes_mN,
                 cause.direction is not None,
                 POOLED_MODEL_SCALES if cause.kind is CauseKind.MODEL else POOLED_SCALES_MN,
             )
-            blocks += [block, forms]
-            first += block.shape[1] + forms.shape[1]
         for name, found in periodic.items():
             acting = np.flatnonzero(found.sizes_mN > 0)
             if not acting.size:
                 continue
             block = np.zeros((size, acting.size))
             block[1 + found.columns[acting], np.arange(acting.size)] = 1.0
-            rows = np.arange(first, first + acting.size)
             columns[name] = SharedColumns(
                 name,
                 CauseKind.EFFECT,
                 acting,
-                rows,
+                placed(block),
                 np.zeros(0, dtype=np.intp),
                 found.sizes_mN[acting],
                 False,
                 POOLED_SCALES_MN,
             )
-            blocks.append(block)
-            first += acting.size
-        residual = np.zeros((size, 1))
-        residual[0] = 1.0
-        return cls(competition, np.concatenate((residual, *blocks), axis=1), columns)
+        return cls(np.concatenate(blocks, axis=1), columns)
 
     def information(self, products: FloatArray) -> FloatArray:
         """Return the products of residual and shared columns by those of the competition's columns."""
@@ -304,14 +305,12 @@ class _Layout:
         return np.asarray(mixing @ (mixing @ products).T, dtype=np.float32)
 
 
-def _projected(competition: Competition, causes: CauseSet) -> FloatArray:
-    """Return the products of all columns, some causes projected out within their priors."""
-    products = competition.products
-    rows, sds = competition.scaled_columns(causes)
-    if not rows.size:
-        return products
+def projected_out(products: FloatArray, rows: IndexArray, sds: FloatArray) -> FloatArray:
+    """Return the products of all columns, some of them projected out within their priors."""
     precision = products[np.ix_(rows, rows)] * np.outer(sds, sds) + np.eye(rows.size)
     explained = np.linalg.solve(np.linalg.cholesky(precision), products[rows] * sds[:, None])
+    # No more precisely than the products are kept: pooling takes most of its time here.
+    explained = explained.astype(products.dtype)
     return np.asarray(products - explained.T @ explained)
 
 
@@ -331,28 +330,6 @@ def _form_directions(competition: Competition, cause: Cause, core: int) -> Float
     return directions
 
 
-def log_evidence(gram: FloatArray, moment: FloatArray, scale: float, direction: FloatArray | None = None) -> float:
-    """Return the log Bayes factor of coefficients with standard deviation `scale` against none.
-
-    Parameters
-    ----------
-    direction
-        Direction in which they must be positive; None for either sign.
-    """
-    root = np.asarray(np.linalg.cholesky(np.eye(len(gram)) + scale**2 * gram), dtype=np.float64)
-    fitted = np.asarray(np.linalg.solve(root, scale * moment), dtype=np.float64)
-    value = 0.5 * float(fitted @ fitted) - float(np.log(np.diag(root)).sum())
-    return value if direction is None else value + log_sign_probability(root, fitted, direction)
-
-
-def log_sign_probability(root: FloatArray, fitted: FloatArray, direction: FloatArray) -> float:
-    """Return the log probability that a one-signed cause is positive, against one half a priori."""
-    from scipy.special import log_ndtr
-
-    along = np.linalg.solve(root, direction)
-    return float(log_ndtr(along @ fitted / np.sqrt(along @ along))) + log(2.0)
-
-
 def normalised(
     information: FloatArray, shared: SharedColumns, sizes_mN: FloatArray, scale: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -361,15 +338,24 @@ def normalised(
     Each column has rms 1 mN over the root of their number, so that coefficients with standard deviation `scale` make
     a force of about that size. Shapes `(n, n)` and `(n,)`.
     """
-    rows, forms = shared.rows, shared.form_rows
-    unit = 1.0 / (sizes_mN * np.sqrt(len(rows)))
-    gram = information[np.ix_(rows, rows)].astype(np.float64) * np.outer(unit, unit)
-    moment = information[rows, 0].astype(np.float64) * unit
-    if forms.size:
-        own = information[np.ix_(forms, forms)].astype(np.float64) * scale**2 + np.eye(forms.size)
-        cross = information[np.ix_(forms, np.concatenate(([0], rows)))].astype(np.float64) * scale
-        cross[:, 1:] *= unit
-        solved = np.linalg.solve(own, cross)
-        gram = gram - cross[:, 1:].T @ solved[:, 1:]
-        moment = moment - cross[:, 1:].T @ solved[:, 0]
-    return gram, moment
+    rows = np.concatenate(([0], shared.rows, shared.form_rows))
+    gram, moment = without_forms(information[None, rows[:, None], rows].astype(np.float64), sizes_mN, scale)
+    return gram[0], moment[0]
+
+
+def without_forms(products: FloatArray, sizes_mN: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
+    """Return information matrices and vectors of a cause in all campaigns, as `normalised` does in one.
+
+    Parameters
+    ----------
+    products
+        Of residual, shared columns and other forms, shape `(C, 1 + n + r, 1 + n + r)`.
+    """
+    count = sizes_mN.size
+    unit = 1.0 / (sizes_mN * np.sqrt(count))
+    kept = products[:, : 1 + count, : 1 + count]
+    if products.shape[1] > 1 + count and scale > 0:
+        own = np.eye(products.shape[1] - 1 - count) + scale**2 * products[:, 1 + count :, 1 + count :]
+        cross = scale * products[:, 1 + count :, : 1 + count]
+        kept = kept - cross.transpose(0, 2, 1) @ np.linalg.solve(own, cross)
+    return kept[:, 1:, 1:] * np.outer(unit, unit), kept[:, 1:, 0] * unit

@@ -15,8 +15,8 @@ import numpy as np
 from dragrig.analysis import NORMAL_95
 from dragrig.analysis.gap.diagnosis import ESTABLISHED, MAX_PROBABILITY, MIN_PROBABILITY
 from dragrig.analysis.gap.pattern_odds import PatternOdds, SharedInformation, independent_odds, pattern_odds
-from dragrig.analysis.gap.pooled_evidence import ForceEvidence, SharedColumns
-from dragrig.analysis.gap.presence import KEPT_VARIANCE, PRIOR_PROBABILITIES, CauseKind
+from dragrig.analysis.gap.pooled_evidence import ForceEvidence, SharedColumns, projected_out, without_forms
+from dragrig.analysis.gap.presence import KEPT_VARIANCE, PRIOR_PROBABILITIES, CauseKind, log_evidence
 from dragrig.rig import FloatArray, IndexArray
 from dragrig.sim_backend.effects import find_effect
 
@@ -73,21 +73,18 @@ class PooledForce:
         return pattern_odds(list(self._settings(name, spreads)), kind, of_rig=of_rig)
 
     def _settings(self, name: str, spreads: Sequence[float]) -> Iterator[tuple[float, float, SharedInformation]]:
-        having = [campaign.columns.get(name) for campaign in self.campaigns]
-        found = [shared for shared in having if shared is not None]
-        numbers = np.unique(np.concatenate([shared.numbers for shared in found]))
-        sizes = _common_sizes(found, numbers)
-        scales = found[0].scales
+        first, numbers, products = self._gathered(name)
+        sizes = self._common_sizes(name, numbers)
+        scales = first.scales
         weight = -log(2 * len(scales) * len(spreads))
-        products = self._gathered(name, numbers)
-        grams, _ = _without_forms(products, sizes, 0.0)
+        grams, _ = without_forms(products, sizes, 0.0)
         values, vectors = np.linalg.eigh(grams.sum(axis=0))
         kept = int(np.searchsorted(np.cumsum(values[::-1]), KEPT_VARIANCE * values.sum())) + 1
         basis = vectors[:, ::-1][:, : min(kept, MAX_SHARED_COLUMNS)]
-        direction = basis.sum(axis=0) if found[0].one_signed else None
+        direction = basis.sum(axis=0) if first.one_signed else None
         # Small effects show nothing of their other forms, and large ones do: all campaigns have either.
         for (at, scale), with_forms in product(enumerate(scales), (False, True)):
-            grams, moments = _without_forms(products, sizes, scale if with_forms else 0.0)
+            grams, moments = without_forms(products, sizes, scale if with_forms else 0.0)
             offsets = np.array(
                 [self._offset(campaign, name, at if with_forms else None) for campaign in self.campaigns]
             )
@@ -115,14 +112,16 @@ class PooledForce:
         explained = 0.5 * (shared.chi2 - float(campaign.information_for(name)[0, 0]))
         return min(forms, 0.0) + min(shared.elsewhere + explained, 0.0)
 
-    def _gathered(self, name: str, numbers: IndexArray) -> FloatArray:
-        """Return the products of residual, shared columns and forms of a cause, shape `(C, 1 + n + r, 1 + n + r)`."""
-        having = [campaign.columns.get(name) for campaign in self.campaigns]
-        forms = max(shared.form_rows.size for shared in having if shared is not None)
-        products = np.zeros((len(having), 1 + numbers.size + forms, 1 + numbers.size + forms))
-        for campaign, shared, into in zip(self.campaigns, having, products, strict=True):
-            if shared is None:
-                continue
+    def _gathered(self, name: str) -> tuple[SharedColumns, IndexArray, FloatArray]:
+        """Return a cause's columns in the first campaign that has it, their numbers in all, and their products.
+
+        Products of residual, `n` shared columns and forms have the shape `(C, 1 + n + r, 1 + n + r)`.
+        """
+        having = {at: campaign.columns[name] for at, campaign in enumerate(self.campaigns) if name in campaign.columns}
+        numbers = np.unique(np.concatenate([shared.numbers for shared in having.values()]))
+        forms = max(shared.form_rows.size for shared in having.values())
+        products = np.zeros((len(self.campaigns), 1 + numbers.size + forms, 1 + numbers.size + forms))
+        for at, shared in having.items():
             rows = np.concatenate(([0], shared.rows, shared.form_rows))
             places = np.concatenate(
                 (
@@ -131,29 +130,34 @@ class PooledForce:
                     1 + numbers.size + np.arange(shared.form_rows.size),
                 )
             )
-            into[places[:, None], places] = campaign.information_for(name)[rows[:, None], rows]
-        return products
+            products[at, places[:, None], places] = self.campaigns[at].information_for(name)[rows[:, None], rows]
+        return next(iter(having.values())), numbers, products
+
+    def _common_sizes(self, name: str, numbers: IndexArray) -> FloatArray:
+        """Return the size of each column at its default, the geometric mean of the campaigns, shape `(n,)`."""
+        logs, counts = np.zeros(numbers.size), np.zeros(numbers.size)
+        for shared in (campaign.columns[name] for campaign in self.campaigns if name in campaign.columns):
+            rows = np.searchsorted(numbers, shared.numbers)
+            logs[rows] += np.log(shared.sizes_mN)
+            counts[rows] += 1
+        return np.asarray(np.exp(logs / counts))
 
     def _periodic_odds(self, name: str) -> PatternOdds:
         """Return the odds of a periodic effect, whose phase and amplitude are each campaign's own."""
-        having = [campaign.columns.get(name) for campaign in self.campaigns]
-        found = [shared for shared in having if shared is not None]
-        numbers = np.unique(np.concatenate([shared.numbers for shared in found]))
-        grams, moments = _without_forms(self._gathered(name, numbers), _common_sizes(found, numbers), 0.0)
+        first, numbers, products = self._gathered(name)
+        grams, moments = without_forms(products, self._common_sizes(name, numbers), 0.0)
         pairs = np.flatnonzero(np.diff(numbers // 2) == 0)
         # Columns have sd `scale` over the root of their number: at a period there are two.
         ratio = numbers.size / 2
         rows = np.stack((pairs, pairs + 1), axis=1)
         gram = ratio * grams[:, rows[:, :, None], rows[:, None, :]]
         moment = np.sqrt(ratio) * moments[:, rows]
-        factors = []
-        for scale in found[0].scales:
-            root = np.linalg.cholesky(np.eye(2) + scale**2 * gram)
-            fitted = np.linalg.solve(root, scale * moment[..., None])[..., 0]
-            log_det = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
-            factors.append((0.5 * (fitted**2).sum(axis=-1) - log_det).T)
+        by_scale = [
+            log_evidence(gram.reshape(-1, 2, 2), moment.reshape(-1, 2), np.array([scale])) for scale in first.scales
+        ]
+        factors = [values.reshape(len(gram), -1).T for values in by_scale]
         of_rig = not find_effect(name).belongs_to_gut
-        scales = np.repeat(found[0].scales, len(pairs)).tolist()
+        scales = np.repeat(first.scales, len(pairs)).tolist()
         return independent_odds(np.concatenate(factors), scales, of_rig=of_rig)
 
     def sizes(self, name: str, scale: float) -> tuple[tuple[float, float] | None, ...]:
@@ -162,9 +166,8 @@ class PooledForce:
         In the unit of its parameter of size; None where a campaign does not show it.
         """
         effect = find_effect(name)
-        found = [campaign.columns[name] for campaign in self.campaigns if name in campaign.columns]
-        numbers = np.unique(np.concatenate([shared.numbers for shared in found]))
-        grams, moments = _without_forms(self._gathered(name, numbers), np.ones(numbers.size), scale)
+        _, numbers, products = self._gathered(name)
+        grams, moments = without_forms(products, np.ones(numbers.size), scale)
         grams, moments = grams * numbers.size, moments * np.sqrt(numbers.size)
         width = 1 if effect.phase is None else 2
         firsts = np.flatnonzero(np.isin(numbers + width - 1, numbers) & (numbers % width == 0))
@@ -184,30 +187,8 @@ class PooledForce:
         )
 
 
-def _without_forms(products: FloatArray, sizes_mN: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
-    """Return information matrices and vectors of a cause in all campaigns, as `normalised` does in one."""
-    count = sizes_mN.size
-    unit = 1.0 / (sizes_mN * np.sqrt(count))
-    kept = products[:, : 1 + count, : 1 + count]
-    if products.shape[1] > 1 + count and scale > 0:
-        own = np.eye(products.shape[1] - 1 - count) + scale**2 * products[:, 1 + count :, 1 + count :]
-        cross = scale * products[:, 1 + count :, : 1 + count]
-        kept = kept - cross.transpose(0, 2, 1) @ np.linalg.solve(own, cross)
-    return kept[:, 1:, 1:] * np.outer(unit, unit), kept[:, 1:, 0] * unit
-
-
 def _amplitude(values: FloatArray) -> FloatArray:
     return np.asarray(values[:, 0] if values.shape[1] == 1 else np.hypot(*values.T))
-
-
-def _common_sizes(found: Sequence[SharedColumns], numbers: IndexArray) -> FloatArray:
-    """Return the size of each column at its default, the geometric mean of the campaigns, shape `(n,)`."""
-    logs, counts = np.zeros(numbers.size), np.zeros(numbers.size)
-    for shared in found:
-        rows = np.searchsorted(numbers, shared.numbers)
-        logs[rows] += np.log(shared.sizes_mN)
-        counts[rows] += 1
-    return np.asarray(np.exp(logs / counts))
 
 
 def _projected_out(campaign: ForceEvidence, name: str, scale: float) -> ForceEvidence:
@@ -218,15 +199,7 @@ def _projected_out(campaign: ForceEvidence, name: str, scale: float) -> ForceEvi
     sds = np.concatenate((scale / (shared.sizes_mN * np.sqrt(len(shared.rows))), np.full(shared.form_rows.size, scale)))
     if shared.one_signed is False and not shared.form_rows.size and shared.kind is CauseKind.EFFECT:
         sds = sds * np.sqrt(len(shared.rows) / 2)
-    return replace(campaign, contexts=tuple(_without(values, rows, sds) for values in campaign.contexts))
-
-
-def _without(information: FloatArray, rows: IndexArray, sds: FloatArray) -> FloatArray:
-    precision = np.eye(rows.size) + information[np.ix_(rows, rows)] * np.outer(sds, sds)
-    explained = np.linalg.solve(np.linalg.cholesky(precision), information[rows] * sds[:, None])
-    # No more precisely than it is kept: pooling takes most of its time here.
-    explained = explained.astype(information.dtype)
-    return np.asarray(information - explained.T @ explained)
+    return replace(campaign, contexts=tuple(projected_out(values, rows, sds) for values in campaign.contexts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

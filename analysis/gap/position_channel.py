@@ -625,10 +625,10 @@ def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect
         return PositionAnalysis(runs, has_position_error=False)
     known = {candidate_effect.id: candidate_effect for candidate_effect in effects}
     model_classes = tuple(model_class for model_class in score_model_classes(runs) if model_class.effect in known)
-    if not model_classes:
-        return PositionAnalysis(runs, has_position_error=True)
-    effect = known[model_classes[0].effect]
     analysis = PositionAnalysis(runs, has_position_error=True, model_classes=model_classes)
+    if not model_classes:
+        return analysis
+    effect = known[model_classes[0].effect]
     pair = error_beside_ripple(runs, model_classes)
     if pair is not None:
         ripple, beside, share = pair
@@ -719,15 +719,9 @@ POSITION_BOOTSTRAP_SAMPLES = 1000
 
 def position_gap_reduction(position: PositionAnalysis, force: GapReduction) -> GapReduction:
     """Return a reduction with the closed share of the position errors; sizes stay the force's."""
-    if position.candidate is None:
+    candidate, runs = position.candidate, position.runs
+    if candidate is None:
         return force
-    return closed_share_in_position(position.candidate, position.runs, force)
-
-
-def closed_share_in_position(
-    candidate: Candidate, runs: Sequence[PositionErrors], force: GapReduction, seed: int = 0
-) -> GapReduction:
-    """Do the same for an effect and runs that were not used in its fit."""
     floor = np.array([run.noise_variance for run in runs])
     before = np.array([float(np.mean(run.error_mm**2)) for run in runs]) - floor
     after = (
@@ -739,7 +733,7 @@ def closed_share_in_position(
         return float(1.0 - after[rows].mean() / max(before[rows].mean(), 1e-12))
 
     all_runs = np.arange(len(runs))
-    samples = np.random.default_rng(seed).integers(len(runs), size=(POSITION_BOOTSTRAP_SAMPLES, len(runs)))
+    samples = np.random.default_rng(0).integers(len(runs), size=(POSITION_BOOTSTRAP_SAMPLES, len(runs)))
     low, high = np.quantile([share(sample) for sample in samples], (0.025, 0.975)).tolist()
     sizes = (1e3 * float(np.sqrt(np.mean(rows + floor))) for rows in (before, after))
     return replace(force, closed=share(all_runs), closed_95ci=(low, high), position_um=(next(sizes), next(sizes)))
@@ -755,7 +749,7 @@ def contribution_to_position(candidate: Candidate, run: PositionErrors) -> Float
     return np.asarray(predicted * (max(along, 0.0) / max(float(predicted @ predicted), 1e-300)))
 
 
-def share_of_position(position: PositionAnalysis, seed: int = 0) -> tuple[float, tuple[float, float]] | None:
+def share_of_position(position: PositionAnalysis) -> tuple[float, tuple[float, float]] | None:
     """Return the share of the position errors that the fitted effect has, with its 95 % interval over runs.
 
     None without such an effect.
@@ -772,7 +766,7 @@ def share_of_position(position: PositionAnalysis, seed: int = 0) -> tuple[float,
             for run in position.runs
         ]
     )
-    weights = np.random.default_rng(seed).dirichlet(np.ones(len(squares)), POSITION_BOOTSTRAP_SAMPLES)
+    weights = np.random.default_rng(0).dirichlet(np.ones(len(squares)), POSITION_BOOTSTRAP_SAMPLES)
     before, after = (np.vstack((np.full(len(squares), 1.0 / len(squares)), weights)) @ squares).T
     shares = 1.0 - after / np.maximum(before, 1e-12)
     low, high = np.quantile(shares[1:], (0.025, 0.975)).tolist()

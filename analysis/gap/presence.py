@@ -39,7 +39,7 @@ from dragrig.analysis.gap.features import EXCHANGE
 from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearchResult, nonparametric_columns
 from dragrig.analysis.gap.run_data import rms_where_active
 from dragrig.rig import BoolArray, FloatArray, IndexArray
-from dragrig.sim_backend.effects import Coordinate, Effect, Role, catalogue, find_effect
+from dragrig.sim_backend.effects import Coordinate, Effect, Role, find_effect
 
 SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to the largest forces."""
@@ -83,11 +83,6 @@ LOG_ODDS_WINDOW = 7.0
 than 0.1 % each."""
 
 
-def effect_ids() -> tuple[str, ...]:
-    """Return the ids of all effects of the catalogue."""
-    return tuple(catalogue())
-
-
 def form_laws(effect: str) -> tuple[str, ...]:
     """Return the free laws of the coordinate that an effect depends on."""
     return FORM_LAWS.get(find_effect(effect).coordinate, ())
@@ -122,17 +117,10 @@ class Cause:
     """Number of causes of this name, among which its prior probability is shared."""
     detail: str = ""
     """Where or when it acts, to be said after its name."""
-    group: str = ""
-    """Causes of a group exclude each other; default: those of its name."""
     span: "VariantSpan | None" = None
     """What its first columns are in all campaigns alike: variants of an effect, or functions of a free law, by their
     numbers; None of an effect that was fitted, and of an exchange.
     """
-
-    @property
-    def exclusive(self) -> str:
-        """Group of causes of which only one can be there."""
-        return self.group or self.name
 
     @property
     def words(self) -> str:
@@ -450,15 +438,7 @@ def _exchange_evidence(design: Design, nuisances: IndexArray, total: FloatArray,
         explained = np.linalg.solve(root, products[beside])
         products = products - explained.T @ explained
     rows = np.arange(first - size, len(products))
-    count = len(EXCHANGE_SCALES)
-    return float(
-        _log_evidence(
-            np.repeat(products[np.ix_(rows, rows)][None], count, axis=0),
-            np.repeat(products[None, rows, 0], count, axis=0),
-            np.zeros((count, size)),
-            np.array(EXCHANGE_SCALES),
-        ).max()
-    )
+    return float(log_evidence(products[np.ix_(rows, rows)], products[rows, 0], np.array(EXCHANGE_SCALES)).max())
 
 
 def _variant_groups(search: ForceSearchResult, design: Design) -> Iterator[tuple[tuple[int, ...], int]]:
@@ -633,11 +613,6 @@ class Presence:
             chosen = max(larger, default=(0.0, chosen))[1]
         return chosen
 
-    def of_kind(self, kind: CauseKind) -> Mapping[str, float]:
-        """Return the probabilities of the causes of a kind, the most likely first."""
-        chosen = [name for name in self.probabilities if self.kinds[name] is kind]
-        return {name: self.probabilities[name] for name in sorted(chosen, key=lambda name: -self.probabilities[name])}
-
 
 def judge_presence(competition: Competition) -> Presence:
     """Return the probability that each cause is there.
@@ -709,7 +684,7 @@ class _SetEvidence:
         """Yield the set with every further cause at every scale, with its log posterior odds."""
         competition = self.competition
         explained, before = self._reduced(causes)
-        present = {competition.causes[index].exclusive for index, _ in causes}
+        present = {competition.causes[index].name for index, _ in causes}
         rows, sds, used, directions = self._padded
         grams = competition.products[rows[:, :, None], rows[:, None, :]]
         moments = competition.products[rows, 0]
@@ -719,11 +694,11 @@ class _SetEvidence:
             moments = moments - np.einsum("ska,s->ka", by_cause, explained[:, 0])
         grams = grams * (sds[:, :, None] * sds[:, None, :])
         moments = moments * sds
-        numbers = [number for number, cause in enumerate(competition.causes) if cause.exclusive not in present]
+        numbers = [number for number, cause in enumerate(competition.causes) if cause.name not in present]
         for scale in range(max(len(cause.scales) for cause in competition.causes)):
             chosen = [number for number in numbers if scale < len(competition.causes[number].scales)]
             sizes = np.array([competition.causes[number].scales[scale] for number in chosen])
-            gains = _log_evidence(grams[chosen], moments[chosen], directions[chosen] * used[chosen], sizes)
+            gains = log_evidence(grams[chosen], moments[chosen], sizes, directions[chosen] * used[chosen])
             for number, gain in zip(chosen, gains.tolist(), strict=True):
                 larger = tuple(sorted((*causes, (number, scale))))
                 yield larger, before + gain + competition.causes[number].log_prior_odds
@@ -757,13 +732,25 @@ class _SetEvidence:
         return total
 
 
-def _log_evidence(grams: FloatArray, moments: FloatArray, directions: FloatArray, sizes: FloatArray) -> FloatArray:
-    """Return the log evidence of each cause at a scale against its absence, shape `(K,)`."""
+def log_evidence(
+    grams: FloatArray, moments: FloatArray, sizes: FloatArray, directions: FloatArray | float = 0.0
+) -> FloatArray:
+    """Return the log evidence of each cause at a scale against its absence, shape `(K,)`.
+
+    Parameters
+    ----------
+    grams, moments
+        Shapes `(K, k, k)` and `(K, k)`, or of one cause at all scales `(k, k)` and `(k,)`.
+    sizes
+        Scales, shape `(K,)`, or `(1,)` for all causes.
+    directions
+        Direction in which a cause must be positive, shape `(K, k)` or `(k,)`; zeros for either sign.
+    """
     from scipy.special import log_ndtr
 
-    width = grams.shape[1]
+    width = grams.shape[-1]
     scaled = grams * (sizes**2)[:, None, None] + np.eye(width)
-    sides = np.stack((moments * sizes[:, None], directions), axis=1)
+    sides = np.stack(np.broadcast_arrays(moments * sizes[:, None], directions), axis=1)
     # In the root of a matrix with a border stands what solves for the border, whose corner only has to be large enough.
     corners = (1.0 + (sides**2).sum(axis=(1, 2)))[:, None, None] * np.eye(2)
     bordered = np.linalg.cholesky(np.block([[scaled, sides.transpose(0, 2, 1)], [sides, corners]]))

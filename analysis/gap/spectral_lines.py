@@ -129,9 +129,7 @@ def detectable_line_amplitude(experiments: Sequence[Experiment], channel: str, l
     spectrum = _spectrum(experiments, channel)
     if spectrum is None:
         return None
-    at = min(
-        range(spectrum.frequency_hz.size), key=lambda index: abs(float(spectrum.frequency_hz[index]) - MAINS_HZ[0])
-    )
+    at = int(np.abs(spectrum.frequency_hz - MAINS_HZ[0]).argmin())
     excess = float(brentq(lambda ratio: spectrum.segments * (ratio - np.log1p(ratio)) - llr, 1e-9, 1e9))
     return float(2 * np.sqrt(HANN_BANDWIDTH * excess * spectrum.background[at] / spectrum.segment_samples))
 

@@ -1,6 +1,6 @@
 """What a verdict learns from campaigns whose hidden effects are known: thresholds and weights, cross-validated."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,14 +47,6 @@ class TrainingCase:
     """Smallest size of the hidden effects; small ones do not train the gate."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LabelledChoice:
-    """Features of one campaign's hypotheses, shape `(H, F)`, and the index of the correct one (H for none)."""
-
-    features: FloatArray
-    correct: int
-
-
 def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float, left_out: Collection[str] = ()) -> dict[str, float]:
     """Return the weights that maximise the penalised likelihood of the correct choices, without features left out.
 
@@ -71,26 +63,24 @@ def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float, left_out: Co
     names = sorted(
         {name for _, hypotheses in labelled for hypothesis in hypotheses for name in hypothesis.features} - {*left_out}
     )
+    # Features of each campaign's hypotheses, shape `(H, F)`, and the index of the correct one, H for none.
     choices = []
     for labelled_case, hypotheses in labelled:
         rows = [[hypothesis.features.get(name, 0.0) for name in names] for hypothesis in hypotheses]
-        choices.append(
-            _LabelledChoice(
-                np.array(rows), _correct_choice(labelled_case, [hypothesis.effects for hypothesis in hypotheses])
-            )
-        )
+        correct = _correct_choice(labelled_case, [hypothesis.effects for hypothesis in hypotheses])
+        choices.append((np.array(rows), correct))
 
     def loss(weights: FloatArray) -> tuple[float, FloatArray]:
         total, slope = 0.5 * FEATURE_RIDGE * float(weights @ weights), FEATURE_RIDGE * weights
-        for choice in choices:
-            utilities = np.append(choice.features @ weights, 0.0)
+        for features, correct in choices:
+            utilities = np.append(features @ weights, 0.0)
             shares = np.exp(utilities - utilities.max())
             shares /= shares.sum()
-            total -= float(np.log(shares[choice.correct] + 1e-300))
+            total -= float(np.log(shares[correct] + 1e-300))
             residuals = shares[:-1].copy()
-            if choice.correct < len(residuals):
-                residuals[choice.correct] -= 1.0
-            slope = slope + choice.features.T @ residuals
+            if correct < len(residuals):
+                residuals[correct] -= 1.0
+            slope = slope + features.T @ residuals
         return total, slope
 
     bounds = [
@@ -104,6 +94,7 @@ def fit_weights(cases: Sequence[TrainingCase], tolerance_mN: float, left_out: Co
 def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float = 0.2) -> GapGate:
     """Return the gate that maximises the penalised likelihood of gap or no gap."""
     from scipy.optimize import minimize
+    from scipy.special import expit
 
     rows = [
         (
@@ -121,8 +112,8 @@ def fit_gate(cases: Sequence[TrainingCase], tolerance_mN: float, min_size: float
     def loss(steps: FloatArray) -> float:
         gate = _gate_at(steps)
         probability = np.maximum(
-            _logistic_array((llr - gate.least_gain) / gate.gain_width),
-            _logistic_array((excess - gate.least_left) / gate.left_width),
+            expit((llr - gate.least_gain) / gate.gain_width),
+            expit((excess - gate.least_left) / gate.left_width),
         )
         limited = np.clip(probability, 1e-3, 1.0 - 1e-3)
         return -float(np.sum(np.log(np.where(has_gap, limited, 1.0 - limited)))) + 0.5 * float(np.sum(steps**2))
@@ -137,10 +128,6 @@ def _gate_at(steps: FloatArray) -> GapGate:
     return GapGate(
         **{name: round(value * factor, 4) for (name, value), factor in zip(prior.items(), factors, strict=True)}
     )
-
-
-def _logistic_array(values: FloatArray) -> FloatArray:
-    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(values, -40.0, 40.0))))
 
 
 def _force_effects(case: TrainingCase) -> frozenset[str]:
@@ -230,39 +217,34 @@ def calibrate(
     ValueError
         When no case is informative.
     """
-    learnt = _without_presence(cases, tolerance_mN, left_out)
+
+    def without_presence(taught_by: Sequence[TrainingCase]) -> VerdictCalibration:
+        return VerdictCalibration(
+            version=CALIBRATION_VERSION,
+            command=command,
+            seeds=tuple(seeds),
+            cases=len(taught_by),
+            gate=fit_gate(taught_by, tolerance_mN),
+            weights=fit_weights(taught_by, tolerance_mN, left_out),
+            presence=PRESENCE_PRIOR,
+        )
+
+    learnt = without_presence(cases)
     presence = PRESENCE_PRIOR
     if len(cases) >= INNER_FOLDS and any(case.inputs.competition for case in cases):
         on_force = [
             classify(case.inputs.without_position, tolerance_mN, weights)
-            for case, weights in _in_turn(cases, INNER_FOLDS, tolerance_mN, left_out)
+            for case, weights in _in_turn(cases, INNER_FOLDS, without_presence)
         ]
         presence = fit_presence(cases, on_force)
-    return learnt.model_copy(update={"presence": presence, "seeds": tuple(seeds), "command": command})
-
-
-def _without_presence(
-    cases: Sequence[TrainingCase], tolerance_mN: float, left_out: Collection[str]
-) -> VerdictCalibration:
-    return VerdictCalibration(
-        version=CALIBRATION_VERSION,
-        command="",
-        seeds=(),
-        cases=len(cases),
-        gate=fit_gate(cases, tolerance_mN),
-        weights=fit_weights(cases, tolerance_mN, left_out),
-        presence=PRESENCE_PRIOR,
-    )
+    return learnt.model_copy(update={"presence": presence})
 
 
 def _in_turn(
-    cases: Sequence[TrainingCase], folds: int, tolerance_mN: float, left_out: Collection[str]
+    cases: Sequence[TrainingCase], folds: int, teach: Callable[[Sequence[TrainingCase]], VerdictCalibration]
 ) -> Iterator[tuple[TrainingCase, VerdictCalibration]]:
-    """Yield every case with a classifier that the cases of other folds taught."""
-    taught = [
-        _without_presence([case for index, case in enumerate(cases) if index % folds != fold], tolerance_mN, left_out)
-        for fold in range(folds)
-    ]
+    """Yield every case with what the cases of other folds teach."""
+    taught = [teach([case for index, case in enumerate(cases) if index % folds != fold]) for fold in range(folds)]
     for index, case in enumerate(cases):
         yield case, taught[index % folds]
 
@@ -291,8 +273,5 @@ def cross_validate(
     """
     if not 2 <= folds <= len(cases):
         raise ValueError(f"{len(cases)} campaigns cannot be divided into {folds} folds")
-    taught = [
-        calibrate([case for index, case in enumerate(cases) if index % folds != fold], tolerance_mN)
-        for fold in range(folds)
-    ]
-    return tuple(judge(case.inputs, tolerance_mN, taught[index % folds]).verdict for index, case in enumerate(cases))
+    in_turn = _in_turn(cases, folds, lambda others: calibrate(others, tolerance_mN))
+    return tuple(judge(case.inputs, tolerance_mN, taught).verdict for case, taught in in_turn)

@@ -40,8 +40,7 @@ class GapRegion:
 
     channel: str
     kinds: tuple[str, ...]
-    phase_text: str
-    """`channel`, `kinds`, `phase_text`: its channel, kinds of run, and phases in words; empty for all phases."""
+    """`channel`, `kinds`: its channel, and kinds of run."""
     blocks: tuple[ResidualBlocks, ...]
     """Runs of these kinds, this channel alone."""
     masks: tuple[BoolArray, ...]
@@ -67,10 +66,9 @@ def gap_region(where: GapLocation, blocks: Sequence[ResidualBlocks]) -> GapRegio
     channel = max(channels, key=lambda name: shares.get(name, 0.0))
     kinds = kinds_with_excess(where, blocks, NOTABLE_SHARE)
     selected = tuple(run for run in blocks if run.channel == channel and run.kind in kinds)
-    phase_text = phase_span(where)
-    phases = np.array(sorted(PHASE_SPANS.get(phase_text, frozenset(Phase))), dtype=np.uint8)
+    phases = np.array(sorted(PHASE_SPANS.get(phase_span(where), frozenset(Phase))), dtype=np.uint8)
     masks = tuple(np.isin(run.phase, phases) for run in selected)
-    return GapRegion(channel, kinds, phase_text, selected, masks, sum(float(run.excess.sum()) for run in blocks))
+    return GapRegion(channel, kinds, selected, masks, sum(float(run.excess.sum()) for run in blocks))
 
 
 def kinds_with_excess(where: GapLocation, blocks: Sequence[ResidualBlocks], min_share: float) -> tuple[str, ...]:
@@ -226,10 +224,6 @@ class FoldProducts:
         others = np.arange(self.squares.size) != fold
         return FoldProducts(self.gram[others], self.moment[others], self.squares[others])
 
-    def predicted(self, terms: TermIndices, fold: int) -> float:
-        """Return the remaining squares of a fold, with coefficients from the others."""
-        return float(held_out_chi2(self, np.array([terms], dtype=np.intp))[0, fold])
-
 
 def held_out_chi2(products: FoldProducts, subsets: npt.NDArray[np.intp]) -> FloatArray:
     """Return the remaining squares of `S` subsets of `k` terms in each held-out fold, `(S, k)` to `(S, K)`."""
@@ -344,8 +338,11 @@ def fit_gap_law(region: GapRegion) -> GapLaw | None:
         return None
     products = _products_by_fold(by_run, folds)
     penalty = TERM_PENALTY * excess * terms.factors
-    choices = [(select_terms(products.without(index), penalty), index) for index in range(products.squares.size)]
-    remaining = sum(products.predicted(chosen, index) for chosen, index in choices)
+    choices = [select_terms(products.without(index), penalty) for index in range(products.squares.size)]
+    remaining = sum(
+        float(held_out_chi2(products, np.array([chosen], dtype=np.intp))[0, index])
+        for index, chosen in enumerate(choices)
+    )
     share = (float(products.squares.sum()) - remaining) / excess
     chosen = select_terms(products, penalty)
     if share < MIN_LAW_SHARE or not chosen:
@@ -353,7 +350,8 @@ def fit_gap_law(region: GapRegion) -> GapLaw | None:
     coefficients, sd = _robust_coefficients(by_run, chosen)
     names = tuple(terms.names[index] for index in chosen)
     scales = scale[list(chosen)]
-    return GapLaw(names, _as_floats(coefficients / scales), _as_floats(sd / scales), region.unit, min(share, 1.0))
+    scaled, scaled_sd = (tuple((values / scales).tolist()) for values in (coefficients, sd))
+    return GapLaw(names, scaled, scaled_sd, region.unit, min(share, 1.0))
 
 
 def condition_folds(blocks: Sequence[ResidualBlocks]) -> IndexArray | None:
@@ -395,10 +393,6 @@ def _robust_coefficients(by_run: FoldProducts, chosen: TermIndices) -> tuple[Flo
     runs = scores.shape[0]
     covariance = inverse @ (scores.T @ scores) @ inverse * runs / max(runs - index.size, 1)
     return coefficients, np.sqrt(np.maximum(np.diag(covariance), 0.0))
-
-
-def _as_floats(values: FloatArray) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
 
 
 def _rounded_to_sd(value: float, sd: float) -> str:

@@ -264,7 +264,7 @@ class WeighedCauses:
         """How far the named effects close the gap in runs that took no part in the fit, and its traces."""
         study, nominal, fit, position = self.study, self.search.nominal, self.fit, self.position
         predicted = predict_held_out(self.search, fit)
-        if predicted is None:
+        if not predicted:
             return None, ()
         design = nominal if fit is None else fit.design
         gaps = [
@@ -272,12 +272,12 @@ class WeighedCauses:
                 run,
                 study.problem.noises[number],
                 nominal.runs[number].motion_sd,
-                (predicted.before[number], nominal.runs[number].whitening),
-                (predicted.after[number], design.runs[number].whitening),
+                (before, nominal.runs[number].whitening),
+                (after, design.runs[number].whitening),
                 study.problem.zero_sds[number],
                 study.informative_blocks(number, nominal.runs[number].motion_sd),
             )
-            for number, run in enumerate(study.runs)
+            for number, (run, (before, after)) in enumerate(zip(study.runs, predicted, strict=True))
         ]
         reduction = reduction_over_runs(gaps)
         named = self.judgement.verdict.effects

@@ -337,18 +337,8 @@ def _pool_joint_fits(
             if name not in own[place] or estimate.standard_error < own[place][name].standard_error
         }
     information = Likelihoods(matrices, vectors, np.ones(len(parameters)))
-    best = _restricted_maximum(information, _free_spreads(information, parameters, specimens))
-    return (
-        _pooled_parameters(information, best, parameters, scales, specimens, own),
-        tuple(_inseparable(information, best, parameters)),
-    )
-
-
-def _free_spreads(information: Likelihoods, parameters: Sequence[Parameter], specimens: Sequence[str]) -> BoolArray:
-    """Return of which parameters a spread can be seen, shape `(P,)`."""
-    of_rig = np.array([parameter.of_rig for parameter in parameters])
-    # Nothing is known of what no run depends on: it has neither mean nor spread.
-    return np.asarray(~of_rig & (information.informed > 0) & (len(specimens) >= MIN_SPECIMENS))
+    best, pooled = _pooled_parameters(information, parameters, scales, specimens, own)
+    return pooled, tuple(_inseparable(information, best, parameters))
 
 
 def _inseparable(information: Likelihoods, best: FloatArray, parameters: Sequence[Parameter]) -> Iterator[str]:
@@ -363,15 +353,18 @@ def _inseparable(information: Likelihoods, best: FloatArray, parameters: Sequenc
 
 def _pooled_parameters(
     information: Likelihoods,
-    best: FloatArray,
     parameters: Sequence[Parameter],
     scales: PriorScales,
     specimens: Sequence[str],
     own: Sequence[dict[str, EstimatedQuantity]],
-) -> tuple[PopulationParameter, ...]:
-    free = _free_spreads(information, parameters, specimens)
+) -> tuple[FloatArray, tuple[PopulationParameter, ...]]:
+    """Return the spreads of largest restricted likelihood, shape `(P,)`, and the parameters."""
+    of_rig = np.array([parameter.of_rig for parameter in parameters])
+    # Nothing is known of what no run depends on: it has neither mean nor spread.
+    free = np.asarray(~of_rig & (information.informed > 0) & (len(specimens) >= MIN_SPECIMENS))
+    best = _restricted_maximum(information, free)
     values, sds = information.specimens(best)
-    return tuple(
+    return best, tuple(
         _PooledParameter(information, best, place, parameter, scales).result(
             is_free=bool(free[place]),
             specimens=[
@@ -481,8 +474,7 @@ def _pool_coulomb(
         precision = (scales.slopes(values) / errors) ** 2
         information = Likelihoods(precision[:, :, None], precision * scales.deviations(values), np.full(1, 100.0))
         own = [{name: estimates[specimen]} for specimen in tested]
-        best = _restricted_maximum(information, np.ones(1, dtype=np.bool_))
-        yield from _pooled_parameters(information, best, [parameter], scales, tested, own)
+        yield from _pooled_parameters(information, [parameter], scales, tested, own)[1]
 
 
 def _remarks(

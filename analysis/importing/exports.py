@@ -203,10 +203,10 @@ def restore_run(exported: ExportedRun) -> PreparedRun:
     """
     metadata = exported.metadata
     try:
-        part = _PartOfRun.of(exported)
+        columns, channels, rate_hz, remarks = _part_of_run(exported)
         run_id, entry = str(metadata["run_id"]), _attributes(metadata["entry"])
         if EXPORT_PART_KEY in metadata:
-            run_id = str(uuid5(UUID(run_id), json.dumps([list(part.columns), metadata["samples_averaged"]])))
+            run_id = str(uuid5(UUID(run_id), json.dumps([list(columns), metadata["samples_averaged"]])))
             entry["samples_averaged"] = int(str(metadata["samples_averaged"]))
         header = RunHeader(
             run_id=run_id,
@@ -214,8 +214,8 @@ def restore_run(exported: ExportedRun) -> PreparedRun:
             order=int(str(metadata["order"])),
             backend="external",
             kind=str(metadata["kind"]),
-            sample_rate_hz=part.sample_rate_hz,
-            channels=part.channels,
+            sample_rate_hz=rate_hz,
+            channels=channels,
             entry={**entry, "exported_from": str(metadata["backend"])},
             protocol=_attributes(metadata["protocol"]),
             capsule=_attributes(metadata["capsule"]),
@@ -226,8 +226,8 @@ def restore_run(exported: ExportedRun) -> PreparedRun:
         events = tuple(RunEvent(float(str(time_s)), str(kind), str(message)) for time_s, kind, message in entries)
         return PreparedRun(
             header=header,
-            columns=part.columns,
-            remarks=part.remarks,
+            columns=columns,
+            remarks=remarks,
             events=events,
             status=RunStatus(str(metadata["status"])),
             reason=str(metadata["reason"]),
@@ -238,42 +238,35 @@ def restore_run(exported: ExportedRun) -> PreparedRun:
         raise _changed(exported.path, str(error)) from error
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _PartOfRun:
-    """Columns of a run file by dataset, the recorded ones of them, their rate, and what was made up for others."""
-
-    columns: Mapping[str, AnyFloatArray | PhaseArray]
-    channels: tuple[RecordedChannel, ...]
-    sample_rate_hz: float
-    remarks: tuple[str, ...]
-
-    @classmethod
-    def of(cls, exported: ExportedRun) -> "_PartOfRun":
-        columns: dict[str, AnyFloatArray | PhaseArray] = {}
-        channels: list[RecordedChannel] = []
-        remarks: list[str] = []
-        for name, dataset, units in _wanted(exported.metadata):
-            channel = dataset
-            if dataset.startswith("filtered/"):
-                channel = dataset.removeprefix("filtered/")
-                channel = channel if TARGET_UNITS.get(channel, units) == units else f"{channel}_filtered"
-                remarks.append(f"{channel} is what the filter made of it: the recorded one is not in the export")
-            values = exported.columns[name]
-            if channel in FRAME and not np.isfinite(values).all():
-                raise ValueError(f"{name} has no number in row {np.isfinite(values).argmin() + 1}")
-            is_float32 = values.dtype == np.float32
-            columns[channel] = values.astype(np.uint8 if channel == "phase" else "f4" if is_float32 else "f8")
-            if channel not in FRAME:
-                channels.append(RecordedChannel(channel, units, "float32" if is_float32 else "float64"))
-        if not set(columns) & set(SIGNAL_CHANNELS):
-            raise ImportDataError(
-                f"{exported.path}: is an export without a force, of which no run can be made; export the force, too, "
-                "as in --columns force,position."
-            )
-        rate_hz = _rate_hz(exported, np.asarray(columns["time"], dtype=np.float64))
-        if EXPORT_PART_KEY in exported.metadata:
-            remarks += _complete(columns, channels, rate_hz)
-        return cls(columns, tuple(channels), rate_hz, tuple(remarks))
+def _part_of_run(
+    exported: ExportedRun,
+) -> tuple[Mapping[str, AnyFloatArray | PhaseArray], tuple[RecordedChannel, ...], float, tuple[str, ...]]:
+    """Return a run file's columns by dataset, the recorded ones, their rate, and what was made up for others."""
+    columns: dict[str, AnyFloatArray | PhaseArray] = {}
+    channels: list[RecordedChannel] = []
+    remarks: list[str] = []
+    for name, dataset, units in _wanted(exported.metadata):
+        channel = dataset
+        if dataset.startswith("filtered/"):
+            channel = dataset.removeprefix("filtered/")
+            channel = channel if TARGET_UNITS.get(channel, units) == units else f"{channel}_filtered"
+            remarks.append(f"{channel} is what the filter made of it: the recorded one is not in the export")
+        values = exported.columns[name]
+        if channel in FRAME and not np.isfinite(values).all():
+            raise ValueError(f"{name} has no number in row {np.isfinite(values).argmin() + 1}")
+        is_float32 = values.dtype == np.float32
+        columns[channel] = values.astype(np.uint8 if channel == "phase" else "f4" if is_float32 else "f8")
+        if channel not in FRAME:
+            channels.append(RecordedChannel(channel, units, "float32" if is_float32 else "float64"))
+    if not set(columns) & set(SIGNAL_CHANNELS):
+        raise ImportDataError(
+            f"{exported.path}: is an export without a force, of which no run can be made; export the force, too, "
+            "as in --columns force,position."
+        )
+    rate_hz = _rate_hz(exported, np.asarray(columns["time"], dtype=np.float64))
+    if EXPORT_PART_KEY in exported.metadata:
+        remarks += _complete(columns, channels, rate_hz)
+    return columns, tuple(channels), rate_hz, tuple(remarks)
 
 
 def _wanted(metadata: Mapping[str, object]) -> list[tuple[str, str, str]]:

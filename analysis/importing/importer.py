@@ -157,13 +157,13 @@ def _run_header(
         unknown = "start time not known (--start-time states it): the file's date stands in its place, no session clock"
         events = (import_event(unknown), *events)
         undated = {START_UNKNOWN_KEY: True}
-    known = _stated_circumstances(settings, specimen)
-    shown = _shown_protocol(settings.kind, measured, known.specimen)
+    capsule, known_specimen, fixture = _stated_circumstances(settings, specimen)
+    shown = _shown_protocol(settings.kind, measured, known_specimen)
     protocol = {**{key: value for key, value in shown.items() if key not in settings.protocol}, **settings.protocol}
     if derived := [f"{key} = {shown[key]:g}" for key in shown if isfinite(shown[key]) and key not in settings.protocol]:
         events = (*events, import_event(f"by the position: {', '.join(derived)}"))
-    if known.fixture is not settings.fixture:
-        events = (*events, import_event(f"fixture {known.fixture}, as runs of this kind have"))
+    if fixture is not settings.fixture:
+        events = (*events, import_event(f"fixture {fixture}, as runs of this kind have"))
     entry: dict[str, Attribute] = {
         "software": f"dragrig {version('dragrig')}",
         "operator": settings.operator,
@@ -189,23 +189,19 @@ def _run_header(
         channels=measured.channels,
         entry={key: value for key, value in entry.items() if value != ""},
         protocol=protocol,
-        capsule=known.capsule,
-        specimen={**known.specimen, "fixture": (known.fixture or Fixture.NONE).value},
+        capsule=capsule,
+        specimen={**known_specimen, "fixture": (fixture or Fixture.NONE).value},
     )
     return header, events
 
 
-@dataclass(frozen=True, slots=True)
-class _Circumstances:
-    """What is stated of capsule, specimen and fixture; sizes that nobody stated are NaN."""
+def _stated_circumstances(
+    settings: ImportSettings, default_name: str
+) -> tuple[dict[str, Attribute], dict[str, Attribute], Fixture | None]:
+    """Return what is stated of capsule, specimen and fixture; sizes that nobody stated are NaN.
 
-    capsule: dict[str, Attribute]
-    specimen: dict[str, Attribute]
-    fixture: Fixture | None
-
-
-def _stated_circumstances(settings: ImportSettings, default_name: str) -> _Circumstances:
-    """Return them as attributes of a run; raises `SettingsError` for a capsule or specimen that cannot be found."""
+    Raises `SettingsError` for a capsule or specimen that cannot be found.
+    """
     capsule: dict[str, Attribute] = dict.fromkeys(CAPSULE_SIZES, UNKNOWN_SIZE)
     fixture = settings.fixture
     if settings.capsule:
@@ -218,7 +214,7 @@ def _stated_circumstances(settings: ImportSettings, default_name: str) -> _Circu
         specimen = {key: value for key, value in stated.items() if value != ""}
     if settings.wall_thickness_mm is not None:
         specimen["wall_thickness_mm"] = settings.wall_thickness_mm
-    return _Circumstances(capsule, specimen, fixture)
+    return capsule, specimen, fixture
 
 
 def _shown_protocol(kind: str, measured: ConvertedMeasurement, specimen: Mapping[str, Attribute]) -> dict[str, float]:

@@ -459,14 +459,11 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 def _with_joined_clock(table: ForeignTable, clocks: Sequence[RowTimes | None]) -> ForeignTable:
     """Make a date and a time of day in columns of their own one clock."""
-    dates = [number for number, clock in enumerate(clocks) if clock is not None and clock.is_date]
-    times = [number for number, clock in enumerate(clocks) if clock is not None and clock.is_time_of_day]
+    known = [(number, clock) for number, clock in enumerate(clocks) if clock is not None]
+    dates, times = [each for each in known if each[1].is_date], [each for each in known if each[1].is_time_of_day]
     if len(dates) != 1 or len(times) != 1:
         return table
-    (date_at,), (time_at,) = dates, times
-    date, time = clocks[date_at], clocks[time_at]
-    if date is None or time is None:
-        return table
+    ((date_at, date),), ((time_at, time),) = dates, times
     columns = list(table.columns)
     columns[time_at] = joined(date, time).column(columns[time_at].name)
     told = f"columns {columns[date_at].name!r} and {columns[time_at].name!r} are one clock"

@@ -70,16 +70,11 @@ def _force_combination(name: str, powers: Mapping[str, float], meaning: str) -> 
     return ParameterCombination(name, "1", {"force_gain": 1.0, **powers}, f"{meaning} as the force channel shows it")
 
 
-def _element_combination(name: str, scale: str, symbol: str) -> ParameterCombination:
-    return _force_combination(name, {"stiffness_scale": 1.0, scale: 1.0}, f"scale of {symbol}")
-
-
 CAPSULE_COMBINATIONS = (
-    _element_combination("e1_shown", "e1_scale", "E1"),
-    _element_combination("e2_shown", "e2_scale", "E2"),
-    _element_combination("e3_shown", "e3_scale", "E3"),
-    _element_combination("eta1_shown", "eta1_scale", "η1"),
-    _element_combination("eta2_shown", "eta2_scale", "η2"),
+    *(
+        _force_combination(f"{element}_shown", {"stiffness_scale": 1.0, f"{element}_scale": 1.0}, f"scale of {symbol}")
+        for element, symbol in (("e1", "E1"), ("e2", "E2"), ("e3", "E3"), ("eta1", "η1"), ("eta2", "η2"))
+    ),
     ParameterCombination(
         "fast_time_scale", "1", {"eta1_scale": 1.0, "e1_scale": -1.0}, "scale of the time constant η1/E1"
     ),
@@ -146,8 +141,6 @@ def without_run_identity(acquisition: Acquisition) -> Acquisition:
 class BlankPredictor(Predictor):
     """A blank run: nothing but the sensor's zero and noise."""
 
-    parameters: int
-
     @property
     def events_s(self) -> FloatArray:
         """No events."""
@@ -157,11 +150,6 @@ class BlankPredictor(Predictor):
         """Return zeros."""
         del values
         return Prediction(np.zeros_like(time_s), np.zeros((len(RUN_VARIATIONS), len(time_s))))
-
-    def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return zeros."""
-        del values
-        return np.zeros((self.parameters, len(time_s)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,7 +414,7 @@ class CapsuleModel(NominalModel):
         if FORCE_CHANNEL not in experiment.run.trace.channels:
             return {}
         if experiment.contact is Contact.NONE:
-            return {FORCE_CHANNEL: BlankPredictor(len(self.parameters))}
+            return {FORCE_CHANNEL: BlankPredictor()}
         names = tuple(parameter.name for parameter in self.parameters)
         if experiment.contact is Contact.STICKING:
             return {FORCE_CHANNEL: StickingPredictor(acquisition_of(experiment), experiment, self.settings, names)}

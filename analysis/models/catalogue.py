@@ -148,11 +148,50 @@ def model_reference(model: NominalModel) -> str:
 
 
 @dataclass(frozen=True)
-class AmendedModel(NominalModel):
-    """A model other than the friction model, expected to have the values, and the effects, of a diagnosis."""
+class _ModelOfAnother(NominalModel):
+    """A model that says what another one does, unless it knows better."""
 
     own: NominalModel
-    """The model itself."""
+    """The other model."""
+
+    @property
+    def name(self) -> str:
+        """Name in settings and reports."""
+        return self.own.name
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters that runs determine."""
+        return tuple(self.own.parameters)
+
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """Parts of the prediction that differ from run to run."""
+        return tuple(self.own.variations)
+
+    @property
+    def combinations(self) -> tuple[ParameterCombination, ...]:
+        """Products of parameters worth reporting."""
+        return tuple(self.own.combinations)
+
+    @property
+    def zero_sd(self) -> Mapping[str, float]:
+        """Standard deviation of the unknown zero of every run, by channel."""
+        return self.own.zero_sd
+
+    def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
+        """Prepare the channels of a run."""
+        return self.own.prepare(experiment)
+
+    def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
+        """Return the contents of a settings file with identified values."""
+        return self.own.document(values)
+
+
+@dataclass(frozen=True)
+class AmendedModel(_ModelOfAnother):
+    """A model other than the friction model, expected to have the values, and the effects, of a diagnosis."""
+
     settings: AmendedModelSettings
     """Values of its parameters, and effects."""
 
@@ -167,29 +206,6 @@ class AmendedModel(NominalModel):
         return tuple(
             replace(parameter, nominal=self.settings.parameters[parameter.name]) for parameter in self.own.parameters
         )
-
-    @property
-    def variations(self) -> tuple[Variation, ...]:
-        """Parts of the prediction that differ from run to run."""
-        return self.own.variations
-
-    @property
-    def combinations(self) -> tuple[ParameterCombination, ...]:
-        """Products of parameters worth reporting."""
-        return self.own.combinations
-
-    @property
-    def zero_sd(self) -> Mapping[str, float]:
-        """Standard deviation of the unknown zero of every run, by channel."""
-        return self.own.zero_sd
-
-    def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
-        """Prepare the channels of a run, without the effects."""
-        return self.own.prepare(experiment)
-
-    def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
-        """Return the contents of a settings file with identified values."""
-        return self.own.document(values)
 
 
 def _is_model(candidate: object) -> TypeGuard[NominalModel]:
@@ -240,11 +256,9 @@ def _describe_error(error: Exception, file: Path | None) -> str:
 
 
 @dataclass(frozen=True)
-class CheckedModel(NominalModel):
+class CheckedModel(_ModelOfAnother):
     """A user's model, whose declarations and answers are checked and whose errors become one sentence each."""
 
-    own: NominalModel
-    """The model itself."""
     source: str
     """Its origin, for messages."""
     file: Path | None = None
@@ -268,31 +282,6 @@ class CheckedModel(NominalModel):
         if error is not None:
             raise SettingsError(f"{source}: the model cannot be used: {error}.")
         return model
-
-    @property
-    def name(self) -> str:
-        """Name in settings and reports."""
-        return self.own.name
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters that runs determine."""
-        return tuple(self.own.parameters)
-
-    @property
-    def variations(self) -> tuple[Variation, ...]:
-        """Parts of the prediction that differ from run to run."""
-        return tuple(self.own.variations)
-
-    @property
-    def combinations(self) -> tuple[ParameterCombination, ...]:
-        """Products of parameters worth reporting."""
-        return tuple(self.own.combinations)
-
-    @property
-    def zero_sd(self) -> Mapping[str, float]:
-        """Standard deviation of the unknown zero of every run, by channel."""
-        return self.own.zero_sd
 
     def prepare(self, experiment: Experiment) -> Mapping[str, Predictor]:
         """Prepare a run and evaluate the predictors once; raises `AnalysisError`."""

@@ -274,7 +274,7 @@ class Experiment:
     @cached_property
     def wander_mm(self) -> float:
         """Range of the recorded position at rest, at least from one count to the next."""
-        time_s, position = self._recorded
+        time_s, position = self.recorded
         if position.size < MIN_SAMPLES:
             return count_jitter_mm(MIN_COUNT_MM)
         command = np.asarray(self.run.trace.command, dtype=np.float64)[np.isfinite(self.run.trace.position)]
@@ -314,7 +314,7 @@ class Experiment:
             return False
         if self.trusts_command:
             return True
-        time_s, position = self._recorded
+        time_s, position = self.recorded
         recorded = np.isfinite(self.run.trace.position)
         deviation = np.abs(position - command[recorded])
         allowed_mm = MAX_FOLLOWING_COUNTS * self.count_mm
@@ -341,7 +341,7 @@ class Experiment:
             return RecordedMotion.computed(self.time_s, command - command[0])
         if self.follows_command:
             return commanded_motion(self.time_s, self.run.trace.command)
-        return RecordedMotion.of(*self._recorded, self.wander_mm)
+        return RecordedMotion.of(*self.recorded, self.wander_mm)
 
     @cached_property
     def unsmoothed_motion(self) -> ProfileMotion:
@@ -352,10 +352,10 @@ class Experiment:
         """
         if self.follows_command:
             return self.motion.profile
-        return measured_motion(self.motion, *self._recorded)
+        return measured_motion(self.motion, *self.recorded)
 
     @cached_property
-    def _recorded(self) -> tuple[FloatArray, FloatArray]:
+    def recorded(self) -> tuple[FloatArray, FloatArray]:
         """Finite positions and their times."""
         position = np.asarray(self.run.trace.position, dtype=np.float64)
         finite = np.isfinite(position)
@@ -368,12 +368,6 @@ class Experiment:
     def velocity(self, time_s: FloatArray) -> FloatArray:
         """Velocity [mm/s] of the smoothed position."""
         return self.motion.velocity(time_s)
-
-    def acceleration(self, time_s: FloatArray) -> FloatArray:
-        """Acceleration [mm/s²] of the smoothed position, constant in pieces."""
-        pieces = self.motion.pieces()
-        index = np.searchsorted(pieces.start_s, time_s, side="right") - 1
-        return np.asarray(pieces.acceleration_mm_s2[np.maximum(index, 0)])
 
     @property
     def fixture(self) -> Fixture:
@@ -956,9 +950,7 @@ to `MAX_SMOOTHED_SAMPLES`, so that 20 MB are kept at most."""
 
 def fit_kinematics(experiment: Experiment) -> Kinematics:
     """Fit the measured position of a run; raises `AnalysisError` where its motion cannot be used."""
-    position = np.asarray(experiment.run.trace.position, dtype=np.float64)
-    finite = np.isfinite(position)
-    time_s, position = experiment.time_s[finite], position[finite]
+    time_s, position = experiment.recorded
     wander_mm, step_s = experiment.wander_mm, 1.0 / experiment.run.trace.sample_rate_hz
     if len(time_s) > MAX_SMOOTHED_SAMPLES:
         return _fit_record(experiment.motion, time_s, position, wander_mm, step_s)

@@ -6,7 +6,7 @@ travel as arrays in the order of `NominalModel.parameters`.
 """
 
 from abc import abstractmethod
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import inf
@@ -133,7 +133,9 @@ class Predictor(Protocol):
 
     def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return the derivative of the predicted total by every parameter, shape `(P, n)`; here by differences."""
-        return central_differences(self, values, time_s)
+        return central_differences(
+            self, values, time_s, [VALUE_STEP * (abs(value) or 1.0) for value in values.tolist()]
+        )
 
     def sensitivities_without(self, names: Collection[str], values: FloatArray, time_s: FloatArray) -> FloatArray:
         """Return `sensitivities`; rows of the named parameters are not used, and may hold anything."""
@@ -195,14 +197,16 @@ class NominalModel(Protocol):
         return {"nominal": self.name, "parameters": dict(values)}
 
 
-RELATIVE_STEP = 1e-4
+VALUE_STEP, PRIOR_STEP = 1e-4, 1e-6
+"""Steps of derivatives by differences, relative to the value and to the prior's width."""
 
 
-def central_differences(predictor: Predictor, values: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Return central differences of a prediction by every parameter, shape `(P, n)`."""
+def central_differences(
+    predictor: Predictor, values: FloatArray, time_s: FloatArray, steps: Sequence[float]
+) -> FloatArray:
+    """Return central differences of a prediction by every parameter, each with its step, shape `(P, n)`."""
     rows = []
-    for index, value in enumerate(values):
-        step = RELATIVE_STEP * (abs(float(value)) or 1.0)
+    for index, (value, step) in enumerate(zip(values.tolist(), steps, strict=True)):
         ahead, behind = values.copy(), values.copy()
         ahead[index], behind[index] = value + step, value - step
         rows.append((predictor.predict(ahead, time_s).total - predictor.predict(behind, time_s).total) / (2 * step))
@@ -215,8 +219,6 @@ TURNING_SPEED_MM_S = 0.05
 A sign function would have no derivative, and no encoder distinguishes a slower creep from rest: at 1 µm per count and
 500 Hz one count more or less is 0.25 mm/s.
 """
-VALUE_STEP, PRIOR_STEP = 1e-4, 1e-6
-"""Steps of derivatives by differences, relative to the value and to the prior's width."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -311,15 +313,9 @@ class _ChannelPredictor(Predictor):
         return Prediction(total, np.repeat(total[None], len(self.model.variations), axis=0))
 
     def sensitivities(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        rows = []
-        for index, parameter in enumerate(self.model.parameters):
-            value = float(values[index])
-            width = 0.0 if parameter.positive else PRIOR_STEP * parameter.prior_sd
-            step = max(VALUE_STEP * abs(value), width)
-            ahead, behind = values.copy(), values.copy()
-            ahead[index], behind[index] = value + step, value - step
-            rows.append((self._total(ahead, time_s) - self._total(behind, time_s)) / (2 * step))
-        return np.array(rows)
+        widths = [0.0 if parameter.positive else PRIOR_STEP * parameter.prior_sd for parameter in self.model.parameters]
+        steps = np.maximum(VALUE_STEP * np.abs(values), widths).tolist()
+        return central_differences(self, values, time_s, steps)
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
         by_joints = self.motion.joint_uncertainty(lambda times: self._total(values, times), time_s)

@@ -48,7 +48,6 @@ def forces_figure(
     capsule: Capsule,
     wall_thickness_mm: float,
     speeds_mm_s: Sequence[float] = (),
-    log_speed: bool = True,
 ) -> Figure:
     """Draw f_e, f_v, f_c and their sum against speed (the paper's Fig. 9), with dots at `speeds_mm_s`.
 
@@ -75,10 +74,7 @@ def forces_figure(
             axes.plot(dots.speed_mm_s, at_dots, "o", color=colour, markersize=8, markeredgecolor="white", clip_on=False)
             labels.append(CurveLabel(float(values[-1]), text, colour, math=True))
         axes.set_ylim(0, 1.06 * float(line.total.max()))
-        if log_speed:
-            set_log_x(axes, low, high)
-        else:
-            axes.set_xlim(0, high)
+        set_log_x(axes, low, high)
         axes.set_xlabel("Speed (mm/s)")
         axes.set_ylabel("Force (mN)")
         label_curves(axes, labels)
@@ -170,6 +166,7 @@ def _label_skew_axes(left: Axes, right: Axes, equator_mm: float, end_mm: float) 
 _WALL_SYMBOLS = {"E1": "$E_1$", "E2": "$E_2$", "E3": "$E_3$", "eta1": r"$\eta_1$", "eta2": r"$\eta_2$"}
 
 TABLE1_DASHES = (0, (4, 2))
+WALL_CURVES: tuple[WallKind, WallKind] = ("eq14", "table1")
 
 
 def wall_figure(identified: Mapping[str, Sequence[tuple[float, EstimatedQuantity]]] | None = None) -> Figure:
@@ -204,13 +201,15 @@ def _draw_wall_parameter(
     axes: Axes, name: str, entries: list[ParameterSetDifference], identified: Sequence[tuple[float, EstimatedQuantity]]
 ) -> None:
     strain = np.linspace(0.0, 2.2, 200)
-    curves = {kind: _wall_values(kind, name, strain) for kind in ("eq14", "table1")}
+    printed, fitted_curve = (
+        np.asarray(getattr(wall_parameters(kind, strain), name), dtype=np.float64) for kind in WALL_CURVES
+    )
     points = np.array([entry.table1 for entry in entries])
     at = [100 * entry.strain for entry in entries]
     axes.plot(at, points, "o", color=BLACK, markersize=8, markeredgecolor="white", label="Table 1")
-    axes.plot(100 * strain, curves["eq14"], color=BLUE, label="Eq. 14, as printed")
+    axes.plot(100 * strain, printed, color=BLUE, label="Eq. 14, as printed")
     fit = "least-squares fit\nof a quadratic"
-    axes.plot(100 * strain, curves["table1"], color=VERMILLION, linestyle=TABLE1_DASHES, label=fit)
+    axes.plot(100 * strain, fitted_curve, color=VERMILLION, linestyle=TABLE1_DASHES, label=fit)
     for number, (strain_of, estimate) in enumerate(identified):
         axes.plot([100 * strain_of] * 2, estimate.interval, color=GREEN, linewidth=1.8)
         label = "" if number else "identified,\nsimulated runs"
@@ -218,7 +217,7 @@ def _draw_wall_parameter(
             [100 * strain_of], [estimate.value], "D", color=GREEN, markersize=7, markeredgecolor="white", label=label
         )
     ends = [np.array(estimate.interval) for _, estimate in identified]
-    fit_y_range(axes, [np.zeros(1), points, *curves.values(), *ends], 0.01, 0.0)
+    fit_y_range(axes, [np.zeros(1), points, printed, fitted_curve, *ends], 0.01, 0.0)
     axes.set_xlim(0, 220)
     axes.set_xticks([0, 50, 100, 150, 200])
     axes.set_xlabel("Strain (%)")
@@ -227,8 +226,3 @@ def _draw_wall_parameter(
     fitted = max((entry.quadratic_difference for entry in entries), key=abs)
     axes.set_title(f"Eq. 14 {percent_difference(eq14)}", fontsize=SMALL_PT, color=BLUE)
     axes.set_title(f"fit {percent_difference(fitted)}", loc="right", fontsize=SMALL_PT, color=VERMILLION)
-
-
-def _wall_values(kind: WallKind, name: str, strain: FloatArray) -> FloatArray:
-    wall = wall_parameters(kind, strain)
-    return {"E1": wall.E1, "E2": wall.E2, "E3": wall.E3, "eta1": wall.eta1, "eta2": wall.eta2}[name]

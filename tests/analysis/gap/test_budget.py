@@ -13,8 +13,9 @@ from dragrig.analysis.gap import budget
 from dragrig.analysis.gap.budget import CausesOfGap, ForceBudget, force_budget, gap_budget, presence_of_effects
 from dragrig.analysis.gap.design import ColumnKind
 from dragrig.analysis.gap.diagnosis import MODEL, SPECIMEN, UNEXPLAINED, BudgetEntry, Classification, Verdict
-from dragrig.analysis.gap.presence import Cause, CauseKind, CauseSet, Presence, effect_ids
+from dragrig.analysis.gap.presence import Cause, CauseKind, CauseSet, Presence
 from dragrig.rig import FloatArray
+from dragrig.sim_backend.effects import catalogue
 
 RUNS, BLOCKS, WHITE, ZERO_SD = 6, 20, 0.2, 3.0
 RANDOM = np.random.default_rng(5)
@@ -329,7 +330,7 @@ def test_every_effect_has_a_probability_that_is_never_sure() -> None:
         replace(CLASSIFIED, probabilities={"mains_hum": 0.2, "velocity_ripple": 0.0, "stribeck": 0.8}),
         ("velocity_ripple",),
     )
-    assert set(found) == set(effect_ids())
+    assert set(found) == set(catalogue())
     told = {name: found[name] for name in ("stribeck", "adhesion", "mains_hum", "velocity_ripple", "servo_lag")}
     assert told == {
         "stribeck": 0.997, "adhesion": 0.3, "mains_hum": 0.2, "velocity_ripple": 0.003, "servo_lag": 0.003,

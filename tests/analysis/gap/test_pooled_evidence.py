@@ -12,7 +12,6 @@ from dragrig.analysis.gap.pooled_evidence import (
     POOLED_SCALES_MN,
     ForceEvidence,
     force_evidence,
-    log_evidence,
     normalised,
 )
 from dragrig.analysis.gap.presence import (
@@ -23,6 +22,7 @@ from dragrig.analysis.gap.presence import (
     PeriodicColumns,
     Presence,
     VariantSpan,
+    log_evidence,
 )
 from dragrig.rig import FloatArray
 
@@ -173,7 +173,8 @@ def dense_log_evidence(columns: FloatArray, covariance: FloatArray, direction: F
 @pytest.mark.parametrize("direction", [None, np.array([1.0, -0.5])], ids=["either sign", "one sign"])
 def test_evidence_is_that_of_the_blocks_densities(scale: float, direction: FloatArray | None) -> None:
     columns = COLUMNS[:, :2]
-    found = log_evidence(columns.T @ columns, columns.T @ RESIDUAL, scale, direction)
+    sign = 0.0 if direction is None else direction
+    found = log_evidence(columns.T @ columns, columns.T @ RESIDUAL, np.array([scale]), sign)[0]
     assert found == pytest.approx(dense_log_evidence(scale * columns, np.eye(BLOCKS), direction))
 
 
@@ -196,12 +197,13 @@ def test_other_forms_of_an_effect_are_integrated_out_within_the_scale(evidence: 
 
 
 def test_what_all_forms_add_to_the_shared_ones_is_kept_by_scale(evidence: ForceEvidence) -> None:
-    for name, number, direction in (("adhesion", 0, None), ("stribeck", 1, np.ones(1))):
+    for name, number, direction in (("adhesion", 0, 0.0), ("stribeck", 1, 1.0)):
         shared, cause = evidence.columns[name], CAUSES[number]
         covariance, information = covariance_of(CONTEXTS[name]), evidence.information_for(name)
         for scale, found in zip(shared.scales, shared.forms, strict=True):
             everything = dense_log_evidence(scale * COLUMNS[:, cause.columns] * cause.sds, covariance, cause.direction)
-            these = log_evidence(*normalised(information, shared, shared.sizes_mN, scale), scale, direction)
+            own = normalised(information, shared, shared.sizes_mN, scale)
+            these = log_evidence(*own, np.array([scale]), direction)[0]
             assert found == pytest.approx(everything - these, abs=2e-3)
     for name in ("speed", "laws of the model", "velocity_ripple"):
         shared = evidence.columns[name]

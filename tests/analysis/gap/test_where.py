@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dragrig.analysis.gap.diagnosis import GapLocation
-from dragrig.analysis.gap.excess import BANDS_HZ, BandPowers, ResidualBlocks, band_powers
+from dragrig.analysis.gap.excess import BANDS_HZ, ResidualBlocks, band_powers
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
 from dragrig.rig.profile import FloatArray, Phase
 from property_tests import thorough
@@ -111,17 +111,12 @@ def test_what_the_residual_is_a_function_of_is_said(planted: Planted, domain: st
     assert localise(campaign(seed, planted), present=True).domain == domain
 
 
-def test_hum_is_seen_in_the_powers_of_the_whole_trace() -> None:
+def test_hum_is_seen_in_its_band() -> None:
     time = np.arange(0.0, 4.0, 0.002)
     noise = np.random.default_rng(0).normal(0.0, SD["force"], time.size)
     expected = band_powers(noise, 500.0)
     shown = band_powers(noise + 6.0 * np.sin(2 * np.pi * 50.0 * time), 500.0)
     assert shown[6] - expected[6] == pytest.approx(18.0, rel=0.05)
-    power = BandPowers(shown, expected)
-    hummed = [replace(run, bands=power, residual=run.residual + 1.0) for run in campaign(1) if run.channel == "force"]
-    location = localise(hummed, present=True)
-    assert (location.location("band_hz").low, location.location("band_hz").high) == (30.0, 100.0)
-    assert location.domain_scores["frequency"] > 0.4
 
 
 def test_powers_add_up_to_the_variance() -> None:
