@@ -14,7 +14,7 @@ import numpy as np
 from dragrig.analysis import Experiment, capitalise, join_names, prepare_channels, significant_text
 from dragrig.analysis.gap.design import Study
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun, display_name
-from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData
+from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_noun
 from dragrig.config import Plan, PlanStep, ReturnMode, RunOrder, SettingsError, Specimen
 from dragrig.rig import (
     AnyFloatArray,
@@ -427,8 +427,7 @@ def run_text(step: PlanStep) -> str:
             first = strokes[0]
             text = f"a drag of {first['travel_mm']:g} mm and back at {first['speed_mm_s']:g} mm/s in one record"
         case kind:
-            noun = {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
-            text = f"{noun} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
+            text = f"{run_noun(kind)} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
             if settings.get("accel_mm_s2", 400.0) != 400.0:
                 text += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
     if step.kind == "drag" and step.wait_s != 60.0:

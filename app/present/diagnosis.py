@@ -55,6 +55,7 @@ from dragrig.present.diagnosis_sentences import (
     domain_sentence,
     effect_description,
     is_stated_verdict,
+    open_text,
     shape_sentence,
     shrink_sentences,
     sizes_differ_sentence,
@@ -77,6 +78,8 @@ PROBABILITY_STEPS = 1_000_000
 MAX_RANKED = 8
 """Hypotheses that a terminal and a window list; those beyond are next to impossible in any campaign seen so far."""
 MAX_LEFT_OUT = 12
+SCORED = ("verdict", "effects", "ranking", "confusable_with", "presence", "budget")
+"""What an exam scores of a diagnosis that a single condition leaves open, as if its runs could tell."""
 CAMPAIGN_COLUMNS = (
     Column("campaign", "campaign"),
     Column("verdict", "verdict"),
@@ -226,8 +229,10 @@ def _before_after_figure(diagnosis: Diagnosis) -> Figure:
 
 def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
     nine_of_ten = "A probability of 0.9 means that nine of ten such verdicts were right on those campaigns."
-    limit = "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis)
+    limit = "" if diagnosis.verdict in {Verdict.NO_GAP, Verdict.OPEN} else detection_limit_sentence(diagnosis)
     calibration = (calibration_sentence(diagnosis), nine_of_ten if diagnosis.calibration else "", limit)
+    if not diagnosis.ranking:
+        calibration = (limit,)
     next_runs = diagnosis.next_experiment
     used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
     return Section(
@@ -288,17 +293,17 @@ def _location_section(diagnosis: Diagnosis) -> Section:
 
 
 def _ranking_section(diagnosis: Diagnosis) -> Section:
+    figure = Figure(
+        "ranking",
+        "Horizontal bars: the probability of each hypothesis, the most probable first.",
+        "Probability of each hypothesis; those near zero are left out.",
+        lambda: present.ranking_figure(diagnosis),
+    )
     return Section(
         "which",
         "2. Which",
         (
-            Figure(
-                "ranking",
-                "Horizontal bars: the probability of each hypothesis, the most probable first.",
-                "Probability of each hypothesis; those near zero are left out.",
-                lambda: present.ranking_figure(diagnosis),
-            ),
-            ranking_table(diagnosis),
+            *((figure, ranking_table(diagnosis)) if diagnosis.ranking else ()),
             Section("unknown", "What no effect of the catalogue explains", _unknown_blocks(diagnosis.unknown)),
         ),
     )
@@ -375,7 +380,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         (
             _parameter_table(diagnosis),
             Text(sizes_differ_sentence(diagnosis), TextKind.EXPLANATION),
-            Text(reduction or "No run was held out, or no effect is named, so that the gap reduction is not known."),
+            Text(reduction or "Too few runs or conditions to hold any out: how much of a gap closes is not known."),
             Text(shape),
             Section("model", "The model with the effect", amended if model else ()),
             *((_before_after_figure(diagnosis),) if drawn_here else ()),
@@ -484,6 +489,8 @@ def _campaign_row(source: str, diagnosis: Diagnosis | None, why_not: str) -> tup
 
 
 def _verdict_without_effect(diagnosis: Diagnosis) -> str:
+    if diagnosis.verdict is Verdict.OPEN:
+        return f"open: the runs {open_text(diagnosis)}"
     owner = owner_of_gap(diagnosis.budget) if diagnosis.verdict is Verdict.UNKNOWN else ""
     return owner or diagnosis.verdict.value.replace("_", " ")
 
@@ -493,6 +500,7 @@ def diagnosis_json(
 ) -> Mapping[str, object]:
     """Return a diagnosis as the JSON of a gap report, without any NaN or infinity; as `diagnosis_document`."""
     ids = run_ids or {}
+    likeliest = None if diagnosis.likeliest is None else diagnosis_json(diagnosis.likeliest, run_ids=ids)
     return to_json_object(
         {
             "format": FORMAT,
@@ -507,6 +515,8 @@ def diagnosis_json(
             },
             "verdict": diagnosis.verdict.value,
             "in_words": (*budget_sentences(diagnosis.budget), *verdict_sentences(diagnosis)),
+            "only_condition": diagnosis.only_condition or None,
+            "likeliest": None if likeliest is None else {name: likeliest[name] for name in SCORED},
             "effects": diagnosis.effects,
             "ranking": _ranking_json(diagnosis.ranking),
             "confusable_with": diagnosis.confusable_with,

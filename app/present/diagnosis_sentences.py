@@ -33,6 +33,8 @@ def verdict_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return the verdict with its probability; the first sentence is the answer."""
     probability = f"({_verdict_probability_text(diagnosis)})"
     match diagnosis.verdict:
+        case Verdict.OPEN:
+            return tuple(_open_sentences(diagnosis))
         case Verdict.NO_GAP:
             return (f"No gap {probability}: {_detection_limit_clause(diagnosis)}.",)
         case Verdict.UNKNOWN:
@@ -49,6 +51,27 @@ def verdict_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
         case Verdict.EFFECT:
             first = f"Most likely: {join_names([display_name(name) for name in diagnosis.effects])} {probability}."
     return first, *_confusable_sentences(diagnosis), *_residual_sentences(diagnosis)
+
+
+def _open_sentences(diagnosis: Diagnosis) -> Iterator[str]:
+    """Say what runs of a single condition exclude there, or that the model misses them, without a cause."""
+    if not diagnosis.residual_unknown:
+        yield f"One condition cannot show whether there is a gap: these runs {open_text(diagnosis)}."
+        return
+    yield f"These runs {open_text(diagnosis)}; one condition does not show the cause."
+    if diagnosis.unknown is not None and diagnosis.unknown.location:
+        yield as_sentence(diagnosis.unknown.location)
+
+
+def open_text(diagnosis: Diagnosis) -> str:
+    """Say what runs of a single condition show: `exclude an effect above 5.2 mN in a drag at 20 mm/s, and …`."""
+    budget, limit_mN = diagnosis.budget, diagnosis.detection_limit_mN
+    if diagnosis.residual_unknown:
+        in_force = budget is not None and budget.gap_mN > diagnosis.tolerance_mN
+        size = f" by {force_text(budget.gap_mN)} (rms)" if budget is not None and in_force else ""
+        return f"differ from the model in {diagnosis.only_condition}{size}"
+    effect = f"an effect above {force_text(limit_mN)}" if isfinite(limit_mN) else "no effect of a known size"
+    return f"exclude {effect} in {diagnosis.only_condition}, and nothing elsewhere"
 
 
 def _verdict_probability_text(diagnosis: Diagnosis) -> str:
