@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
 from itertools import product
-from math import isfinite
+from math import inf, isfinite, log2, sqrt
 from pathlib import Path
 from typing import Protocol, Self, TypeVar
 
@@ -168,7 +168,27 @@ def _reversal(speed_mm_s: float) -> PlanStep:
 
 
 MIN_GAIN_BITS = 0.001
-"""A run that is expected to tell less is not worth its time: a thousandth of whether an effect is there."""
+"""A run that is expected to tell less is not chosen: a thousandth of whether an effect is there."""
+HORIZON_RUNS = 12
+"""Runs that are looked ahead: many that tell little each may change an answer together."""
+MIN_CHANCE = 0.05
+"""Runs are worth their time where they may change the answer with this probability, as significant as all else here.
+
+It is at most their expected information over that of any outcome that changes the answer, by Markov's inequality: 0.04
+bit may change an answer that is 0.96 sure, for which it takes 2 bits, with a probability of at most 0.02.
+"""
+
+
+def bits_to_change(probabilities: Iterable[float]) -> float:
+    """Return the least information of an outcome after which the likeliest answer no longer is: infinite without another.
+
+    So far is the nearest distribution, by its divergence (Kullback and Leibler), that gives two answers the same.
+    """
+    first, second, *_ = *sorted(probabilities, reverse=True), 0.0
+    left = 1.0 - (sqrt(first) - sqrt(second)) ** 2
+    return -log2(left) if left > 0 else inf
+
+
 DEFAULT_HANDS_MIN = 2.0
 """Time of a person's hands at a change of fixture or capsule, in minutes."""
 
@@ -195,6 +215,11 @@ class OpenQuestion(Protocol[SeenT_contra]):
     @property
     def open_bits(self) -> float:
         """Entropy of the answer before the chosen runs."""
+        ...
+
+    @property
+    def bits_to_change(self) -> float:
+        """Least information of an outcome that makes another answer the likeliest."""
         ...
 
     @property
@@ -238,8 +263,11 @@ def greedy_search(
     question: OpenQuestion[SeenT_contra],
     candidates: Sequence[tuple[CandidateRun, SeenT_contra]],
     budget: ExperimentBudget,
+    horizon: int = HORIZON_RUNS,
 ) -> tuple[NextRun, ...]:
     """Return the runs that are expected to tell most per minute, each given those before; none where none helps.
+
+    None helps where so many runs as are looked ahead leave the answer as it is, but for a chance of `MIN_CHANCE`.
 
     Parameters
     ----------
@@ -247,13 +275,16 @@ def greedy_search(
         What the campaign so far leaves open.
     candidates
         Candidate runs, each with what the question needs of it.
+    horizon
+        Number of runs that are looked ahead, if the budget has fewer.
     """
+    needed_bits = MIN_CHANCE * question.bits_to_change
     chosen: list[_ChosenRun] = []
     mounted, spent = {budget.mounted}, 0.0
     # The gain of a run rarely grows with the runs chosen before it, so that old gains tell which to compute anew
     # first (Minoux 1978, accelerated greedy algorithms).
     gains = [float("inf")] * len(candidates)
-    while len(chosen) < budget.runs:
+    while len(chosen) < max(budget.runs, horizon):
         fresh: dict[int, OpenQuestion[SeenT_contra]] = {}
 
         def rate(index: int, known: Sequence[float] = gains) -> float:
@@ -273,7 +304,8 @@ def greedy_search(
         chosen.append(_ChosenRun(candidate, gains[best], updated.about(question)))
         question, spent = updated, spent + candidate.minutes
         mounted.add(mounting(candidate.step.kind))
-    return _merged_repeats(chosen)
+    told_bits = sum(run.gain_bits for run in chosen)
+    return _merged_repeats(chosen[: budget.runs]) if told_bits >= needed_bits else ()
 
 
 def _merged_repeats(chosen: Sequence[_ChosenRun]) -> tuple[NextRun, ...]:

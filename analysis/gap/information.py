@@ -16,6 +16,7 @@ from typing import Self
 
 import numpy as np
 
+from dragrig.analysis.gap.candidate_runs import bits_to_change
 from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise, schur_complement
 from dragrig.analysis.gap.diagnosis import UNEXPLAINED, OpenCauses
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
@@ -98,6 +99,11 @@ class BudgetForecast:
         return entropy_bits(self.weights, self.causes)
 
     @property
+    def bits_to_change(self) -> float:
+        """Least information of an outcome that makes another set of causes the likeliest."""
+        return bits_to_change(self._sets.values())
+
+    @property
     def bits(self) -> float:
         """Expected information of the chosen runs on which causes are there."""
         return expected_bits(self.weights, self.distances, self.causes)
@@ -117,11 +123,17 @@ class BudgetForecast:
     @property
     def open_causes(self) -> OpenCauses:
         """What is open about the causes before any further run."""
+        sets = self._sets
+        probabilities = {name: sum(value for names, value in sets.items() if name in names) for name in self.names}
+        return OpenCauses(probabilities, sets.get((), 0.0), max(sets.values()), self.open_bits)
+
+    @property
+    def _sets(self) -> dict[tuple[str, ...], float]:
+        """Probability of each set of causes before any further run."""
         sets: dict[tuple[str, ...], float] = {}
         for names, weight in zip(self.causes, self.weights.tolist(), strict=True):
             sets[names] = sets.get(names, 0.0) + weight
-        probabilities = {name: sum(value for names, value in sets.items() if name in names) for name in self.names}
-        return OpenCauses(probabilities, sets.get((), 0.0), max(sets.values()), self.open_bits)
+        return sets
 
     @property
     def names(self) -> tuple[str, ...]:

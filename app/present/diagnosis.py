@@ -136,11 +136,20 @@ BITS_EXPLAINED = (
 )
 
 
+NOTHING_NEXT = "Nothing: no run would change the answer."
+
+
+def next_text(diagnosis: Diagnosis) -> str:
+    """Say which run to make next, or that none is worth making; nothing where none was looked for."""
+    if diagnosis.next_experiment is not None:
+        return diagnosis.next_experiment.reason
+    return "" if diagnosis.open_causes is None else NOTHING_NEXT
+
+
 def next_experiment_document(recommendation: NextExperiment | None) -> Document:
     """Lay out which runs to make next."""
     if recommendation is None:
-        answer = "No run of the grid is expected to tell anything more that would be worth its time."
-        return Document(title="Next runs", answer=answer, data=next_experiment_json(None))
+        return Document(title="Next runs", answer=NOTHING_NEXT, data=next_experiment_json(None))
 
     caption = f"{recommendation.minutes:.1f} min of rig time in all"
     return Document(
@@ -233,7 +242,6 @@ def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
     calibration = (calibration_sentence(diagnosis), nine_of_ten if diagnosis.calibration else "", limit)
     if not diagnosis.ranking:
         calibration = (limit,)
-    next_runs = diagnosis.next_experiment
     used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
     return Section(
         "confidence",
@@ -242,7 +250,7 @@ def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
             *(Text(effect_description(effect)) for effect in diagnosis.effects),
             Text(" ".join(filter(None, calibration)), TextKind.CAUTION),
             Section("open", "Open questions", (Items(tuple(map(as_sentence, diagnosis.limitations))),)),
-            Section("next", "What to run next", (Text("" if next_runs is None else next_runs.reason),)),
+            Section("next", "What to run next", (Text(next_text(diagnosis)),)),
             Facts(
                 {
                     "Campaign": source,
@@ -553,7 +561,7 @@ def next_experiment_json(recommendation: NextExperiment | None) -> Mapping[str, 
         {
             "format": NEXT_FORMAT,
             "version": NEXT_VERSION,
-            "why": None if recommendation is None else recommendation.reason,
+            "why": NOTHING_NEXT if recommendation is None else recommendation.reason,
             "minutes": None if recommendation is None else recommendation.minutes,
             "open_bits": None if recommendation is None else recommendation.open_bits,
             "tried": 0 if recommendation is None else recommendation.compared,

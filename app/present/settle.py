@@ -77,7 +77,7 @@ def ending_sentence(record: SettleRecord) -> str:
         case Ending.SETTLED:
             return f"Settled {spent}: {sure}."
         case Ending.NO_RUN:
-            return f"Ended {spent}, for no further run would tell more that is worth its time: {sure}."
+            return f"Ended {spent}, for no further run would change the answer: {sure}."
         case Ending.TIME:
             return f"Ended {spent}, for the time is spent: {sure}, where {record.until:g} was asked for."
     return f"Not ended yet, {spent}: {sure}."
