@@ -56,16 +56,17 @@ from dragrig.present.diagnosis_sentences import (
     effect_description,
     is_stated_verdict,
     open_text,
-    shape_sentence,
     shrink_sentences,
     sizes_differ_sentence,
     verdict_sentences,
 )
 from dragrig.present.gap_budget import (
+    ChannelBudget,
     budget_bars,
     budget_json,
     budget_sentences,
     budget_table,
+    budgets_by_channel,
     owner_of_gap,
     presence_json,
 )
@@ -86,8 +87,8 @@ CAMPAIGN_COLUMNS = (
     Column("probability", "probability"),
     Column("confusable_with", "indistinguishable"),
     Column("gap_mN", "gap, mN", shortest(3)),
-    Column("closed", "gap closed"),
-    Column("closed_95", "95 % interval"),
+    Column("explained", "explained"),
+    Column("explained_95", "95 % interval"),
 )
 
 
@@ -368,9 +369,10 @@ def _unknown_blocks(unknown: UnexplainedGap | None) -> tuple[Text | Code, ...]:
 
 def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
     shrink, named = diagnosis.shrink, bool(diagnosis.effects)
-    reduction = "" if shrink is None else " ".join(shrink_sentences(shrink, named=named))
-    verdict = _stated_hypothesis(diagnosis)
-    shape = "" if shrink is None or verdict is None else shape_sentence(shrink, verdict.held_out_improvement)
+    sizes = () if shrink is None else shrink_sentences(shrink, named=named)
+    # The budget says what share of the force's gap each part has.
+    told = bool(_budgets_of_force(diagnosis)) and shrink is not None and shrink.position_um is None
+    reduction = " ".join(sizes[:1] if told else sizes)
     drawn_here = diagnosis.traces and diagnosis.verdict is not Verdict.NO_GAP
     simulated = isinstance(diagnosis.model, FrictionModelSettings)
     dry_run = "A dry run with it contains the effect, and fresh" if simulated else "Fresh"
@@ -389,7 +391,6 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
             _parameter_table(diagnosis),
             Text(sizes_differ_sentence(diagnosis), TextKind.EXPLANATION),
             Text(reduction or "Too few runs or conditions to hold any out: how much of a gap closes is not known."),
-            Text(shape),
             Section("model", "The model with the effect", amended if model else ()),
             *((_before_after_figure(diagnosis),) if drawn_here else ()),
             *(() if shrink is None else (r2_table(shrink, named=named),)),
@@ -482,18 +483,21 @@ def _campaign_row(source: str, diagnosis: Diagnosis | None, why_not: str) -> tup
     if diagnosis is None:
         return source, f"not diagnosed: {why_not}", "", "", "", "", ""
     verdict = _stated_hypothesis(diagnosis)
-    shrink = diagnosis.shrink
-    closed = None if shrink is None or not diagnosis.effects else shrink.closed
-    interval = None if shrink is None or not diagnosis.effects else shrink.closed_95ci
+    rest = next((here.rest for here in _budgets_of_force(diagnosis) if here.named), None)
+    interval = None if rest is None else rest.share_95ci
     return (
         source,
         " + ".join(diagnosis.effects) or _verdict_without_effect(diagnosis),
         "" if verdict is None else FormattedNumber(verdict.probability, probability_text(verdict.probability)),
         ", ".join(diagnosis.confusable_with),
-        "" if shrink is None else shrink.gap_before_mN,
-        "" if closed is None else FormattedNumber(closed, percent_text(closed)),
-        "" if interval is None else f"{percent_text(interval[0])} to {percent_text(interval[1])}",
+        diagnosis.budget.gap_mN if diagnosis.budget is not None and diagnosis.budget.entries else "",
+        "" if rest is None else FormattedNumber(1.0 - rest.share, percent_text(1.0 - rest.share)),
+        "" if interval is None else f"{percent_text(1.0 - interval[1])} to {percent_text(1.0 - interval[0])}",
     )
+
+
+def _budgets_of_force(diagnosis: Diagnosis) -> tuple[ChannelBudget, ...]:
+    return tuple(here for here in budgets_by_channel(diagnosis.budget) if here.channel == "force")
 
 
 def _verdict_without_effect(diagnosis: Diagnosis) -> str:

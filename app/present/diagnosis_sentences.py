@@ -18,8 +18,6 @@ from dragrig.present import force_text, probability_text, significant
 from dragrig.present.gap_budget import owner_of_gap
 from dragrig.sim_backend.effects import catalogue
 
-MAX_CLOSED_WIDTH = 1.0
-"""A share that closes is not stated where its 95 % interval is wider."""
 ABOVE_ALL = 0.9995
 """Shares from here to the whole are written as "above 99.9 %"."""
 MAIN_SCORE, MIN_SCORE = 0.5, 0.1
@@ -98,7 +96,7 @@ def calibration_sentence(diagnosis: Diagnosis) -> str:
 
 
 def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, ...]:
-    """Say what share of the gap closes on held-out runs, or only its size where no effect is named."""
+    """Say how large the residual of held-out runs is, and what share of the gap closes where an effect is named."""
     runs = f" on {count_text(len(shrink.runs), 'run')} held out of fit and model choice" if shrink.runs else ""
     floor = f"noise and repeatability alone: {force_text(shrink.noise_floor_mN)}"
     before, after = force_text(shrink.gap_before_mN), force_text(shrink.gap_after_mN)
@@ -112,28 +110,11 @@ def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, 
         sizes = f"Residual (rms){runs}: {before}; {floor}."
         return sizes, "This is too close to noise and repeatability to say what share of a gap closes."
     share, interval = percent_text(shrink.closed), _closed_interval_text(shrink)
-    if _closed_is_vague(shrink):
-        return sizes, f"What share of the gap closes these runs do not say: {share} here ({interval})."
     if shrink.closed > 1:
         details = "; ".join(detail for detail in (share, interval) if detail)
         return sizes, f"The whole gap closes ({details}): the residual is below noise and repeatability."
     closed = f"{capitalise(share)} of the gap closes" + (f" ({interval})" if interval else "")
     return sizes, f"{closed}{': it grows' if shrink.closed < 0 else ''}."
-
-
-def _closed_is_vague(shrink: GapReduction) -> bool:
-    interval = shrink.closed_95ci
-    return interval is not None and interval[1] - interval[0] > MAX_CLOSED_WIDTH
-
-
-def shape_sentence(shrink: GapReduction, held_out_improvement: float | None) -> str:
-    """Say that the shape of held-out runs is explained where their level, and so the closed share, is not known."""
-    if not _closed_is_vague(shrink) or held_out_improvement is None or held_out_improvement < MAIN_SCORE:
-        return ""
-    return (
-        f"The level of a held-out run is not known from the other runs: too few measure its condition. Of its course, "
-        f"with the level left free, {percent_text(held_out_improvement)} of the excess is explained."
-    )
 
 
 def _closed_interval_text(shrink: GapReduction) -> str:
