@@ -238,7 +238,9 @@ def test_of_two_specimens_it_is_said_that_they_differ_and_no_mean_has_an_interva
     assert told["mean"]["interval_95"] in (None, [None, None])
     assert [label.get_text() for label in population_figure(population).axes[0].get_yticklabels()] == ["a", "b"]
     alike = pool_specimens([single_fit(name, 0.4, 0.05, parameter) for name in "ab"], ALONE_POSITIVE)
-    assert population_document(alike).answer == "The 2 specimens agree within their errors in all of 1 parameter (n = 2)."
+    assert (
+        population_document(alike).answer == "The 2 specimens agree within their errors in all of 1 parameter (n = 2)."
+    )
 
 
 def test_the_prior_counts_once_however_many_campaigns_say_little() -> None:
