@@ -213,8 +213,8 @@ class TableRow:
 class SpeedMean:
     """Mean of the steady force, that at rest taken off, over repeats on one specimen: one kind, one speed, one way.
 
-    `half_width_95_mN` is half of the 95 % interval by Student's t from the scatter of the repeats, as `means_of_repeats`
-    has it; None for a single run, which shows no scatter.
+    `half_width_95_mN` is half of the 95 % interval from the scatter of the repeats, as `means_of_repeats` has it; None
+    for a single run, which shows no scatter.
     """
 
     specimen: str
@@ -248,7 +248,7 @@ class SpecimensMean:
 MIN_SPECIMENS = 3
 """Specimens whose mean has an interval: of two, t has one degree of freedom, and their scatter is luck."""
 MAX_UNEQUAL_P, LEAST_SCATTER = 0.01, 0.01
-"""Significance level from which on scatters differ, and are not pooled; and the least of them, relative to the largest."""
+"""Significance level at which scatters differ, and are not pooled; the least of them, relative to the largest."""
 
 
 def mean_of_specimens(means: Sequence[float]) -> tuple[float, float | None]:

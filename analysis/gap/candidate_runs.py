@@ -180,7 +180,7 @@ bit may change an answer that is 0.96 sure, for which it takes 2 bits, with a pr
 
 
 def bits_to_change(probabilities: Iterable[float]) -> float:
-    """Return the least information of an outcome after which the likeliest answer no longer is: infinite without another.
+    """Return the least information of an outcome that makes another answer the likeliest; infinite for a sure one.
 
     So far is the nearest distribution, by its divergence (Kullback and Leibler), that gives two answers the same.
     """

@@ -443,6 +443,9 @@ class RunContributions:
         What the model without causes leaves of the run, without what the run itself is off by; shape `(B,)`.
     parts
         What each named cause adds, predicted from fits to other runs where runs were held out; shape `(B,)` each.
+    acting_mN
+        Rms of a cause's own force in the run; what it adds elsewhere is what it makes the nominal parameters miss.
+        Empty in the position.
     """
 
     file: str
@@ -455,6 +458,7 @@ class RunContributions:
     position_mm: FloatArray
     gap: FloatArray
     parts: Mapping[str, FloatArray]
+    acting_mN: Mapping[str, float] = field(default_factory=dict)
 
     def rms(self, cause: str = "") -> float:
         """Return the root mean square over time of a part, or of the gap; 0 for a part that the run lacks."""

@@ -39,8 +39,8 @@ MIN_GAP_OVER_FLOOR = 1.2
 MIN_POINTS = 3
 MAX_OWN_SIGMAS, MAX_SURELY_OWN_SIGMAS = 2.0, 4.0
 """A run's own factors, in standard deviations of the scatter between repeats: all but one run in twenty is within the
-first limit. A run beyond it with and without the effect, on the same side, is off by itself, up to the second limit: one
-relaxation of some newtons would otherwise outweigh all runs in which the effect acts, the surer the more there are."""
+first limit. A run beyond it with and without the effect, on the same side, is off by itself, up to the second limit:
+one relaxation of some newtons would else outweigh all runs in which the effect acts, the surer the more there are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,8 +83,8 @@ def gap_of_run(
     """Compare residuals of a run before and after, each with its whitening, shapes `(B,)`.
 
     What a run may be off by is removed from both residuals, for each by itself: run factors within `max_own_sigmas` of
-    the scatter of repeats, or further where both agree, and the zero offset. Factors of the model with the effect taken from both residuals would
-    give the effect itself back as a gap that it then closes. Blocks count if `informative`.
+    the scatter of repeats, or further where both agree, and the zero offset. Factors of the model with the effect taken
+    from both residuals would give the effect itself back as a gap that it then closes. Blocks count if `informative`.
     """
     weights = np.where(informative, run.coordinates.width_s, 0.0)
     share = weights / weights.sum()

@@ -283,8 +283,8 @@ def mean_tables(rows: Sequence[TableRow]) -> tuple[Table, ...]:
     of_specimens = Table.of(
         "means",
         "Mean of steady − rest over the repeats on a specimen; ± is the 95 % interval by Student's t from their "
-        "scatter, pooled over speeds where it may be the same share of the force, or the same force (Bartlett's test at "
-        f"1 %); n the runs; without bad and unfinished runs and sentinels{no_rest}",
+        "scatter, pooled over speeds where it may be the same share of the force, or the same force (Bartlett's test "
+        f"at 1 %); n the runs; without bad and unfinished runs and sentinels{no_rest}",
         means,
         Field("specimen", "specimen", lambda mean: mean.specimen),
         Field("kind", "kind", lambda mean: mean.kind),

@@ -224,7 +224,7 @@ def _forces_at_speeds(runs: Sequence[RunSummary]) -> dict[float, dict[str, list[
 
 
 def _means_at_speeds(forces: Mapping[float, Mapping[str, Sequence[float]]]) -> dict[float, tuple[float, float]]:
-    """Return mean and half of its 95 % interval over specimens or, of one, over its repeats; NaN where there is none."""
+    """Return mean and half of its 95 % interval over specimens or, of one, over its repeats; NaN for no interval."""
     specimens = {specimen for of in forces.values() for specimen in of}
     if len(specimens) > 1:
         found = [mean_of_specimens([float(np.mean(values)) for values in of.values()]) for of in forces.values()]

@@ -206,7 +206,7 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
                 "A bar of the gap, cut into its named parts and the rest; below it, gap and parts in some runs.",
                 "The gap by its parts; hatched, what has no name. Below, in grey, what the model leaves of a run when "
                 "it is fitted to the others, and in the bar's colours what each part adds to it, with the root "
-                "mean square of one. A part that misleads this fit shows in runs where it does not act itself.",
+                "mean square of one, first where it acts most.",
                 lambda: present.budget_figure(budget),
                 bars=budget_bars(budget),
             ),

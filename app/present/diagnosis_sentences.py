@@ -6,6 +6,7 @@ from math import isfinite, log, nan
 
 from dragrig.analysis import as_sentence, capitalise, count_text, join_names, percent_text
 from dragrig.analysis.gap import (
+    ALPHA,
     AxisLocation,
     Diagnosis,
     GapLocation,
@@ -205,6 +206,8 @@ def _law_sentences(diagnosis: Diagnosis) -> Iterator[str]:
 MIN_SHOWN_SHARE = 0.01
 """Smaller shares are omitted."""
 NOT_SIGNIFICANT = " (not significant)"
+SMALL_RMS = 0.05
+"""Root mean excess, in standard deviations, up to which a gap is called small."""
 ANYWHERE = "anywhere"
 PLACE_CORRECTION = "corrected for all places of its axis by max-T permutation of whole runs (Westfall and Young)"
 OVERALL_CORRECTION = "corrected for all axes by Bonferroni's method"
@@ -252,10 +255,12 @@ def axis_texts(where: GapLocation) -> tuple[AxisText, ...]:
     )
 
 
-def excess_text(where: GapLocation) -> str:
-    """Return the size of the excess of all runs."""
-    size = "below 0.05" if where.rms < 0.05 else significant(2)(where.rms)
-    return f"{size} standard deviations of what is expected"
+def excess_text(where: GapLocation, p_text: str = "") -> str:
+    """Say how large the excess of all runs is over noise, repeatability and tolerance, and how sure it is."""
+    if where.rms < SMALL_RMS:
+        sure = f"real{f' ({p_text})' if p_text else ''}" if where.p < ALPHA else "not sure"
+        return f"the gap is {sure}, but small: below {SMALL_RMS:g} standard deviations"
+    return f"{significant(2)(where.rms)} standard deviations of what is expected{f', {p_text}' if p_text else ''}"
 
 
 def domain_sentence(where: GapLocation) -> str:
@@ -272,7 +277,7 @@ def domain_sentence(where: GapLocation) -> str:
         return f"The residual is mainly a function of {name}."
     share = f"which accounts for {100 * score:.0f} % of its squares{basis}"
     if score < MIN_SCORE:
-        return f"No coordinate accounts for more than {100 * MIN_SCORE:.0f} % of the squares of the residual{basis}."
+        return "The gap does not follow speed, position, strain or time alone."
     return f"The residual {'is mainly a function of' if score >= MAIN_SCORE else 'depends most on'} {name}, {share}."
 
 

@@ -100,7 +100,7 @@ def _size_sentence(effect: PooledEffect) -> str:
         return ""
     unit = unit_text(size.unit)
     mean = f"{value_with_error(size.mean, size.standard_error)} {unit}".rstrip()
-    text = f"Size of {display_name(effect.effect)} (`{size.parameter}`): {mean}"
+    text = f"Size of {display_name(effect.effect)} in the population (`{size.parameter}`): {mean}"
     if len(effect.members) < 2:
         return f"{text}."
     spread = (
@@ -132,7 +132,8 @@ def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
     basis = (
         "Rig: it has one set of parameters for all campaigns. Gut: a population of specimens with a spread. The "
         "probability together weighs all campaigns at once, beside every other cause that they may share; the best one "
-        "alone is the highest that any single campaign gives."
+        "alone is the highest that any single campaign gives. A size is the mean of the population that these specimens "
+        "are from, not what one campaign has: that is known better, and stands in its own diagnosis."
     )
     named = pooled.established
     table = Table.of(

@@ -412,7 +412,7 @@ def test_what_an_explanation_keeps_of_each_run_is_its_moments_with_the_gap() -> 
 def test_a_run_that_is_off_with_and_without_the_effect_is_no_gap(
     before: float, after: float, left_before: float, left_after: float
 ) -> None:
-    """Factors of a relaxation of 1 N in standard deviations of 5 %; the more runs, the more are beyond two by chance."""
+    """Factors of a relaxation of 1 N, in standard deviations of 5 %; the more runs, the more are beyond two."""
     signature = np.full(BLOCKS, 50.0)
     whitening = Whitening.of(np.diag(np.full(BLOCKS, WHITE)), signature[:, None])
     blocks = SimpleNamespace(samples=np.ones(BLOCKS), mean=signature)

@@ -185,7 +185,7 @@ def test_one_set_of_numbers_says_what_share_of_a_gap_is_explained() -> None:
     [
         (0.71, "is mainly a function of speed, which accounts for 71 % of its squares on held-out runs."),
         (0.24, "depends most on speed, which accounts for 24 % of its squares on held-out runs."),
-        (0.01, "No coordinate accounts for more than 10 % of the squares of the residual on held-out runs."),
+        (0.01, "The gap does not follow speed, position, strain or time alone."),
     ],
 )
 def test_a_coordinate_that_explains_little_is_not_called_the_main_one(score: float, words: str) -> None:
@@ -243,7 +243,7 @@ def test_a_gap_at_no_place_beyond_chance_is_not_said_to_be_at_one() -> None:
     rows = [row for row in text(here).splitlines() if re.match("(channel|protocol|phase|speed|session) ", row)]
     assert len(rows) == 5
     assert all("(not significant)" in row for row in rows)
-    assert location_figure(here.where).texts[0].get_text().startswith("A gap, at no place beyond chance")
+    assert location_figure(here.where).texts[0].get_text().startswith("A gap in the force, at no place beyond chance")
     assert "(not significant)" not in next(row for row in text(STRIBECK).splitlines() if row.startswith("speed "))
 
 
