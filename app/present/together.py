@@ -132,8 +132,8 @@ def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
     basis = (
         "Rig: it has one set of parameters for all campaigns. Gut: a population of specimens with a spread. The "
         "probability together weighs all campaigns at once, beside every other cause that they may share; the best one "
-        "alone is the highest that any single campaign gives. A size is the mean of the population that these specimens "
-        "are from, not what one campaign has: that is known better, and stands in its own diagnosis."
+        "alone is the highest that any single campaign gives. A size is the mean of the population that these "
+        "specimens are from, not what one campaign has: that is known better, and stands in its own diagnosis."
     )
     named = pooled.established
     table = Table.of(
