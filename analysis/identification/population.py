@@ -13,6 +13,7 @@ groups; mean and next specimen are averaged over it.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import hypot
 
 import numpy as np
 
@@ -199,7 +200,7 @@ def _compared(parameters: Sequence[PopulationParameter]) -> Iterator[PopulationP
         if len(own) == 2:
             first, second = (quantity.value for quantity in own)
             middle = float(np.sqrt(first * second)) if first > 0 < second else 0.5 * (first + second)
-            sd = float(np.hypot(*(quantity.standard_error for quantity in own)))
+            sd = hypot(*(quantity.standard_error for quantity in own))
             p_value = min(float(tests * chdtrc(1, ((first - second) / sd) ** 2)), 1.0)
         nothing = EstimatedQuantity(parameter.name, parameter.unit, np.nan, np.nan, unknown)
         yield replace(

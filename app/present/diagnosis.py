@@ -240,9 +240,8 @@ def _before_after_figure(diagnosis: Diagnosis) -> Figure:
 def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
     nine_of_ten = "A probability of 0.9 means that nine of ten such verdicts were right on those campaigns."
     limit = "" if diagnosis.verdict in {Verdict.NO_GAP, Verdict.OPEN} else detection_limit_sentence(diagnosis)
-    calibration = (calibration_sentence(diagnosis), nine_of_ten if diagnosis.calibration else "", limit)
-    if not diagnosis.ranking:
-        calibration = (limit,)
+    learnt = (calibration_sentence(diagnosis), nine_of_ten if diagnosis.calibration else "")
+    calibration = (*(learnt if diagnosis.ranking else ()), limit)
     used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
     return Section(
         "confidence",
