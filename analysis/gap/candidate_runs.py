@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import timedelta
 from functools import cached_property
 from itertools import product
-from math import inf, isfinite, log2, sqrt
+from math import isfinite
 from pathlib import Path
 from typing import Protocol, Self, TypeVar
 
@@ -177,16 +177,6 @@ MIN_CHANCE = 0.05
 It is at most their expected information over that of any outcome that changes the answer, by Markov's inequality: 0.04
 bit may change an answer that is 0.96 sure, for which it takes 2 bits, with a probability of at most 0.02.
 """
-
-
-def bits_to_change(probabilities: Iterable[float]) -> float:
-    """Return the least information of an outcome that makes another answer the likeliest; infinite for a sure one.
-
-    So far is the nearest distribution, by its divergence (Kullback and Leibler), that gives two answers the same.
-    """
-    first, second, *_ = *sorted(probabilities, reverse=True), 0.0
-    left = 1.0 - (sqrt(first) - sqrt(second)) ** 2
-    return -log2(left) if left > 0 else inf
 
 
 DEFAULT_HANDS_MIN = 2.0

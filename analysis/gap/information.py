@@ -7,16 +7,15 @@ which causes are there and the forces of the further runs, estimated from the di
 (Kolchinsky & Tracey 2017, Entropy 19, 361).
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from math import exp
+from math import exp, inf, log2, sqrt
 from typing import Self
 
 import numpy as np
 
-from dragrig.analysis.gap.candidate_runs import bits_to_change
 from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise, schur_complement
 from dragrig.analysis.gap.diagnosis import UNEXPLAINED, OpenCauses
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
@@ -52,6 +51,16 @@ def entropy_bits(weights: FloatArray, labels: Sequence[Hashable]) -> float:
         total[label] = total.get(label, 0.0) + weight
     values = np.array([value for value in total.values() if value > 0])
     return float(-values @ np.log2(values))
+
+
+def bits_to_change(probabilities: Iterable[float]) -> float:
+    """Return the least information of an outcome that makes another answer the likeliest; infinite for a sure one.
+
+    So far is the nearest distribution, by its divergence (Kullback and Leibler), that gives two answers the same.
+    """
+    first, second, *_ = *sorted(probabilities, reverse=True), 0.0
+    left = 1.0 - (sqrt(first) - sqrt(second)) ** 2
+    return -log2(left) if left > 0 else inf
 
 
 def expected_bits(weights: FloatArray, distances: FloatArray, labels: Sequence[Hashable]) -> float:

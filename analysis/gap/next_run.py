@@ -22,7 +22,6 @@ from dragrig.analysis.gap.candidate_runs import (
     CandidateRun,
     ExperimentBudget,
     RigLimits,
-    bits_to_change,
     campaign_specimen,
     candidate_experiments,
     full_grid,
@@ -58,7 +57,7 @@ from dragrig.analysis.gap.diagnosis import (
 )
 from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
-from dragrig.analysis.gap.information import entropy_bits, expected_bits, forecast
+from dragrig.analysis.gap.information import bits_to_change, entropy_bits, expected_bits, forecast
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
 from dragrig.analysis.gap.position_channel import (
     MIN_POSITION_SHARE,

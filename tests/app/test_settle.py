@@ -19,8 +19,9 @@ from hypothesis import strategies as st
 import dragrig
 from diagnoses import STRIBECK
 from dragrig.analysis.gap import Batch, Ending, OpenCauses, SettleRecord, plan_of_next_runs
-from dragrig.analysis.gap.candidate_runs import ExperimentBudget, bits_to_change, greedy_search, short_grid
+from dragrig.analysis.gap.candidate_runs import ExperimentBudget, greedy_search, short_grid
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
+from dragrig.analysis.gap.information import bits_to_change
 from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
 from dragrig.api import (
     SettleHands,
