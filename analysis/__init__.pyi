@@ -96,8 +96,10 @@ from .measures import TableRow as TableRow
 from .measures import as_frame as as_frame
 from .measures import campaign_rows as campaign_rows
 from .measures import empty_stretch_reason as empty_stretch_reason
+from .measures import mean_of_specimens as mean_of_specimens
 from .measures import mean_over_specimens as mean_over_specimens
 from .measures import mean_per_speed as mean_per_speed
+from .measures import means_of_repeats as means_of_repeats
 from .measures import measure as measure
 from .measures import minutes_since_excision as minutes_since_excision
 from .measures import pooled_rows as pooled_rows
@@ -105,7 +107,6 @@ from .measures import set_values as set_values
 from .measures import steady_force as steady_force
 from .measures import steady_force_of as steady_force_of
 from .measures import stretch_mean as stretch_mean
-from .measures import student_mean as student_mean
 from .measures import table_row as table_row
 from .measures import table_rows as table_rows
 from .measures import unreadable_row as unreadable_row

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import datetime
-from math import hypot, nan, sqrt
+from math import hypot, log, nan, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from dragrig.analysis.savgol import SavgolSettings, smooth_channel
 from dragrig.analysis.segments import Mask, attribute_number, clipped_samples, end_of_hold, in_phase, steady_stretch
 from dragrig.analysis.wording import printable
 from dragrig.config import AnalysisError, RunFileError
-from dragrig.rig import SENTINEL_ROLE, Drift, Phase, Run, RunInfo, RunStatus, SteadyForce
+from dragrig.rig import SENTINEL_ROLE, Drift, FloatArray, IndexArray, Phase, Run, RunInfo, RunStatus, SteadyForce
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -213,8 +213,8 @@ class TableRow:
 class SpeedMean:
     """Mean of the steady force, that at rest taken off, over repeats on one specimen: one kind, one speed, one way.
 
-    `half_width_95_mN` is half of the 95 % interval by Student's t from the scatter of the repeats; None for a single
-    run, which shows no scatter.
+    `half_width_95_mN` is half of the 95 % interval from the scatter of the repeats, as `means_of_repeats` has it; None
+    for a single run, which shows no scatter.
     """
 
     specimen: str
@@ -232,7 +232,7 @@ class SpecimensMean:
     """Mean of the steady force, that at rest taken off, over specimens: each specimen's mean counts once.
 
     `half_width_95_mN` is half of the 95 % interval by Student's t from the scatter between the specimens, however many
-    runs each has; None for a single specimen.
+    runs each has; None for fewer than three specimens, of which nobody knows how specimens scatter.
     """
 
     kind: str
@@ -245,14 +245,57 @@ class SpecimensMean:
     half_width_95_mN: float | None
 
 
-def student_mean(values: Sequence[float]) -> tuple[float, float | None]:
-    """Return the mean of independent values, and half of its 95 % interval by Student's t; None for a single value."""
+MIN_SPECIMENS = 3
+"""Specimens whose mean has an interval: of two, t has one degree of freedom, and their scatter is luck."""
+MAX_UNEQUAL_P, LEAST_SCATTER = 0.01, 0.01
+"""Significance level at which scatters differ, and are not pooled; the least of them, relative to the largest."""
+
+
+def mean_of_specimens(means: Sequence[float]) -> tuple[float, float | None]:
+    """Return the mean over specimens, and half of its 95 % interval by Student's t; None for fewer than three."""
+    mean, half = means_of_repeats([means])[0]
+    return mean, half if len(means) >= MIN_SPECIMENS else None
+
+
+def means_of_repeats(repeats: Sequence[Sequence[float]]) -> list[tuple[float, float | None]]:
+    """Return the mean at each speed, and half of its 95 % interval by Student's t; None for a single value.
+
+    A specimen's runs scatter by a share of their force, or all by as much. The scatter is pooled over the speeds, as a
+    share first, unless Bartlett's test (Proc. R. Soc. A 160 (1937) 268) at 1 % says that it differs: two repeats that
+    happen to agree would else have an interval of next to nothing. What differs both ways is each speed's own.
+
+    Parameters
+    ----------
+    repeats
+        Values at each speed.
+    """
     from scipy.special import stdtrit
 
-    mean = float(np.mean(values))
-    if len(values) < 2:
-        return mean, None
-    return mean, float(stdtrit(len(values) - 1, 0.975)) * float(np.std(values, ddof=1)) / sqrt(len(values))
+    means = [float(np.mean(values)) for values in repeats]
+    counts = np.array([len(values) for values in repeats])
+    sds = np.array([float(np.std(values, ddof=1)) if len(values) > 1 else 0.0 for values in repeats])
+    degrees = counts - 1
+    for scales in (np.abs(means), np.ones(len(means))):
+        if scales.min() > 0 and _are_alike(sds[counts > 1] / scales[counts > 1], degrees[counts > 1]):
+            pooled = sqrt(float(degrees @ (sds / scales) ** 2) / degrees.sum())
+            sds, degrees = pooled * scales, np.full(len(means), degrees.sum())
+            break
+    halves = (stdtrit(np.maximum(degrees, 1), 0.975) * sds / np.sqrt(counts)).tolist()
+    return [(mean, half if n > 1 else None) for mean, half, n in zip(means, halves, counts.tolist(), strict=True)]
+
+
+def _are_alike(sds: FloatArray, degrees: IndexArray) -> bool:
+    """Whether several standard deviations may be estimates of one."""
+    from scipy.special import chdtrc
+
+    if len(sds) < 2 or sds.max() <= 0:
+        return False
+    # Repeats that agree to the last digit have still some scatter.
+    sds = np.maximum(sds, LEAST_SCATTER * sds.max())
+    total = float(degrees.sum())
+    excess = total * log(degrees @ sds**2 / total) - float(degrees @ np.log(sds**2))
+    correction = 1 + (float((1 / degrees).sum()) - 1 / total) / (3 * (len(sds) - 1))
+    return bool(chdtrc(len(sds) - 1, excess / correction) >= MAX_UNEQUAL_P)
 
 
 def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow, ...]:
@@ -450,7 +493,7 @@ def mean_per_speed(rows: Sequence[TableRow]) -> tuple[SpeedMean, ...]:
 
     Rows of several campaigns are pooled: what identifies a specimen is its id, or its name where it has none.
     """
-    groups: dict[tuple[str, str, str, float, int], list[float]] = {}
+    groups: dict[tuple[str, str, str, int], dict[float, list[float]]] = {}
     used = [
         (row, row.steady_above_rest_mN, row.speed_mm_s)
         for row in rows
@@ -458,9 +501,16 @@ def mean_per_speed(rows: Sequence[TableRow]) -> tuple[SpeedMean, ...]:
     ]
     for (row, force_mN, _), speed_mm_s in zip(used, set_values(speed for *_, speed in used), strict=True):
         direction = -1 if (row.measured_speed_mm_s or row.travel_mm or 1.0) < 0 else 1
-        key = (row.specimen, row.kind, row.capsule, speed_mm_s, direction)
-        groups.setdefault(key, []).append(force_mN)
-    return tuple(SpeedMean(*key, len(forces), *student_mean(forces)) for key, forces in sorted(groups.items()))
+        at_speeds = groups.setdefault((row.specimen, row.kind, row.capsule, direction), {})
+        at_speeds.setdefault(speed_mm_s, []).append(force_mN)
+    means = [
+        SpeedMean(specimen, kind, capsule, speed_mm_s, direction, len(forces), *mean)
+        for (specimen, kind, capsule, direction), at_speeds in groups.items()
+        for (speed_mm_s, forces), mean in zip(at_speeds.items(), means_of_repeats([*at_speeds.values()]), strict=True)
+    ]
+    return tuple(
+        sorted(means, key=lambda mean: (mean.specimen, mean.kind, mean.capsule, mean.speed_mm_s, mean.direction))
+    )
 
 
 def mean_over_specimens(means: Sequence[SpeedMean]) -> tuple[SpecimensMean, ...]:
@@ -475,7 +525,7 @@ def mean_over_specimens(means: Sequence[SpeedMean]) -> tuple[SpecimensMean, ...]
             *key,
             len(group),
             sum(mean.runs for mean in group),
-            *student_mean([mean.steady_above_rest_mN for mean in group]),
+            *mean_of_specimens([mean.steady_above_rest_mN for mean in group]),
         )
         for key, group in sorted(groups.items())
     )

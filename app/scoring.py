@@ -8,7 +8,7 @@ from math import inf, nan
 from statistics import median
 from typing import Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from dragrig.config import AnalysisError
 
@@ -127,6 +127,13 @@ class ScoredDiagnosis(_Record):
     shrink: ScoredShrink | None = None
     budget: tuple[ScoredCause, ...] = ()
     presence: Mapping[str, float] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _likeliest(cls, read: Mapping[str, object]) -> Mapping[str, object]:
+        """Score what is likeliest where a single condition leaves the verdict open."""
+        likeliest = read.get("likeliest")
+        return {**read, **likeliest} if isinstance(likeliest, Mapping) else read
 
     @property
     def largest_cause(self) -> str:

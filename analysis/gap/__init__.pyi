@@ -5,6 +5,7 @@ from .candidate_runs import mounting as mounting
 from .candidate_runs import plan_of_next_runs as plan_of_next_runs
 from .candidate_runs import require_hands as require_hands
 from .candidate_runs import run_text as run_text
+from .diagnosis import ALPHA as ALPHA
 from .diagnosis import MODEL as MODEL
 from .diagnosis import SPECIMEN as SPECIMEN
 from .diagnosis import UNEXPLAINED as UNEXPLAINED

@@ -72,6 +72,8 @@ class _Contributions:
     parts: FloatArray
     noise_variance: FloatArray
     weights_s: FloatArray
+    acting: FloatArray
+    """Contributions with what the nominal parameters absorb of them: none in a run where a part does not act."""
 
     @property
     def sums(self) -> FloatArray:
@@ -270,6 +272,7 @@ def _contributions_to_run(study: Study, index: int, split: _Contributions, cause
         position_mm=run.coordinates.position_mm,
         gap=split.gap,
         parts=dict(zip(causes, split.parts, strict=True)),
+        acting_mN=dict(zip(causes, np.sqrt((split.acting**2) @ split.weights_s / split.weights_s.sum()), strict=True)),
     )
 
 
@@ -500,7 +503,10 @@ def _split_run(
     gap = values[:, 0] - nominal @ alone
     columns = causes - nominal @ absorbed
     each = columns * coefficients
-    parts = np.array([each[:, members == number].sum(axis=1) for number in range(named)]).reshape(named, gap.size)
+    parts, acting = (
+        np.array([forces[:, members == number].sum(axis=1) for number in range(named)]).reshape(named, gap.size)
+        for forces in (each, causes * coefficients)
+    )
     # What the run itself is off by, as far as the best explanation of all runs leaves it; no more than repeats differ,
     # so that no run can make up for a cause.
     zero_sd, rest = study.problem.zero_sds[index], gap - each.sum(axis=1)
@@ -508,7 +514,7 @@ def _split_run(
     blocks = study.runs[index].block_data.blocks
     variance = noise.white**2 / blocks.samples + noise.slow_sd**2 + run.motion_sd**2
     widths_s = study.runs[index].coordinates.width_s
-    return _Contributions(gap, parts, variance, widths_s), np.asarray((widths_s * gap) @ columns)
+    return _Contributions(gap, parts, variance, widths_s, acting), np.asarray((widths_s * gap) @ columns)
 
 
 def with_form_error(share: float, interval: tuple[float, float] | None) -> tuple[float, float] | None:

@@ -14,7 +14,7 @@ import numpy as np
 from dragrig.analysis import Experiment, capitalise, join_names, prepare_channels, significant_text
 from dragrig.analysis.gap.design import Study
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun, display_name
-from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData
+from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_noun
 from dragrig.config import Plan, PlanStep, ReturnMode, RunOrder, SettingsError, Specimen
 from dragrig.rig import (
     AnyFloatArray,
@@ -168,7 +168,17 @@ def _reversal(speed_mm_s: float) -> PlanStep:
 
 
 MIN_GAIN_BITS = 0.001
-"""A run that is expected to tell less is not worth its time: a thousandth of whether an effect is there."""
+"""A run that is expected to tell less is not chosen: a thousandth of whether an effect is there."""
+HORIZON_RUNS = 12
+"""Runs that are looked ahead: many that tell little each may change an answer together."""
+MIN_CHANCE = 0.05
+"""Runs are worth their time where they may change the answer with this probability, as significant as all else here.
+
+It is at most their expected information over that of any outcome that changes the answer, by Markov's inequality: 0.04
+bit may change an answer that is 0.96 sure, for which it takes 2 bits, with a probability of at most 0.02.
+"""
+
+
 DEFAULT_HANDS_MIN = 2.0
 """Time of a person's hands at a change of fixture or capsule, in minutes."""
 
@@ -195,6 +205,11 @@ class OpenQuestion(Protocol[SeenT_contra]):
     @property
     def open_bits(self) -> float:
         """Entropy of the answer before the chosen runs."""
+
+    @property
+    def bits_to_change(self) -> float:
+        """Least information of an outcome that makes another answer the likeliest."""
+        ...
 
     @property
     def bits(self) -> float:
@@ -234,8 +249,11 @@ def greedy_search(
     question: OpenQuestion[SeenT_contra],
     candidates: Sequence[tuple[CandidateRun, SeenT_contra]],
     budget: ExperimentBudget,
+    horizon: int = HORIZON_RUNS,
 ) -> tuple[NextRun, ...]:
     """Return the runs that are expected to tell most per minute, each given those before; none where none helps.
+
+    None helps where so many runs as are looked ahead leave the answer as it is, but for a chance of `MIN_CHANCE`.
 
     Parameters
     ----------
@@ -243,13 +261,16 @@ def greedy_search(
         What the campaign so far leaves open.
     candidates
         Candidate runs, each with what the question needs of it.
+    horizon
+        Number of runs that are looked ahead, if the budget has fewer.
     """
+    needed_bits = MIN_CHANCE * question.bits_to_change
     chosen: list[_ChosenRun] = []
     mounted, spent = {budget.mounted}, 0.0
     # The gain of a run rarely grows with the runs chosen before it, so that old gains tell which to compute anew
     # first (Minoux 1978, accelerated greedy algorithms).
     gains = [float("inf")] * len(candidates)
-    while len(chosen) < budget.runs:
+    while len(chosen) < max(budget.runs, horizon):
         fresh: dict[int, OpenQuestion[SeenT_contra]] = {}
 
         def rate(index: int, known: Sequence[float] = gains) -> float:
@@ -269,7 +290,8 @@ def greedy_search(
         chosen.append(_ChosenRun(candidate, gains[best], updated.about(question)))
         question, spent = updated, spent + candidate.minutes
         mounted.add(mounting(candidate.step.kind))
-    return _merged_repeats(chosen)
+    told_bits = sum(run.gain_bits for run in chosen)
+    return _merged_repeats(chosen[: budget.runs]) if told_bits >= needed_bits else ()
 
 
 def _merged_repeats(chosen: Sequence[_ChosenRun]) -> tuple[NextRun, ...]:
@@ -423,8 +445,7 @@ def run_text(step: PlanStep) -> str:
             first = strokes[0]
             text = f"a drag of {first['travel_mm']:g} mm and back at {first['speed_mm_s']:g} mm/s in one record"
         case kind:
-            noun = {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
-            text = f"{noun} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
+            text = f"{run_noun(kind)} at {settings['speed_mm_s']:g} mm/s over {settings['travel_mm']:g} mm"
             if settings.get("accel_mm_s2", 400.0) != 400.0:
                 text += f", accelerated with {settings['accel_mm_s2']:g} mm/s²"
     if step.kind == "drag" and step.wait_s != 60.0:

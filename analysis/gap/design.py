@@ -254,6 +254,12 @@ class Study(ABC):
         return EffectChain()
 
     @property
+    def only_condition(self) -> str:
+        """The condition of the runs in words where they have no other; else empty."""
+        one = len({run.condition for run in self.runs}) == 1 and all(run.is_one_condition for run in self.runs)
+        return self.runs[0].condition_text if one else ""
+
+    @property
     def initial_z(self) -> FloatArray:
         """Nominal parameters, in prior standard deviations, from which a diagnosis starts: the prior mean."""
         return np.zeros(len(self.parameter_names))

@@ -28,6 +28,7 @@ from dragrig.analysis.gap.diagnosis import (
     RankedHypothesis,
     RunContributions,
     Verdict,
+    left_open,
 )
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.gap_reduction import held_out_improvement
@@ -196,7 +197,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
     next_runs = Recommendation()
     if options.next_runs is not None:
         next_runs = recommend_next_run(study, search, position, classification, options.next_runs)
-    return Diagnosis(
+    diagnosis = Diagnosis(
         specimen=selection.specimen,
         backends=selection.backends,
         nominal=weighed.nominal.name,
@@ -226,6 +227,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         budget=budget,
         open_causes=next_runs.open_causes,
     )
+    return left_open(diagnosis, study.only_condition) if study.only_condition else diagnosis
 
 
 def _budget(weighed: WeighedCauses) -> GapBudget:

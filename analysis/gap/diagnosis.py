@@ -1,7 +1,7 @@
 """The result of a diagnosis as frozen values: verdict, ranking, location, gap reduction and next runs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -248,12 +248,13 @@ class OpenCauses:
 
 
 class Verdict(StrEnum):
-    """Verdict of a diagnosis."""
+    """Verdict of a diagnosis; `open` of runs of a single condition, which the model's own parameters can follow."""
 
     EFFECT = "effect"
     SEVERAL = "several"
     NO_GAP = "no_gap"
     UNKNOWN = "unknown"
+    OPEN = "open"
 
 
 NO_GAP, UNKNOWN = "no_gap", "unknown"
@@ -442,6 +443,9 @@ class RunContributions:
         What the model without causes leaves of the run, without what the run itself is off by; shape `(B,)`.
     parts
         What each named cause adds, predicted from fits to other runs where runs were held out; shape `(B,)` each.
+    acting_mN
+        Rms of a cause's own force in the run; what it adds elsewhere is what it makes the nominal parameters miss.
+        Empty in the position.
     """
 
     file: str
@@ -454,6 +458,7 @@ class RunContributions:
     position_mm: FloatArray
     gap: FloatArray
     parts: Mapping[str, FloatArray]
+    acting_mN: Mapping[str, float] = field(default_factory=dict)
 
     def rms(self, cause: str = "") -> float:
         """Return the root mean square over time of a part, or of the gap; 0 for a part that the run lacks."""
@@ -506,11 +511,17 @@ class Diagnosis:
     used_for_fit, held_out
         Files of the runs in the final fit, and of those held out in turn.
     effects
-        Most likely effects; empty for `no_gap` and `unknown`.
+        Most likely effects; empty for `no_gap`, `unknown` and `open`.
+    ranking
+        Hypotheses with their probabilities; empty for `open`.
+    only_condition
+        Condition of the runs in words, as `a drag at 20 mm/s`, where there is no other; else empty.
+    likeliest
+        Of `open`: the diagnosis as if these runs could tell, for exams.
     confusable_with
         Effects that these runs cannot distinguish from them, excluded ones included.
     residual_unknown
-        Whether part of the gap remains beside clearly present effects.
+        Whether part of the gap remains beside clearly present effects; of `open`, whether there is a gap.
     detection_limit_mN
         Smallest detectable effect, rms force where it acts.
     limitations
@@ -556,6 +567,27 @@ class Diagnosis:
     budget: GapBudget | None = None
     backends: tuple[str, ...] = ()
     open_causes: OpenCauses | None = None
+    only_condition: str = ""
+    likeliest: "Diagnosis | None" = None
+
+
+def left_open(diagnosis: Diagnosis, only_condition: str) -> Diagnosis:
+    """Return a diagnosis of runs of a single condition: where they differ from the model, and no cause of it."""
+    budget, unknown = diagnosis.budget, diagnosis.unknown
+    return replace(
+        diagnosis,
+        verdict=Verdict.OPEN,
+        effects=(),
+        ranking=(),
+        confusable_with=(),
+        residual_unknown=diagnosis.verdict is not Verdict.NO_GAP,
+        model=None,
+        budget=None if budget is None else replace(budget, presence={}, entries=(), runs=()),
+        # What it depends on resembles causes.
+        unknown=None if unknown is None else UnexplainedGap(unknown.location, ""),
+        only_condition=only_condition,
+        likeliest=diagnosis,
+    )
 
 
 NAMES_WITHOUT_EFFECT = {"no_gap": "no gap", "unknown": "none of the catalogue"}

@@ -37,8 +37,10 @@ BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_FLOOR = 1.2
 """A gap below this multiple of the floor cannot be closed."""
 MIN_POINTS = 3
-MAX_OWN_SIGMAS = 2.0
-"""A run's own factors, in standard deviations of the scatter between repeats: all but one run in twenty is within."""
+MAX_OWN_SIGMAS, MAX_SURELY_OWN_SIGMAS = 2.0, 4.0
+"""A run's own factors, in standard deviations of the scatter between repeats: all but one run in twenty is within the
+first limit. A run beyond it with and without the effect, on the same side, is off by itself, up to the second limit:
+one relaxation of some newtons would else outweigh all runs in which the effect acts, the surer the more there are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,13 +83,17 @@ def gap_of_run(
     """Compare residuals of a run before and after, each with its whitening, shapes `(B,)`.
 
     What a run may be off by is removed from both residuals, for each by itself: run factors within `max_own_sigmas` of
-    the scatter of repeats, and the zero offset. Factors of the model with the effect taken from both residuals would
-    give the effect itself back as a gap that it then closes. Blocks count if `informative`.
+    the scatter of repeats, or further where both agree, and the zero offset. Factors of the model with the effect taken
+    from both residuals would give the effect itself back as a gap that it then closes. Blocks count if `informative`.
     """
     weights = np.where(informative, run.coordinates.width_s, 0.0)
     share = weights / weights.sum()
     floor = noise.white**2 + noise.slow_sd**2 + float(share @ motion_sd**2)
-    residuals = [without_own(*each, zero_sd, max_own_sigmas) for each in (before, after)]
+    own_factors = [_own_factors(*each) for each in (before, after)]
+    surely_own = np.minimum(*map(np.abs, own_factors)) > max_own_sigmas
+    surely_own &= np.sign(own_factors[0]) == np.sign(own_factors[1])
+    limits = np.where(surely_own, max(max_own_sigmas, MAX_SURELY_OWN_SIGMAS), max_own_sigmas)
+    residuals = [without_own(*each, zero_sd, limits) for each in (before, after)]
     within_block_sd = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / run.block_data.blocks.samples)), 0.0)))
     return RunGap(
         run,
@@ -100,23 +106,25 @@ def gap_of_run(
     )
 
 
-def without_own(residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float) -> FloatArray:
+def without_own(
+    residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float | FloatArray
+) -> FloatArray:
     """Return a residual [mN] without what the run itself is off by, shape `(B,)`.
 
     These are its own factors, limited to some standard deviations, and then its zero, fitted together with them.
     """
+    factors = np.clip(_own_factors(residual, whitening), -max_sigmas, max_sigmas)
+    if zero_sd > 0:
+        factors[0] = 0.0
+    left = np.asarray(residual - whitening.noise_root @ (whitening.run_effects @ factors))
+    return left - zero_sd * _own_factors(left, whitening)[0] if zero_sd > 0 else left
+
+
+def _own_factors(residual: FloatArray, whitening: Whitening) -> FloatArray:
+    """Return what the run itself is off by, in standard deviations; first the zero where it is unknown."""
     run_effects = whitening.run_effects
     precision = np.eye(run_effects.shape[1]) + run_effects.T @ run_effects
-
-    def own(values: FloatArray) -> FloatArray:
-        return np.asarray(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(values)))
-
-    factors = np.clip(own(residual), -max_sigmas, max_sigmas)
-    if zero_sd <= 0:
-        return np.asarray(residual - whitening.noise_root @ (run_effects @ factors))
-    factors[0] = 0.0
-    left = residual - whitening.noise_root @ (run_effects @ factors)
-    return np.asarray(left - zero_sd * own(left)[0])
+    return np.asarray(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(residual)))
 
 
 def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:

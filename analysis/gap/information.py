@@ -7,11 +7,11 @@ which causes are there and the forces of the further runs, estimated from the di
 (Kolchinsky & Tracey 2017, Entropy 19, 361).
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from math import exp
+from math import exp, inf, log2, sqrt
 from typing import Self
 
 import numpy as np
@@ -51,6 +51,16 @@ def entropy_bits(weights: FloatArray, labels: Sequence[Hashable]) -> float:
         total[label] = total.get(label, 0.0) + weight
     values = np.array([value for value in total.values() if value > 0])
     return float(-values @ np.log2(values))
+
+
+def bits_to_change(probabilities: Iterable[float]) -> float:
+    """Return the least information of an outcome that makes another answer the likeliest; infinite for a sure one.
+
+    So far is the nearest distribution, by its divergence (Kullback and Leibler), that gives two answers the same.
+    """
+    first, second, *_ = *sorted(probabilities, reverse=True), 0.0
+    left = 1.0 - (sqrt(first) - sqrt(second)) ** 2
+    return -log2(left) if left > 0 else inf
 
 
 def expected_bits(weights: FloatArray, distances: FloatArray, labels: Sequence[Hashable]) -> float:
@@ -98,6 +108,11 @@ class BudgetForecast:
         return entropy_bits(self.weights, self.causes)
 
     @property
+    def bits_to_change(self) -> float:
+        """Least information of an outcome that makes another set of causes the likeliest."""
+        return bits_to_change(self._sets.values())
+
+    @property
     def bits(self) -> float:
         """Expected information of the chosen runs on which causes are there."""
         return expected_bits(self.weights, self.distances, self.causes)
@@ -117,11 +132,17 @@ class BudgetForecast:
     @property
     def open_causes(self) -> OpenCauses:
         """What is open about the causes before any further run."""
+        sets = self._sets
+        probabilities = {name: sum(value for names, value in sets.items() if name in names) for name in self.names}
+        return OpenCauses(probabilities, sets.get((), 0.0), max(sets.values()), self.open_bits)
+
+    @property
+    def _sets(self) -> dict[tuple[str, ...], float]:
+        """Probability of each set of causes before any further run."""
         sets: dict[tuple[str, ...], float] = {}
         for names, weight in zip(self.causes, self.weights.tolist(), strict=True):
             sets[names] = sets.get(names, 0.0) + weight
-        probabilities = {name: sum(value for names, value in sets.items() if name in names) for name in self.names}
-        return OpenCauses(probabilities, sets.get((), 0.0), max(sets.values()), self.open_bits)
+        return sets
 
     @property
     def names(self) -> tuple[str, ...]:

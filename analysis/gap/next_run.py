@@ -57,7 +57,7 @@ from dragrig.analysis.gap.diagnosis import (
 )
 from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
-from dragrig.analysis.gap.information import entropy_bits, expected_bits, forecast
+from dragrig.analysis.gap.information import bits_to_change, entropy_bits, expected_bits, forecast
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
 from dragrig.analysis.gap.position_channel import (
     MIN_POSITION_SHARE,
@@ -224,6 +224,11 @@ class WhichOfTwo:
     def open_bits(self) -> float:
         """Mean entropy of a pair before the chosen runs."""
         return 1.0 - (self.before or self).mean_told
+
+    @property
+    def bits_to_change(self) -> float:
+        """None: either effect is as likely."""
+        return 0.0
 
     @property
     def bits(self) -> float:
@@ -521,6 +526,11 @@ class WhatMovesAstray:
         return entropy_bits(self._probabilities, list(self.weights))
 
     @property
+    def bits_to_change(self) -> float:
+        """Least information of an outcome that makes another effect the likeliest."""
+        return bits_to_change(self._probabilities.tolist())
+
+    @property
     def bits(self) -> float:
         """Information of the chosen runs on which effect is there."""
         further = np.maximum(self.distances - (self.before or self).distances, 0.0)
@@ -625,7 +635,7 @@ def recommend_position_run(
     motions = tuple(map(_thinned_blocks, _distinct_motions(position.runs)))
     question = WhatMovesAstray(motions, assumed_effects, weights)
     thinned = [(candidate_run, (_thinned_blocks(run),) * candidate_run.step.repeats) for candidate_run, run in observed]
-    runs = greedy_search(question, thinned, replace(budget, runs=min(budget.runs, MAX_NEXT_RUNS)))
+    runs = greedy_search(question, thinned, replace(budget, runs=min(budget.runs, MAX_NEXT_RUNS)), MAX_NEXT_RUNS)
     return next_experiment_of(runs, question.open_bits, len(observed), "is open about what leads the stage astray")
 
 

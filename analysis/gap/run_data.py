@@ -225,6 +225,14 @@ def commanded_phase(experiment: Experiment, time_s: FloatArray) -> FloatArray:
 MAX_BLOCK_MM = 0.4
 """Longest block along the stroke, so that folds a few mm apart are resolved."""
 
+SAME_SPEED = 1.5
+"""Ratio of steady speeds within a motion up to which they are one."""
+
+
+def run_noun(kind: str) -> str:
+    """Return the noun for a run of a kind."""
+    return {"coulomb": "a Coulomb run", "blank": "a blank run"}.get(kind, f"a {kind}")
+
 
 @dataclass(frozen=True, eq=False)
 class RunData:
@@ -303,6 +311,19 @@ class RunData:
         """What sets it apart from others of its kind, for a reader: `0.5 mm/s`, `50 % strain`."""
         kind, value = self.condition
         return f"{100 * value:g} % strain" if kind == "relaxation" else f"{value:g} mm/s"
+
+    @property
+    def is_one_condition(self) -> bool:
+        """Whether it has one speed: a motion may have strokes at several."""
+        steady = self.coordinates.speed_mm_s[self.coordinates.phase == Phase.STEADY]
+        return self.experiment.kind != "motion" or bool(
+            steady.max(initial=0.0) < SAME_SPEED * steady.min(initial=np.inf)
+        )
+
+    @property
+    def condition_text(self) -> str:
+        """The condition in words: `a drag at 20 mm/s`."""
+        return f"{run_noun(self.experiment.kind)} at {self.label}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -124,7 +124,7 @@ class CampaignEvidence:
     source, specimen, runs
         Folder, specimen, and number of runs.
     verdict, effects, probability
-        Of its diagnosis alone.
+        Of its diagnosis alone; NaN for an open verdict.
     presence
         Probability that each effect is there, from this campaign alone.
     force
@@ -137,6 +137,8 @@ class CampaignEvidence:
         Runs that were not used.
     remarks
         Of the choice of runs.
+    only_condition
+        Condition of the runs in words where they have no other; else empty.
     """
 
     source: str
@@ -153,6 +155,7 @@ class CampaignEvidence:
     nominal: str = ""
     left_out: tuple[Exclusion, ...] = ()
     remarks: tuple[str, ...] = ()
+    only_condition: str = ""
 
 
 @single_blas_thread()
@@ -162,6 +165,7 @@ def campaign_evidence(
     """Return what one campaign, the runs of a folder, says alone and to be pooled; raises as `diagnose`."""
     weighed = weigh_causes(selection, nominal, options, all_periods=True)
     selection, verdict, competition = weighed.selection, weighed.verdict, weighed.causes.competition
+    only_condition = weighed.study.only_condition
     sizes = dict[str, tuple[float, float]]()
     candidate, line = weighed.position.candidate, weighed.faint_lines.mains
     if candidate is not None:
@@ -177,9 +181,9 @@ def campaign_evidence(
         source,
         selection.specimen,
         len(selection.experiments),
-        verdict.verdict,
-        verdict.effects,
-        probabilities.get(stated, max(probabilities.values(), default=0.0)) / total,
+        Verdict.OPEN if only_condition else verdict.verdict,
+        () if only_condition else verdict.effects,
+        np.nan if only_condition else probabilities.get(stated, max(probabilities.values(), default=0.0)) / total,
         weighed.presence,
         force_evidence(competition, weighed.causes.presence, competition.periodic),
         sizes,
@@ -188,6 +192,7 @@ def campaign_evidence(
         nominal.name,
         selection.left_out,
         selection.remarks,
+        only_condition,
     )
 
 
@@ -213,9 +218,15 @@ class PooledDiagnosis:
     remarks: tuple[str, ...] = ()
 
     @property
+    def only_condition(self) -> str:
+        """Condition in words of all runs of all campaigns where they have no other; else empty."""
+        first = self.campaigns[0].only_condition
+        return first if all(campaign.only_condition == first for campaign in self.campaigns) else ""
+
+    @property
     def established(self) -> tuple[PooledEffect, ...]:
-        """Effects that are named, the rig's first."""
-        named = [effect for effect in self.effects if effect.established]
+        """Effects that are named, the rig's first; none from a single condition."""
+        named = [effect for effect in self.effects if effect.established and not self.only_condition]
         return tuple(sorted(named, key=lambda effect: (not effect.of_rig, effect.where is not Where.ALL)))
 
 

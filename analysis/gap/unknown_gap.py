@@ -595,8 +595,9 @@ def describe_unexplained_gap(
     sentences = [dependence_text(where, region)]
     if entirely_unknown:
         sentences += [nonparametric_law_text(inputs), resemblance_text(inputs)]
+    nowhere = NOT_LOCALISABLE if where.runs > 1 else ""
     return UnexplainedGap(
-        location=location_text(where, blocks) if localisable else NOT_LOCALISABLE,
+        location=location_text(where, blocks) if localisable else nowhere,
         dependence=" ".join(sentence for sentence in sentences if sentence),
         expression="" if law is None else law.text,
         held_out_share=None if law is None else law.held_out_share,

@@ -11,8 +11,9 @@ groups; mean and next specimen are averaged over it.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from math import hypot
 
 import numpy as np
 
@@ -67,7 +68,7 @@ class SpecimenFit:
 class SpecimenValue:
     """A parameter of one specimen: as its own runs have it, and with what the population adds.
 
-    `own` is None where its runs do not determine it.
+    `own` is None where its runs do not determine it. Of two specimens, `pooled` is `own`, or NaN.
     """
 
     specimen: str
@@ -82,7 +83,8 @@ class PopulationParameter:
     Attributes
     ----------
     mean
-        Of the population (of a positive parameter the median), or the rig's value.
+        Of the population (of a positive parameter the median), or the rig's value. Of two specimens, whose spread
+        nobody knows, it has neither error nor interval: both are NaN.
     determined
         Whether the campaigns narrowed it.
     spread
@@ -90,7 +92,7 @@ class PopulationParameter:
         the rig, and where specimens are too few.
     spread_p
         Probability of an apparent spread as large where there is none; of a parameter of the rig, of such a difference
-        between campaigns.
+        between campaigns; of two specimens, of such a difference in any of the parameters that are compared.
     next_specimen
         Holds the value of a further specimen with 95 % probability; None as `spread`.
     """
@@ -109,7 +111,7 @@ class PopulationParameter:
     @property
     def spreads(self) -> bool:
         """Whether specimens differ by more than their errors."""
-        return self.spread is not None and self.spread_p is not None and self.spread_p < MAX_NO_SPREAD_P
+        return not self.of_rig and self.spread_p is not None and self.spread_p < MAX_NO_SPREAD_P
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +124,12 @@ class Population:
     parameters: tuple[PopulationParameter, ...]
     left_out: tuple[Exclusion, ...] = ()
     remarks: tuple[str, ...] = ()
+    backends: tuple[str, ...] = ()
+
+    @property
+    def has_means(self) -> bool:
+        """Whether the specimens are so many that their mean has an interval."""
+        return len(self.specimens) >= MIN_SPECIMENS
 
 
 def pool_specimens(
@@ -158,6 +166,8 @@ def pool_specimens(
         )
     _require_one_rig([fit for fit, _ in usable])
     pooled, inseparable = _pool_joint_fits(usable, specimens, parameters)
+    if len(specimens) < MIN_SPECIMENS:
+        pooled, inseparable = tuple(_compared(pooled)), ()
     coulomb = tuple(_pool_coulomb(usable, specimens))
     return Population(
         nominal=usable[0][1].nominal,
@@ -166,7 +176,40 @@ def pool_specimens(
         parameters=(*pooled, *coulomb),
         left_out=tuple(excluded),
         remarks=(*_remarks(usable, specimens, pooled), *inseparable),
+        backends=tuple(dict.fromkeys(name for fit, _ in usable for name in fit.identification.backends)),
     )
+
+
+def _compared(parameters: Sequence[PopulationParameter]) -> Iterator[PopulationParameter]:
+    """Compare two specimens in place of pooling them: the spread that their mean stands on is not known."""
+    from scipy.special import chdtrc
+
+    pairs = [
+        [value.own for value in parameter.specimens if value.own is not None]
+        for parameter in parameters
+        if not parameter.of_rig
+    ]
+    tests = sum(len(pair) == 2 for pair in pairs)
+    unknown = (np.nan, np.nan)
+    for parameter in parameters:
+        own = [value.own for value in parameter.specimens if value.own is not None]
+        if parameter.of_rig:
+            yield parameter
+            continue
+        middle, p_value = np.nan, None
+        if len(own) == 2:
+            first, second = (quantity.value for quantity in own)
+            middle = float(np.sqrt(first * second)) if first > 0 < second else 0.5 * (first + second)
+            sd = hypot(*(quantity.standard_error for quantity in own))
+            p_value = min(float(tests * chdtrc(1, ((first - second) / sd) ** 2)), 1.0)
+        nothing = EstimatedQuantity(parameter.name, parameter.unit, np.nan, np.nan, unknown)
+        yield replace(
+            parameter,
+            mean=replace(nothing, value=middle),
+            determined=len(own) == 2,
+            spread_p=p_value,
+            specimens=tuple(replace(value, pooled=value.own or nothing) for value in parameter.specimens),
+        )
 
 
 def _require_one_rig(fits: Sequence[SpecimenFit]) -> None:
@@ -483,7 +526,7 @@ def _remarks(
     parameters: Sequence[PopulationParameter],
 ) -> Iterator[str]:
     if len(specimens) < MIN_SPECIMENS:
-        yield f"{len(specimens)} specimens do not bound the spread between specimens; {MIN_SPECIMENS} do"
+        yield f"n = {len(specimens)}: no interval of the mean, for the spread between specimens is not known"
     if len(usable) > len(specimens):
         yield f"{len(usable)} campaigns are of {len(specimens)} specimens; what those of one specimen say is joined"
     sensors = sorted({fit.sensor for fit, _ in usable if fit.sensor})

@@ -14,6 +14,7 @@ from .diagnosis import campaigns_document as campaigns_document
 from .diagnosis import diagnosis_document as diagnosis_document
 from .diagnosis import diagnosis_json as diagnosis_json
 from .diagnosis import next_experiment_document as next_experiment_document
+from .diagnosis import next_text as next_text
 from .diagnosis_figures import before_after_figure as before_after_figure
 from .diagnosis_figures import budget_figure as budget_figure
 from .diagnosis_figures import location_figure as location_figure

@@ -211,7 +211,7 @@ def campaign_document(data: CampaignReportData) -> Document:
         title=f"Campaign {data.name}",
         source=f"Campaign {data.name}",
         badges=tuple(sorted({info.header.backend for info in runs})),
-        answer=_answer(data.rows),
+        answer=steady_force_answer(data.rows),
         lead=tuple(filter(None, (_summary(data), _drift_text(data.rows)))),
         problem=problem if left_out else "",
         sections=(
@@ -283,7 +283,8 @@ def mean_tables(rows: Sequence[TableRow]) -> tuple[Table, ...]:
     of_specimens = Table.of(
         "means",
         "Mean of steady − rest over the repeats on a specimen; ± is the 95 % interval by Student's t from their "
-        f"scatter, n the runs; without bad and unfinished runs and sentinels{no_rest}",
+        "scatter, pooled over speeds where it may be the same share of the force, or the same force (Bartlett's test "
+        f"at 1 %); n the runs; without bad and unfinished runs and sentinels{no_rest}",
         means,
         Field("specimen", "specimen", lambda mean: mean.specimen),
         Field("kind", "kind", lambda mean: mean.kind),
@@ -311,7 +312,11 @@ def mean_tables(rows: Sequence[TableRow]) -> tuple[Table, ...]:
         Field(
             "steady_above_rest_mN",
             "steady − rest, mN ± 95 %",
-            lambda mean: _with_interval(mean.steady_above_rest_mN, mean.half_width_95_mN, "one specimen: no interval"),
+            lambda mean: _with_interval(
+                mean.steady_above_rest_mN,
+                mean.half_width_95_mN,
+                f"{'one specimen' if mean.specimens == 1 else f'n = {mean.specimens}'}: no interval",
+            ),
         ),
     )
     return of_specimens, over_specimens
@@ -429,8 +434,8 @@ _OVERVIEW = Figure(
     "few speeds.",
     "Runs that are complete and not marked bad, without sentinels. Steady forces have the force at rest taken off: "
     "small markers are runs, large ones means, bars their 95 % intervals by Student's t over the repeats on a "
-    "specimen or, of several specimens, over the specimens' means; a single value has no bar. The other forces are "
-    "as recorded, the sensor's zero included.",
+    "specimen, their scatter pooled over speeds where it may be the same, or, of three or more specimens, over the "
+    "specimens' means; other values have no bar. The other forces are as recorded, the sensor's zero included.",
     "",
 )
 
@@ -464,7 +469,7 @@ def _drift_of(row: TableRow) -> str:
     return f"{row.drift_percent:+.1f}{error} %"
 
 
-def _answer(rows: Sequence[TableRow]) -> str:
+def steady_force_answer(rows: Sequence[TableRow]) -> str:
     """Say how the steady force of the kind with the most speeds changes with speed; "" where no run slides.
 
     Specimens are pooled where there are several.
@@ -480,15 +485,22 @@ def _answer(rows: Sequence[TableRow]) -> str:
     subject = f"The steady {_KIND_NAMES.get(slow.kind, slow.kind)} force above that at rest"
     force_slow, force_fast = (value_with_error(end.steady_above_rest_mN, end.half_width_95_mN) for end in (slow, fast))
     at_slow, at_fast = (f"{shortest(3)(end.speed_mm_s)} mm/s" for end in (slow, fast))
+    counts = sorted({_size_of(end) for end in (slow, fast)})
+    n = f"n = {' and '.join(map(str, counts))} {'specimens' if isinstance(slow, SpecimensMean) else 'runs'}"
     if slow.half_width_95_mN is None or fast.half_width_95_mN is None:
         between = "" if slow is fast else f" and {force_fast} mN at {at_fast}"
-        return f"{subject} is {force_slow} mN at {at_slow}{between}; without repeats nothing tells how sure that is."
+        return f"{subject} is {force_slow} mN at {at_slow}{between} ({n}): too few to tell how sure that is."
     if slow is fast:
-        return f"{subject} is {force_slow} mN at {at_slow} (± 95 %)."
+        return f"{subject} is {force_slow} mN at {at_slow} (± 95 %, {n})."
     change = abs(fast.steady_above_rest_mN) - abs(slow.steady_above_rest_mN)
     clear = abs(change) > hypot(slow.half_width_95_mN, fast.half_width_95_mN)
     verb = ("rises" if change > 0 else "falls") if clear else "does not change clearly with speed,"
-    return f"{subject} {verb} from {force_slow} mN at {at_slow} to {force_fast} mN at {at_fast} (± 95 %)."
+    return f"{subject} {verb} from {force_slow} mN at {at_slow} to {force_fast} mN at {at_fast} (± 95 %, {n})."
+
+
+def _size_of(mean: SpeedMean | SpecimensMean) -> int:
+    """Return the number of values of a mean: runs on one specimen, or specimens."""
+    return mean.runs if isinstance(mean, SpeedMean) else mean.specimens
 
 
 _KIND_NAMES = {"coulomb": "Coulomb"}

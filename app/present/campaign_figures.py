@@ -21,9 +21,10 @@ from dragrig.analysis import (
     MeasureDifference,
     RunMeasures,
     RunPair,
+    mean_of_specimens,
+    means_of_repeats,
     measure,
     set_values,
-    student_mean,
     value_with_error,
 )
 from dragrig.present import (
@@ -197,7 +198,7 @@ def _draw_steady_forces(axes: Axes, digests: Sequence[RunSummary]) -> None:
             every = [(speed, force) for speed, of in forces.items() for values in of.values() for force in values]
             speed, force = (np.array(column) for column in zip(*every, strict=True))
             axes.plot(speed, force, marker, color=colour, markersize=4.5, alpha=0.45, markeredgecolor="none")
-            means = {speed: _mean_of_repeats(of) for speed, of in sorted(forces.items())}
+            means = _means_at_speeds(dict(sorted(forces.items())))
             levels, half = np.array([mean for mean, _ in means.values()]), np.array([h for _, h in means.values()])
             axes.errorbar(
                 list(means), levels, yerr=half, fmt=marker, color=colour, markersize=8,
@@ -222,11 +223,14 @@ def _forces_at_speeds(runs: Sequence[RunSummary]) -> dict[float, dict[str, list[
     return forces
 
 
-def _mean_of_repeats(by_specimen: Mapping[str, Sequence[float]]) -> tuple[float, float]:
-    """Return mean and half of its 95 % interval over specimens or, of one, over its repeats; NaN for a single value."""
-    means = [float(np.mean(values)) for values in by_specimen.values()]
-    mean, half = student_mean(means if len(means) > 1 else next(iter(by_specimen.values())))
-    return mean, np.nan if half is None else half
+def _means_at_speeds(forces: Mapping[float, Mapping[str, Sequence[float]]]) -> dict[float, tuple[float, float]]:
+    """Return mean and half of its 95 % interval over specimens or, of one, over its repeats; NaN for no interval."""
+    specimens = {specimen for of in forces.values() for specimen in of}
+    if len(specimens) > 1:
+        found = [mean_of_specimens([float(np.mean(values)) for values in of.values()]) for of in forces.values()]
+    else:
+        found = means_of_repeats([next(iter(of.values())) for of in forces.values()])
+    return {speed: (mean, np.nan if half is None else half) for speed, (mean, half) in zip(forces, found, strict=True)}
 
 
 def _draw_points(

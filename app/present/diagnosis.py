@@ -55,16 +55,18 @@ from dragrig.present.diagnosis_sentences import (
     domain_sentence,
     effect_description,
     is_stated_verdict,
-    shape_sentence,
+    open_text,
     shrink_sentences,
     sizes_differ_sentence,
     verdict_sentences,
 )
 from dragrig.present.gap_budget import (
+    ChannelBudget,
     budget_bars,
     budget_json,
     budget_sentences,
     budget_table,
+    budgets_by_channel,
     owner_of_gap,
     presence_json,
 )
@@ -77,14 +79,16 @@ PROBABILITY_STEPS = 1_000_000
 MAX_RANKED = 8
 """Hypotheses that a terminal and a window list; those beyond are next to impossible in any campaign seen so far."""
 MAX_LEFT_OUT = 12
+SCORED = ("verdict", "effects", "ranking", "confusable_with", "presence", "budget")
+"""What an exam scores of a diagnosis that a single condition leaves open, as if its runs could tell."""
 CAMPAIGN_COLUMNS = (
     Column("campaign", "campaign"),
     Column("verdict", "verdict"),
     Column("probability", "probability"),
     Column("confusable_with", "indistinguishable"),
     Column("gap_mN", "gap, mN", shortest(3)),
-    Column("closed", "gap closed"),
-    Column("closed_95", "95 % interval"),
+    Column("explained", "explained"),
+    Column("explained_95", "95 % interval"),
 )
 
 
@@ -133,11 +137,20 @@ BITS_EXPLAINED = (
 )
 
 
+NOTHING_NEXT = "Nothing: no run would change the answer."
+
+
+def next_text(diagnosis: Diagnosis) -> str:
+    """Say which run to make next, or that none is worth making; nothing where none was looked for."""
+    if diagnosis.next_experiment is not None:
+        return diagnosis.next_experiment.reason
+    return "" if diagnosis.open_causes is None else NOTHING_NEXT
+
+
 def next_experiment_document(recommendation: NextExperiment | None) -> Document:
     """Lay out which runs to make next."""
     if recommendation is None:
-        answer = "No run of the grid is expected to tell anything more that would be worth its time."
-        return Document(title="Next runs", answer=answer, data=next_experiment_json(None))
+        return Document(title="Next runs", answer=NOTHING_NEXT, data=next_experiment_json(None))
 
     caption = f"{recommendation.minutes:.1f} min of rig time in all"
     return Document(
@@ -193,7 +206,7 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
                 "A bar of the gap, cut into its named parts and the rest; below it, gap and parts in some runs.",
                 "The gap by its parts; hatched, what has no name. Below, in grey, what the model leaves of a run when "
                 "it is fitted to the others, and in the bar's colours what each part adds to it, with the root "
-                "mean square of one. A part that misleads this fit shows in runs where it does not act itself.",
+                "mean square of one, first where it acts most.",
                 lambda: present.budget_figure(budget),
                 bars=budget_bars(budget),
             ),
@@ -226,9 +239,9 @@ def _before_after_figure(diagnosis: Diagnosis) -> Figure:
 
 def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
     nine_of_ten = "A probability of 0.9 means that nine of ten such verdicts were right on those campaigns."
-    limit = "" if diagnosis.verdict is Verdict.NO_GAP else detection_limit_sentence(diagnosis)
-    calibration = (calibration_sentence(diagnosis), nine_of_ten if diagnosis.calibration else "", limit)
-    next_runs = diagnosis.next_experiment
+    limit = "" if diagnosis.verdict in {Verdict.NO_GAP, Verdict.OPEN} else detection_limit_sentence(diagnosis)
+    learnt = (calibration_sentence(diagnosis), nine_of_ten if diagnosis.calibration else "")
+    calibration = (*(learnt if diagnosis.ranking else ()), limit)
     used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
     return Section(
         "confidence",
@@ -237,7 +250,7 @@ def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
             *(Text(effect_description(effect)) for effect in diagnosis.effects),
             Text(" ".join(filter(None, calibration)), TextKind.CAUTION),
             Section("open", "Open questions", (Items(tuple(map(as_sentence, diagnosis.limitations))),)),
-            Section("next", "What to run next", (Text("" if next_runs is None else next_runs.reason),)),
+            Section("next", "What to run next", (Text(next_text(diagnosis)),)),
             Facts(
                 {
                     "Campaign": source,
@@ -288,17 +301,17 @@ def _location_section(diagnosis: Diagnosis) -> Section:
 
 
 def _ranking_section(diagnosis: Diagnosis) -> Section:
+    figure = Figure(
+        "ranking",
+        "Horizontal bars: the probability of each hypothesis, the most probable first.",
+        "Probability of each hypothesis; those near zero are left out.",
+        lambda: present.ranking_figure(diagnosis),
+    )
     return Section(
         "which",
         "2. Which",
         (
-            Figure(
-                "ranking",
-                "Horizontal bars: the probability of each hypothesis, the most probable first.",
-                "Probability of each hypothesis; those near zero are left out.",
-                lambda: present.ranking_figure(diagnosis),
-            ),
-            ranking_table(diagnosis),
+            *((figure, ranking_table(diagnosis)) if diagnosis.ranking else ()),
             Section("unknown", "What no effect of the catalogue explains", _unknown_blocks(diagnosis.unknown)),
         ),
     )
@@ -355,9 +368,10 @@ def _unknown_blocks(unknown: UnexplainedGap | None) -> tuple[Text | Code, ...]:
 
 def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
     shrink, named = diagnosis.shrink, bool(diagnosis.effects)
-    reduction = "" if shrink is None else " ".join(shrink_sentences(shrink, named=named))
-    verdict = _stated_hypothesis(diagnosis)
-    shape = "" if shrink is None or verdict is None else shape_sentence(shrink, verdict.held_out_improvement)
+    sizes = () if shrink is None else shrink_sentences(shrink, named=named)
+    # The budget says what share of the force's gap each part has.
+    told = bool(_budgets_of_force(diagnosis)) and shrink is not None and shrink.position_um is None
+    reduction = " ".join(sizes[:1] if told else sizes)
     drawn_here = diagnosis.traces and diagnosis.verdict is not Verdict.NO_GAP
     simulated = isinstance(diagnosis.model, FrictionModelSettings)
     dry_run = "A dry run with it contains the effect, and fresh" if simulated else "Fresh"
@@ -375,8 +389,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         (
             _parameter_table(diagnosis),
             Text(sizes_differ_sentence(diagnosis), TextKind.EXPLANATION),
-            Text(reduction or "No run was held out, or no effect is named, so that the gap reduction is not known."),
-            Text(shape),
+            Text(reduction or "Too few runs or conditions to hold any out: how much of a gap closes is not known."),
             Section("model", "The model with the effect", amended if model else ()),
             *((_before_after_figure(diagnosis),) if drawn_here else ()),
             *(() if shrink is None else (r2_table(shrink, named=named),)),
@@ -469,21 +482,26 @@ def _campaign_row(source: str, diagnosis: Diagnosis | None, why_not: str) -> tup
     if diagnosis is None:
         return source, f"not diagnosed: {why_not}", "", "", "", "", ""
     verdict = _stated_hypothesis(diagnosis)
-    shrink = diagnosis.shrink
-    closed = None if shrink is None or not diagnosis.effects else shrink.closed
-    interval = None if shrink is None or not diagnosis.effects else shrink.closed_95ci
+    rest = next((here.rest for here in _budgets_of_force(diagnosis) if here.named), None)
+    interval = None if rest is None else rest.share_95ci
     return (
         source,
         " + ".join(diagnosis.effects) or _verdict_without_effect(diagnosis),
         "" if verdict is None else FormattedNumber(verdict.probability, probability_text(verdict.probability)),
         ", ".join(diagnosis.confusable_with),
-        "" if shrink is None else shrink.gap_before_mN,
-        "" if closed is None else FormattedNumber(closed, percent_text(closed)),
-        "" if interval is None else f"{percent_text(interval[0])} to {percent_text(interval[1])}",
+        diagnosis.budget.gap_mN if diagnosis.budget is not None and diagnosis.budget.entries else "",
+        "" if rest is None else FormattedNumber(1.0 - rest.share, percent_text(1.0 - rest.share)),
+        "" if interval is None else f"{percent_text(1.0 - interval[1])} to {percent_text(1.0 - interval[0])}",
     )
 
 
+def _budgets_of_force(diagnosis: Diagnosis) -> tuple[ChannelBudget, ...]:
+    return tuple(here for here in budgets_by_channel(diagnosis.budget) if here.channel == "force")
+
+
 def _verdict_without_effect(diagnosis: Diagnosis) -> str:
+    if diagnosis.verdict is Verdict.OPEN:
+        return f"open: the runs {open_text(diagnosis)}"
     owner = owner_of_gap(diagnosis.budget) if diagnosis.verdict is Verdict.UNKNOWN else ""
     return owner or diagnosis.verdict.value.replace("_", " ")
 
@@ -493,6 +511,7 @@ def diagnosis_json(
 ) -> Mapping[str, object]:
     """Return a diagnosis as the JSON of a gap report, without any NaN or infinity; as `diagnosis_document`."""
     ids = run_ids or {}
+    likeliest = None if diagnosis.likeliest is None else diagnosis_json(diagnosis.likeliest, run_ids=ids)
     return to_json_object(
         {
             "format": FORMAT,
@@ -507,6 +526,8 @@ def diagnosis_json(
             },
             "verdict": diagnosis.verdict.value,
             "in_words": (*budget_sentences(diagnosis.budget), *verdict_sentences(diagnosis)),
+            "only_condition": diagnosis.only_condition or None,
+            "likeliest": None if likeliest is None else {name: likeliest[name] for name in SCORED},
             "effects": diagnosis.effects,
             "ranking": _ranking_json(diagnosis.ranking),
             "confusable_with": diagnosis.confusable_with,
@@ -543,7 +564,7 @@ def next_experiment_json(recommendation: NextExperiment | None) -> Mapping[str, 
         {
             "format": NEXT_FORMAT,
             "version": NEXT_VERSION,
-            "why": None if recommendation is None else recommendation.reason,
+            "why": NOTHING_NEXT if recommendation is None else recommendation.reason,
             "minutes": None if recommendation is None else recommendation.minutes,
             "open_bits": None if recommendation is None else recommendation.open_bits,
             "tried": 0 if recommendation is None else recommendation.compared,

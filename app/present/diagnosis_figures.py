@@ -186,15 +186,15 @@ def _write_name_inside(axes: Axes, part: BarPart, middle: float, room_in: float)
 
 
 def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) -> tuple[PlottedRun, ...]:
-    """Choose for each large part of a channel's gap the run where it adds most, of a kind that is not shown yet.
+    """Choose for each large part of a channel's gap the run where it acts most, of a kind that is not shown yet.
 
     A part misleads the fit of the nominal parameters, so that it shows in runs where it does not act itself, often
-    most of all in relaxations, whose forces are the largest; one kind alone would hide what the parts look like.
+    most of all in relaxations, whose forces are the largest. These are left out.
 
     Returns
     -------
-    Three or four runs, none of them twice, and repeats only where there is no other condition; fewer where there are
-    not so many. Of a gap without a name, the runs where it is largest.
+    At most four runs, none of them twice, and repeats only where there is no other condition; fewer where a part acts
+    in no further ones. Of a gap without a name, the runs where it is largest.
     """
     left = [run for run in runs if run.channel == here.channel]
     parts = [entry for entry in here.large if any(run.rms(entry.cause) > 0 for run in left)]
@@ -209,13 +209,15 @@ def runs_showing_parts(runs: Sequence[RunContributions], here: ChannelBudget) ->
         others = [run for run in left if run.kind not in kinds and size(run) >= ELSEWHERE * most]
         new = [run for run in left if (run.kind, run.label) not in conditions]
         best = max(others or new or left, key=size)
+        if best.acting_mN and size(best) <= 0:
+            break
         chosen.append(PlottedRun(best, rounds[len(chosen) % len(rounds)]))
         left.remove(best)
     return tuple(chosen)
 
 
 def _size_of(run: RunContributions, part: BudgetEntry | None) -> float:
-    return run.rms() if part is None else run.rms(part.cause)
+    return run.rms() if part is None else run.acting_mN.get(part.cause, run.rms(part.cause))
 
 
 def _draw_runs(
@@ -318,18 +320,16 @@ def _location_title(where: GapLocation) -> str:
     channel, protocol = (where.location(axis).shares for axis in ("channel", "protocol"))
     in_channel, in_runs = (max(shares, key=lambda name: shares[name]) for shares in (channel, protocol))
     if not any(location.significant for location in where.locations):
-        return f"A gap, at no place beyond chance; most of the excess is in {in_runs} runs"
-    share = f"{100 * protocol[in_runs]:.0f} %"
+        return f"A gap in the {in_channel.replace('_', ' ')}, at no place beyond chance"
+    in_one = where.location("protocol").significant
+    share = f", {100 * protocol[in_runs]:.0f} % of it in {in_runs} runs" if in_one else ""
     main = where.domain_scores.get(where.domain, 0.0) >= MAIN_SCORE
     matter = f", above all a matter of {DOMAIN_NAMES.get(where.domain, where.domain)}" if main else ""
-    return f"Gap in {in_channel}, {share} of it in {in_runs} runs{matter}"
+    return f"Gap in the {in_channel.replace('_', ' ')}{share}{matter}"
 
 
 def _location_subtitle(where: GapLocation, name: str) -> str:
-    excess = (
-        f"excess over noise, repeatability and tolerance: {excess_text(where)}, {p_value_text(where.p)} for the whole "
-        "(Bonferroni); p of places by max-T"
-    )
+    excess = f"{excess_text(where, p_value_text(where.p))}, Bonferroni; p of places by max-T" if where.present else ""
     return "  ·  ".join(part for part in (shortened_to_width(name, SMALL_PT, 4.5), excess) if part)
 
 

@@ -6,6 +6,7 @@ from math import isfinite, log, nan
 
 from dragrig.analysis import as_sentence, capitalise, count_text, join_names, percent_text
 from dragrig.analysis.gap import (
+    ALPHA,
     AxisLocation,
     Diagnosis,
     GapLocation,
@@ -18,8 +19,6 @@ from dragrig.present import force_text, probability_text, significant
 from dragrig.present.gap_budget import owner_of_gap
 from dragrig.sim_backend.effects import catalogue
 
-MAX_CLOSED_WIDTH = 1.0
-"""A share that closes is not stated where its 95 % interval is wider."""
 ABOVE_ALL = 0.9995
 """Shares from here to the whole are written as "above 99.9 %"."""
 MAIN_SCORE, MIN_SCORE = 0.5, 0.1
@@ -33,6 +32,8 @@ def verdict_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return the verdict with its probability; the first sentence is the answer."""
     probability = f"({_verdict_probability_text(diagnosis)})"
     match diagnosis.verdict:
+        case Verdict.OPEN:
+            return tuple(_open_sentences(diagnosis))
         case Verdict.NO_GAP:
             return (f"No gap {probability}: {_detection_limit_clause(diagnosis)}.",)
         case Verdict.UNKNOWN:
@@ -49,6 +50,27 @@ def verdict_sentences(diagnosis: Diagnosis) -> tuple[str, ...]:
         case Verdict.EFFECT:
             first = f"Most likely: {join_names([display_name(name) for name in diagnosis.effects])} {probability}."
     return first, *_confusable_sentences(diagnosis), *_residual_sentences(diagnosis)
+
+
+def _open_sentences(diagnosis: Diagnosis) -> Iterator[str]:
+    """Say what runs of a single condition exclude there, or that the model misses them, without a cause."""
+    if not diagnosis.residual_unknown:
+        yield f"One condition cannot show whether there is a gap: these runs {open_text(diagnosis)}."
+        return
+    yield f"These runs {open_text(diagnosis)}; one condition does not show the cause."
+    if diagnosis.unknown is not None and diagnosis.unknown.location:
+        yield as_sentence(diagnosis.unknown.location)
+
+
+def open_text(diagnosis: Diagnosis) -> str:
+    """Say what runs of a single condition show: `exclude an effect above 5.2 mN in a drag at 20 mm/s, and …`."""
+    budget, limit_mN = diagnosis.budget, diagnosis.detection_limit_mN
+    if diagnosis.residual_unknown:
+        in_force = budget is not None and budget.gap_mN > diagnosis.tolerance_mN
+        size = f" by {force_text(budget.gap_mN)} (rms)" if budget is not None and in_force else ""
+        return f"differ from the model in {diagnosis.only_condition}{size}"
+    effect = f"an effect above {force_text(limit_mN)}" if isfinite(limit_mN) else "no effect of a known size"
+    return f"exclude {effect} in {diagnosis.only_condition}, and nothing elsewhere"
 
 
 def _verdict_probability_text(diagnosis: Diagnosis) -> str:
@@ -75,7 +97,7 @@ def calibration_sentence(diagnosis: Diagnosis) -> str:
 
 
 def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, ...]:
-    """Say what share of the gap closes on held-out runs, or only its size where no effect is named."""
+    """Say how large the residual of held-out runs is, and what share of the gap closes where an effect is named."""
     runs = f" on {count_text(len(shrink.runs), 'run')} held out of fit and model choice" if shrink.runs else ""
     floor = f"noise and repeatability alone: {force_text(shrink.noise_floor_mN)}"
     before, after = force_text(shrink.gap_before_mN), force_text(shrink.gap_after_mN)
@@ -89,28 +111,11 @@ def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, 
         sizes = f"Residual (rms){runs}: {before}; {floor}."
         return sizes, "This is too close to noise and repeatability to say what share of a gap closes."
     share, interval = percent_text(shrink.closed), _closed_interval_text(shrink)
-    if _closed_is_vague(shrink):
-        return sizes, f"What share of the gap closes these runs do not say: {share} here ({interval})."
     if shrink.closed > 1:
         details = "; ".join(detail for detail in (share, interval) if detail)
         return sizes, f"The whole gap closes ({details}): the residual is below noise and repeatability."
     closed = f"{capitalise(share)} of the gap closes" + (f" ({interval})" if interval else "")
     return sizes, f"{closed}{': it grows' if shrink.closed < 0 else ''}."
-
-
-def _closed_is_vague(shrink: GapReduction) -> bool:
-    interval = shrink.closed_95ci
-    return interval is not None and interval[1] - interval[0] > MAX_CLOSED_WIDTH
-
-
-def shape_sentence(shrink: GapReduction, held_out_improvement: float | None) -> str:
-    """Say that the shape of held-out runs is explained where their level, and so the closed share, is not known."""
-    if not _closed_is_vague(shrink) or held_out_improvement is None or held_out_improvement < MAIN_SCORE:
-        return ""
-    return (
-        f"The level of a held-out run is not known from the other runs: too few measure its condition. Of its course, "
-        f"with the level left free, {percent_text(held_out_improvement)} of the excess is explained."
-    )
 
 
 def _closed_interval_text(shrink: GapReduction) -> str:
@@ -201,6 +206,8 @@ def _law_sentences(diagnosis: Diagnosis) -> Iterator[str]:
 MIN_SHOWN_SHARE = 0.01
 """Smaller shares are omitted."""
 NOT_SIGNIFICANT = " (not significant)"
+SMALL_RMS = 0.05
+"""Root mean excess, in standard deviations, up to which a gap is called small."""
 ANYWHERE = "anywhere"
 PLACE_CORRECTION = "corrected for all places of its axis by max-T permutation of whole runs (Westfall and Young)"
 OVERALL_CORRECTION = "corrected for all axes by Bonferroni's method"
@@ -248,10 +255,12 @@ def axis_texts(where: GapLocation) -> tuple[AxisText, ...]:
     )
 
 
-def excess_text(where: GapLocation) -> str:
-    """Return the size of the excess of all runs."""
-    size = "below 0.05" if where.rms < 0.05 else significant(2)(where.rms)
-    return f"{size} standard deviations of what is expected"
+def excess_text(where: GapLocation, p_text: str = "") -> str:
+    """Say how large the excess of all runs is over noise, repeatability and tolerance, and how sure it is."""
+    if where.rms < SMALL_RMS:
+        sure = f"real{f' ({p_text})' if p_text else ''}" if where.p < ALPHA else "not sure"
+        return f"the gap is {sure}, but small: below {SMALL_RMS:g} standard deviations"
+    return f"{significant(2)(where.rms)} standard deviations of what is expected{f', {p_text}' if p_text else ''}"
 
 
 def domain_sentence(where: GapLocation) -> str:
@@ -268,7 +277,7 @@ def domain_sentence(where: GapLocation) -> str:
         return f"The residual is mainly a function of {name}."
     share = f"which accounts for {100 * score:.0f} % of its squares{basis}"
     if score < MIN_SCORE:
-        return f"No coordinate accounts for more than {100 * MIN_SCORE:.0f} % of the squares of the residual{basis}."
+        return "The gap does not follow speed, position, strain or time alone."
     return f"The residual {'is mainly a function of' if score >= MAIN_SCORE else 'depends most on'} {name}, {share}."
 
 

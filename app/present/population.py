@@ -1,6 +1,7 @@
 """Specimens of one rig together, laid out for a reader: means, spreads between specimens, and a forest plot."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from math import isfinite
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -57,20 +58,20 @@ def population_document(population: Population) -> Document:
     specimens, campaigns = len(population.specimens), len(population.campaigns)
     return Document(
         title=f"{count_text(specimens, 'specimen')} together",
+        badges=population.backends,
         answer=_answer(population, of_specimens),
         lead=(
             f"{count_text(campaigns, 'campaign')} of {count_text(specimens, 'specimen')}, {population.nominal} model; "
-            "intervals hold 95 %, ± is a standard error. The mean of a positive parameter is the median of its "
-            "lognormal distribution.",
+            f"± is a standard error{'; means are geometric' if population.has_means else ''}; intervals hold 95 %.",
         ),
         sections=(
             Section("population-figure", "", (_figure(population),)),
-            Section("population", "Specimens", (_population_table(of_specimens),)),
+            Section("population", "Specimens", (_specimens_table(population, of_specimens),)),
             Section("rig", "Rig", (_rig_table(rig),) if rig else ()),
             Section(
                 "each",
                 "Each specimen",
-                tuple(_specimen_table(parameter) for parameter in of_specimens if parameter.determined),
+                tuple(_specimen_table(entry) for entry in of_specimens if entry.determined and population.has_means),
                 collapsed=True,
             ),
             left_out_section(population.left_out),
@@ -84,8 +85,8 @@ def _answer(population: Population, parameters: Sequence[PopulationParameter]) -
     known = [parameter for parameter in parameters if parameter.determined]
     if not known:
         return f"The campaigns determine none of the {population.nominal} model's parameters of specimens."
-    if all(parameter.spread is None for parameter in known):
-        return f"{count_text(len(population.specimens), 'specimen')} have means, but are too few to show a spread."
+    if not population.has_means:
+        return _difference_sentence(known)
     differing = sorted((entry for entry in known if entry.spreads), key=_relative_spread, reverse=True)
     if not differing:
         return (
@@ -103,6 +104,24 @@ def _answer(population: Population, parameters: Sequence[PopulationParameter]) -
     )
 
 
+def _difference_sentence(known: Sequence[PopulationParameter]) -> str:
+    """Say in which parameters two specimens differ."""
+    differing = [entry for entry in known if entry.spreads]
+    if not differing:
+        return f"The 2 specimens agree within their errors in all of {count_text(len(known), 'parameter')} (n = 2)."
+    pairs = "; ".join(_pair_text(entry) for entry in sorted(differing, key=lambda entry: entry.spread_p or 0.0))
+    alike = len(known) - len(differing)
+    rest = f" In {count_text(alike, 'other')} they agree within their errors." if alike else ""
+    return f"The 2 specimens differ, and have no mean (n = 2): {pairs}.{rest}"
+
+
+def _pair_text(parameter: PopulationParameter) -> str:
+    own = [value.own for value in parameter.specimens if value.own is not None]
+    values = " and ".join(value_with_error(quantity.value, quantity.standard_error) for quantity in own)
+    unit = f" {unit_text(parameter.unit)}".rstrip()
+    return f"{parameter.name} {values}{unit} ({p_value_text(parameter.spread_p or 0.0)})"
+
+
 def _relative_spread(parameter: PopulationParameter) -> float:
     """Return the spread relative to the mean; 0 for a parameter around 0, such as an angle's offset."""
     spread = 0.0 if parameter.spread is None else parameter.spread.value
@@ -113,6 +132,26 @@ def _range(parameter: PopulationParameter) -> str:
     """Write where the next specimen will be."""
     following = parameter.next_specimen
     return range_text(following, None if following is None else (following[1] - following[0]) / 4)
+
+
+def _specimens_table(population: Population, parameters: Sequence[PopulationParameter]) -> Table:
+    if population.has_means:
+        return _population_table(parameters)
+
+    def own(entry: PopulationParameter, specimen: str) -> FormattedNumber:
+        return _value_cell(next((value.own for value in entry.specimens if value.specimen == specimen), None))
+
+    return Table.of(
+        "population",
+        "Of two specimens there is no interval of the mean; p is the probability of any such difference by chance",
+        parameters,
+        Field("parameter", "parameter", lambda entry: entry.name),
+        Field("first", population.specimens[0], lambda entry: own(entry, population.specimens[0])),
+        Field("second", population.specimens[1], lambda entry: own(entry, population.specimens[1])),
+        Field("p", "difference", lambda entry: "" if entry.spread_p is None else p_value_text(entry.spread_p)),
+        Field("unit", "unit", lambda entry: unit_text(entry.unit)),
+        Field("meaning", "meaning", lambda entry: entry.meaning),
+    )
 
 
 def _population_table(parameters: Sequence[PopulationParameter]) -> Table:
@@ -203,10 +242,10 @@ def _value_cell(quantity: EstimatedQuantity | None) -> FormattedNumber:
 
 
 def _figure(population: Population) -> Figure:
+    pooled = ", blue with what the others add; below, the mean and, pale, where the next specimen will be"
     return Figure(
         "population",
-        "Each specimen's parameters: grey by its own runs, blue with what the others add; below, the mean and, pale, "
-        "where the next specimen will be.",
+        f"Each specimen's parameters: grey by its own runs{pooled if population.has_means else ''}.",
         "Bars are 95 % intervals.",
         lambda: present.population_figure(population),
     )
@@ -240,6 +279,7 @@ def population_figure(population: Population) -> Picture:
 
 def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Sequence[str], *, names: bool) -> None:
     values = {value.specimen: value for value in parameter.specimens}
+    pooled = isfinite(parameter.mean.standard_error)
     mean_row = len(specimens) + 0.5
     if parameter.next_specimen is not None:
         low, high = parameter.next_specimen
@@ -256,19 +296,19 @@ def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Seque
     )
     for label, colour, offset, points in drawn:
         known = [(row, quantity) for row, quantity in points if quantity is not None]
-        if known:
+        if known and (pooled or label == "own runs"):
             centre = np.array([quantity.value for _, quantity in known])
             ends = np.abs(np.array([quantity.interval for _, quantity in known]).T - centre)
             at = [row + offset for row, _ in known]
             marker = "D" if label == "mean" else "o"
             axes.errorbar(centre, at, xerr=ends, fmt=marker, color=colour, markersize=5, capsize=2, label=label)
-    axes.set_yticks(
-        [*range(len(specimens)), mean_row], [*map(_short, specimens), "mean"] if names else [], size=SMALL_PT
-    )
-    axes.set_ylim(mean_row + 0.7, -0.7)
+    rows, words = [*range(len(specimens)), mean_row], [*map(_short, specimens), "mean"]
+    shown = len(rows) if pooled else len(specimens)
+    axes.set_yticks(rows[:shown], words[:shown] if names else [], size=SMALL_PT)
+    axes.set_ylim(rows[shown - 1] + 0.7, -0.7)
     axes.grid(visible=False, axis="y")
     axes.set_title(parameter.name)
-    none = NO_SPREAD if parameter.spread is not None and not parameter.spreads else ""
+    none = NO_SPREAD if parameter.spread_p is not None and not parameter.spreads else ""
     axes.set_xlabel(" · ".join(filter(None, (unit_text(parameter.unit), none))))
 
 

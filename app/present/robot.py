@@ -60,6 +60,7 @@ def robot_document(study: RobotStudy) -> Document:
     """Lay out what a robot reaches."""
     return Document(
         title=f"Robot {study.robot.name}",
+        badges=("simulated",),
         answer=" ".join(robot_sentences(study)),
         sections=(
             Section("speeds", "Speed and work", (*_drive_tables(study), *_settling(study.drives))),

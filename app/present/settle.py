@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 MIN_DRAWN_PRESENCE = 0.1
 """Effects that were less likely throughout are not drawn."""
-VERDICTS = {"no_gap": "no gap", "unknown": "a gap without a name"}
+VERDICTS = {"no_gap": "no gap", "unknown": "a gap without a name", "open": "open, from one condition"}
 
 
 def settlement_document(record: SettleRecord, diagnosis: Diagnosis, *, source: str = "") -> Document:
@@ -77,7 +77,7 @@ def ending_sentence(record: SettleRecord) -> str:
         case Ending.SETTLED:
             return f"Settled {spent}: {sure}."
         case Ending.NO_RUN:
-            return f"Ended {spent}, for no further run would tell more that is worth its time: {sure}."
+            return f"Ended {spent}, for no further run would change the answer: {sure}."
         case Ending.TIME:
             return f"Ended {spent}, for the time is spent: {sure}, where {record.until:g} was asked for."
     return f"Not ended yet, {spent}: {sure}."
@@ -97,7 +97,7 @@ def step_sentence(record: SettleRecord) -> str:
 def verdict_text(step: SettleStep) -> str:
     """Return the verdict of a step with its probability."""
     name = display_name("+".join(step.effects)) if step.effects else VERDICTS.get(step.verdict, step.verdict)
-    return f"{name} {probability_text(step.probability)}"
+    return f"{name} {probability_text(step.probability)}" if step.probability > 0 else name
 
 
 def _way_section(record: SettleRecord) -> Section:

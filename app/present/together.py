@@ -100,7 +100,7 @@ def _size_sentence(effect: PooledEffect) -> str:
         return ""
     unit = unit_text(size.unit)
     mean = f"{value_with_error(size.mean, size.standard_error)} {unit}".rstrip()
-    text = f"Size of {display_name(effect.effect)} (`{size.parameter}`): {mean}"
+    text = f"Size of {display_name(effect.effect)} in the population (`{size.parameter}`): {mean}"
     if len(effect.members) < 2:
         return f"{text}."
     spread = (
@@ -114,6 +114,8 @@ def _nothing_sentences(pooled: PooledDiagnosis) -> tuple[str, ...]:
         return ()
     best = pooled.effects[0] if pooled.effects else None
     text = f"No effect of the catalogue is established in these {len(pooled.campaigns)} campaigns together"
+    if pooled.only_condition:
+        return (f"{text}: all are of one condition, {pooled.only_condition}, which does not show a cause.",)
     if best is None or best.probability < MIN_LIKELY:
         return (f"{text}.",)
     return (f"{text}; most probable is {display_name(best.effect)} ({probability_text(best.probability)}).",)
@@ -130,22 +132,24 @@ def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
     basis = (
         "Rig: it has one set of parameters for all campaigns. Gut: a population of specimens with a spread. The "
         "probability together weighs all campaigns at once, beside every other cause that they may share; the best one "
-        "alone is the highest that any single campaign gives."
+        "alone is the highest that any single campaign gives. A size is the mean of the population that these "
+        "specimens are from, not what one campaign has: that is known better, and stands in its own diagnosis."
     )
+    named = pooled.established
     table = Table.of(
         "effects",
         "",
         pooled.effects,
         Field("name", "effect", lambda effect: capitalise(display_name(effect.effect))),
         Field("belongs_to", "belongs to", lambda effect: "rig" if effect.of_rig else "gut"),
-        Field("where", "where", lambda effect: where_text(effect, pooled) if effect.established else ""),
+        Field("where", "where", lambda effect: where_text(effect, pooled) if effect in named else ""),
         Field("probability", "together", lambda effect: _probability(effect.probability)),
         Field("alone", "best one alone", lambda effect: _probability(max(effect.alone, default=0.0))),
-        Field("size", "size ± standard error", lambda effect: _size_cell(effect.size if effect.established else None)),
-        Field("size_95ci", "95 % interval", lambda effect: _interval(effect.size if effect.established else None)),
-        Field("spread", "spread between", _spread_cell),
+        Field("size", "size ± standard error", lambda effect: _size_cell(effect.size if effect in named else None)),
+        Field("size_95ci", "95 % interval", lambda effect: _interval(effect.size if effect in named else None)),
+        Field("spread", "spread between", lambda effect: _spread_cell(effect) if effect in named else ""),
         Field("confusable", "not told from", lambda effect: ", ".join(map(display_name, effect.confusable_with))),
-        brief_rows=max(MAX_LISTED, len(pooled.established)),
+        brief_rows=max(MAX_LISTED, len(named)),
     )
     return Text(basis, TextKind.EXPLANATION), table
 
@@ -166,7 +170,7 @@ def _interval(size: PopulationSize | None) -> str:
 
 
 def _spread_cell(effect: PooledEffect) -> FormattedNumber | str:
-    if effect.size is None or not effect.established or len(effect.members) < 2:
+    if effect.size is None or len(effect.members) < 2:
         return ""
     return FormattedNumber(effect.size.spread, _ROUGH(effect.size.spread))
 
@@ -246,11 +250,11 @@ def _effect_json(effect: PooledEffect, pooled: PooledDiagnosis) -> Mapping[str, 
     return {
         "effect": effect.effect,
         "belongs_to": "rig" if effect.of_rig else "gut",
-        "established": effect.established,
+        "established": effect in pooled.established,
         "probability": effect.probability,
         "where": effect.where.value,
         "where_probabilities": {where.value: value for where, value in effect.where_probabilities.items()},
-        "campaigns": [pooled.campaigns[at].source for at in effect.members] if effect.established else [],
+        "campaigns": [pooled.campaigns[at].source for at in effect.members] if effect in pooled.established else [],
         "presence": effect.presence,
         "presence_alone": effect.alone,
         "confusable_with": effect.confusable_with,

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QSizePolicy, Q
 
 from dragrig.analysis.gap import Diagnosis, RunTraces, plan_of_next_runs
 from dragrig.config import DragrigError, NumberRange
-from dragrig.present import BLUE, PALE, VERMILLION
+from dragrig.present import BLUE, PALE, VERMILLION, next_text
 from dragrig.views import (
     CampaignWork,
     CompletedDiagnosis,
@@ -69,9 +69,8 @@ class DiagnosisResults(QWidget):
         """Show a diagnosis."""
         diagnosis = self.diagnosis = completed.diagnosis
         self.view.show_document(completed.document, {"Before and a&fter": self.before_after})
-        experiment = diagnosis.next_experiment
-        self.next_words.setText("No further experiment is recommended." if experiment is None else experiment.reason)
-        self.next.setEnabled(experiment is not None)
+        self.next_words.setText(next_text(diagnosis) or "No run was looked for.")
+        self.next.setVisible(diagnosis.next_experiment is not None)
         self.runs.clear()
         for traces in diagnosis.traces:
             self.runs.addItem(f"{traces.label}, {traces.file} ({traces.channel.replace('_', ' ')})")

@@ -11,13 +11,17 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import dragrig
 from diagnoses import STRIBECK
 from dragrig.analysis.gap import Batch, Ending, OpenCauses, SettleRecord, plan_of_next_runs
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget, greedy_search, short_grid
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
+from dragrig.analysis.gap.information import bits_to_change
 from dragrig.analysis.gap.settling import SETTLE_FILE, batch_budget, ending_of
 from dragrig.api import (
     SettleHands,
@@ -339,6 +343,7 @@ class Told:
 
     open_bits: float = 10.0
     bits: float = 0.0
+    bits_to_change: float = 0.0
 
     def with_run(self, observation: float) -> "Told":
         return replace(self, bits=self.bits + observation)
@@ -354,6 +359,21 @@ def test_the_more_a_change_costs_the_more_a_run_must_tell_that_needs_one(hands_m
     candidates = [(drag, 0.1 * drag.minutes), (blank, 0.1 * (blank.minutes + 3.0))]
     budget = ExperimentBudget(runs=1, mounted="drag", hands_min=hands_min)
     assert [run.step.kind for run in greedy_search(Told(), candidates, budget)] == [first]
+
+
+@pytest.mark.parametrize(("sure", "worth"), [(0.5, True), (0.9, True), (0.97, False), (1.0, False)])
+def test_no_run_is_worth_its_time_where_a_dozen_would_hardly_change_the_answer(sure: float, worth: bool) -> None:
+    """Each run tells 0.006 bit: enough together to doubt what is 90 % sure, and not what is 97 % sure."""
+    question = Told(bits_to_change=bits_to_change([1.0 - sure, sure]))
+    candidates = [(run, 0.006) for run in short_grid(SPECIMEN)]
+    assert bool(greedy_search(question, candidates, ExperimentBudget(runs=1))) is worth
+
+
+@given(st.lists(st.floats(1e-3, 1.0), min_size=2, max_size=5), st.lists(st.floats(1e-3, 1.0), min_size=5, max_size=5))
+def test_no_outcome_changes_an_answer_with_less_information_than_that(weights: list[float], after: list[float]) -> None:
+    before, now = (np.array(values) / sum(values) for values in (weights, after[: len(weights)]))
+    if np.argmax(now) != np.argmax(before):
+        assert now @ np.log2(now / before) >= bits_to_change(before.tolist()) - 1e-9
 
 
 @pytest.mark.thorough

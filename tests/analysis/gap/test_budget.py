@@ -13,6 +13,7 @@ from dragrig.analysis.gap import budget
 from dragrig.analysis.gap.budget import CausesOfGap, ForceBudget, force_budget, gap_budget, presence_of_effects
 from dragrig.analysis.gap.design import ColumnKind
 from dragrig.analysis.gap.diagnosis import MODEL, SPECIMEN, UNEXPLAINED, BudgetEntry, Classification, Verdict
+from dragrig.analysis.gap.gap_reduction import gap_of_run
 from dragrig.analysis.gap.presence import Cause, CauseKind, CauseSet, Presence
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import catalogue
@@ -403,3 +404,32 @@ def test_what_an_explanation_keeps_of_each_run_is_its_moments_with_the_gap() -> 
     sampled = explanation.sampled_shares(1000, tuple(PARTS), np.random.default_rng(0))
     with_rest = np.column_stack((sampled, 1.0 - sampled.sum(axis=1)))
     np.testing.assert_allclose(whole, np.quantile(with_rest, (0.025, 0.975), axis=0).T)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "left_before", "left_after"),
+    [(2.6, 3.1, 0.0, 0.0), (2.6, 0.4, 0.6, 0.0), (-2.6, 3.1, 0.6, 1.1), (5.0, 5.5, 1.0, 1.5)],
+)
+def test_a_run_that_is_off_with_and_without_the_effect_is_no_gap(
+    before: float, after: float, left_before: float, left_after: float
+) -> None:
+    """Factors of a relaxation of 1 N, in standard deviations of 5 %; the more runs, the more are beyond two."""
+    signature = np.full(BLOCKS, 50.0)
+    whitening = Whitening.of(np.diag(np.full(BLOCKS, WHITE)), signature[:, None])
+    blocks = SimpleNamespace(samples=np.ones(BLOCKS), mean=signature)
+    run = SimpleNamespace(
+        coordinates=SimpleNamespace(width_s=np.ones(BLOCKS), phase=np.zeros(BLOCKS)),
+        block_data=SimpleNamespace(blocks=blocks),
+        experiment=SimpleNamespace(kind="relaxation"),
+    )
+    gap = gap_of_run(
+        run,  # type: ignore[arg-type]
+        SimpleNamespace(white=WHITE, slow_sd=0.0),  # type: ignore[arg-type]
+        np.zeros(BLOCKS),
+        (before * signature, whitening),
+        (after * signature, whitening),
+        0.0,
+        np.ones(BLOCKS, dtype=bool),
+    )
+    np.testing.assert_allclose(np.abs(gap.before), 50.0 * left_before, atol=0.05)
+    np.testing.assert_allclose(np.abs(gap.after), 50.0 * left_after, atol=0.05)

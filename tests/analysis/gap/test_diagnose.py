@@ -18,7 +18,8 @@ from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL, CapsuleModel
 from dragrig.api.gap import save_amended_model
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
-from dragrig.present.diagnosis import diagnosis_json
+from dragrig.present.diagnosis import campaigns_document, diagnosis_document, diagnosis_json
+from dragrig.present.document import Table
 from dragrig.rig import Phase
 from hidden import hidden, simulated
 from places import CAMPAIGN, DATA
@@ -178,14 +179,30 @@ def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], mes
     assert json.loads(json.dumps(diagnosis_json(diagnosis)))["verdict"] == diagnosis.verdict
 
 
+SINGLE = {
+    "drag": "exclude an effect above [0-9.]+ mN in a drag at [0-9.]+ mm/s, and nothing elsewhere",
+    "relaxation": "exclude an effect above [0-9.]+ mN in a relaxation at [0-9.]+ % strain, and nothing elsewhere",
+    "blank": "in a blank run at [0-9.]+ mm/s",
+    "coulomb": "in a Coulomb run at [0-9.]+ mm/s",
+}
+
+
 @pytest.mark.parametrize("kind", ["drag", "relaxation", *(thorough(kind) for kind in ("blank", "coulomb"))])
 def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
     experiment = next(experiment for experiment in choose_runs(CAMPAIGN).experiments if experiment.kind == kind)
     diagnosis = diagnose(choose_runs([experiment.run]), MODEL, trying("stribeck", "force_drift"))
     assert (diagnosis.runs, diagnosis.held_out, diagnosis.shrink) == (1, (), None)
     assert any("Too few runs to hold any out" in sentence for sentence in diagnosis.limitations)
-    assert sum(hypothesis.probability for hypothesis in diagnosis.ranking) == pytest.approx(1.0)
-    json.dumps(diagnosis_json(diagnosis))
+    assert (diagnosis.verdict, diagnosis.effects, diagnosis.ranking) == (Verdict.OPEN, (), ())
+    read = json.loads(json.dumps(diagnosis_json(diagnosis)))
+    assert (read["verdict"], read["presence"], read["budget"]) == ("open", {}, [])
+    assert re.search(SINGLE[kind], read["in_words"][0])
+    page = diagnosis_document(diagnosis)
+    assert (page.answer, *page.lead) == tuple(read["in_words"])
+    assert "ranking" not in {figure.name for figure in page.figures()}
+    of_many = campaigns_document([("one run", diagnosis, "")]).sections[0].blocks[0]
+    assert isinstance(of_many, Table)
+    assert re.match(f"open: the runs .*{SINGLE[kind]}", str(of_many.rows[0][1]))
 
 
 @pytest.mark.thorough

@@ -21,6 +21,7 @@ from dragrig.analysis.linear_gaussian import PriorScales
 from dragrig.analysis.models.nominal_model import Parameter
 from dragrig.cli import main
 from dragrig.config import AnalysisError
+from dragrig.present import population_document, population_figure
 from places import CAMPAIGN
 
 FloatArray = npt.NDArray[np.float64]
@@ -217,7 +218,29 @@ def test_what_cannot_be_pooled_is_refused_or_left_out() -> None:
     population = pool_specimens([*fits, failed], PARAMETERS)
     assert [(exclusion.item, exclusion.reason) for exclusion in population.left_out] == [("c", "there is no joint fit")]
     assert named(population, "friction").spread is None
-    assert "2 specimens do not bound" in population.remarks[0]
+    assert "n = 2: no interval of the mean" in population.remarks[0]
+
+
+def test_of_two_specimens_it_is_said_that_they_differ_and_no_mean_has_an_interval() -> None:
+    (parameter,) = ALONE_POSITIVE
+    fits = [single_fit("a", 0.4, 0.05, parameter), single_fit("b", -0.9, 0.05, parameter)]
+    simulated = dataclasses.replace(fits[0].identification, backends=("simulated",))
+    population = pool_specimens([dataclasses.replace(fits[0], identification=simulated), fits[1]], ALONE_POSITIVE)
+    (stiffness,) = population.parameters
+    assert stiffness.spreads
+    assert not np.isfinite([stiffness.mean.standard_error, *stiffness.mean.interval]).any()
+    assert [value.pooled for value in stiffness.specimens] == [value.own for value in stiffness.specimens]
+    page = population_document(population)
+    assert page.answer.startswith("The 2 specimens differ, and have no mean (n = 2): stiffness 2.12")
+    assert "(p < 0.0001)" in page.answer
+    assert page.badges == ("simulated",)
+    told = json.loads(json.dumps(page.data, allow_nan=False))["parameters"]["stiffness"]
+    assert told["mean"]["interval_95"] in (None, [None, None])
+    assert [label.get_text() for label in population_figure(population).axes[0].get_yticklabels()] == ["a", "b"]
+    alike = pool_specimens([single_fit(name, 0.4, 0.05, parameter) for name in "ab"], ALONE_POSITIVE)
+    assert (
+        population_document(alike).answer == "The 2 specimens agree within their errors in all of 1 parameter (n = 2)."
+    )
 
 
 def test_the_prior_counts_once_however_many_campaigns_say_little() -> None:
@@ -373,13 +396,13 @@ def test_a_population_says_word_for_word_what_a_reader_has_to_know() -> None:
            (("a", "1"), ("b", "2"))]  # fmt: skip
     population = pool_specimens(few, ALONE, [Exclusion("d", "empty")])
     assert population.remarks == (
-        "2 specimens do not bound the spread between specimens; 3 do",
+        "n = 2: no interval of the mean, for the spread between specimens is not known",
         "the force was measured with several sensors (1, 2), and force_gain is fitted as that of one",
     )
     assert population.left_out == (Exclusion("d", "empty"),)
     assert population.nominal == "test"
     (found,) = population.parameters
-    assert (found.spread, found.spread_p, found.next_specimen) == (None, None, None)
+    assert (found.spread, found.spread_p, found.next_specimen) == (None, 1.0, None)
     assert found.spreads is False
     bad = dataclasses.replace(
         few[0].identification,

@@ -14,6 +14,7 @@ import pytest
 from dragrig.analysis.gap.features import VerdictCalibration, shipped_calibration
 from dragrig.exam.examinee import BlindTask, diagnose_blind
 from dragrig.exam.hidden_cases import CONDITIONS_OF, DRAWN_PLANT, WRITTEN_PLANT
+from dragrig.scoring import ScoredDiagnosis
 from dragrig.sim_backend.blind import CATALOGUE, write_campaign
 from property_tests import thorough
 from stored_evidence import (
@@ -128,9 +129,10 @@ def test_a_campaign_from_its_plant_to_its_verdict(
     write_campaign(case.secret, tmp_path)
     said = json.loads(json.dumps(diagnose_blind(BlindTask(tmp_path)).json_or_failure()))
     judged = stored.judged()
-    assert (said["verdict"], tuple(said["effects"])) == (judged.diagnosis.verdict, judged.diagnosis.effects)
+    scored = ScoredDiagnosis.model_validate(said)
+    assert (scored.verdict, scored.effects) == (judged.diagnosis.verdict, judged.diagnosis.effects)
     assert said["evidence"]["competition"] == pytest.approx(dict(stored.inputs.competition), abs=1e-3)
-    assert said["presence"] == pytest.approx(dict(judged.diagnosis.presence), abs=1e-3)
+    assert dict(scored.presence) == pytest.approx(dict(judged.diagnosis.presence), abs=1e-3)
     assert len(said["evidence"]["tried"]) == len(stored.inputs.hypotheses)
     for made, kept in zip(said["evidence"]["tried"], stored.inputs.hypotheses, strict=True):
         assert tuple(made["effects"]) == kept.effects

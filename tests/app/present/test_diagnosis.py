@@ -29,14 +29,15 @@ from dragrig.analysis import RETURN_REASON, Exclusion, percent_text
 from dragrig.analysis.gap.diagnosis import Diagnosis, R2BeforeAfter, RankedHypothesis, display_name
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.present.diagnosis import (
+    campaigns_document,
     diagnosis_document,
     diagnosis_json,
     round_probabilities,
     shrink_json,
 )
 from dragrig.present.diagnosis_figures import before_after_figure, location_figure, ranking_figure, representative_runs
-from dragrig.present.diagnosis_sentences import shape_sentence, shrink_sentences
-from dragrig.present.document import Figure
+from dragrig.present.diagnosis_sentences import shrink_sentences
+from dragrig.present.document import Document, Figure
 from dragrig.present.html_page import render_page
 from dragrig.present.numbers import p_value_text, to_json_value
 from dragrig.present.terminal import document_text
@@ -163,11 +164,15 @@ def test_more_than_all_of_a_gap_is_the_whole_of_it() -> None:
     )
 
 
-def test_what_the_runs_do_not_fix_is_not_stated() -> None:
+def test_one_set_of_numbers_says_what_share_of_a_gap_is_explained() -> None:
     wide = replace(shrink(), closed=0.24, closed_95ci=(-10.6, 0.9991))
-    assert shrink_sentences(wide)[1] == (
-        "What share of the gap closes these runs do not say: 24 % here (95 % interval: below −100 % to 99.9 %)."
-    )
+    told = text(replace(STRIBECK, budget=STRIBECK_ALONE, shrink=wide))
+    assert "83 % is Stribeck friction" in told
+    assert "9.1 mN without the effect, 1.6 mN with it" in told
+    assert "24 %" not in told
+    assert "closes" not in told
+    table = campaigns_document([("first", replace(STRIBECK, budget=STRIBECK_ALONE, shrink=wide), "")]).sections[0]
+    assert "24 %" not in document_text(Document(title="", sections=(table,)))
     nearly = replace(shrink(), closed=0.99996, closed_95ci=(0.9999, 1.0001))
     assert shrink_sentences(nearly)[1] == "Above 99.9 % of the gap closes (95 % interval: above 99.9 %)."
     none_named = text(replace(UNKNOWN, shrink=shrink()))
@@ -180,7 +185,7 @@ def test_what_the_runs_do_not_fix_is_not_stated() -> None:
     [
         (0.71, "is mainly a function of speed, which accounts for 71 % of its squares on held-out runs."),
         (0.24, "depends most on speed, which accounts for 24 % of its squares on held-out runs."),
-        (0.01, "No coordinate accounts for more than 10 % of the squares of the residual on held-out runs."),
+        (0.01, "The gap does not follow speed, position, strain or time alone."),
     ],
 )
 def test_a_coordinate_that_explains_little_is_not_called_the_main_one(score: float, words: str) -> None:
@@ -238,7 +243,7 @@ def test_a_gap_at_no_place_beyond_chance_is_not_said_to_be_at_one() -> None:
     rows = [row for row in text(here).splitlines() if re.match("(channel|protocol|phase|speed|session) ", row)]
     assert len(rows) == 5
     assert all("(not significant)" in row for row in rows)
-    assert location_figure(here.where).texts[0].get_text().startswith("A gap, at no place beyond chance")
+    assert location_figure(here.where).texts[0].get_text().startswith("A gap in the force, at no place beyond chance")
     assert "(not significant)" not in next(row for row in text(STRIBECK).splitlines() if row.startswith("speed "))
 
 
@@ -250,12 +255,6 @@ def test_the_conclusion_and_its_probability_are_the_first_two_sentences_and_a_fi
     assert "probability" in " ".join((document.answer, *document.lead[:1]))
     first = document.content[0]
     assert diagnosis.budget is None or isinstance(first.content[0], Figure)
-
-
-def test_a_residual_whose_level_is_unknown_says_what_of_its_course_is_explained() -> None:
-    vague = replace(shrink(), closed=-4.5, closed_95ci=(-9.0, -2.9))
-    assert "94.0 % of the excess is explained" in shape_sentence(vague, 0.94)
-    assert shape_sentence(vague, 0.2) == shape_sentence(vague, None) == shape_sentence(shrink(), 0.94) == ""
 
 
 def test_nothing_is_cut_off_in_a_pipe() -> None:

@@ -477,6 +477,13 @@ def test_each_part_is_shown_in_the_run_where_it_is_largest_and_no_run_twice() ->
     assert runs_showing_parts((), here) == ()
 
 
+def test_a_run_where_the_effect_does_not_act_is_no_panel_of_it() -> None:
+    (here,) = budgets_by_channel(budget(entry("stribeck", 0.9), entry("unexplained", 0.1, 4.0, None)))
+    leaks = replace(run_with("relaxation", "relaxation", stribeck=13.0), acting_mN={"stribeck": 0.0})
+    acts = replace(run_with("slow", "coulomb", stribeck=5.0), acting_mN={"stribeck": 9.0})
+    assert [shown.run.file for shown in runs_showing_parts((leaks, acts), here)] == ["slow"]
+
+
 def test_a_gap_without_a_name_is_shown_where_it_is_largest() -> None:
     (here,) = budgets_by_channel(UNNAMED)
     runs = tuple(run_with(f"{size:g}", "drag", place=size) for size in (1.0, 5.0, 3.0, 2.0))

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from uuid import uuid4
@@ -26,7 +27,7 @@ from dragrig.analysis.measures import (
 )
 from dragrig.cli.commands import dragrig_group
 from dragrig.config.errors import RunFileError
-from dragrig.present.campaign import campaign_table_document, mean_tables
+from dragrig.present.campaign import campaign_table_document, mean_tables, steady_force_answer
 from dragrig.present.document import FormattedNumber
 from dragrig.present.run import measures_table
 from dragrig.present.terminal import document_text
@@ -101,6 +102,35 @@ def test_repeats_give_the_mean_above_rest_with_students_interval_and_a_single_ru
     left_out = [replace(rows[0], status="tripped"), replace(rows[0], steady_above_rest_mN=None),
                 replace(rows[0], role="sentinel")]  # fmt: skip
     assert mean_per_speed(left_out) == ()
+
+
+def at_speeds(forces: Mapping[float, Sequence[float]]) -> list[TableRow]:
+    return [replace(row, speed_mm_s=speed) for speed, values in forces.items() for row in rows_of("A", *values)]
+
+
+def test_two_repeats_that_agree_by_luck_have_the_scatter_of_all_speeds() -> None:
+    lucky = at_speeds({0.5: (49.0, 51.0), 5.0: (98.5, 101.5), 20.0: (110.0, 110.01), 60.0: (118.0, 122.0)})
+    means = mean_per_speed(lucky)
+    relative = [(mean.half_width_95_mN or 0.0) / mean.steady_above_rest_mN for mean in means]
+    assert relative == pytest.approx([relative[0]] * 4)
+    shares = [
+        np.std(values, ddof=1) / np.mean(values) for values in ((49, 51), (98.5, 101.5), (110, 110.01), (118, 122))
+    ]
+    assert relative[0] == pytest.approx(t.ppf(0.975, 4) * np.sqrt(np.mean(np.square(shares)) / 2))
+    assert "(± 95 %, n = 2 runs)." in steady_force_answer(lucky)
+
+
+def test_scatter_that_differs_between_speeds_is_not_pooled() -> None:
+    apart = {1.0: (100.0, 100.1, 100.2, 99.9, 99.8, 100.0), 10.0: (90.0, 112.0, 100.0, 85.0, 118.0, 95.0)}
+    calm, wild = mean_per_speed(at_speeds(apart))
+    assert calm.half_width_95_mN == pytest.approx(t.ppf(0.975, 5) * np.std(apart[1.0], ddof=1) / np.sqrt(6))
+    assert wild.half_width_95_mN == pytest.approx(t.ppf(0.975, 5) * np.std(apart[10.0], ddof=1) / np.sqrt(6))
+
+
+def test_two_specimens_have_no_interval_of_their_mean() -> None:
+    means = mean_per_speed([*rows_of("A", 100.0, 101.0), *rows_of("B", 110.0, 112.0)])
+    (over,) = mean_over_specimens(means)
+    assert (over.specimens, over.half_width_95_mN) == (2, None)
 
 
 def test_over_specimens_n_is_the_specimens_not_the_runs() -> None:

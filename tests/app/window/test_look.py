@@ -384,7 +384,7 @@ def test_a_diagnosis_is_shown_completely(diagnose: DiagnosePage) -> None:
         results.runs.setCurrentIndex(at)
         assert len(results.above.lines) == 3
     assert results.view.findChildren(DrawnFigure)
-    assert results.next.isEnabled() == (STRIBECK.next_experiment is not None)
+    assert results.next.isHidden() == (STRIBECK.next_experiment is None)
 
 
 def test_a_folder_without_runs_cannot_be_diagnosed(diagnose: DiagnosePage, until: Until, tmp_path: Path) -> None:
@@ -410,11 +410,15 @@ def test_a_diagnosis_can_be_cancelled(diagnose: DiagnosePage, folder: Path) -> N
 def test_the_next_experiment_is_handed_on_as_a_plan(diagnose: DiagnosePage) -> None:
     from dataclasses import replace
 
-    from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun
+    from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun, OpenCauses
     from dragrig.config.plan import PlanStep
 
     step = PlanStep.model_validate({"kind": "drag", "speed_mm_s": 2.0, "travel_mm": 30.0})
     next_experiment = NextExperiment((NextRun(step, 2.0, 0.5),), 12, "A slow drag tells them apart.")
+    settled = replace(STRIBECK, open_causes=OpenCauses({}, 0.0, 0.99, 0.1))
+    diagnose.results.show_diagnosis(replace(WITHOUT_PICTURES, diagnosis=settled))
+    assert diagnose.results.next_words.text() == "Nothing: no run would change the answer."
+    assert diagnose.results.next.isHidden()
     diagnosis = replace(STRIBECK, next_experiment=next_experiment)
     diagnose.results.show_diagnosis(replace(WITHOUT_PICTURES, diagnosis=diagnosis))
     assert diagnose.results.next_words.text() == "A slow drag tells them apart."
