@@ -33,7 +33,7 @@ from dragrig.sim_backend.friction.contact import (
     time_panel_edges,
 )
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
-from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, SidePressure, model_wall
+from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, RelaxingLoad, model_wall
 
 SHEAR_THINNING = 11.24
 """Shear-thinning part of the apparent viscosity in Eq. 11."""
@@ -92,7 +92,7 @@ class SlidingForce:
     intervals: tuple[SmoothInterval, ...]
     spans: tuple[SmoothInterval, ...]
     resistance: PPoly | None
-    side: SidePressure | None
+    side: RelaxingLoad | None
     motion: Motion | None = None
     rule: QuadratureRule = FINE_RULE
 
