@@ -205,16 +205,6 @@ class Card(TaskEngine):
                 case _:
                     raise _unsupported_attribute(attribute)
 
-    def voltage(self, output: str) -> float:
-        """Return the present voltage of an analog output, such as ao0; it holds its last one when its task ends."""
-        with self.changed:
-            for task in self.tasks.values():
-                if task.waveform is not None and task.channels[0].physical == output:
-                    volts = task.waveform.voltage(self.now_s)
-                    if volts is not None:
-                        return volts
-            return self.held_volts[output]
-
     def _read_buffer(self, task: CardTask, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
         self.check_card()
         buffer, channels = task.buffer, len(task.channels)
