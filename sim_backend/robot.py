@@ -441,11 +441,6 @@ class Slip:
         return self.start_mm + self.direction * self.end_travel_mm
 
     @property
-    def end_acceleration_mm_s2(self) -> float:
-        """Acceleration at its end."""
-        return float(_rule().at_end @ self.acceleration_mm_s2)
-
-    @property
     def first_stop_s(self) -> float:
         """Time from its begin to where the speed is first 0."""
         return self._time_of(lambda motion: -self.direction * motion[1], 0.0)
@@ -719,7 +714,8 @@ class Walker:
             elif ending is _Ending.STOP:
                 if abs(panel.end_speed_mm_s) <= self._tolerance_mm_s:
                     break
-                width = panel.width_s - panel.end_speed_mm_s / min(panel.end_acceleration_mm_s2, -1e-6)
+                braking = float(_rule().at_end @ panel.acceleration_mm_s2)
+                width = panel.width_s - panel.end_speed_mm_s / min(braking, -1e-6)
             elif panel.end_speed_mm_s < 0 or float(panel.speed_mm_s.min()) < 0:
                 width, ending = panel.first_stop_s, _Ending.STOP
             elif ending is _Ending.JUMP and panel.end_travel_mm < ahead - TRAVEL_TOLERANCE_MM and not halved:
