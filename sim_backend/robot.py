@@ -17,7 +17,7 @@ What the friction model does not say of a motion that the dynamics decide is dec
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from enum import Enum, auto
 from functools import cache
 from itertools import groupby
@@ -32,7 +32,7 @@ from dragrig.sim_backend.friction import (
     GRAVITY_M_S2,
     REVERSAL_SLACK_MM,
     HemisphereContact,
-    SidePressure,
+    RelaxingLoad,
     gauss_legendre,
     viscous_force,
 )
@@ -217,24 +217,18 @@ class _LoadTable:
     def of(cls, contact: HemisphereContact) -> "_LoadTable":
         """Tabulate a contact; beyond its ends the load is that at the ends."""
         x = np.linspace(0.0, contact.length_mm, TABLE_POINTS)
-        branches = contact.axial_branches(x)
+        branches = np.stack(astuple(contact.axial_branches(x)))
         slopes = np.diff(branches, append=branches[:, -1:]) / x[1]
         return cls(contact.length_mm, np.concatenate((branches - slopes * x, slopes)))
 
-    def branches(self, x_mm: FloatArray) -> FloatArray:
-        """Return the branches [mN/mm, 1/s] at contact coordinates, along a first axis of 5 as `axial_branches`."""
+    def at(self, x_mm: FloatArray) -> RelaxingLoad:
+        """Return the load [mN/mm] at contact coordinates."""
         x = np.minimum(np.maximum(x_mm, 0.0), self.length_mm)
         lines = self.lines.take((x * ((TABLE_POINTS - 1) / self.length_mm)).astype(np.intp), axis=1)
         branches = lines[5:]
         branches *= x
         branches += lines[:5]
-        return branches
-
-
-def relaxed(branches: FloatArray, age_s: FloatArray) -> FloatArray:
-    """Return the load of branches after contact ages."""
-    fast, fast_rate, slow, slow_rate, spring = branches
-    return np.asarray(fast * np.exp(-fast_rate * age_s) + slow * np.exp(-slow_rate * age_s) + spring)
+        return RelaxingLoad(*branches)
 
 
 @dataclass(slots=True)
@@ -249,7 +243,7 @@ class _GutWall(Resistance):
 
     contact: HemisphereContact
     table: _LoadTable
-    side: SidePressure
+    side: RelaxingLoad
     weight_mN: float
     reach_mm: float
     points: FloatArray
@@ -283,11 +277,11 @@ class _GutWall(Resistance):
 
     def at_rest(self) -> Callable[[float], float]:
         z, touched, length = self._near()
-        branches = self.table.branches(self._contact_coordinate(z, self.lead_mm))
+        load = self.table.at(self._contact_coordinate(z, self.lead_mm))
         side_touched = float(self._side_touched(np.array([self.lead_mm]))[0])
 
         def force(time_s: float) -> float:
-            environment = relaxed(branches, time_s - touched) @ length
+            environment = load.force(time_s - touched) @ length
             return float(environment + self._coulomb(np.asarray(max(time_s - side_touched, 0.0))))
 
         return force
@@ -311,7 +305,7 @@ class _GutWall(Resistance):
         """Return f_e of the wall that was in contact before, at times of shape `(n,)`."""
         z, touched, length = self._near()
         x = self._contact_coordinate(z, lead_mm[:, None])
-        return np.asarray(relaxed(self.table.branches(x), time_s[:, None] - touched) @ length)
+        return np.asarray(self.table.at(x).force(time_s[:, None] - touched) @ length)
 
     def _near(self) -> FloatArray:
         """Return the points at the leading hemisphere."""
@@ -359,7 +353,7 @@ class _GutWall(Resistance):
         total = width_s * (rule.integral @ speed)
         x = total[:, None] - travelled
         age = width_s * rule.nodes[:, None] * (1 - rule.fresh_nodes)
-        load = relaxed(self.table.branches(x), age) * passing_speed
+        load = self.table.at(x).force(age) * passing_speed
         return np.asarray((load @ rule.fresh_weights) * (width_s * rule.nodes))
 
     def way_left(self, direction: int, position_mm: float) -> float:
@@ -445,11 +439,6 @@ class Slip:
     def end_mm(self) -> float:
         """Where it ends."""
         return self.start_mm + self.direction * self.end_travel_mm
-
-    @property
-    def end_acceleration_mm_s2(self) -> float:
-        """Acceleration at its end."""
-        return float(_rule().at_end @ self.acceleration_mm_s2)
 
     @property
     def first_stop_s(self) -> float:
@@ -725,7 +714,8 @@ class Walker:
             elif ending is _Ending.STOP:
                 if abs(panel.end_speed_mm_s) <= self._tolerance_mm_s:
                     break
-                width = panel.width_s - panel.end_speed_mm_s / min(panel.end_acceleration_mm_s2, -1e-6)
+                braking = float(_rule().at_end @ panel.acceleration_mm_s2)
+                width = panel.width_s - panel.end_speed_mm_s / min(braking, -1e-6)
             elif panel.end_speed_mm_s < 0 or float(panel.speed_mm_s.min()) < 0:
                 width, ending = panel.first_stop_s, _Ending.STOP
             elif ending is _Ending.JUMP and panel.end_travel_mm < ahead - TRAVEL_TOLERANCE_MM and not halved:

@@ -225,14 +225,7 @@ def _straight_between_samples(motion: ProfileMotion, step_s: float) -> ProfileMo
     time_s = motion.breaks_s[at_sample]
     position_mm = motion.position(time_s)
     velocity = np.diff(position_mm) / np.diff(time_s)
-    return ProfileMotion(
-        breaks_s=time_s,
-        signs=np.sign(velocity).astype(np.int8),
-        uniform=np.ones(velocity.size, dtype=np.bool_),
-        start_mm=position_mm[:-1],
-        velocity_mm_s=velocity,
-        acceleration_mm_s2=np.zeros_like(velocity),
-    )
+    return ProfileMotion.of_means(time_s, position_mm[:-1], velocity)
 
 
 def _stack_sensitivities(names: tuple[str, ...], rows: Mapping[str, FloatArray], samples: int) -> FloatArray:

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from statistics import median
 from tempfile import mkdtemp
@@ -73,9 +74,9 @@ def simulate_campaign(order: CampaignOrder) -> None:
             shutil.rmtree(unfinished, ignore_errors=True)
 
 
-def remove_unfinished(order: CampaignOrder) -> None:
+def remove_unfinished(orders: Iterable[CampaignOrder]) -> None:
     """Remove what killed workers left; no other program may work in the exam's folder."""
-    for folder in (order.campaign, order.fresh):
+    for folder in chain.from_iterable((order.campaign, order.fresh) for order in orders):
         for unfinished in folder.parent.glob(f".{folder.name}-*{UNFINISHED_SUFFIX}"):
             shutil.rmtree(unfinished, ignore_errors=True)
 
@@ -395,11 +396,9 @@ class _RunningExam:
         self.meter.expect(EVALUATE_COST_S, len(names))
         digest = seal_answers(folder, self.cases)
         # Workers may have been killed in an earlier call, and in this one.
-        for order in orders:
-            remove_unfinished(order)
+        remove_unfinished(orders)
         self._map(SIMULATE_COST_S, simulate_campaign, to_simulate)
-        for order in orders:
-            remove_unfinished(order)
+        remove_unfinished(orders)
         self._map(
             DIAGNOSE_COST_S, self.diagnose, to_diagnose, lambda task, result: self._store(to_diagnose[task], result)
         )

@@ -290,7 +290,15 @@ def score_json(score: ExamScore) -> Mapping[str, object]:
         {
             "rates": [rate_json(rate) for rate in score.rates],
             "withheld": [rate_json(rate) for rate in score.withheld],
-            "detection": [_detection_json(size) for size in score.detection],
+            "detection": [
+                {
+                    "d_prime": {"low": size.low, "high": size.high},
+                    "gap_seen": rate_json(size.seen),
+                    "right_name": rate_json(size.named),
+                    "wrong_name": rate_json(size.misled),
+                }
+                for size in score.detection
+            ],
             "confusion": {
                 "hidden": score.confusion.hidden,
                 "said": score.confusion.predicted,
@@ -333,15 +341,6 @@ def rate_json(rate: Rate) -> Mapping[str, object]:
             "interval_95": [rate.low, rate.high] if rate.count else None,
         }
     )
-
-
-def _detection_json(size: DetectionBin) -> Mapping[str, object]:
-    return {
-        "d_prime": {"low": size.low, "high": size.high},
-        "gap_seen": rate_json(size.seen),
-        "right_name": rate_json(size.named),
-        "wrong_name": rate_json(size.misled),
-    }
 
 
 def _size_range(size: DetectionBin) -> str:

@@ -515,11 +515,9 @@ def _protocol_attributes(run: RunPlan) -> dict[str, str | float]:
 
 def _write_trace(group: h5py.Group, record: PlantRecord) -> None:
     group.attrs.update({"NX_class": "NXdata", "signal": "force", "axes": "time", "sample_rate_hz": record.run.rate_hz})
-    columns = {"force": record.force, "position": record.position, "command": record.command}
-    group.create_dataset("time", data=record.time, **_COMPRESSION)
-    for name, values in columns.items():
-        group.create_dataset(name, data=values.astype(np.float32), **_COMPRESSION)
     for name, unit in _UNITS.items():
-        group[name].attrs["units"] = unit
+        values = getattr(record, name)
+        data = values if name == "time" else values.astype(np.float32)
+        group.create_dataset(name, data=data, **_COMPRESSION).attrs["units"] = unit
     phase = group.create_dataset("phase", data=record.phase, **_COMPRESSION)
     phase.attrs.create("names", PHASES, dtype=h5py.string_dtype())

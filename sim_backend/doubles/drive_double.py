@@ -194,30 +194,24 @@ class DriveDouble:
         return None
 
     def _unready(self) -> Refusal | None:
-        for refused, why in (
-            (self._alarm, Refusal.ALARM),
+        return _first_refusal(
+            (bool(self._alarm), Refusal.ALARM),
             (not self._enabled, Refusal.DISABLED),
             (not self._line(self._lines.e_stop), Refusal.EMERGENCY_STOP),
             (self._moving(), Refusal.MOVING),
-        ):
-            if refused:
-                return why
-        return None
+        )
 
     def _go(self, target_mm: float) -> Refusal | None:
         lowest, highest = self._parameters[Parameter.LOWEST_MM], self._parameters[Parameter.HIGHEST_MM]
         speed, accel = self._parameters[Parameter.SPEED_MM_S], self._parameters[Parameter.ACCELERATION_MM_S2]
         travel_mm = self._zero_mm + target_mm - self.bench.position_mm()
-        if refused := self._unready():
-            return refused
-        for refusing, why in (
+        if refused := self._unready() or _first_refusal(
             (not self._homed, Refusal.NOT_HOMED),
             (not lowest <= target_mm <= highest, Refusal.SOFT_LIMIT),
             (min(speed, accel) <= 0, Refusal.BAD_VALUE),
             (self._is_blocked(travel_mm), Refusal.LIMIT_SWITCH),
         ):
-            if refusing:
-                return why
+            return refused
         if (
             self.bench.rig.simulated.motor.moving_mass_g * accel
             > self._parameters[Parameter.THRUST_LIMIT_N] * _G_MM_S2_PER_N
@@ -291,6 +285,10 @@ class DriveDouble:
 
     def _line(self, line: str) -> bool:
         return not line or self.bench.read_line(line)
+
+
+def _first_refusal(*conditions: tuple[bool, Refusal]) -> Refusal | None:
+    return next((why for refused, why in conditions if refused), None)
 
 
 def make_drive_double(bench: SimulatedBench) -> DriveDouble:

@@ -145,15 +145,9 @@ class ShearedWall:
         return self.force.area_mm2
 
     @cached_property
-    def strain(self) -> FloatArray:
-        """Shear strain, shape `(n,)`."""
-        return np.asarray(self.force.sheared_from + self.force.branches.strain(self._time))
-
-    @cached_property
     def stresses(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Stress [kPa] in fast branch, slow branch and spring, shape `(n,)` each."""
-        fast, slow = self.force.branches.stress(self._time)
-        return self.force.moduli[0] * fast, self.force.moduli[1] * slow, self.force.spring * self.strain
+        return self.force.stresses(self.time_s)
 
     @property
     def moduli(self) -> tuple[float, float, float]:
@@ -170,11 +164,7 @@ class ShearedWall:
         """Stress over modulus of a further Maxwell branch with this relaxation rate [1/s], shape `(n,)`."""
         branches = self.force.branches
         further = MaxwellBranches.integrate(np.array([rate]), branches.pieces, branches.thickness_mm)
-        return np.asarray(further.stress(self._time)[0])
-
-    @property
-    def _time(self) -> FloatArray:
-        return np.clip(self.time_s, 0.0, self.force.duration_s)
+        return np.asarray(further.stress(np.clip(self.time_s, 0.0, self.force.duration_s))[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from .wall import TABLE1_STRAIN as TABLE1_STRAIN
 from .wall import HemisphereContact as HemisphereContact
 from .wall import MaxwellBranches as MaxwellBranches
 from .wall import ParameterSetDifference as ParameterSetDifference
-from .wall import SidePressure as SidePressure
+from .wall import RelaxingLoad as RelaxingLoad
 from .wall import WallKind as WallKind
 from .wall import WallParameters as WallParameters
 from .wall import linear_recursion as linear_recursion

@@ -154,16 +154,7 @@ def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motio
     unchanged = (leading[:-1] == position[:-1]) & (leading[1:] == position[1:])
     velocity = np.diff(leading) / np.diff(times)
     acceleration = np.where(unchanged, pieces.acceleration_mm_s2, 0.0)
-    return RecordedMotion.from_pieces(
-        ProfileMotion(
-            breaks_s=times,
-            signs=np.sign(velocity).astype(np.int8),
-            uniform=acceleration == 0,
-            start_mm=leading[:-1],
-            velocity_mm_s=np.where(unchanged, pieces.velocity_mm_s, velocity),
-            acceleration_mm_s2=acceleration,
-        )
-    )
+    return RecordedMotion.from_pieces(ProfileMotion.of_means(times, leading[:-1], velocity, acceleration))
 
 
 def _without_short_reversals(position_mm: FloatArray, turns: list[int]) -> FloatArray:

@@ -33,7 +33,7 @@ from dragrig.sim_backend.friction.contact import (
     time_panel_edges,
 )
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion
-from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, SidePressure, model_wall
+from dragrig.sim_backend.friction.wall import HemisphereContact, MaxwellBranches, RelaxingLoad, model_wall
 
 SHEAR_THINNING = 11.24
 """Shear-thinning part of the apparent viscosity in Eq. 11."""
@@ -92,7 +92,7 @@ class SlidingForce:
     intervals: tuple[SmoothInterval, ...]
     spans: tuple[SmoothInterval, ...]
     resistance: PPoly | None
-    side: SidePressure | None
+    side: RelaxingLoad | None
     motion: Motion | None = None
     rule: QuadratureRule = FINE_RULE
 
@@ -343,12 +343,17 @@ class StickingForce:
             branches=MaxwellBranches.integrate(np.array([float(rate) for rate in wall.rates]), pieces, thickness),
         )
 
+    def stresses(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the stress [kPa] in fast branch, slow branch and spring at any times, constant beyond the motion."""
+        time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
+        fast, slow = self.branches.stress(time)
+        spring = self.spring * (self.sheared_from + self.branches.strain(time))
+        return self.moduli[0] * fast, self.moduli[1] * slow, spring
+
     def total(self, time_s: FloatArray) -> FloatArray:
         """Return the shear force [mN] at any times [s], constant before the motion's start and after its end."""
-        time = np.clip(np.asarray(time_s, dtype=float), 0.0, self.duration_s)
-        strain = self.sheared_from + self.branches.strain(time)
-        fast, slow = self.branches.stress(time)
-        return np.asarray((self.spring * strain + self.moduli[0] * fast + self.moduli[1] * slow) * self.area_mm2)
+        fast, slow, spring = self.stresses(time_s)
+        return np.asarray((spring + fast + slow) * self.area_mm2)
 
 
 NOT_NOMINAL = MappingProxyType({"effects": (), "identified": None, "diagnosed": None})

@@ -77,6 +77,20 @@ class ProfileMotion(_BitwiseValue):
         signs = np.where(np.abs(mean) < ROUNDING_MM_S, 0.0, np.sign(mean)).astype(np.int8)
         return cls(breaks, signs, acceleration == 0, profile.position(begin), velocity, acceleration)
 
+    @classmethod
+    def of_means(
+        cls,
+        breaks_s: FloatArray,
+        start_mm: FloatArray,
+        mean_mm_s: FloatArray,
+        acceleration_mm_s2: FloatArray | float = 0.0,
+    ) -> "ProfileMotion":
+        """Build from where each piece starts, its mean velocity and its acceleration, which does not reverse it."""
+        acceleration = np.zeros_like(mean_mm_s) + acceleration_mm_s2
+        start_mm_s = mean_mm_s - 0.5 * acceleration * np.diff(breaks_s)
+        signs = np.sign(mean_mm_s).astype(np.int8)
+        return cls(breaks_s, signs, acceleration == 0, start_mm, start_mm_s, acceleration)
+
     def position(self, time_s: FloatArray) -> FloatArray:
         """Return the position [mm] at any times within the motion."""
         return self._position(*self.locate(time_s))
@@ -390,17 +404,9 @@ def _fit_parabolas(
 
     knots = _split_spans(edges, worst)
     time, position = grid_s[knots], position_mm[knots]
-    duration = np.diff(time)
-    slope = np.diff(position) / duration
+    slope = np.diff(position) / np.diff(time)
     curvature = np.array([_curvature(grid_s[a : b + 1], position_mm[a : b + 1]) for a, b in pairwise(knots.tolist())])
-    return ProfileMotion(
-        breaks_s=time,
-        signs=np.sign(slope).astype(np.int8),
-        uniform=curvature == 0,
-        start_mm=position[:-1],
-        velocity_mm_s=slope + curvature * duration,
-        acceleration_mm_s2=-2 * curvature,
-    )
+    return ProfileMotion.of_means(time, position[:-1], slope, -2 * curvature)
 
 
 def add_bends(profile: ProfileMotion, edges_s: FloatArray) -> FloatArray:
@@ -459,16 +465,7 @@ def commanded_motion(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> Recor
     # A piece must not reverse.
     limit = 2 * np.abs(mean) / duration
     acceleration = np.clip(acceleration, -limit, limit)
-    return RecordedMotion.from_pieces(
-        ProfileMotion(
-            breaks_s=time,
-            signs=np.sign(mean).astype(np.int8),
-            uniform=acceleration == 0,
-            start_mm=knot_mm[:-1],
-            velocity_mm_s=mean - 0.5 * acceleration * duration,
-            acceleration_mm_s2=acceleration,
-        )
-    )
+    return RecordedMotion.from_pieces(ProfileMotion.of_means(time, knot_mm[:-1], mean, acceleration))
 
 
 MAX_KNOTS = 4000
@@ -501,14 +498,7 @@ def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: Flo
         positions.append(position[later])
     time, position = np.concatenate(times), np.concatenate(positions)
     velocity = np.diff(position) / np.diff(time)
-    return ProfileMotion(
-        breaks_s=time,
-        signs=np.sign(velocity).astype(np.int8),
-        uniform=np.ones(velocity.size, dtype=np.bool_),
-        start_mm=position[:-1] - position[0],
-        velocity_mm_s=velocity,
-        acceleration_mm_s2=np.zeros_like(velocity),
-    )
+    return ProfileMotion.of_means(time, position[:-1] - position[0], velocity)
 
 
 def _with_midpoints(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -66,14 +66,10 @@ class WallParameters:
 
     def scaled(self, model: FrictionModelSettings) -> "WallParameters":
         """Return the parameters of a specimen whose scales are those of `model`."""
+        elements = (self.E1, self.E2, self.E3, self.eta1, self.eta2)
+        scales = (model.e1_scale, model.e2_scale, model.e3_scale, model.eta1_scale, model.eta2_scale)
         common = model.stiffness_scale
-        return WallParameters(
-            self.E1 * (common * model.e1_scale),
-            self.E2 * (common * model.e2_scale),
-            self.E3 * (common * model.e3_scale),
-            self.eta1 * (common * model.eta1_scale),
-            self.eta2 * (common * model.eta2_scale),
-        )
+        return WallParameters(*(element * (common * scale) for element, scale in zip(elements, scales, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,15 +194,24 @@ def _driven_stress(
     return np.asarray(velocity * lag + acceleration * (elapsed_s - lag) / rate)
 
 
-@dataclass(frozen=True, slots=True)
-class SidePressure:
-    """P(L) S [mN] of a wall in contact for a time t: `spring + fast·exp(−fast_rate·t) + slow·exp(−slow_rate·t)`."""
+@dataclass(frozen=True, slots=True, eq=False)
+class RelaxingLoad:
+    """Load of a wall in contact for a time t: `spring + fast·exp(−fast_rate·t) + slow·exp(−slow_rate·t)`.
 
-    spring: float
-    fast: float
-    fast_rate: float
-    slow: float
-    slow_rate: float
+    Loads in mN, or mN/mm along the contact; rates in 1/s.
+    """
+
+    fast: FloatArray
+    fast_rate: FloatArray
+    slow: FloatArray
+    slow_rate: FloatArray
+    spring: FloatArray
+
+    @classmethod
+    def of(cls, wall: WallParameters, per_stress: FloatArray | float) -> "RelaxingLoad":
+        """Return the load of a wall strained at once, `per_stress` being load over modulus."""
+        fast_rate, slow_rate = wall.rates
+        return cls(wall.E1 * per_stress, fast_rate, wall.E2 * per_stress, slow_rate, wall.E3 * per_stress)
 
     def force(self, age_s: FloatArray) -> FloatArray:
         """Evaluate at contact ages."""
@@ -290,29 +295,15 @@ class HemisphereContact:
         slope = (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm)
         return self._hoop_stress_per_radius(x_mm, age_s) * slope
 
-    def axial_branches(self, x_mm: FloatArray) -> FloatArray:
-        """Return the axial load by branches: fast and its rate, slow and its rate, spring, along a first axis of 5.
-
-        `axial_load` is their sum after a contact age; loads in mN/mm, rates in 1/s.
-        """
+    def axial_branches(self, x_mm: FloatArray) -> RelaxingLoad:
+        """Return the axial load [mN/mm] as a function of contact age; `axial_load` is its value."""
         wall, per_stress = self._wall_at(x_mm)
-        load = per_stress * (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm)
-        fast_rate, slow_rate = wall.rates
-        return np.stack((load * wall.E1, fast_rate, load * wall.E2, slow_rate, load * wall.E3))
+        return RelaxingLoad.of(wall, per_stress * (2 * np.pi * self.wall_thickness_mm) * (self.length_mm - x_mm))
 
-    def side_pressure(self) -> SidePressure:
-        """Return P(L) S as a function of contact age, the radial force of Eq. 13 at θ = 0."""
+    def side_pressure(self) -> RelaxingLoad:
+        """Return P(L) S [mN] as a function of contact age, the radial force of Eq. 13 at θ = 0."""
         strain = self.strain_at_equator
-        wall = self._parameters(np.asarray(strain))
-        per_stress = strain * self.side_force_per_stress
-        fast_rate, slow_rate = wall.rates
-        return SidePressure(
-            spring=float(wall.E3) * per_stress,
-            fast=float(wall.E1) * per_stress,
-            fast_rate=float(fast_rate),
-            slow=float(wall.E2) * per_stress,
-            slow_rate=float(slow_rate),
-        )
+        return RelaxingLoad.of(self._parameters(np.asarray(strain)), strain * self.side_force_per_stress)
 
     def axial_load_log_derivatives(self, x_mm: FloatArray, age_s: FloatArray) -> FloatArray:
         """Return derivatives of the axial load by the logarithms of E1, E2, E3, η1 and η2, along a first axis of 5."""

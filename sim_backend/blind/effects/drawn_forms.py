@@ -26,7 +26,6 @@ from dragrig.sim_backend.blind.effects.hidden_effect import (
     hidden_form,
     in_log,
     low_pass,
-    one_of,
     play_operator,
     resonance,
     signed,
@@ -84,7 +83,7 @@ class LiftOffDrawn(HiddenEffect):
         return np.asarray(1 - self.amplitude * opened * profile)
 
 
-@drawn(amplitude=(20.0, 50.0), power=(1.7, 2.6), bent=signed(0.0, 0.5), law=rising_soft, on=one_of(0.3, 0.0, 0.7))
+@drawn(amplitude=(20.0, 50.0), power=(1.7, 2.6), bent=signed(0.0, 0.5), law=rising_soft, on=OneOf((0.3, 0.0, 0.7)))
 @hidden_form("pull", "wall_inertia", ANY_LAW, DRAG_RUNS)
 def inertia_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Add a force that grows about with the square of speed, alone or with the wall's elastic force."""
@@ -93,7 +92,7 @@ def inertia_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunCondition
     return np.asarray(effect.amplitude * run.direction * growth * scaled(effect, forces))
 
 
-@drawn(amplitude=(0.35, 0.8), slower=(0.1, 0.8), late=rising_late, even=rising, steep=one_of(0.4, 0.6))
+@drawn(amplitude=(0.35, 0.8), slower=(0.1, 0.8), late=rising_late, even=rising, steep=OneOf((0.4, 0.6)))
 @hidden_form("branches", "hyperelastic_wall", ANY_LAW, TISSUE_RUNS)
 def hyperelastic_drawn(effect: HiddenEffect, strain: Floats) -> tuple[Floats, Floats, Floats]:
     """Moduli grow with strain, often far more steeply at its end, fast branches more than the spring."""
@@ -117,7 +116,7 @@ def relaxation_drawn(effect: HiddenEffect, age_s: Floats, strain: Floats) -> Flo
     half_mm_s=in_log(1.2, 6.0),
     power=(0.8, 2.0),
     law=fading,
-    on=one_of(0.6, 0.4),
+    on=OneOf((0.6, 0.4)),
     film_mm=in_log(0.3, 3.0),
 )
 @hidden_form("pull", "stribeck", ANY_LAW, SLIDING_RUNS)
@@ -128,7 +127,7 @@ def stribeck_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditio
     return np.asarray(forces.coulomb * effect.amplitude * faded(effect.laws["law"], speed * film))
 
 
-@drawn(amplitude=(0.4, 1.0), slip_mm=in_log(0.08, 0.5), law=fading, on=one_of(0.7, 0.3))
+@drawn(amplitude=(0.4, 1.0), slip_mm=in_log(0.08, 0.5), law=fading, on=OneOf((0.7, 0.3)))
 @hidden_form("pull", "breakaway", ANY_LAW, SLIDING_RUNS)
 def breakaway_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Extra friction of an aged contact that is lost over a short slip."""
@@ -167,7 +166,7 @@ def adhesion_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditio
     )
 
 
-@drawn(amplitude=(0.4, 0.95), law=rising, on=one_of(0.7, 0.3))
+@drawn(amplitude=(0.4, 0.95), law=rising, on=OneOf((0.7, 0.3)))
 @hidden_form("pull", "film_depletion", ANY_LAW, SLIDING_RUNS)
 def film_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
     """Friction grows with distance, in the Coulomb part alone or in the viscous part too."""
@@ -181,8 +180,8 @@ def film_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) 
     phase=(0.0, 1.0),
     wander=(0.0, 0.05),
     law=periodic,
-    on=one_of(0.5, 0.25, 0.25),
-    gate=one_of(0.6, 0.4),
+    on=OneOf((0.5, 0.25, 0.25)),
+    gate=OneOf((0.6, 0.4)),
 )
 @hidden_form("pull", "folds", ANY_LAW, DRAG_RUNS)
 def folds_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
@@ -197,7 +196,7 @@ def folds_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions)
     amplitude=(14.0, 36.0),
     begin=(0.2, 0.6),
     law=rising,
-    on=one_of(0.2, 0.0, 0.8),
+    on=OneOf((0.2, 0.0, 0.8)),
     lost=(0.0, 0.5),
     half_s=in_log(0.3, 3.0),
 )
@@ -217,7 +216,7 @@ def tether_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions
     phase=(0.0, 1.0),
     wander=(0.0, 0.06),
     law=pulses,
-    on=one_of(0.3, 0.1, 0.6),
+    on=OneOf((0.3, 0.1, 0.6)),
 )
 @hidden_form("pull", "peristalsis", ANY_LAW, DRAG_RUNS)
 def peristalsis_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunConditions) -> Floats | float:
@@ -227,7 +226,7 @@ def peristalsis_drawn(effect: HiddenEffect, forces: CapsuleForces, run: RunCondi
     return np.asarray(effect.amplitude * scaled(effect, forces) * beat)
 
 
-@drawn(amplitude=signed(0.3, 0.6), law=rising, on=one_of(0.5, 0.25, 0.25), share=(0.4, 1.0))
+@drawn(amplitude=signed(0.3, 0.6), law=rising, on=OneOf((0.5, 0.25, 0.25)), share=(0.4, 1.0))
 class AgeingDrawn(HiddenEffect):
     """Stiffness drifts with the session's time; of drags it may scale friction too, or all of the force."""
 
@@ -243,7 +242,7 @@ class AgeingDrawn(HiddenEffect):
         return change * extra[int(self.on)]
 
 
-@drawn(amplitude=(0.35, 0.75), half=in_log(1.5, 5.0), grows=(-0.2, 0.6), law=fading, on=one_of(0.7, 0.3))
+@drawn(amplitude=(0.35, 0.75), half=in_log(1.5, 5.0), grows=(-0.2, 0.6), law=fading, on=OneOf((0.7, 0.3)))
 class PreconditioningDrawn(HiddenEffect):
     """A fresh specimen is stiffer, and the excess fades with the run count."""
 
@@ -278,7 +277,7 @@ def nonlinearity_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) 
     widths=rising,
     creeps=(0.0, 0.5),
     time_s=in_log(1.0, 6.0),
-    plays=one_of(0.2, 0.2, 0.2, 0.2, 0.2),
+    plays=OneOf((0.2, 0.2, 0.2, 0.2, 0.2)),
 )
 @hidden_form("sensor", "force_hysteresis", ANY_LAW, rank=1)
 def hysteresis_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
@@ -290,7 +289,7 @@ def hysteresis_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) ->
     return np.asarray(force - behind + effect.creeps * first_order(behind, effect.time_s, run.motion.t))
 
 
-@drawn(amplitude=(2.5, 6.0), mains=one_of(0.6, 0.4), law=periodic, swell=(0.0, 0.5), swell_hz=in_log(0.05, 0.6))
+@drawn(amplitude=(2.5, 6.0), mains=OneOf((0.6, 0.4)), law=periodic, swell=(0.0, 0.5), swell_hz=in_log(0.05, 0.6))
 @hidden_form("sensor", "mains_hum", ANY_LAW, rank=2)
 def hum_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Floats:
     """Mains pick-up with drawn harmonics, at another phase in every run; its strength may swell."""
@@ -321,7 +320,7 @@ def payload_drawn(effect: HiddenEffect, force: Floats, run: RunConditions) -> Fl
     amplitude=(15.0, 45.0),
     hertz=in_log(10.0, 40.0),
     damping=in_log(0.02, 0.10),
-    modes=one_of(0.4, 0.3, 0.3),
+    modes=OneOf((0.4, 0.3, 0.3)),
     ratio=(1.4, 2.8),
     second=(0.1, 0.5),
     uneven=(0.5, 2.0),
@@ -368,7 +367,7 @@ def lag_drawn(effect: HiddenEffect, motion: SampledMotion, run: RunConditions) -
     period_mm=in_log(1.5, 9.0),
     phase=(0.0, 1.0),
     law=periodic,
-    gate=one_of(0.35, 0.4, 0.25),
+    gate=OneOf((0.35, 0.4, 0.25)),
     settle_s=in_log(0.02, 0.3),
     begin_mm_s=(1.0, 8.0),
 )

@@ -56,11 +56,6 @@ class OneOf:
         return float(random.choice(len(self.weights), p=np.array(self.weights) / sum(self.weights)))
 
 
-def one_of(*weights: float) -> OneOf:
-    """Return a choice between alternatives of these weights."""
-    return OneOf(weights)
-
-
 @dataclass(frozen=True, slots=True)
 class RunConditions:
     """What a hidden effect may depend on in one run: its plan, the commanded and the true motion."""

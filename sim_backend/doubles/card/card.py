@@ -7,6 +7,7 @@ driver's status code.
 
 import math
 import time
+from functools import partialmethod
 
 import numpy as np
 from nidaqmx.constants import (
@@ -87,17 +88,14 @@ class Card(TaskEngine):
                 count_m, initial_position_m, bool(z_enable), z_value_m, EncoderZIndexPhase(z_phase)
             )
 
-    def create_di_chan(self, task: int, lines: str, name: str, grouping: int) -> None:
-        """Add digital inputs."""
+    def _add_lines(self, kind: ChannelType, task: int, lines: str, name: str, grouping: int) -> None:
         with self.changed:
-            kind = ChannelType.DIGITAL_INPUT
             self.add(task, pci6229.digital_lines(self.card.device, kind, lines, name, grouping))
 
-    def create_do_chan(self, task: int, lines: str, name: str, grouping: int) -> None:
-        """Add digital outputs."""
-        with self.changed:
-            kind = ChannelType.DIGITAL_OUTPUT
-            self.add(task, pci6229.digital_lines(self.card.device, kind, lines, name, grouping))
+    create_di_chan = partialmethod(_add_lines, ChannelType.DIGITAL_INPUT)
+    """Add digital inputs."""
+    create_do_chan = partialmethod(_add_lines, ChannelType.DIGITAL_OUTPUT)
+    """Add digital outputs."""
 
     def read_analog_f64(self, task: int, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
         """Read volts into `out`, C-contiguous of any shape; return the samples per channel.
@@ -206,16 +204,6 @@ class Card(TaskEngine):
                         pci6229.set_property(counter, self.card.device, attribute, value)
                 case _:
                     raise _unsupported_attribute(attribute)
-
-    def voltage(self, output: str) -> float:
-        """Return the present voltage of an analog output, such as ao0; it holds its last one when its task ends."""
-        with self.changed:
-            for task in self.tasks.values():
-                if task.waveform is not None and task.channels[0].physical == output:
-                    volts = task.waveform.voltage(self.now_s)
-                    if volts is not None:
-                        return volts
-            return self.held_volts[output]
 
     def _read_buffer(self, task: CardTask, samples: int, timeout_s: float, fill: int, out: FloatArray) -> int:
         self.check_card()

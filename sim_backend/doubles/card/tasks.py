@@ -7,7 +7,6 @@ import math
 import threading
 import time
 from bisect import bisect_left
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -162,35 +161,22 @@ def count_now(bench: SimulatedBench) -> int:
 
 
 class InputBuffer:
-    """The buffer of one running task. The caller of a method holds `changed`.
+    """The buffer of one running task. The caller of a method holds the engine's `changed`.
 
     Parameters
     ----------
     size
         Samples per channel that the buffer holds; a sample that was not read in time is overwritten.
-    pace
-        Seconds of the source's time in a second of wall time.
-    changed
-        Notified of whatever a waiting read must react to.
-    check_running
-        Raises what ends a read: the card is gone, the task was stopped.
     """
 
     def __init__(
-        self,
-        source: AnalogSource | EncoderCounter,
-        size: int,
-        pace: float,
-        changed: threading.Condition,
-        check_running: Callable[[], None],
+        self, engine: "TaskEngine", task: "CardTask", source: AnalogSource | EncoderCounter, size: int
     ) -> None:
+        self._engine, self._task = engine, task
         self.source = source
         self.position = 0
         """Index of the next sample of a relative read."""
         self._size = size
-        self._pace = pace
-        self._changed = changed
-        self._check_running = check_running
         self._stalled_at: int | None = None
         self._lost_before = 0
         self._short_reads = 0
@@ -225,7 +211,7 @@ class InputBuffer:
         CardError
             When the first sample was overwritten (−200279), or the card is gone.
         """
-        self._check_running()
+        self._engine.check_running(self._task)
         wanted = samples
         if self._short_reads < short_reads:
             self._short_reads += 1
@@ -243,10 +229,10 @@ class InputBuffer:
             if missing <= 0 or left_s <= 0:
                 break
             rate_hz = self.source.rate_hz if self._stalled_at is None else 0.0
-            due_s = max(missing / (rate_hz * self._pace), _MIN_WAIT_S) if rate_hz > 0 else math.inf
+            due_s = max(missing / (rate_hz * self._engine.bench.clock.pace), _MIN_WAIT_S) if rate_hz > 0 else math.inf
             wait_s = min(left_s, due_s)
-            self._changed.wait(None if math.isinf(wait_s) else wait_s)
-            self._check_running()
+            self._engine.changed.wait(None if math.isinf(wait_s) else wait_s)
+            self._engine.check_running(self._task)
         self.position = max(min(first + wanted, self.total()), first)
         arrived = self.position - first
         if arrived == samples:
@@ -362,7 +348,6 @@ class TaskEngine:
         self.card = bench.rig.hardware.card
         self.changed = threading.Condition()
         self.tasks: dict[int, CardTask] = {}
-        self.held_volts = dict.fromkeys(pci6229.AO, 0.0)
         self._handles = 0
         self._holders: dict[str, CardTask] = {}
         self._lost_samples = bench.faults.active.overwritten_samples
@@ -539,7 +524,6 @@ class TaskEngine:
 
     def hold_voltage(self, channel: VirtualChannel, volts: float) -> None:
         """Let an output hold a voltage."""
-        self.held_volts[channel.physical] = volts
         self.bench.put_out(channel.physical, np.array([volts]), 0.0, self.now_s)
 
     def announce(self, task: CardTask, volts: FloatArray, first: int) -> None:
@@ -580,8 +564,7 @@ class TaskEngine:
             task.counter.set_clock(LatchClock(source.rate_hz, inputs.origin_count, source.total()))
 
     def _input_buffer(self, task: CardTask, source: AnalogSource | EncoderCounter, clock: SampleClock) -> InputBuffer:
-        size = task.input_buffer or clock.buffer_size
-        buffer = InputBuffer(source, size, self.bench.clock.pace, self.changed, lambda: self.check_running(task))
+        buffer = InputBuffer(self, task, source, task.input_buffer or clock.buffer_size)
         buffer.stall(self.bench.faults.active.card_stalled)
         return buffer
 
