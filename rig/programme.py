@@ -390,11 +390,6 @@ def specimen_remark(specimen: Specimen) -> str:
     )
 
 
-def recording_bytes(samples: int, channels: int) -> int:
-    """Return the size of a recording [bytes]; `channels` counts those besides force and position."""
-    return samples * (BYTES_PER_SAMPLE + BYTES_PER_EXTRA_CHANNEL * channels) + BYTES_PER_FILE
-
-
 def preflight(
     programme: Programme,
     rig: RigSettings,
@@ -415,6 +410,7 @@ def preflight(
     """
     if extra_channels is None:
         extra_channels = 1 if rig.sampling.motor_force else 0
+    sample_bytes = BYTES_PER_SAMPLE + BYTES_PER_EXTRA_CHANNEL * extra_channels
     previews: list[RunPreview] = []
     findings: list[str] = []
     furthest: dict[str, RunOn] = {}
@@ -437,7 +433,7 @@ def preflight(
                 speed_mm_s=extremes.speed_mm_s,
                 accel_mm_s2=extremes.acceleration_mm_s2,
                 samples=samples,
-                size_bytes=recording_bytes(samples, extra_channels),
+                size_bytes=samples * sample_bytes + BYTES_PER_FILE,
             )
         )
     free = free_bytes(folder)

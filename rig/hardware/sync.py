@@ -37,7 +37,9 @@ class MotionSamplingSync:
         # Re-entrant, because a signal handler that stops the stage may interrupt the very thread that holds it.
         self._changed = threading.Condition(threading.RLock())
         self._state = _SyncState()
-        self._newest_seen_s = 0.0
+        self.newest_seen_s = 0.0
+        """When the newest sample that the guard gets was taken, by `time.monotonic` of this computer (set by the
+        sampler)."""
 
     @property
     def armed(self) -> bool:
@@ -58,15 +60,6 @@ class MotionSamplingSync:
     def stop_requested(self) -> bool:
         """Whether a stop was requested since the sampler was armed."""
         return self._state.stop_requested
-
-    @property
-    def newest_seen_s(self) -> float:
-        """When the newest sample that the guard got was taken, by `time.monotonic` of this computer."""
-        return self._newest_seen_s
-
-    def set_newest_seen(self, at_s: float) -> None:
-        """Set when the newest sample that the guard gets was taken (called by the sampler)."""
-        self._newest_seen_s = at_s
 
     def arm(self) -> None:
         """Make the next motion wait for the first sample (called by the sampler)."""

@@ -4,7 +4,7 @@ A finished file is never changed in place, only replaced whole by a synced copy.
 """
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -424,7 +424,8 @@ def rewrite(path: Path, edit: Callable[[h5py.File], None], *, without: Sequence[
         with new_file(path) as file:
             # Closed before the copy takes its place: Windows replaces no file that is open.
             with open_run(path) as source:
-                _copy_run(source, file, frozenset(without))
+                _copy_group(source, file, {"entry"})
+                _copy_group(source[schema.ENTRY], file.create_group(schema.ENTRY), without)
             edit(file)
             for group in (schema.TRACE, schema.FILTERED):
                 if group in file:
@@ -461,12 +462,7 @@ def store_filtered(path: Path, filtered: FilteredTrace, events: Sequence[RunEven
     rewrite(path, edit, without=("filtered",))
 
 
-def _copy_run(source: h5py.File, file: h5py.File, without: frozenset[str]) -> None:
-    _copy_group(source, file, frozenset({"entry"}))
-    _copy_group(source[schema.ENTRY], file.create_group(schema.ENTRY), without)
-
-
-def _copy_group(source: h5py.Group, target: h5py.Group, without: frozenset[str]) -> None:
+def _copy_group(source: h5py.Group, target: h5py.Group, without: Collection[str]) -> None:
     """Copy attributes and members of a group; a link as the link that it is, for it may lead nowhere."""
     target.attrs.update(source.attrs)
     for name in (name for name in source if name not in without):

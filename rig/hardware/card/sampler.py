@@ -148,7 +148,7 @@ class ReaderThread:
 
     def _seen(self, item: _TimedBlock) -> Block:
         """Tell the stage how new the samples are that the guard gets, and mark a block that is stale."""
-        self._sync.set_newest_seen(item.newest_s)
+        self._sync.newest_seen_s = item.newest_s
         age_s = time.monotonic() - item.newest_s
         if age_s <= self._settings.stale_s or item.block.fault is not None:
             return item.block
@@ -464,7 +464,8 @@ class CardSampler:
 
             def read() -> tuple[FloatArray, FloatArray]:
                 with driver_errors_wrapped(card, "it is watched"):
-                    batch, until_s = fetcher.fetch_newest(self._block_samples), time.monotonic() + stale_s
+                    fetcher.skip_to_newest()
+                    batch, until_s = fetcher.fetch(self._block_samples), time.monotonic() + stale_s
                     while not batch.samples:
                         if time.monotonic() > until_s:
                             raise no_samples_error(card, stale_s)

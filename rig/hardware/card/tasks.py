@@ -214,11 +214,6 @@ class SampleFetcher:
             self._encoder.skip_to(self.next_index + self._counts_held)
         return self._complete_batch()
 
-    def fetch_newest(self, samples: int) -> SampleBatch:
-        """Return the next samples from now on, as `fetch` does; those before are passed over."""
-        self.skip_to_newest()
-        return self.fetch(samples)
-
     def skip_to_newest(self) -> None:
         """Pass over what the card holds, which counts as lost."""
         newest = max(self._analog.acquired, self._encoder.acquired, self.next_index + 1)

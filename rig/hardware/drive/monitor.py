@@ -54,12 +54,6 @@ class Watchdog:
         return time.monotonic() - self._fed_s
 
 
-def poll_interval_s(settings: RigSettings) -> float:
-    """Return the time between two polls: half a block's, or less where the silence timeout is shorter."""
-    # Half, so that a poll with its requests over the link is done within a block.
-    return min(settings.sampling.block_s / 2, settings.hardware.drive.silence_s / _POLLS_PER_SILENCE)
-
-
 @dataclass(frozen=True, slots=True)
 class StageDevices:
     """What a stage works with."""
@@ -109,7 +103,9 @@ class Monitor:
         # How long the watchdog may go unfed while a sampled motion is in progress.
         self._hang_s = devices.settings.hardware.hang_s
         self._stale_s = devices.settings.guard.stale_data_s + _STALE_GRACE_S
-        self._interval_s = poll_interval_s(devices.settings)
+        # Half a block's, so that a poll with its requests over the link is done within a block; less where the silence
+        # timeout is shorter.
+        self._interval_s = min(devices.settings.sampling.block_s / 2, self._silence_s / _POLLS_PER_SILENCE)
         # One poll at a time; it need not be re-entrant, because no poll leads to another.
         self._polling = threading.Lock()
         self._sampled_motion_since_s: float | None = None
