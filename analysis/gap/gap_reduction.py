@@ -100,23 +100,25 @@ def gap_of_run(
     )
 
 
-def without_own(residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float) -> FloatArray:
+def without_own(
+    residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float | FloatArray
+) -> FloatArray:
     """Return a residual [mN] without what the run itself is off by, shape `(B,)`.
 
     These are its own factors, limited to some standard deviations, and then its zero, fitted together with them.
     """
+    factors = np.clip(_run_factors(residual, whitening), -max_sigmas, max_sigmas)
+    if zero_sd > 0:
+        factors[0] = 0.0
+    left = residual - whitening.noise_root @ (whitening.run_effects @ factors)
+    return np.asarray(left - zero_sd * _run_factors(left, whitening)[0] if zero_sd > 0 else left)
+
+
+def _run_factors(residual: FloatArray, whitening: Whitening) -> FloatArray:
+    """Return what the run itself is off by, in standard deviations; first the zero where it is unknown."""
     run_effects = whitening.run_effects
     precision = np.eye(run_effects.shape[1]) + run_effects.T @ run_effects
-
-    def own(values: FloatArray) -> FloatArray:
-        return np.asarray(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(values)))
-
-    factors = np.clip(own(residual), -max_sigmas, max_sigmas)
-    if zero_sd <= 0:
-        return np.asarray(residual - whitening.noise_root @ (run_effects @ factors))
-    factors[0] = 0.0
-    left = residual - whitening.noise_root @ (run_effects @ factors)
-    return np.asarray(left - zero_sd * own(left)[0])
+    return np.asarray(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(residual)))
 
 
 def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
