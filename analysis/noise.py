@@ -503,14 +503,9 @@ class _AlikeRepeats:
         covariance = np.zeros((self.pairs.samples.size,) * 2)
         covariance[self.pairs.late, self.pairs.early] = 2.0 * noise.covariances(self.pairs)
         root = cholesky(covariance, lower=True, check_finite=False)
-        total = 2 * len(self.repeats) * float(np.log(np.diag(root)).sum())
-        for repeat in self.repeats:
-            whitened = solve_lower(root, np.column_stack((repeat.signatures, repeat.difference)))
-            basis, triangle = np.linalg.qr(whitened[:, :-1])
-            residual = whitened[:, -1]
-            total += float(residual @ residual - np.sum((basis.T @ residual) ** 2))
-            total += 2 * float(np.log(np.abs(np.diag(triangle)) + 1e-300).sum())
-        return total
+        log_root = float(np.log(np.diag(root)).sum())
+        whitened = (solve_lower(root, np.column_stack((each.signatures, each.difference))) for each in self.repeats)
+        return sum(_beside_columns(columns.shape[1] - 1, columns, log_root) for columns in whitened)
 
 
 @dataclass(frozen=True, eq=False)
@@ -636,7 +631,7 @@ def _dense_likelihood(noise: NoiseModel, stacks: Sequence[tuple[_BlockLayout, Fl
     for layout, means in stacks:
         root = cholesky(toeplitz(noise.covariances(layout.pairs)), lower=True, check_finite=False)
         whitened = solve_lower(root, np.hstack((layout.polynomials, means.T)))
-        total += _beside_polynomials(layout, whitened, float(np.log(np.diag(root)).sum()))
+        total += _beside_columns(layout.degree + 1, whitened, float(np.log(np.diag(root)).sum()))
     return total
 
 
@@ -659,15 +654,14 @@ def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: Float
     signals = np.hstack((layout.polynomials, means.T))
     signals[1:] -= memory * signals[:-1].copy()
     whitened, _ = dtbtrs(root, signals, uplo="L")
-    return _beside_polynomials(layout, whitened, float(np.log(root[0]).sum()))
+    return _beside_columns(layout.degree + 1, whitened, float(np.log(root[0]).sum()))
 
 
-def _beside_polynomials(layout: _BlockLayout, whitened: FloatArray, log_root: float) -> float:
-    """−2 log restricted likelihood of whitened polynomials and block means, columns of shape `(blocks, R)` after them.
+def _beside_columns(count: int, whitened: FloatArray, log_root: float) -> float:
+    """−2 log restricted likelihood of block means, whitened columns of shape `(blocks, R)`, beside `count` before them.
 
-    `log_root` is half the log determinant of the covariance of the block means of a stretch.
+    `log_root` is half the log determinant of the covariance of a column of block means.
     """
-    count = layout.degree + 1
     triangle = np.asarray(np.linalg.qr(whitened, mode="r"), dtype=np.float64)
     logs = log_root + float(np.log(np.abs(np.diag(triangle)[:count])).sum())
     return float(np.sum(triangle[count:, count:] ** 2) + 2 * (whitened.shape[1] - count) * logs)

@@ -202,14 +202,16 @@ class CampaignResiduals:
 
 def excess_axes(runs: CampaignResiduals) -> tuple[ExcessAxis, ...]:
     """Return all axes of a campaign."""
+    first = runs.first_channels
+    moves = np.array([_moves(blocks) for blocks in first])
     return (
         _channel_axis(runs),
         _protocol_axis(runs),
         _phase_axis(runs),
-        _speed_axis(runs),
+        _axis_by_value("speed_mm_s", runs, np.array([blocks.speed_mm_s for blocks in first]), moves),
         _position_axis(runs),
         *_session_axes(runs),
-        _strain_axis(runs),
+        _axis_by_value("strain", runs, np.array([blocks.strain for blocks in first]), ~moves),
         _band_axis(runs),
     )
 
@@ -235,16 +237,6 @@ def _protocol_axis(runs: CampaignResiduals) -> ExcessAxis:
 def _phase_axis(runs: CampaignResiduals) -> ExcessAxis:
     energy, time = _excess_within_runs(runs, lambda blocks: blocks.phase.astype(np.intp), len(PHASE_NAMES))
     return ExcessAxis("phase", PHASE_NAMES, _no_edges(PHASE_NAMES), energy, time, ComparisonBasis.REST)
-
-
-def _speed_axis(runs: CampaignResiduals) -> ExcessAxis:
-    moves = np.array([blocks.contact is not Contact.STICKING for blocks in runs.first_channels])
-    return _axis_by_value("speed_mm_s", runs, np.array([blocks.speed_mm_s for blocks in runs.first_channels]), moves)
-
-
-def _strain_axis(runs: CampaignResiduals) -> ExcessAxis:
-    sticks = np.array([blocks.contact is Contact.STICKING for blocks in runs.first_channels])
-    return _axis_by_value("strain", runs, np.array([blocks.strain for blocks in runs.first_channels]), sticks)
 
 
 def has_session_clock(blocks: Sequence[ResidualBlocks]) -> bool:

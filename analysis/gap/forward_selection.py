@@ -99,9 +99,8 @@ def _columns_of_run(run: RunData, predicted: FloatArray, knots: _Knots) -> Mappi
     signed_speed = speed * slip.heading[:, None]
     position = _hat_functions(blocks.position_mm, knots.place_mm)
     since_begin, since_start, since_stop = (
-        _time_hats(blocks.time_s),
-        _time_hats(slip.since_start_s),
-        _time_hats(slip.since_stop_s),
+        _hat_functions(np.log(np.maximum(time_s, 1e-9)), LOG_TIME_KNOTS)
+        for time_s in (blocks.time_s, slip.since_start_s, slip.since_stop_s)
     )
     before, after = (slip.heading == 0)[:, None], (slip.since_stop_s > 0)[:, None]
     time_at_rest = np.column_stack((since_begin * before, since_stop * after))
@@ -120,10 +119,6 @@ def _columns_of_run(run: RunData, predicted: FloatArray, knots: _Knots) -> Mappi
         "session": _hat_functions(blocks.session_s, knots.session_s),
     }
     return {name: KNOT_PRIOR_SD_MN * values for name, values in laws.items()}
-
-
-def _time_hats(time_s: FloatArray) -> FloatArray:
-    return _hat_functions(np.log(np.maximum(time_s, 1e-9)), LOG_TIME_KNOTS)
 
 
 def _hat_functions(coordinate: FloatArray, knots: FloatArray) -> FloatArray:

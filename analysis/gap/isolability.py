@@ -412,23 +412,27 @@ def _position_visibility(effect: Effect, trials: Sequence[_PositionTrial]) -> Vi
 
 
 def _position_pair(pair: tuple[str, str], trials: Mapping[str, Sequence[_PositionTrial]]) -> EffectPair:
-    first, second = pair
-    remaining = [
-        [min(max(trial.remaining_shares[rival], 0.0), 1.0) for trial in trials[truth]]
-        for truth, rival in (pair, (second, first))
+    left = [
+        np.clip([trial.remaining_shares[rival] for trial in trials[truth]], 0.0, 1.0)
+        for truth, rival in (pair, pair[::-1])
     ]
-    d_primes = [
-        median(
-            DETECTABLE_D_PRIME * trial.error_ratio * float(np.sqrt(share))
-            for trial, share in zip(trials[truth], shares, strict=True)
-        )
-        for truth, shares in zip(pair, remaining, strict=True)
-    ]
-    sin2 = min(*remaining[0], *remaining[1])
-    confused = sin2 < CONFUSED_POSITION_SIN2 or min(d_primes) < DETECTABLE_D_PRIME
-    return EffectPair(
-        pair, "position", sin2, (median(remaining[0]), median(remaining[1])), (d_primes[0], d_primes[1]), confused
-    )
+    d_primes = [DETECTABLE_D_PRIME * np.array([trial.error_ratio for trial in trials[truth]]) for truth in pair]
+    return _pair_of_variants(pair, "position", left, d_primes, CONFUSED_POSITION_SIN2)
+
+
+def _pair_of_variants(
+    pair: tuple[str, str],
+    channel: str,
+    left: Sequence[FloatArray],
+    d_primes: Sequence[FloatArray],
+    confused_sin2: float,
+) -> EffectPair:
+    """Return a pair by the share that the rival leaves of each variant, and the variant's own d′, of both effects."""
+    first, second = (float(np.median(own * np.sqrt(share))) for own, share in zip(d_primes, left, strict=True))
+    sin2 = min(float(share.min()) for share in left)
+    typical = float(np.median(left[0])), float(np.median(left[1]))
+    confused = sin2 < confused_sin2 or min(first, second) < DETECTABLE_D_PRIME
+    return EffectPair(pair, channel, sin2, typical, (first, second), confused)
 
 
 NOMINAL_COST, DICTIONARY_COST, PAIRS_COST, LINES_COST, POSITION_COST = 26, 18, 7, 1, 71
@@ -494,21 +498,8 @@ def isolate(
 
 
 def _force_pair(angles: SignatureAngles, pair: tuple[str, str]) -> EffectPair:
-    first, second = pair
-    sin2s = angles.sin2(first, second), angles.sin2(second, first)
-    d_primes = [
-        float(np.median(angles.d_primes(name) * np.sqrt(share))) for name, share in zip(pair, sin2s, strict=True)
-    ]
-    sin2 = float(min(sin2s[0].min(), sin2s[1].min()))
-    typical = float(np.median(sin2s[0])), float(np.median(sin2s[1]))
-    return EffectPair(
-        pair,
-        "force",
-        sin2,
-        typical,
-        (d_primes[0], d_primes[1]),
-        sin2 < CONFUSED_SIN2 or min(d_primes) < DETECTABLE_D_PRIME,
-    )
+    left = [angles.sin2(*pair), angles.sin2(*pair[::-1])]
+    return _pair_of_variants(pair, "force", left, [angles.d_primes(name) for name in pair], CONFUSED_SIN2)
 
 
 def _force_visibility(study: Study, design: Design, angles: SignatureAngles, name: str) -> Visibility:

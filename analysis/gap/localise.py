@@ -189,8 +189,8 @@ def best_wavenumber(blocks: Sequence[ResidualBlocks]) -> float:
     index = int(shares.argmax())
     low, high = waves[max(index - 1, 0)], waves[min(index + 1, waves.size - 1)]
     near = np.linspace(low, high, REFINEMENT_POINTS)
-    moving = [(run, run.phase == Phase.STEADY) for run in blocks]
-    powers = np.sum([_sine_power(run, np.abs(run.position_mm), steady, near) for run, steady in moving], axis=0)
+    steady = (_sine_power(run, np.abs(run.position_mm), run.phase == Phase.STEADY, near) for run in blocks)
+    powers = np.sum(list(steady), axis=0)
     return float(near[int(powers.argmax())])
 
 

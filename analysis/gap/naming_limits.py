@@ -119,8 +119,10 @@ def size_beside_motion(
     longest = max(float(np.ptp(data.coordinates.position_mm)) for data in runs)
     columns_of_runs, pairs = [], []
     own, others = _columns_of_candidate(design, number)
+    candidate = design.candidates[number]
+    fitted_size = candidate.values[candidate.effect.size.name]
     for run_data, run in zip(runs, design.runs, strict=True):
-        force = run.effect_force if len(design.candidates) == 1 else run.columns[:, own] * _size_of(design, number)
+        force = run.effect_force if len(design.candidates) == 1 else run.columns[:, own] * fitted_size
         nominal = run.columns[:, np.concatenate((design.columns_of(ColumnKind.NOMINAL), others))]
         free_functions = _friction_columns(run_data, longest), _history_columns(run_data)
         columns = np.hstack((nominal, *free_functions, _periodic_columns(run_data, periods_mm)))
@@ -157,11 +159,6 @@ def _columns_of_candidate(design: Design, number: int) -> tuple[int, IndexArray]
     names = [parameter.name for parameter in candidate.fitted_parameters]
     own = columns[owners == number][names.index(candidate.effect.size.name)]
     return int(own), columns[owners != number]
-
-
-def _size_of(design: Design, number: int) -> float:
-    candidate = design.candidates[number]
-    return candidate.values[candidate.effect.size.name]
 
 
 def _history_columns(run: RunData) -> FloatArray:

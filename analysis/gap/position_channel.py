@@ -664,12 +664,9 @@ def fit_position_effect(
     )
 
     def candidate_at(scaled: FloatArray) -> Candidate:
-        values = {parameter.name: float(value) for parameter, value in zip(parameters, scaled * scale, strict=True)}
         limited = {
-            parameter.name: values[parameter.name]
-            if parameter.role is Role.PHASE
-            else float(np.clip(values[parameter.name], parameter.low, parameter.high))
-            for parameter in parameters
+            parameter.name: value if parameter.role is Role.PHASE else min(max(value, parameter.low), parameter.high)
+            for parameter, value in zip(parameters, (scaled * scale).tolist(), strict=True)
         }
         return Candidate(effect, {**start.values, **limited})
 

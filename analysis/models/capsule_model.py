@@ -55,17 +55,6 @@ STIFFNESS_SCATTER, FRICTION_SCATTER = 0.02, 0.015
 RUN_VARIATIONS = (Variation("stiffness", STIFFNESS_SCATTER), Variation("friction", FRICTION_SCATTER))
 
 
-def capsule_parameters(settings: FrictionModelSettings) -> tuple[Parameter, ...]:
-    """Return scales, friction coefficient, gain and contact angle, with their priors over specimens."""
-    scales = tuple(
-        Parameter(name, "1", float(getattr(settings, name)), sd, meaning=meaning, of_rig=name in RIG_PARAMETERS)
-        for name, (sd, meaning) in SPECIMEN_PRIORS.items()
-    )
-    offset_deg = settings.contact_angle_offset_deg
-    angle = Parameter(ANGLE_PARAMETER, "deg", offset_deg, ANGLE_SD_DEG, False, "contact angle minus the capsule's")
-    return (*scales, angle)
-
-
 def _force_combination(name: str, powers: Mapping[str, float], meaning: str) -> ParameterCombination:
     return ParameterCombination(name, "1", {"force_gain": 1.0, **powers}, f"{meaning} as the force channel shows it")
 
@@ -385,7 +374,13 @@ class CapsuleModel(NominalModel):
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Scales, friction coefficient, gain and contact angle, with their priors over specimens."""
-        return capsule_parameters(self.settings)
+        scales = tuple(
+            Parameter(name, "1", float(getattr(self.settings, name)), sd, True, meaning, name in RIG_PARAMETERS)
+            for name, (sd, meaning) in SPECIMEN_PRIORS.items()
+        )
+        offset_deg = self.settings.contact_angle_offset_deg
+        angle = Parameter(ANGLE_PARAMETER, "deg", offset_deg, ANGLE_SD_DEG, False, "contact angle minus the capsule's")
+        return (*scales, angle)
 
     @property
     def variations(self) -> tuple[Variation, ...]:
