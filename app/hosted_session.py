@@ -1,9 +1,9 @@
 """A session on its worker thread, while the calling thread answers its prompts and the signals that end it."""
 
 import queue
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
@@ -55,13 +55,6 @@ _IDLE_MEAN_S = 0.1
 """Five periods of the mains."""
 
 
-@dataclass(slots=True)
-class _PendingPrompt:
-    prompt: Prompt
-    answered: Signal = field(default_factory=Signal)
-    answer: Answer = Answer.ABORT
-
-
 class PromptRelay:
     """Passes a session's prompts to the operator on the calling thread.
 
@@ -74,7 +67,7 @@ class PromptRelay:
     def __init__(self, operator: Operator, look: Callable[[], IdleReading] | None = None) -> None:
         self._operator, self._look = operator, look
         # Not a SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
-        self._prompts: queue.Queue[_PendingPrompt] = queue.Queue()
+        self._prompts: queue.Queue[tuple[Prompt, Future[Answer]]] = queue.Queue()
 
     @property
     def attended(self) -> bool:
@@ -83,10 +76,9 @@ class PromptRelay:
 
     def ask(self, prompt: Prompt) -> Answer:
         """Wait for the answer from the calling thread."""
-        pending = _PendingPrompt(prompt)
-        self._prompts.put(pending)
-        pending.answered.wait()
-        return pending.answer
+        answer: Future[Answer] = Future()
+        self._prompts.put((prompt, answer))
+        return answer.result()
 
     def homes(self, *, over: bool) -> None:
         """Tell the operator, on the thread that moves the stage."""
@@ -95,16 +87,15 @@ class PromptRelay:
     def answer_next(self, within_s: float, signals: EndSignals) -> None:
         """Answer the next prompt, if there is one in this time; Ctrl-C at or before a prompt ends the session."""
         try:
-            pending = self._prompts.get(timeout=within_s)
+            prompt, answered = self._prompts.get(timeout=within_s)
         except queue.Empty:
             return
+        answer = Answer.ABORT
         try:
-            with signals.prompting():
-                pending.answer = self._operator.ask(replace(pending.prompt, look=pending.prompt.look or self._look))
-        except (KeyboardInterrupt, EOFError):
-            pending.answer = Answer.ABORT
+            with suppress(KeyboardInterrupt, EOFError), signals.prompting():
+                answer = self._operator.ask(replace(prompt, look=prompt.look or self._look))
         finally:
-            pending.answered.set()
+            answered.set_result(answer)
 
 
 def idle_reader(backend: Backend, *, timed: bool) -> Callable[[], IdleReading]:
@@ -130,29 +121,16 @@ def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], ope
     DragrigError
         What `work` raises.
     """
-    results: list[ResultT] = []
-    errors: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            results.append(work())
-        except BaseException as error:  # noqa: BLE001  # raised again on the calling thread
-            errors.append(error)
-
-    worker = threading.Thread(target=run, name="session")
-    with rig_open() as signals:
-        worker.start()
+    with rig_open() as signals, ThreadPoolExecutor(1, "session") as worker:
+        result = worker.submit(work)
         try:
             with signals.aborting(abort):
-                while worker.is_alive():
+                while not result.done():
                     operator.answer_next(_POLL_S, signals)
         finally:
-            if worker.is_alive():
+            if not result.done():
                 abort("its host failed")
-            worker.join()
-    if errors:
-        raise errors[0]
-    return results[0]
+    return result.result()
 
 
 class SessionOperator(Operator, SessionObserver, Protocol):

@@ -469,8 +469,7 @@ class MainWindow(QMainWindow):
         # Until the new engine says so itself, and it starts tripped.
         starting = GuardState("the engine is starting")
         self.take(starting)
-        self.run.take(starting)
-        self.run.live.readings.clear(starting.reason)
+        self.run.await_engine(starting.reason)
 
     def _calibrate(self, request: Request) -> None:
         self.notices.settle(Topic.HAND)

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal
@@ -13,6 +14,7 @@ from PySide6.QtWidgets import (
     QHeaderView,
     QPlainTextEdit,
     QProgressBar,
+    QPushButton,
     QSplitter,
     QTreeWidget,
     QTreeWidgetItem,
@@ -60,7 +62,7 @@ from dragrig.window.background import EngineLink
 from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
 from dragrig.window.number_field import NumberField
-from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
+from dragrig.window.session_queue import ENGINE_LOST, QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import (
     MessageText,
     StoredSettings,
@@ -294,17 +296,16 @@ class QueueView(QWidget):
         self.progress = QProgressBar()
         self.progress.setRange(0, 1000)
         self.progress.setAccessibleName("Progress of the running session")
-        self.up = button("Up", lambda: self._move(-1), help_="Move the selected session up", keys="Ctrl+Up")
-        self.down = button("Down", lambda: self._move(1), help_="Move the selected session down", keys="Ctrl+Down")
-        self.out = button("Re&move", self._remove, help_="Remove the selected session from the queue")
-        self.edit = button(
-            "To the form", self._edit, help_="Put the selected session back into the form", keys="Ctrl+Shift+F"
+        up, down = (partial(queue.move, by=by) for by in (-1, 1))
+        self.up = self._button("Up", up, "Move the selected session up", "Ctrl+Up")
+        self.down = self._button("Down", down, "Move the selected session down", "Ctrl+Down")
+        self.out = self._button("Re&move", queue.remove, "Remove the selected session from the queue")
+        self.edit = self._button(
+            "To the form", self._edit, "Put the selected session back into the form", "Ctrl+Shift+F"
         )
-        self.copy = button(
-            "Duplicate", self._duplicate, help_="Add the selected session once more", keys="Ctrl+Shift+D"
-        )
-        self.missing = button(
-            "Make the missing runs", self._make_missing, help_="Go on with what ended early", keys="Ctrl+Shift+M"
+        self.copy = self._button("Duplicate", self._duplicate, "Add the selected session once more", "Ctrl+Shift+D")
+        self.missing = self._button(
+            "Make the missing runs", self.gone_on_with.emit, "Go on with what ended early", "Ctrl+Shift+M"
         )
         self.clear = button(
             "C&lear finished", self._clear, help_="Remove ended sessions from the list; their files stay"
@@ -411,32 +412,24 @@ class QueueView(QWidget):
         number = item.data(0, _JOB_ROLE) if item is not None else None
         return next((entry for entry in self._queue.entries if entry.job.number == number), None)
 
-    def _move(self, by: int) -> None:
-        if (entry := self._selected()) is not None:
-            self._queue.move(entry, by)
-            self.show_queue()
+    def _button(self, text: str, action: Callable[[QueuedSession], None], help_: str, keys: str = "") -> QPushButton:
+        """Return a button that does something with the selected session."""
 
-    def _remove(self) -> None:
-        if (entry := self._selected()) is not None:
-            self._queue.remove(entry)
-            self.show_queue()
+        def pressed() -> None:
+            if (entry := self._selected()) is not None:
+                action(entry)
+                self.show_queue()
 
-    def _edit(self) -> None:
-        if (entry := self._selected()) is not None:
-            self._queue.remove(entry)
-            self.show_queue()
-            self.chosen_job.emit(entry.job)
+        return button(text, pressed, help_=help_, keys=keys)
 
-    def _duplicate(self) -> None:
-        if (entry := self._selected()) is not None:
-            job = replace(entry.job, number=self._queue.next_number())
-            runs = () if entry.folder else entry.runs
-            self._queue.add(QueuedSession(job, entry.title, entry.planned_s, entry.run_count, runs=runs))
-            self.show_queue()
+    def _edit(self, entry: QueuedSession) -> None:
+        self._queue.remove(entry)
+        self.chosen_job.emit(entry.job)
 
-    def _make_missing(self) -> None:
-        if (entry := self._selected()) is not None:
-            self.gone_on_with.emit(entry)
+    def _duplicate(self, entry: QueuedSession) -> None:
+        job = replace(entry.job, number=self._queue.next_number())
+        runs = () if entry.folder else entry.runs
+        self._queue.add(QueuedSession(job, entry.title, entry.planned_s, entry.run_count, runs=runs))
 
     def _put_back(self) -> None:
         self._queue.put_back()
@@ -539,9 +532,8 @@ class RunPage(QWidget):
         self.start_queue = button(
             "Start &the queue", self.run_queue, "main", "Run the waiting sessions one after another"
         )
-        self.abort = button(
-            "&Abort the session", self._abort, help_="Stop the stage; the run and the session end as aborted"
-        )
+        stop = partial(self.stop, "aborted by operator")
+        self.abort = button("&Abort the session", stop, help_="Stop the stage; the run and the session end as aborted")
         self.pause = button(
             "Pause after this run", self._pause, help_="Wait for you before the next run", keys="Ctrl+P"
         )
@@ -718,6 +710,12 @@ class RunPage(QWidget):
             return "a calibration is under way; end it"
         return "a motion by hand is under way; end it" if self.hand.busy else ""
 
+    def await_engine(self, reason: str) -> None:
+        """Let nothing move until a new engine says so itself; it starts tripped."""
+        self._trip_reason = reason
+        self.live.readings.clear(reason)
+        self._show_state()
+
     def stop(self, reason: str) -> None:
         """Stop the stage at once, and the queue."""
         self._queue_started = False
@@ -730,10 +728,12 @@ class RunPage(QWidget):
                 if not question or question != self.answered:  # else read just before the answer arrived
                     self.live.show_idle(reading, "prompt open" if question else "idle")
                 return
-            case HostReady():
+            case HostReady(pid):
+                self.write_log(f"Engine ready, process {pid}.")
                 self._engine.ask(WatchRig(self.devices.watch.isChecked()))
                 return
             case GuardState(reason):
+                self.write_log(f"GUARD TRIPPED: {reason}." if reason else "Guard armed.")
                 self._trip_reason = reason
             case StageMoved(sentence, problem):
                 self.hand.end(sentence or f"Not done: {problem}")
@@ -744,31 +744,32 @@ class RunPage(QWidget):
             case RigExamined():
                 self.devices.show_result(event)
                 self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
-            case HostLost():
-                self._engine_lost()
+            case HostLost(exit_code):
+                self.write_log(f"ENGINE LOST, exit code {exit_code}.")
+                self._engine_lost(event)
             case _:
                 self._follow_session(event)
         self._show_state()
 
     def _follow_session(self, event: Event) -> None:
+        self.queue.take(event)
         match event:
             case PromptShown():
+                self.write_log(f"Prompt: {event.text}.")
                 self.pause.setChecked(False)
-            case SessionStarted():
-                self.queue.session_started(event)
+            case SessionStarted(_, runs):
+                self.write_log(f"Session started, {len(runs)} runs.")
             case StageHomes(sentence):
                 self.live.readings.end_motion(sentence or "preparing")
                 self.write_log(f"{sentence or 'Homed'}.")
             case SessionWaiting(run, duration_s):
-                self.queue.session_waiting(event)
+                self.write_log(f"Rest before {run.summary}: {duration_text(duration_s)}.")
                 self.live.begin_rest(run.summary, duration_s, run.start_mm)
             case RunStarted(run, order):
-                self.queue.run_started(event)
+                self.write_log(f"Run {order} started: {run.summary}.")
                 self.live.begin_run(f"Run {order}: {run.summary}", run.start_mm)
-            case RunFinished(run, order):
-                self.queue.run_finished(event)
-                self.live.end_run(f"Run {order}, {event.status.value}: {run.summary}")
-                self._show_warnings(event)
+            case RunFinished():
+                self._run_ended(event)
             case OperatorWarning(sentence):
                 # It was said in the preview, and hides nothing of the page here.
                 self.write_log(sentence)
@@ -780,10 +781,10 @@ class RunPage(QWidget):
             case _:
                 pass
 
-    def _engine_lost(self) -> None:
-        self._queue_started, self._trip_reason = False, "the engine ended unexpectedly"
+    def _engine_lost(self, event: HostLost) -> None:
+        self._queue_started, self._trip_reason = False, ENGINE_LOST
         running = self.queue.current
-        self.queue.engine_lost(self._trip_reason)
+        self.queue.take(event)
         if running is not None:
             self.session_over.emit(running)
         self.devices.engine_lost()
@@ -808,8 +809,16 @@ class RunPage(QWidget):
         if not on:
             self.live.readings.clear("not read between sessions")
 
+    def _run_ended(self, event: RunFinished) -> None:
+        run, status = f"Run {event.order}", event.status.value
+        self.write_log(f"{', '.join(filter(None, (f'{run} {status}', event.reason)))}: {event.samples} samples.")
+        self.live.end_run(f"{run}, {status}: {event.run.summary}")
+        for warning in event.warnings:
+            self.complained.emit(f"{run}, {event.run.summary}: {warning}.", Topic.SESSION)
+
     def _ended(self, event: SessionFinished) -> None:
-        self.queue.session_finished(event)
+        status = "not started" if event.status is None else event.status.value
+        self.write_log(": ".join(filter(None, (f"Session {status}", event.reason, str(event.folder or "")))))
         if event.mirror is not None and event.mirror.missing:
             names, mirror = ", ".join(name for name, _ in event.mirror.missing), event.mirror.folder
             self.complained.emit(
@@ -832,10 +841,6 @@ class RunPage(QWidget):
                 self.session_over.emit(entry)
         if self._queue_started:
             self.run_queue()
-
-    def _show_warnings(self, event: RunFinished) -> None:
-        for warning in event.warnings:
-            self.complained.emit(f"Run {event.order}, {event.run.summary}: {warning}.", Topic.SESSION)
 
     def _add_to_queue(self, *, start: bool) -> None:
         self.new.update_preview()
@@ -866,34 +871,6 @@ class RunPage(QWidget):
         """Add a line to the log, with the time."""
         self.log.appendPlainText(f"{time.strftime('%Y-%m-%d %H:%M:%S')}  {sentence}")
 
-    def _write_event(self, event: Event) -> None:
-        match event:
-            case HostReady(pid):
-                self.write_log(f"Engine ready, process {pid}.")
-            case HostLost(exit_code):
-                self.write_log(f"ENGINE LOST, exit code {exit_code}.")
-            case GuardState(reason):
-                self.write_log(f"GUARD TRIPPED: {reason}." if reason else "Guard armed.")
-            case SessionStarted(_, runs):
-                self.write_log(f"Session started, {len(runs)} runs.")
-            case SessionWaiting(run, duration_s):
-                self.write_log(f"Rest before {run.summary}: {duration_text(duration_s)}.")
-            case PromptShown():
-                self.write_log(f"Prompt: {event.text}.")
-            case RunStarted(run, order):
-                self.write_log(f"Run {order} started: {run.summary}.")
-            case RunFinished(run, order):
-                reason = f", {event.reason}" if event.reason else ""
-                self.write_log(f"Run {order} {event.status.value}{reason}: {event.samples} samples.")
-            case SessionFinished():
-                status = "not started" if event.status is None else event.status.value
-                self.write_log(": ".join(filter(None, (f"Session {status}", event.reason, str(event.folder or "")))))
-            case _:
-                pass
-
-    def _abort(self) -> None:
-        self.stop("aborted by operator")
-
     def _show_state(self) -> None:
         running = self.session_running
         self.queue_view.show_queue()
@@ -920,7 +897,6 @@ class RunPage(QWidget):
         self.tabs.setTabText(self.tabs.indexOf(self.queue_view), f"Q&ueue ({waiting})" if waiting else "Q&ueue")
 
     def _connect(self, engine: EngineLink) -> None:
-        engine.event_received.connect(self._write_event)
         engine.event_received.connect(self.take)
         self.complained.connect(lambda sentence, _: self.write_log(sentence))
         engine.sampled.connect(self.sample)

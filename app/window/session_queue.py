@@ -9,6 +9,8 @@ from pydantic import TypeAdapter
 
 from dragrig.config import Plan
 from dragrig.engine_host import (
+    Event,
+    HostLost,
     MirrorStatus,
     QueuedRun,
     RunFinished,
@@ -39,7 +41,9 @@ _LASTING = frozenset({QueueState.WAITING, QueueState.RUNNING, QueueState.CUT_OFF
 """States of sessions that are still to be decided or made."""
 
 
+ENGINE_LOST = "the engine ended unexpectedly"
 _STATE_OF_STATUS = {
+    None: QueueState.REFUSED,
     RunStatus.COMPLETE: QueueState.COMPLETE,
     RunStatus.ABORTED: QueueState.ABORTED,
     RunStatus.TRIPPED: QueueState.TRIPPED,
@@ -236,47 +240,31 @@ class SessionQueue:
         """Remove the sessions that have ended."""
         self._take_out([entry for entry in self.entries if entry.stage not in _LASTING])
 
-    def session_started(self, event: SessionStarted) -> None:
-        """Store the runs of a session."""
-        entry = self.current
-        if entry is not None and entry.job.number == event.job:
-            entry.runs, entry.real_time, entry.run_count = event.runs, event.real_time, len(event.runs)
-            entry.folder = str(event.folder)
-
-    def session_waiting(self, event: SessionWaiting) -> None:
-        """Store the rest before a run."""
-        if (entry := self.current) is not None:
-            entry.resting, entry.rest_left_s = event.run, event.duration_s
-
-    def run_started(self, event: RunStarted) -> None:
-        """Store the run in progress."""
-        if (entry := self.current) is not None:
-            entry.resting = None
-            entry.current_run, entry.last_index, entry.elapsed_s = event.run, event.run.index, 0.0
-            entry.numbers[event.run.index] = event.order
-            entry.ended.pop(event.run.index, None)
-
-    def run_finished(self, event: RunFinished) -> None:
-        """Store the result of a run."""
-        if (entry := self.current) is not None:
-            entry.ended[event.run.index] = event
-            entry.current_run = None
-
-    def session_finished(self, event: SessionFinished) -> None:
-        """Store the result of a session."""
-        for entry in self.entries:
-            if entry.job.number == event.job and entry.stage is QueueState.RUNNING:
-                entry.stage = (
-                    QueueState.REFUSED
-                    if event.status is None
-                    else _STATE_OF_STATUS.get(event.status, QueueState.FAILED)
-                )
-                entry.reason, entry.mirror = event.reason, event.mirror
+    def take(self, event: Event) -> None:
+        """Store what an event says of the running session."""
+        if (entry := self.current) is None:
+            return
+        match event:
+            case SessionStarted(entry.job.number, runs, real_time, folder):
+                entry.runs, entry.real_time, entry.run_count = runs, real_time, len(runs)
+                entry.folder = str(folder)
+            case SessionWaiting(run, duration_s):
+                entry.resting, entry.rest_left_s = run, duration_s
+            case RunStarted(run, order):
+                entry.resting = None
+                entry.current_run, entry.last_index, entry.elapsed_s = run, run.index, 0.0
+                entry.numbers[run.index] = order
+                entry.ended.pop(run.index, None)
+            case RunFinished(run):
+                entry.ended[run.index] = event
+                entry.current_run = None
+            case SessionFinished(entry.job.number, status, reason, folder, mirror):
+                entry.stage = _STATE_OF_STATUS.get(status, QueueState.FAILED)
+                entry.reason, entry.mirror = reason, mirror
                 entry.current_run = entry.resting = None
-                entry.folder = "" if event.folder is None else str(event.folder)
-
-    def engine_lost(self, reason: str) -> None:
-        """Fail the running session: the engine is gone."""
-        if (entry := self.current) is not None:
-            entry.stage, entry.reason = QueueState.FAILED, reason
-            entry.current_run = entry.resting = None
+                entry.folder = "" if folder is None else str(folder)
+            case HostLost():
+                entry.stage, entry.reason = QueueState.FAILED, ENGINE_LOST
+                entry.current_run = entry.resting = None
+            case _:
+                pass

@@ -439,9 +439,13 @@ class SimulatedSampler:
         self._clock = clock
         self._axis = axis
         self._disturbances = disturbances
-        self._rate_hz = rig.sampling.rate_hz
-        self._block_samples = max(1, int(min(rig.sampling.block_s, MAX_BLOCK_S) * self._rate_hz + 1e-6))
-        self._channels = recorded_channels(rig)
+        self.sample_rate_hz = rig.sampling.rate_hz
+        """Samples per second of every channel."""
+        self._block_samples = max(1, int(min(rig.sampling.block_s, MAX_BLOCK_S) * self.sample_rate_hz + 1e-6))
+        self.channels = recorded_channels(rig)
+        """Force, position and, where the settings ask for it, motor force."""
+        self.force_range_mN = ForceConverter.of(rig.force_sensor).range_mN
+        """Least and greatest force of the sensor's converter."""
         self._reader: BlockReader | None = None
         self._acquisition: Acquisition | None = None
         self._start_s: float | None = None
@@ -454,21 +458,6 @@ class SimulatedSampler:
         """The contact after the last motion; None where the capsule is clear of the gut."""
         self._hung_mN = self._push_mm = 0.0
 
-    @property
-    def sample_rate_hz(self) -> float:
-        """Samples per second of every channel."""
-        return self._rate_hz
-
-    @property
-    def channels(self) -> tuple[RecordedChannel, ...]:
-        """Force, position and, where the settings ask for it, motor force."""
-        return self._channels
-
-    @property
-    def force_range_mN(self) -> tuple[float, float]:
-        """Least and greatest force of the sensor's converter."""
-        return ForceConverter.of(self._rig.force_sensor).range_mN
-
     def arm(self, acquisition: Acquisition) -> None:
         """Prepare an acquisition of the profile's length.
 
@@ -480,9 +469,9 @@ class SimulatedSampler:
         disturbances = self._disturbances.during(acquisition)
         reader = BlockReader(
             SimulatedChannels(self._rig, self._model, acquisition, disturbances, session_start_s),
-            samples=acquisition.profile.samples(self._rate_hz),
+            samples=acquisition.profile.samples(self.sample_rate_hz),
             block_samples=self._block_samples,
-            sample_rate_hz=self._rate_hz,
+            sample_rate_hz=self.sample_rate_hz,
             lost=disturbances.lost,
         )
         self._axis.arm(acquisition)
@@ -524,7 +513,7 @@ class SimulatedSampler:
                 self._axis.end_sampling()
                 return None
             reader.compute(end)
-            until_s = end / self._rate_hz
+            until_s = end / self.sample_rate_hz
             if not self._clock.sleep(start_s + until_s - self._clock.monotonic(), cancel):
                 return None
             if self._axis.deliver(track, until_s):
@@ -567,7 +556,7 @@ class SimulatedSampler:
         load_mN = self._hung_mN if self.left is None else self.left.force_mN(self._model, self._clock.now())
         white = random_generator(rig.simulated.seed, RandomStream.FORCE_WHITE, self._measurements, "measure")
         self._measurements += 1
-        noise_mN = white.standard_normal(max(1, round(duration_s * self._rate_hz))) * rig.simulated.noise.white_mN
+        noise_mN = white.standard_normal(max(1, round(duration_s * self.sample_rate_hz))) * rig.simulated.noise.white_mN
         force_mN = ForceConverter.of(rig.force_sensor).convert(noise_mN + load_mN)
         force_V = force_mN / wiring.per_V + wiring.zero_V
         counts = np.rint(np.array([begin_mm, end_mm]) * encoder.counts_per_mm)

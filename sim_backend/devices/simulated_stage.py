@@ -181,12 +181,6 @@ class SimulatedAxis:
         with self._lock:
             return self._position(), self._moving(), self._latched_fault()
 
-    @property
-    def fault(self) -> Trip | None:
-        """The drive's fault, if any."""
-        with self._lock:
-            return self._latched_fault()
-
     def arm(self, acquisition: Acquisition) -> None:
         """Let the next motion begin with this acquisition's first sample."""
         with self._lock:
@@ -329,10 +323,14 @@ LIMIT_TOLERANCE_MM = 1e-6
 class SimulatedStage:
     """One axis that follows profiles exactly, except for disturbances."""
 
+    start_uncertainty_s = 0.0
+    """A motion begins with the first sample."""
+
     def __init__(
         self, settings: StageSettings, axis: SimulatedAxis, encoder: PositionEncoder, disturbances: Disturbances
     ) -> None:
-        self._limits = stage_limits(settings)
+        self.limits = stage_limits(settings)
+        """Soft limits of travel, and the greatest speed and acceleration."""
         self._stop_accel_mm_s2 = settings.stop_accel_mm_s2
         self._axis = axis
         self._encoder = encoder
@@ -343,11 +341,6 @@ class SimulatedStage:
         self._override: TravelEnd | None = None
         self._override_used = False
         self._commands = threading.RLock()
-
-    @property
-    def limits(self) -> StageLimits:
-        """Soft limits of travel, and the greatest speed and acceleration."""
-        return self._limits
 
     def enable(self) -> None:
         """Switch the drive on.
@@ -365,7 +358,7 @@ class SimulatedStage:
         """
         with self._commands:
             self._refuse_unready()
-            self._axis.place(min(max(0.0, self._limits.lowest_mm), self._limits.highest_mm))
+            self._axis.place(min(max(0.0, self.limits.lowest_mm), self.limits.highest_mm))
             self.homed = True
 
     def move(self, profile: MotionProfile) -> None:
@@ -381,19 +374,14 @@ class SimulatedStage:
             if profile.duration_s <= 0:
                 return
             origin_mm, _, _ = self._axis.state()
-            limits = limits_with_override(self._limits, self._overridden(moving=False), origin_mm)
+            limits = limits_with_override(self.limits, self._overridden(moving=False), origin_mm)
             require_within_limits(profile, origin_mm, limits, LIMIT_TOLERANCE_MM)
             track, acquisition = Track(profile, origin_mm), self._axis.acquisition
             if acquisition is not None:
                 disturbances = self._disturbances.during(acquisition)
-                track = disturbances.track(track, self._limits, self._stop_accel_mm_s2)
+                track = disturbances.track(track, self.limits, self._stop_accel_mm_s2)
             self._axis.begin(track)
             self._override_used = self._override is not None
-
-    @property
-    def start_uncertainty_s(self) -> float:
-        """0, because a motion begins with the first sample."""
-        return 0.0
 
     def await_end(self, cancel: Signal) -> None:
         """Return at once: a motion is over with its last sample."""
@@ -418,8 +406,7 @@ class SimulatedStage:
     @property
     def fault(self) -> Trip | None:
         """Fault that the drive or a limit switch reports, if any."""
-        position_mm, moving, fault = self._axis.state()
-        return fault or self._pressed_switch(position_mm, moving)
+        return self.state().fault
 
     def state(self) -> StageState:
         """Return position to the encoder's resolution, and the drive's state."""

@@ -26,6 +26,9 @@ class DoubleBackend(HardwareBackend):
         What goes wrong; nothing unless given.
     """
 
+    name = "simulated"
+    """Name that the run files carry."""
+
     def __init__(self, request: BackendRequest, faults: FaultInjector | None = None) -> None:
         rig = request.rig
         fitting_dialect(rig.hardware)
@@ -54,11 +57,6 @@ class DoubleBackend(HardwareBackend):
             self._open.push(stack.pop_all())  # first, so that the doubles are closed last
         if request.connect:
             self.connect()
-
-    @property
-    def name(self) -> str:
-        """Name that the run files carry."""
-        return "simulated"
 
     def description(self) -> Mapping[str, str | float | int | bool]:
         """Return what the real rig says of itself, and that it is none."""

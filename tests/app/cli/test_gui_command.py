@@ -78,18 +78,18 @@ def test_a_queue_knows_its_progress_and_the_time_left() -> None:
     assert queue.left_s == 38.0
     first = queue.entries[0]
     first.stage = QueueState.RUNNING
-    queue.session_started(SessionStarted(1, runs, real_time=True))
+    queue.take(SessionStarted(1, runs, real_time=True))
     assert (first.left_s, first.progress) == (30.0, 0.0)
-    queue.run_started(RunStarted(runs[0], 0))
+    queue.take(RunStarted(runs[0], 0))
     first.elapsed_s = 2.0
     assert first.left_s == 18.0
-    queue.run_finished(RunFinished(runs[0], 0, RunStatus.COMPLETE, "", 5000, ()))
+    queue.take(RunFinished(runs[0], 0, RunStatus.COMPLETE, "", 5000, ()))
     assert (first.left_s, first.progress, first.over_count) == (15.0, 0.5, 1)
-    queue.run_started(RunStarted(runs[0], 1))
+    queue.take(RunStarted(runs[0], 1))
     assert (first.left_s, first.over_count) == (20.0, 0)  # made again
-    queue.run_started(RunStarted(runs[1], 2))
+    queue.take(RunStarted(runs[1], 2))
     assert (first.left_s, first.over_count) == (5.0, 1)  # whatever became of the one before
     first.elapsed_s = 5.0
-    queue.session_finished(SessionFinished(1, RunStatus.TRIPPED, "force: too much"))
+    queue.take(SessionFinished(1, RunStatus.TRIPPED, "force: too much"))
     assert (first.stage, first.reason, queue.left_s) == (QueueState.TRIPPED, "force: too much", 8.0)
     assert queue.next is queue.entries[1]

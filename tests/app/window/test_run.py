@@ -347,12 +347,12 @@ def test_the_queue_follows_the_run_and_numbers_it_as_its_file(qapp: QApplication
     view.resize(600, 400)
     view.show()
     queue.entries[0].stage = QueueState.RUNNING
-    queue.session_started(SessionStarted(1, runs, real_time=True))
+    queue.take(SessionStarted(1, runs, real_time=True))
     for order, at in enumerate([*range(40), 39, 40]):  # the fortieth is made again
-        queue.run_started(RunStarted(replace(runs[at]), order))  # as it comes from the engine's process
+        queue.take(RunStarted(replace(runs[at]), order))  # as it comes from the engine's process
         view.show_queue()
         if at < 40:
-            queue.run_finished(RunFinished(runs[at], order, RunStatus.COMPLETE, "", 5000, ()))
+            queue.take(RunFinished(runs[at], order, RunStatus.COMPLETE, "", 5000, ()))
     session = view.tree.topLevelItem(0)
     assert session is not None
     running = session.child(40)
