@@ -74,7 +74,7 @@ def identification_document(identification: Identification) -> Document:
     sections = () if joint is not None and not any(parts) else tuple(_part_sections(identification))
 
     runs = f"{used} of {used + len(identification.left_out)} runs used"
-    figures = () if joint is None else (_joint_figure(joint),)
+    figures = () if joint is None else (joint_figure(joint),)
     return Document(
         title=f"Identification of specimen {identification.specimen}",
         badges=identification.backends,
@@ -124,7 +124,8 @@ def _answer(identification: Identification) -> str:
     )
 
 
-def _joint_figure(joint: JointFit) -> Figure:
+def joint_figure(joint: JointFit) -> Figure:
+    """Return the figure of a joint fit."""
     return Figure(
         "joint-fit",
         "Left, the 95 % interval of each parameter before and after the runs, and of their combinations; right, χ² per "
