@@ -388,11 +388,15 @@ class Document:
 
     def without(self, *names: str) -> "Document":
         """Return the document without the figures of these names."""
-        return replace(self, sections=tuple(_without(section, names) for section in self.sections))
+        return self._with_figures(figure for figure in self.figures() if figure.name not in names)
 
     def with_drawings(self, svg: Mapping[str, str]) -> "Document":
         """Return the document with its figures drawn: their SVG by name."""
-        return replace(self, sections=tuple(_with_drawings(section, svg) for section in self.content))
+        return self._with_figures(replace(figure, drawing=svg[figure.name]) for figure in self.figures())
+
+    def _with_figures(self, figures: Iterable[Figure]) -> "Document":
+        by_name = {figure.name: figure for figure in figures}
+        return replace(self, sections=tuple(_with_figures(section, by_name) for section in self.content))
 
 
 def _blocks_of(blocks: "tuple[Block, ...]") -> "Iterator[Block]":
@@ -402,24 +406,19 @@ def _blocks_of(blocks: "tuple[Block, ...]") -> "Iterator[Block]":
             yield from _blocks_of(block.content)
 
 
-def _without(section: Section, names: tuple[str, ...]) -> Section:
-    blocks = (block for block in section.blocks if not (isinstance(block, Figure) and block.name in names))
-    return replace(
-        section, blocks=tuple(_without(block, names) if isinstance(block, Section) else block for block in blocks)
-    )
+def _with_figures(section: Section, figures: Mapping[str, Figure]) -> Section:
+    """Return a section with these figures in place of its own, by name, and without any other."""
 
+    def blocks() -> Iterator[Block]:
+        for block in section.content:
+            if isinstance(block, Section):
+                yield _with_figures(block, figures)
+            elif not isinstance(block, Figure):
+                yield block
+            elif block.name in figures:
+                yield figures[block.name]
 
-def _with_drawings(section: Section, drawn: Mapping[str, str]) -> Section:
-    def with_drawing(block: Block) -> Block:
-        match block:
-            case Figure():
-                return replace(block, drawing=drawn[block.name])
-            case Section():
-                return _with_drawings(block, drawn)
-            case _:
-                return block
-
-    return replace(section, blocks=tuple(map(with_drawing, section.content)))
+    return replace(section, blocks=tuple(blocks()))
 
 
 def _rendered(cell: Cell, column: Column, link: str) -> RenderedCell:

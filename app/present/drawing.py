@@ -419,13 +419,8 @@ def set_log_x(axes: Axes, low: float, high: float) -> None:
     few = high / low < 2e3
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=30))
     axes.xaxis.set_minor_locator(LogLocator(subs=tuple(range(1, 10)), numticks=100))
-    axes.xaxis.set_major_formatter(FuncFormatter(_tick_text))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-
-
-def _tick_text(value: float, place: int | None = None) -> str:
-    del place
-    return f"{value:g}"
 
 
 def spread_labels(centres: Sequence[float], widths: Sequence[float], low: float, high: float) -> FloatArray:

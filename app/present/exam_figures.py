@@ -26,6 +26,7 @@ from dragrig.present import (
     BLUE,
     GREEN,
     GREY,
+    GRID,
     ORANGE,
     PALE,
     PAPER,
@@ -223,9 +224,7 @@ FAINTEST_D_PRIME = 1000.0
 WHITE_TEXT_SHADE = 0.55
 """Shades darker than this have white text."""
 
-CELL_EDGE_COLOUR = "#D3D9DF"
-
-_SIMILARITY_COLOURS = LinearSegmentedColormap.from_list("near", ["#FFFFFF", "#BFD9EA", BLUE, "#002B45"])
+_SIMILARITY_COLOURS = LinearSegmentedColormap.from_list("near", [PAPER, "#BFD9EA", BLUE, "#002B45"])
 
 
 def isolability_figure(isolability: Isolability) -> Figure:
@@ -245,7 +244,7 @@ def isolability_figure(isolability: Isolability) -> Figure:
         figure = new_figure(max(side, 10.0), side + 0.7, title, isolability_sentences(isolability)[0])
         axes = figure.add_subplot(aspect="equal")
         for row, effect in enumerate(names):
-            axes.add_patch(Rectangle((row - 0.5, row - 0.5), 1, 1, facecolor="#F1F3F5", edgecolor=CELL_EDGE_COLOUR))
+            axes.add_patch(Rectangle((row - 0.5, row - 0.5), 1, 1, facecolor="#F1F3F5", edgecolor=GRID))
             for column, column_effect in enumerate(names[:row]):
                 pair = isolability.pair(effect, column_effect)
                 if pair is not None:
@@ -264,9 +263,7 @@ def _draw_pair_cells(axes: Axes, row: int, column: int, pair: EffectPair) -> Non
 
 
 def _draw_cell(axes: Axes, x: int, y: int, shade: float, text: str, *, framed: bool) -> None:
-    axes.add_patch(
-        Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=_SIMILARITY_COLOURS(shade), edgecolor=CELL_EDGE_COLOUR)
-    )
+    axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=_SIMILARITY_COLOURS(shade), edgecolor=GRID))
     if framed:
         frame = Rectangle((x - 0.46, y - 0.46), 0.92, 0.92, fill=False, edgecolor=BLACK, linewidth=2.4, zorder=3)
         axes.add_patch(frame)

@@ -1,12 +1,12 @@
 """The friction model laid out for a reader: forces at steady speed, and the disagreement of Eq. 14 and Table 1."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 
 from dragrig import present
 from dragrig.analysis.paper import WALL_UNITS
 from dragrig.config import Capsule, FrictionModelSettings
 from dragrig.present import (
-    Column,
     Document,
     Field,
     Figure,
@@ -30,12 +30,10 @@ def model_document(
 ) -> Document:
     """Lay out a friction model: `rows` are its forces at steady speed, by the names of the columns."""
     speeds = [row["speed_mm_s"] for row in rows]
-    names = [name for name in rows[0] if name != "speed_mm_s"]
-    columns = (
-        Column("speed_mm_s", "v, mm/s", shortest()),
-        *(Column(name, name.replace("_mN", ", mN"), decimals(2)) for name in names),
-    )
-    forces = Table("forces", "", columns, tuple((row["speed_mm_s"], *(row[name] for name in names)) for row in rows))
+    speed = Field("speed_mm_s", "v, mm/s", itemgetter("speed_mm_s"), shortest())
+    parts = (name for name in rows[0] if name != "speed_mm_s")
+    fields = (Field(name, name.replace("_mN", ", mN"), itemgetter(name), decimals(2)) for name in parts)
+    forces = Table.of("forces", "", rows, speed, *fields)
     wall = WALL_TEXTS.get(model.wall, "the model's own polynomials")
 
     return Document(

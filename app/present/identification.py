@@ -26,7 +26,6 @@ from dragrig.analysis import (
     count_text,
     join_names,
     range_text,
-    rounded_to_error,
     value_with_error,
 )
 from dragrig.present import (
@@ -74,7 +73,7 @@ def identification_document(identification: Identification) -> Document:
     sections = () if joint is not None and not any(parts) else tuple(_part_sections(identification))
 
     runs = f"{used} of {used + len(identification.left_out)} runs used"
-    figures = () if joint is None else (_joint_figure(joint),)
+    figures = () if joint is None else (joint_figure(joint),)
     return Document(
         title=f"Identification of specimen {identification.specimen}",
         badges=identification.backends,
@@ -124,7 +123,8 @@ def _answer(identification: Identification) -> str:
     )
 
 
-def _joint_figure(joint: JointFit) -> Figure:
+def joint_figure(joint: JointFit) -> Figure:
+    """Return the figure of a joint fit."""
     return Figure(
         "joint-fit",
         "Left, the 95 % interval of each parameter before and after the runs, and of their combinations; right, χ² per "
@@ -156,7 +156,7 @@ def _campaign_cells(identification: Identification | None, names: Iterable[str])
     converged = joint is not None and joint.converged
     known = {parameter.name: parameter for parameter in joint.parameters if parameter.determined} if joint else {}
     for name in names:
-        yield _value_cell(known.get(name), with_error=True) if converged else FormattedNumber(None, UNKNOWN)
+        yield _estimate_cell(known[name] if converged and name in known else Estimate())
 
 
 def _joint_blocks(fit: JointFit) -> tuple[Block, ...]:
@@ -213,11 +213,11 @@ def _joint_fit_heading(fit: JointFit) -> str:
     return f"{heading}."
 
 
-def _value_cell(quantity: EstimatedQuantity | None, *, with_error: bool = False) -> FormattedNumber:
+def _value_cell(quantity: EstimatedQuantity | None) -> FormattedNumber:
+    """Return a value to the second digit of its error, which stands in a column of its own."""
     if quantity is None:
         return FormattedNumber(None, UNKNOWN)
-    write = value_with_error if with_error else rounded_to_error
-    return FormattedNumber(quantity.value, write(quantity.value, quantity.standard_error))
+    return FormattedNumber.rounded(quantity.value, quantity.standard_error)
 
 
 def _half_width_text(quantity: EstimatedQuantity) -> str:
@@ -267,7 +267,7 @@ def _residual_table(runs: Sequence[RunResidual]) -> Table:
     )
 
 
-def _estimate_cell(estimate: Estimate) -> FormattedNumber:
+def _estimate_cell(estimate: Estimate | EstimatedQuantity) -> FormattedNumber:
     """Return an estimate with its error; why one is missing stands beside the result of all runs."""
     return FormattedNumber.with_error(estimate.value, estimate.standard_error)
 
@@ -281,19 +281,27 @@ def _part_sections(identification: Identification) -> Iterator[Section]:
 
 
 def _relaxation_blocks(relaxation: RelaxationResult) -> tuple[Block, ...]:
-    elements = (
-        Column("file", "run"),
-        Column("strain", "strain"),
-        Column("element", "element"),
-        Column("value", "value"),
-        Column("interval_95", "95 % interval"),
-        Column("half_width", "± 95 %"),
-        Column("unit", "unit"),
-    )
     known = [fit for fit in relaxation.fits if fit.elements]
+    # A run is named beside the first of its elements.
+    elements = [
+        (quantity, fit if place == 0 else None)
+        for fit in known
+        for place, quantity in enumerate((*fit.elements, *fit.times))
+    ]
     return (
         Text(f"Five elements from {len(known)} of {len(relaxation.fits)} runs."),
-        Table("elements", "", elements, tuple(row for fit in known for row in _element_rows(fit))),
+        Table.of(
+            "elements",
+            "",
+            elements,
+            Field("file", "run", lambda row: row[1].file if row[1] else ""),
+            Field("strain", "strain", lambda row: f"{100 * row[1].shear_strain:.3g} %" if row[1] else ""),
+            Field("element", "element", lambda row: element_symbol(row[0].name)),
+            Field("value", "value", lambda row: _value_cell(row[0])),
+            Field("interval_95", "95 % interval", lambda row: interval_text(row[0])),
+            Field("half_width", "± 95 %", lambda row: _half_width_text(row[0])),
+            Field("unit", "unit", lambda row: row[0].unit),
+        ),
         Items(tuple(f"{fit.file}: {text}" for fit in relaxation.fits for text in _relaxation_fit_sentences(fit))),
         Table.of(
             "strain-laws",
@@ -307,20 +315,6 @@ def _relaxation_blocks(relaxation: RelaxationResult) -> tuple[Block, ...]:
         ),
         Items(relaxation.remarks, remarks=True),
     )
-
-
-def _element_rows(fit: RelaxationFit) -> Iterator[tuple[Cell, ...]]:
-    for place, quantity in enumerate((*fit.elements, *fit.times)):
-        first = (fit.file, f"{100 * fit.shear_strain:.3g} %") if place == 0 else ("", "")
-        value = _value_cell(quantity)
-        yield (
-            *first,
-            element_symbol(quantity.name),
-            value,
-            interval_text(quantity),
-            _half_width_text(quantity),
-            quantity.unit,
-        )
 
 
 def _relaxation_fit_sentences(fit: RelaxationFit) -> Iterator[str]:

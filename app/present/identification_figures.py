@@ -509,7 +509,8 @@ def drag_figure(
     speeds = [abs(point.speed_mm_s) for point in points] or [0.5, 60.0]
     low, high = min(speeds) / DRAG_MARGIN, max(speeds) * DRAG_MARGIN
     speed = np.geomspace(low, high, 400)
-    curve = steady_force_parts(DragSetup(capsule, wall_thickness_mm), model, speed)
+    setup = DragSetup(capsule, wall_thickness_mm)
+    curve = steady_force_parts(setup, model, speed)
     measured = "points: measured, 95 % intervals  ·  " if points else ""
     subtitle = f"{measured}line: {model_text(model)}"
     with figure_style():
@@ -519,16 +520,16 @@ def drag_figure(
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4.9, 2.2))
         figure.align_ylabels()
         labels = _draw_model_parts(above, speed, curve)
-        if drag.log_law is not None:
-            law = drag.log_law.force_mN(speed)
-            above.plot(speed, law, color=PURPLE, linewidth=1.8, linestyle=(0, (5, 3)))
-            below.plot(speed, law - curve.total, color=PURPLE, linewidth=1.8, linestyle=(0, (5, 3)))
-            labels.append(CurveLabel(float(law[-1]), "law of ln v", PURPLE))
-        if simulated is not None:
-            truth = steady_force_parts(DragSetup(capsule, wall_thickness_mm), simulated, speed).total
-            above.plot(speed, truth, color=GREY, linewidth=1.6, linestyle=(0, (2, 2)))
-            below.plot(speed, truth - curve.total, color=GREY, linewidth=1.6, linestyle=(0, (2, 2)))
-            labels.append(CurveLabel(float(truth[-1]), "as simulated", GREY))
+        law = None if drag.log_law is None else drag.log_law.force_mN(speed)
+        truth = None if simulated is None else steady_force_parts(setup, simulated, speed).total
+        for words, force, colour, width, dash in (
+            ("law of ln v", law, PURPLE, 1.8, (5, 3)),
+            ("as simulated", truth, GREY, 1.6, (2, 2)),
+        ):
+            if force is not None:
+                above.plot(speed, force, color=colour, linewidth=width, linestyle=(0, dash))
+                below.plot(speed, force - curve.total, color=colour, linewidth=width, linestyle=(0, dash))
+                labels.append(CurveLabel(float(force[-1]), words, colour))
         _draw_drag_points(above, points, [0.0] * len(points))
         _draw_drag_points(below, points, [point.model_mN for point in points])
         _finish_drag_axes(above, below, (low, high), accuracy_mN)

@@ -14,7 +14,6 @@ from dragrig.analysis.gap import (
     isolability_sentences,
 )
 from dragrig.present import (
-    Column,
     Document,
     Facts,
     Field,
@@ -101,17 +100,7 @@ def isolability_document(isolability: Isolability) -> Document:
                     }
                     for effect in isolability.effects
                 ],
-                "pairs": [
-                    {
-                        "effects": pair.effects,
-                        "channel": pair.channel,
-                        "sin2": pair.sin2,
-                        "typical_sin2": pair.typical_sin2,
-                        "d_prime": pair.d_prime,
-                        "confused": pair.confused,
-                    }
-                    for pair in isolability.pairs
-                ],
+                "pairs": isolability.pairs,
                 "remarks": isolability.remarks,
             }
         ),
@@ -141,26 +130,19 @@ def _effect_table(isolability: Isolability) -> Table:
 
 
 def _pair_table(isolability: Isolability) -> Table:
-    columns = (
-        Column("first", "first"),
-        Column("second", "second"),
-        Column("sin2", "sin²", decimals(2)),
-        Column("first_by_second", "first by second", decimals(2)),
-        Column("second_by_first", "second by first", decimals(2)),
-        Column("d_prime", "d′", decimals(0)),
-        Column("confused", ""),
+    return Table.of(
+        "pairs",
+        "Pairs of effects, the most similar first",
+        isolability.pairs,
+        Field("first", "first", lambda pair: capitalise(display_name(pair.effects[0]))),
+        Field("second", "second", lambda pair: capitalise(display_name(pair.effects[1]))),
+        Field("sin2", "sin²", lambda pair: pair.sin2, decimals(2)),
+        Field("first_by_second", "first by second", lambda pair: pair.typical_sin2[0], decimals(2)),
+        Field("second_by_first", "second by first", lambda pair: pair.typical_sin2[1], decimals(2)),
+        Field("d_prime", "d′", lambda pair: pair.separation, decimals(0)),
+        Field("confused", "", lambda pair: "hardly distinguishable" if pair.confused else ""),
+        brief_rows=MAX_PAIRS,
     )
-    rows = tuple(
-        (
-            *(capitalise(display_name(effect)) for effect in pair.effects),
-            pair.sin2,
-            *pair.typical_sin2,
-            pair.separation,
-            "hardly distinguishable" if pair.confused else "",
-        )
-        for pair in isolability.pairs
-    )
-    return Table("pairs", "Pairs of effects, the most similar first", columns, rows, brief_rows=MAX_PAIRS)
 
 
 def effects_document(effects: Sequence[Effect]) -> Document:

@@ -149,20 +149,12 @@ def to_json_value(value: object) -> object:
             return [to_json_value(item) for item in value]
         case _ if is_dataclass(value):
             return {item.name: to_json_value(getattr(value, item.name)) for item in fields(value)}
-        case _:
-            return _scalar(value)
-
-
-def _scalar(value: object) -> str | float | bool | None:
-    match value:
-        case float():
-            return value if isfinite(value) else None
-        case None | bool() | int():
+        case float() if not isfinite(value):
+            return None
+        case None | bool() | int() | float():
             return value
-        case date():
-            return value.isoformat()
         case _:
-            return str(value)
+            return value.isoformat() if isinstance(value, date) else str(value)
 
 
 def grouped_files(files: Sequence[str]) -> str:

@@ -53,6 +53,7 @@ from dragrig.present import (
     significant,
 )
 from dragrig.present.friction_model import WALL_TEXTS
+from dragrig.present.identification import joint_figure
 from dragrig.rig import FloatArray, Run, software_version
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
 
@@ -113,7 +114,7 @@ def paper_tables(results: PaperReportData) -> dict[str, Table]:
         *_small_tables(results),
     )
     by_name = {table.name: table for table in tables}
-    return {name: by_name[name] for name in PAPER_TABLES}
+    return {name: replace(by_name[name], file=f"{name}.csv") for name in PAPER_TABLES}
 
 
 def simulated_value(name: str, model: FrictionModelSettings) -> float:
@@ -404,7 +405,7 @@ def paper_document(results: PaperReportData, tables: Mapping[str, Table], model:
                             results.model, results.capsule, results.wall_thickness_mm, published.SPEEDS_MM_S
                         ),
                     ),
-                    _with_file(tables["forces"]),
+                    tables["forces"],
                 ),
             ),
             _joint_section(results, tables, model),
@@ -432,15 +433,8 @@ def _joint_figure(results: PaperReportData) -> tuple[Figure, ...]:
     fit = results.identification.joint
     if fit is None:
         return ()
-    figure = Figure(
-        "joint-fit",
-        "Left, the 95 % interval of each parameter before and after the runs, and of their combinations; right, χ² per "
-        "degree of freedom of each run.",
-        "The joint fit of all runs. Left, on a scale on which all parameters were known equally well before; right, 1 "
-        "where only noise and the variation between runs remain.",
-        lambda: present.joint_fit_figure(fit),
-    )
-    return (figure,)
+    figure = joint_figure(fit)
+    return (replace(figure, caption=f"The joint fit of all runs. {figure.caption}"),)
 
 
 def _settings_section(results: PaperReportData) -> Section:
@@ -481,7 +475,7 @@ def _wall_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
             by_element.setdefault(row.published.parameter, []).append((row.published.strain, row.identified))
     relaxation = results.identification.relaxation
     fits = () if relaxation is None else relaxation.fits
-    elements = _with_file(tables["elements"])
+    elements = tables["elements"]
     shown = ("element", "strain", "unit", "table1", "eq14", "eq14_relative_difference", "quadratic")
     names = (*shown[:3], "simulated", "identified", "identified_low", "identified_high")
     differences = ("identified_relative_difference_from_simulated", "table1")
@@ -550,7 +544,7 @@ def _skew_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "After the paper's Fig. 7. A dot marks each curve's largest value.",
                 lambda: present.skew_figure(results.model, results.capsule, results.wall_thickness_mm),
             ),
-            _with_file(tables["skew-maximum"]),
+            tables["skew-maximum"],
         ),
     )
 
@@ -576,7 +570,7 @@ def _coulomb_section(results: PaperReportData, tables: Mapping[str, Table]) -> S
         )
     coulomb = results.identification.coulomb
     remarks = Items(() if coulomb is None else coulomb.remarks, remarks=True)
-    blocks += [_with_file(tables["coulomb"]), remarks]
+    blocks += [tables["coulomb"], remarks]
     return Section("coulomb", "4. Coulomb friction at 0.5 mm/s (Fig. 8)", tuple(blocks))
 
 
@@ -613,12 +607,12 @@ def _joint_section(results: PaperReportData, tables: Mapping[str, Table], model:
                 f"of {parameters[0]} of the {parameters[1]} parameters that the runs determine, and of "
                 f"{combinations[0]} of {combinations[1]} combinations, contain the simulated value."
             ),
-            _with_file(tables["parameters"]).select(
+            tables["parameters"].select(
                 "parameter", "value", "low", "high", "simulated", "prior_low", "prior_high", "learnt", "meaning"
             ),
             Text(f"{learnt} The runs do not determine {unknown}." if unknown else learnt),
             Items(fit.remarks, remarks=True),
-            _with_file(tables["combinations"]),
+            tables["combinations"],
             Section("specimen-model", "This specimen on the simulated rig", dry_run if model else ()),
         ),
     )
@@ -660,7 +654,7 @@ def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                     results.model if results.identified_model is not None else None,
                 ),
             ),
-            _with_file(tables["drag"]).select(
+            tables["drag"].select(
                 *("speed_mm_s", "runs", "measured_mN", "measured_low_mN", "measured_high_mN", "model_mN"),
                 *("difference_mN", "ln_law_mN", "simulated_model_mN"),
             ),
@@ -679,7 +673,7 @@ def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                         "follow it by construction up to noise and the variation between runs, so that they show how "
                         "far R² can be trusted at that scatter, and nothing about a gut."
                     ),
-                    _with_file(tables["determination"]),
+                    tables["determination"],
                 ),
             ),
             Section("drag-log-law", "ln v", (Text(_log_law_text(drag)),)),
@@ -705,7 +699,7 @@ def _log_law_text(drag: DragResult) -> str:
 
 
 def _findings_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
-    examples = _with_file(tables["eq15-examples"])
+    examples = tables["eq15-examples"]
     findings = tuple(
         Section(
             finding.key,
@@ -742,7 +736,3 @@ def _files_section(tables: Mapping[str, Table], model: str | None) -> Section:
         )
     files.append("`*.h5` The runs; `dragrig info`, `table`, `show` and `identify` read them.")
     return Section("files", "9. Files", (Text("Beside this page, with every digit:"), Items(tuple(files))))
-
-
-def _with_file(table: Table) -> Table:
-    return replace(table, file=f"{table.name}.csv")

@@ -18,7 +18,7 @@ from dragrig.present import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.config import Calibration, CommissioningRecord
+    from dragrig.config import Calibration, CommissionedSignal, CommissioningRecord
     from dragrig.rig import CalibrationLine, LoadReading, Preflight, RigCheck, RunPreview, TravelReading
 
 PointT = TypeVar("PointT")
@@ -77,22 +77,7 @@ def rig_check_document(checks: "Sequence[RigCheck]") -> Document:
     return Document(
         title="Check of the rig",
         answer=f"The rig is not ready: {', '.join(failed)}." if failed else "The rig is ready: every check passed.",
-        sections=(
-            Section(
-                "checks",
-                "",
-                (
-                    Table.of(
-                        "checks",
-                        "",
-                        checks,
-                        Field("passed", "", lambda check: "ok" if check.passed else "FAILED"),
-                        Field("check", "check", lambda check: check.name),
-                        Field("detail", "result", lambda check: check.detail),
-                    ),
-                ),
-            ),
-        ),
+        sections=(_checks_section("check", checks),),
         data=[{"what": check.name, "fine": check.passed, "detail": check.detail} for check in checks],
     )
 
@@ -103,24 +88,21 @@ def commissioning_document(record: "CommissioningRecord") -> Document:
     return Document(
         title="Look at the rig's wiring",
         answer=f"Not as it has to be: {', '.join(failed)}." if failed else "Every signal is as it has to be.",
-        sections=(
-            Section(
-                "signals",
-                "",
-                (
-                    Table.of(
-                        "signals",
-                        "",
-                        record.signals,
-                        Field("passed", "", lambda signal: "ok" if signal.passed else "FAILED"),
-                        Field("signal", "signal", lambda signal: signal.name),
-                        Field("detail", "result", lambda signal: signal.detail),
-                    ),
-                ),
-            ),
-        ),
+        sections=(_checks_section("signal", record.signals),),
         data=to_json_object(record.model_dump()),
     )
+
+
+def _checks_section(item: str, checks: "Sequence[RigCheck | CommissionedSignal]") -> Section:
+    table = Table.of(
+        f"{item}s",
+        "",
+        checks,
+        Field("passed", "", lambda check: "ok" if check.passed else "FAILED"),
+        Field(item, item, lambda check: check.name),
+        Field("detail", "result", lambda check: check.detail),
+    )
+    return Section(f"{item}s", "", (table,))
 
 
 def force_calibration_document(

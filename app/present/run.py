@@ -6,11 +6,9 @@ from math import isfinite
 from typing import TYPE_CHECKING, Final
 
 from dragrig import present
-from dragrig.analysis import Estimate, RunMeasures, measure, minutes_since_excision, range_text, value_with_error
+from dragrig.analysis import RunMeasures, measure, minutes_since_excision, range_text, value_with_error
 from dragrig.present import (
-    Cell,
     Code,
-    Column,
     Document,
     Facts,
     Field,
@@ -273,29 +271,29 @@ def run_drawing(info: RunInfo, drawing: "Callable[[], MatplotlibFigure] | str", 
 
 def measures_table(measures: RunMeasures) -> Table:
     """Tabulate the measures of a run with their standard errors, or why they are missing."""
-    columns = (
-        Column("quantity", "quantity"),
-        Column("value", "value ± standard error"),
-        Column("interval_95", "95 % interval"),
-        Column("unit", "unit"),
-        Column("remark", "how"),
-    )
     peak = "" if measures.peak_time_s is None else f"at {measures.peak_time_s:.3f} s"
     rows = (
-        _measure_row("steady force", measures.steady_force, "mN", f"mean over {measures.steady_from}, as recorded"),
-        _measure_row("steady − rest", measures.steady_above_rest, "mN", "the steady force, that at rest taken off"),
-        _measure_row("force at rest", measures.rest_offset, "mN", "mean before the motion"),
-        _measure_row("peak force", measures.peak_force, "mN", peak),
-        _measure_row("force at the end of the hold", measures.hold_force, "mN", "mean"),
-        _measure_row("speed", measures.speed, "mm/s", "slope of the position in the steady phase"),
+        ("steady force", measures.steady_force, "mN", f"mean over {measures.steady_from}, as recorded"),
+        ("steady − rest", measures.steady_above_rest, "mN", "the steady force, that at rest taken off"),
+        ("force at rest", measures.rest_offset, "mN", "mean before the motion"),
+        ("peak force", measures.peak_force, "mN", peak),
+        ("force at the end of the hold", measures.hold_force, "mN", "mean"),
+        ("speed", measures.speed, "mm/s", "slope of the position in the steady phase"),
     )
-    return Table("measures", "", columns, rows)
-
-
-def _measure_row(name: str, estimate: Estimate, unit: str, how: str) -> tuple[Cell, ...]:
-    value = FormattedNumber.with_error(estimate.value, estimate.standard_error)
-    interval = range_text(estimate.interval, estimate.standard_error)
-    return name, value, interval, unit, estimate.reason or how
+    return Table.of(
+        "measures",
+        "",
+        rows,
+        Field("quantity", "quantity", lambda row: row[0]),
+        Field(
+            "value",
+            "value ± standard error",
+            lambda row: FormattedNumber.with_error(row[1].value, row[1].standard_error),
+        ),
+        Field("interval_95", "95 % interval", lambda row: range_text(row[1].interval, row[1].standard_error)),
+        Field("unit", "unit", lambda row: row[2]),
+        Field("remark", "how", lambda row: row[1].reason or row[3]),
+    )
 
 
 def _event_table(events: tuple[RunEvent, ...]) -> Table:

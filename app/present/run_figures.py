@@ -215,11 +215,6 @@ def merge_ramp(parts: Sequence[PhaseInterval]) -> tuple[PhaseInterval, ...]:
     return tuple(merged)
 
 
-def shade_phases(axes: Axes, parts: Sequence[PhaseInterval]) -> None:
-    """Shade each stretch over the axes' whole height."""
-    _draw_phases(axes, parts, PHASE_TINTS, (0.0, 1.0))
-
-
 def _draw_phases(axes: Axes, parts: Sequence[PhaseInterval], tints: Sequence[str], ends: tuple[float, float]) -> None:
     """Fill each stretch between two heights of the axes, as shares of it; what lies above them is not cut off."""
     for number, tint in enumerate(tints):
@@ -244,24 +239,17 @@ def name_phases(axes: Axes, parts: Sequence[PhaseInterval]) -> None:
     """
     band = 0.07 / panel_size_in(axes)[1]
     low, high = axes.get_xlim()
-    inside = [
-        replace(part, start_s=max(part.start_s, low), end_s=min(part.end_s, high))
-        for part in parts
-        if part.end_s > low and part.start_s < high
-    ]
-    _draw_phases(axes, inside, PHASE_BAND_COLOURS, (1.0, 1.0 + band))
-    named = _longest_phases(parts, (low, high))
-    middles = [(max(part.start_s, low) + min(part.end_s, high)) / 2 for part in named]
-    names = [CurveLabel(middle, part.name, GREY) for middle, part in zip(middles, named, strict=True)]
+    shown = [part for part in parts if part.end_s > low and part.start_s < high]
+
+    def inside(some: Sequence[PhaseInterval]) -> list[PhaseInterval]:
+        return [replace(part, start_s=max(part.start_s, low), end_s=min(part.end_s, high)) for part in some]
+
+    _draw_phases(axes, inside(shown), PHASE_BAND_COLOURS, (1.0, 1.0 + band))
+    if len(shown) > MAX_PHASE_NAMES:
+        longest = {part.phase: part for part in sorted(shown, key=lambda part: part.end_s - part.start_s)}
+        shown = sorted(longest.values(), key=lambda part: part.start_s)
+    names = [CurveLabel((part.start_s + part.end_s) / 2, part.name, GREY) for part in inside(shown)]
     label_times(axes, names, 1.0 + band, 19)
-
-
-def _longest_phases(parts: Sequence[PhaseInterval], limits: tuple[float, float]) -> list[PhaseInterval]:
-    shown = [part for part in parts if part.end_s > limits[0] and part.start_s < limits[1]]
-    if len(shown) <= MAX_PHASE_NAMES:
-        return shown
-    longest = {part.phase: part for part in sorted(shown, key=lambda part: part.end_s - part.start_s)}
-    return sorted(longest.values(), key=lambda part: part.start_s)
 
 
 ORDINARY_EVENTS = frozenset({"start", "phase", "stopped", "end", "import", "filter"})
@@ -529,7 +517,7 @@ def draw_panel_column(
     stack[-1].set_xlabel("Time (s)")
     parts = phase_intervals(time, run.trace.phase)
     for axes in stack:
-        shade_phases(axes, parts)
+        _draw_phases(axes, parts, PHASE_TINTS, (0.0, 1.0))
     name_phases(stack[0], merge_ramp(parts) if name_ramp else parts)
     draw_event_marks(stack, marks)
     return stack
