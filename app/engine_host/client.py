@@ -50,7 +50,8 @@ class EngineClient:
         memory = shared_memory(context, samples)
         self._connection, host_end = context.Pipe()
         self.live = LiveRingReader(memory)
-        self._lost = False
+        self.lost = False
+        """Whether the host is gone."""
         # Not a daemon, which would be killed with this process in place of ending in good order.
         self._process = context.Process(
             target=_serve, args=(host_end, memory, rig, silence), name="dragrig-engine", daemon=False
@@ -64,11 +65,6 @@ class EngineClient:
         """Process id of the host."""
         return self._process.pid
 
-    @property
-    def lost(self) -> bool:
-        """Whether the host is gone."""
-        return self._lost
-
     def ask(self, request: Request) -> None:
         """Send a request; to a lost host it is dropped, and `events` yields the loss."""
         with suppress(OSError):
@@ -81,11 +77,11 @@ class EngineClient:
     def events(self) -> Iterator[Event]:
         """Yield new events; `HostLost` once when the host is gone."""
         try:
-            while not self._lost and self._connection.poll(0):
+            while not self.lost and self._connection.poll(0):
                 event: Event = self._connection.recv()
                 yield event
         except (EOFError, OSError):
-            self._lost = True
+            self.lost = True
             self._process.join(5.0)
             yield HostLost(self._process.exitcode)
 
@@ -93,5 +89,5 @@ class EngineClient:
         """End the host; a running session is stopped and its run finished first."""
         self.ask(StopHost())
         self._process.join(within_s)
-        self._lost = True
+        self.lost = True
         self._connection.close()

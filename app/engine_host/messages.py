@@ -523,15 +523,10 @@ class LiveRingWriter:
         self, written: int, count: int, force: npt.ArrayLike, position: npt.ArrayLike, phase: npt.ArrayLike
     ) -> int:
         ring = self._ring
-        stored = min(count, ring.samples)
-        places = _ring_slices(written + count - stored, stored, ring.samples)
-        done = count - stored
-        for place in places:
-            length = place.stop - place.start
-            for target, values in ((ring.force, force), (ring.position, position), (ring.phase, phase)):
-                source = np.asarray(values)
-                target[place] = source[done : done + length] if source.ndim and len(source) == count else source
-            done += length
+        lost = max(count - ring.samples, 0)
+        places = np.arange(written + lost, written + count) % ring.samples
+        for target, values in ((ring.force, force), (ring.position, position), (ring.phase, phase)):
+            target[places] = np.broadcast_to(values, count)[lost:]
         return written + count
 
 
@@ -555,10 +550,8 @@ class LiveRingReader:
         start = max(self._cursor, oldest, base)
         if written <= start:
             return None
-        ring, places = self._ring, _ring_slices(start, written - start, self._ring.samples)
-        force = np.concatenate([ring.force[place] for place in places])
-        position = np.concatenate([ring.position[place] for place in places])
-        phase = np.concatenate([ring.phase[place] for place in places])
+        ring, places = self._ring, np.arange(start, written) % self._ring.samples
+        force, position, phase = ring.force[places], ring.position[places], ring.phase[places]
         if int(head[_SERIAL]) != serial:
             return None
         # Samples overwritten while they were copied are dropped.
@@ -570,13 +563,6 @@ class LiveRingReader:
         return LiveSamples(
             serial, rate / 1000, start + torn - base, missed, force[torn:], position[torn:], phase[torn:]
         )
-
-
-def _ring_slices(start: int, count: int, samples: int) -> list[slice]:
-    first = start % samples
-    if first + count <= samples:
-        return [slice(first, first + count)]
-    return [slice(first, samples), slice(0, first + count - samples)]
 
 
 def _sample_rate(reading: Reading) -> float:

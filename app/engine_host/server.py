@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -449,11 +450,17 @@ class EngineHost:
             case ResetGuard():
                 self._reset()
             case HomeStage() | JogStage() | TouchOffStage():
-                self._sender.say(self._move(request))
+                overrides = not isinstance(request, TouchOffStage) and request.override is not None
+                # Off a pressed switch the guard can only be reset afterwards; everything else stays guarded.
+                self._attempt(partial(self._moved_by, request), partial(StageMoved, ""), guarded=not overrides)
             case CalibrateForce() | CalibrateEncoder():
-                self._sender.say(self._calibrate(request))
+                # Weights are hung on a stage that stands, its drive off; a travel needs the guard.
+                guarded = isinstance(request, CalibrateEncoder)
+                self._attempt(
+                    partial(self._calibrated, request), partial(CalibrationMeasured, None, None), guarded=guarded
+                )
             case StoreCalibration(entry):
-                self._sender.say(self._store(entry))
+                self._attempt(partial(self._store, entry), CalibrationStored, guarded=False)
             case _:
                 pass
 
@@ -522,22 +529,22 @@ class EngineHost:
         else:
             self._trip("")
 
-    def _move(self, motion: HandMotion) -> StageMoved:
-        overrides = isinstance(motion, HomeStage | JogStage) and motion.override is not None
-        # Off a pressed switch the guard can only be reset afterwards; everything else stays guarded.
-        if self._trip_reason and not overrides:
-            return StageMoved("", f"the guard is tripped: {self._trip_reason}; reset it first")
+    def _attempt(self, work: Callable[[], Event], refused: Callable[[str], Event], *, guarded: bool) -> None:
+        """Do work beside sessions and report its result, or why there is none; `guarded`, with an armed guard alone."""
+        if self._trip_reason and guarded:
+            self._sender.say(refused(f"the guard is tripped: {self._trip_reason}; reset it first"))
+            return
         try:
-            return StageMoved(self._moved_by(motion))
-        except TrippedError as error:
-            self._trip(str(error))
-            return StageMoved("", str(error))
+            result = work()
         except DragrigError as error:
-            return StageMoved("", str(error))
+            if isinstance(error, TrippedError):
+                self._trip(str(error))
+            result = refused(str(error))
         finally:
             self._receiver.stops(None)
+        self._sender.say(result)
 
-    def _moved_by(self, motion: HandMotion) -> str:
+    def _moved_by(self, motion: HandMotion) -> StageMoved:
         """Make a motion by hand, as the command of its name does; an abort stops it as it does a session."""
         choices, person, begun = self._rig.choices(), self._operator, self._receiver.stops
         pace = self._rig.pace
@@ -549,33 +556,20 @@ class EngineHost:
             case TouchOffStage(most_mm, force_mN, speed_mm_s, back_mm, name):
                 contact = touch_off(most_mm, force_mN=force_mN, speed_mm_s=speed_mm_s, back_mm=back_mm, operator=name,
                                     pace=pace, person=person, begun=begun, **choices)  # fmt: skip
-                return (
+                return StageMoved(
                     f"Contact at {contact.position_mm:.3f} mm, where the force changed by {contact.force_mN:.1f} mN; "
                     "stored as contact.toml in the lab folder."
                 )
         if move.trip is not None:
             self._trip(move.trip.message)
-            return f"The stage is at {move.position_mm:.3f} mm, and the guard stays tripped: {move.trip.message}."
+            stays = f"and the guard stays tripped: {move.trip.message}."
+            return StageMoved(f"The stage is at {move.position_mm:.3f} mm, {stays}")
         freed = (
             f" The {LIMIT_SWITCH_CAUSES[motion.override]} is free: reset the guard."
             if motion.override is not None
             else ""
         )
-        return f"The stage is at {move.position_mm:.3f} mm.{freed}"
-
-    def _calibrate(self, job: CalibrationJob) -> CalibrationMeasured:
-        # Weights are hung on a stage that stands, its drive off; a travel needs the guard.
-        if self._trip_reason and isinstance(job, CalibrateEncoder):
-            return CalibrationMeasured(None, None, f"the guard is tripped: {self._trip_reason}; reset it first")
-        try:
-            return self._calibrated(job)
-        except TrippedError as error:
-            self._trip(str(error))
-            return CalibrationMeasured(None, None, str(error))
-        except DragrigError as error:
-            return CalibrationMeasured(None, None, str(error))
-        finally:
-            self._receiver.stops(None)
+        return StageMoved(f"The stage is at {move.position_mm:.3f} mm.{freed}")
 
     def _calibrated(self, job: CalibrationJob) -> CalibrationMeasured:
         """Calibrate as the command does, but leave the result to be looked at before it is stored."""
@@ -603,10 +597,7 @@ class EngineHost:
                 return CalibrationMeasured(travel.entry, record)
 
     def _store(self, entry: Calibration) -> CalibrationStored:
-        try:
-            store_calibration(entry, **self._rig.choices())
-        except DragrigError as error:
-            return CalibrationStored(str(error))
+        store_calibration(entry, **self._rig.choices())
         return CalibrationStored()
 
     def _trip(self, reason: str) -> None:

@@ -31,7 +31,8 @@ class FormEditor(QWidget):
         self.problems: dict[str, QLabel] = {}
         self._form: Form | None = None
         self._values: list[dict[str, str]] = []
-        self._shown = -1
+        self.shown = -1
+        """Number of the group that is shown; −1 for none."""
         self._invalid: dict[FieldPlace, str] = {}
         self._changes: dict[FieldPlace, str] = {}
         self._fields = bare_widget(column())
@@ -40,15 +41,10 @@ class FormEditor(QWidget):
 
     def edit(self, form: Form, values: Sequence[Mapping[str, str]] | None = None, group: int = 0) -> None:
         """Show a group of a form, with these values or its own."""
-        self._form, self._shown = form, -1
+        self._form, self.shown = form, -1
         self._values = [dict(texts) for texts in (form.values() if values is None else values)]
         self._invalid, self._changes = {}, {}
         self.show_group(group)
-
-    @property
-    def shown(self) -> int:
-        """Number of the group that is shown; −1 for none."""
-        return self._shown
 
     def values(self) -> list[dict[str, str]]:
         """Return the values of every group as text."""
@@ -71,11 +67,11 @@ class FormEditor(QWidget):
     def mark(self, invalid: Mapping[FieldPlace, str], changes: Mapping[FieldPlace, str]) -> None:
         """Say below a field what is wrong with it, and beside its name that it was changed, with what it was."""
         self._invalid, self._changes = dict(invalid), dict(changes)
-        form, shown = self._form, self._shown
-        if form is None or shown < 0:
+        if self._form is None or self.shown < 0:
             return
-        for field in form.groups[shown].fields:
-            problem, change = self._invalid.get((shown, field.key), ""), self._changes.get((shown, field.key))
+        for field in self._form.groups[self.shown].fields:
+            place = self.shown, field.key
+            problem, change = self._invalid.get(place, ""), self._changes.get(place)
             self.problems[field.key].setText(problem)
             self.problems[field.key].setVisible(bool(problem))
             caption = self.captions[field.key]
@@ -88,7 +84,7 @@ class FormEditor(QWidget):
         if self._form is None or not 0 <= index < len(self._form.groups):
             return
         self._keep()
-        group, self._shown = self._form.groups[index], index
+        group, self.shown = self._form.groups[index], index
         self.about.setText(group.about)
         self.editors = {field.key: self._editor(field, self._values[index][field.key]) for field in group.fields}
         self.captions = {field.key: label(field_label(field)) for field in group.fields}
@@ -109,8 +105,8 @@ class FormEditor(QWidget):
         self.mark(self._invalid, self._changes)
 
     def _keep(self) -> None:
-        if self._shown >= 0:
-            self._values[self._shown] = {key: _editor_text(editor) for key, editor in self.editors.items()}
+        if self.shown >= 0:
+            self._values[self.shown] = {key: _editor_text(editor) for key, editor in self.editors.items()}
 
     def _editor(self, field: FormField, text: str) -> FieldEditor:
         editor: FieldEditor

@@ -228,10 +228,8 @@ class LiveView(QWidget):
         """Show a title, and no longer the curves of the session before."""
         self.begin(title)
         self.run = None
-        for line in (self._raw, self._filtered, self._position, self._speed):
-            line.points(np.zeros(0), np.zeros(0))
         for panel in (self.force, self.position, self.speed):
-            panel.redraw()
+            panel.clear()
 
     def begin(self, title: str) -> None:
         """Show a title."""

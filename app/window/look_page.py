@@ -96,8 +96,8 @@ class RunBrowser(QWidget):
         self.tree.itemSelectionChanged.connect(self._selection_changed)
         self.words = named(QLineEdit(), "Why the selected runs are bad, or a note on them")
         self.words.setPlaceholderText("why bad, or a note")
-        self.bad = button("&Mark bad", self._mark_bad, help_="Evaluations leave the selected runs out, for this reason")
-        self.good = button("&Unmark", lambda: self._mark(None), help_="The selected runs are good after all")
+        self.bad = button("&Mark bad", self._mark, help_="Evaluations leave the selected runs out, for this reason")
+        self.good = button("&Unmark", lambda: self._mark(bad=False), help_="The selected runs are good after all")
         self.note = button("&Note", self._note, help_="Note this on the selected runs; nothing removes their notes")
         self.recover = button("Reco&ver", self._recover, help_="Finish the recordings that a crash left")
         self._marking = FileWorker(self.complained.emit, self)
@@ -110,7 +110,8 @@ class RunBrowser(QWidget):
         self._again_soon = QTimer(self)
         self._again_soon.setSingleShot(True)
         self._again_soon.setInterval(_FOLLOW_DELAY_MS)
-        self._again_soon.timeout.connect(self._follow)
+        # Which nobody has asked for: a recording under way is nothing to report.
+        self._again_soon.timeout.connect(lambda: self._read(quiet=True))
         self.changes.directoryChanged.connect(lambda _: self._again_soon.start())
         layout = column(
             row(self.folder, self.choose, self.again, stretch={0: 1}),
@@ -134,10 +135,6 @@ class RunBrowser(QWidget):
             self.tree.clear()
         self._listed_folder = self.folder.text()
         self._read()
-
-    def _follow(self) -> None:
-        """Read again what has changed, which nobody has asked for: a recording under way is nothing to report."""
-        self._read(quiet=True)
 
     def _read(self, *, quiet: bool = False) -> None:
         folder = Path(self._listed_folder)
@@ -175,11 +172,8 @@ class RunBrowser(QWidget):
         self._opening.drop()
         self._marking.finish()
 
-    def _mark_bad(self) -> None:
-        self._mark(self.words.text())
-
-    def _mark(self, reason: str | None) -> None:
-        paths = [run.path for run in self.selected()]
+    def _mark(self, *, bad: bool = True) -> None:
+        paths, reason = [run.path for run in self.selected()], self.words.text() if bad else None
         self._marking.do_too(lambda: mark_runs(paths, reason), self._marked)
 
     def _note(self) -> None:

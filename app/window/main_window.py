@@ -288,12 +288,14 @@ class MainWindow(QMainWindow):
         self.notices = NoticeBar(self._reply, self._restart, self.run.decide_cut_off)
         self.look = LookPage(Path(self.description.data_root), self._stored)
         self.diagnose = DiagnosePage(self._stored, lambda: self.run.new.chosen_mirror)
-        self.rig = RigPage(rig, self._calibrate, self._cancel_calibration, self.run.new.operator.text)
+        cancel = partial(self.run.stop, "cancelled by operator")
+        self.rig = RigPage(rig, self._calibrate, cancel, self.run.new.operator.text)
         self.rig.calibrate.set_limits(self.description)
         self.rig_meaning = ElidedLabel("", "faint")
         self.rig_meaning.setMinimumWidth(_LEAST_MEANING_PX)
         self.pages = QStackedWidget()
-        self.stop_button = button("STOP (Esc)", self._stop_pressed, "stop", "Stop the stage at once")
+        stop = partial(self.run.stop, "stopped by operator (stop button)")
+        self.stop_button = button("STOP (Esc)", stop, "stop", "Stop the stage at once")
         self.stop_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.guard = label("guard: starting", "faint")
         self._page_buttons = QButtonGroup(self)
@@ -451,9 +453,6 @@ class MainWindow(QMainWindow):
         self.go_to(self.run)
         self.run.add_to_campaign(runs)
 
-    def _stop_pressed(self) -> None:
-        self.run.stop("stopped by operator (stop button)")
-
     def _reset(self) -> None:
         self.reset.setEnabled(False)
         self.engine.ask(ResetGuard())
@@ -491,13 +490,10 @@ class MainWindow(QMainWindow):
                 return
         self.run.set_calibrating(calibrating=calibrate.busy)
 
-    def _cancel_calibration(self) -> None:
-        self.run.stop("cancelled by operator")
-
     def _settings_saved(self, remark: str) -> None:
         """Start the engine again with the settings that were saved, now or once nothing runs."""
         self.run.restart_due, self._settings_remark = True, remark
-        self.rig.settings.tell("Saved. The engine starts again with these settings as soon as nothing runs.")
+        self.rig.settings.state.setText("Saved. The engine starts again with these settings as soon as nothing runs.")
         self._follow_rig()
 
     def _follow_rig(self) -> None:
@@ -520,7 +516,7 @@ class MainWindow(QMainWindow):
         self.rig.calibrate.set_limits(self.description)
         self._restart()
         sentence = "Saved, and the engine started again: reset the guard before anything moves."
-        self.rig.settings.tell(f"{sentence} {self._settings_remark}".strip())
+        self.rig.settings.state.setText(f"{sentence} {self._settings_remark}".strip())
 
     def _show_description(self) -> None:
         rig = self.description

@@ -5,7 +5,6 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 from PySide6.QtCore import QSignalBlocker, QTimer, Signal
 from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLineEdit, QWidget
 
@@ -154,7 +153,8 @@ class PlanPreview(QWidget):
         fill_table(self.runs, rows)
         self.position.remove_levels()
         self.position.stage_limits(session.lowest_mm, session.highest_mm)
-        self._clear_curves()
+        self.position.clear()
+        self.speed.clear()
         if count:
             self.runs.setCurrentCell(0, 0)
             self._draw(0)
@@ -169,12 +169,8 @@ class PlanPreview(QWidget):
         self.conditions.setText("")
         fill_table(self.runs, [])
         self.position.remove_levels()
-        self._clear_curves()
-
-    def _clear_curves(self) -> None:
-        for plot, line in ((self.position, self._position_line), (self.speed, self._speed_line)):
-            line.points(np.zeros(0), np.zeros(0))
-            plot.redraw()
+        self.position.clear()
+        self.speed.clear()
 
     def _draw(self, index: int) -> None:
         previews = () if self._session is None else self._session.preflight.previews

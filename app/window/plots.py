@@ -35,11 +35,12 @@ def _as_html(text: str) -> str:
 class TimePlot:
     """A plot of one quantity against time, or another; lines differ in width and dashes as well as colour."""
 
-    def __init__(self, quantity: str, unit: str, x_label: str = "Time (s)") -> None:
+    def __init__(self, quantity: str, unit: str) -> None:
         # Its menu has number fields of its own, which ignore a decimal comma without a word.
         self._plot = pyqtgraph.PlotWidget(enableMenu=False)
+        self.widget: QWidget = self._plot
         item = self._plot.getPlotItem()
-        item.setLabel("bottom", x_label, **_LABEL_STYLE)
+        item.setLabel("bottom", "Time (s)", **_LABEL_STYLE)
         item.showGrid(x=True, y=True)
         item.hideButtons()
         for side in ("left", "bottom"):
@@ -62,12 +63,6 @@ class TimePlot:
         self._empty, self._times_shown = False, True
         self._follow_data()
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
-
-    @property
-    def widget(self) -> QWidget:
-        """The plot as a widget."""
-        widget: QWidget = self._plot
-        return widget
 
     def line(self, name: str, colour: str, width: float = 2.0, *, dashed: bool = False) -> "PlotLine":
         """Add a line."""
@@ -119,6 +114,12 @@ class TimePlot:
     def set_x_quantity(self, quantity: str, unit: str) -> None:
         """Change the label of the horizontal axis."""
         self._item.setLabel("bottom", _as_html(f"{quantity} ({unit})" if unit else quantity), **_LABEL_STYLE)
+
+    def clear(self) -> None:
+        """Draw nothing; lines and limits stay."""
+        for line in self.lines:
+            line.points(np.zeros(0), np.zeros(0))
+        self.redraw()
 
     def _label_fits(self) -> None:
         """Label the vertical axis with as much as a low plot has room for."""

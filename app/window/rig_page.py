@@ -104,10 +104,6 @@ class SettingsView(QWidget):
         self.state.setText(self._source_text(form))
         self._show_group(self.groups.currentRow())
 
-    def tell(self, sentence: str) -> None:
-        """Say what became of the settings."""
-        self.state.setText(sentence)
-
     def _source_text(self, form: RigSettingsForm) -> str:
         if form.path is None:
             return f"These are the settings that ship with dragrig. {NO_LAB}"

@@ -21,7 +21,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from dragrig.config import DragrigError, NumberRange
+from dragrig.config import DragrigError, NumberRange, Plan
 from dragrig.engine_host import (
     MAX_OVERRIDE_SPEED_MM_S,
     AbortSession,
@@ -637,16 +637,7 @@ class RunPage(QWidget):
         except DragrigError as error:
             self.complained.emit(str(error), Topic.SESSION)
             return None
-        job = SessionJob(
-            self.queue.next_number(),
-            plan,
-            self.new.operator.text(),
-            self.new.note.text(),
-            self.new.chosen_pace,
-            append=campaign,
-            mirror=self.new.chosen_mirror,
-            specimen=specimen,
-        )
+        job = replace(self._new_job(plan, self.new.note.text()), append=campaign, specimen=specimen)
         title = plan.name if campaign is None else f"{plan.name}, added to {campaign.name}"
         previews = session.preflight.previews
         planned = (preview.run for preview in previews)
@@ -658,20 +649,18 @@ class RunPage(QWidget):
         self._show_state()
         return entry
 
+    def _new_job(self, plan: Plan, note: str) -> SessionJob:
+        new = self.new
+        return SessionJob(
+            self.queue.next_number(), plan, new.operator.text(), note, new.chosen_pace, mirror=new.chosen_mirror
+        )
+
     def add_to_campaign(self, runs: FurtherRuns) -> None:
         """Queue runs that go on with a campaign, unless they wait or run already, and start them if they are next."""
         entry = self.queue.of_campaign(runs.folder, runs.plan)
         if entry is None:
-            job = SessionJob(
-                self.queue.next_number(),
-                runs.plan,
-                self.new.operator.text(),
-                runs.reason,
-                self.new.chosen_pace,
-                resume=runs.folder if runs.resumes else None,
-                append=None if runs.resumes else runs.folder,
-                mirror=self.new.chosen_mirror,
-            )
+            job = self._new_job(runs.plan, runs.reason)
+            job = replace(job, resume=runs.folder) if runs.resumes else replace(job, append=runs.folder)
             entry = QueuedSession(job, f"Settle {runs.folder.name}", 60 * runs.minutes, runs.count)
             self.queue.add(entry)
         self._show_state()

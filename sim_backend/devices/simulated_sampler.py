@@ -330,17 +330,13 @@ class BlockReader:
         self._rate_hz = sample_rate_hz
         self._gap = None if lost is None else self.index(lost[0])
         self._gap_samples = 0 if lost is None else lost[1]
-        self._next = 0
+        self.next_index = 0
+        """Index of the first sample not yet delivered."""
         self._track: Track | None = None
         self._origin_mm = 0.0
         self._chunk: Mapping[str, AnyFloatArray] = {}
         self._chunk_first = 0
         self._chunk_end = 0
-
-    @property
-    def next_index(self) -> int:
-        """Index of the first sample not yet delivered."""
-        return self._next
 
     def index(self, time_s: float) -> int:
         """Return the index of the first sample at or after a time."""
@@ -352,19 +348,19 @@ class BlockReader:
 
     def follow(self, track: Track) -> None:
         """Recompute the samples not yet delivered for a new track, and end where it is stopped."""
-        if track is self._track or self._next >= self._total:
+        if track is self._track or self.next_index >= self._total:
             return
         self._track = track
         self._channels.follow(track)
-        self._chunk_end = self._next
+        self._chunk_end = self.next_index
         if track.stopped:
-            self._total = max(self._next, self.index(track.stopped_s))
+            self._total = max(self.next_index, self.index(track.stopped_s))
 
     def next_end(self, limit: int | None = None) -> int:
         """Return the end of the next block, at most `limit`; `next_index` or less when there is no further block."""
-        if self._next == self._gap:
-            self._next += self._gap_samples
-        first = self._next
+        if self.next_index == self._gap:
+            self.next_index += self._gap_samples
+        first = self.next_index
         end = min(first + self._block_samples, _chunk_end(first), self._total)
         for boundary in (self._gap, limit):
             if boundary is not None and first < boundary < end:
@@ -375,16 +371,16 @@ class BlockReader:
         """Compute the samples before `end` if necessary."""
         if end <= self._chunk_end:
             return
-        first = self._next
+        first = self.next_index
         self._chunk_end = min(_chunk_end(first), self._total)
         self._chunk = self._channels.compute(first, self._chunk_end, self._origin_mm)
         self._chunk_first = first
 
     def take(self, end: int) -> tuple[int, Mapping[str, AnyFloatArray]]:
         """Deliver the samples before `end`: index of the first, and views of the chunk."""
-        first = self._next
+        first = self.next_index
         delivered = slice(first - self._chunk_first, end - self._chunk_first)
-        self._next = end
+        self.next_index = end
         return first, {name: values[delivered] for name, values in self._chunk.items()}
 
 

@@ -98,27 +98,13 @@ def force_noise(settings: NoiseSettings, seed: int, acquisition: Acquisition, sa
         settings.slow_correlation_s,
         sample_rate_hz,
     )
-
-    def draw(samples: int) -> FloatArray:
-        values = white.standard_normal(samples)
-        values *= settings.white_mN
-        values += slow.draw(samples)
-        values += zero
-        return values
-
-    return BufferedNoise(draw)
+    return BufferedNoise(lambda samples: white.standard_normal(samples) * settings.white_mN + slow.draw(samples) + zero)
 
 
 def motor_noise(settings: MotorSettings, seed: int, acquisition: Acquisition) -> BufferedNoise:
     """Return the white noise of the motor force [mN]."""
     random = random_generator(seed, RandomStream.MOTOR, acquisition.order, noise_name(acquisition))
-
-    def draw(samples: int) -> FloatArray:
-        values = random.standard_normal(samples)
-        values *= settings.noise_mN
-        return values
-
-    return BufferedNoise(draw)
+    return BufferedNoise(lambda samples: random.standard_normal(samples) * settings.noise_mN)
 
 
 BETWEEN_SPECIMENS = {
