@@ -110,6 +110,7 @@ from .html_page import render_template as render_template
 from .identification import identification_document as identification_document
 from .identification import identification_json as identification_json
 from .identification import identified_campaigns_document as identified_campaigns_document
+from .identification import joint_figure as joint_figure
 from .identification import left_out_section as left_out_section
 from .identification_figures import coulomb_figure as coulomb_figure
 from .identification_figures import drag_figure as drag_figure

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from dragrig import present
-from dragrig.analysis import as_sentence, capitalise, percent_text
+from dragrig.analysis import as_sentence, capitalise, count_text, percent_text
 from dragrig.analysis.gap import ModelEvaluation, PromiseVerdict, RelativeEffectSize, display_name
 from dragrig.present import Document, Field, Figure, Section, Table, decimals, force_text, significant, to_json_object
 from dragrig.present.diagnosis import FORMAT, r2_table, shrink_json
@@ -43,12 +43,7 @@ def _diagnosed_text(evaluation: ModelEvaluation) -> str:
     count = evaluation.diagnosed_runs
     if not count:
         return ""
-    left = (
-        "1 run that took part in the diagnosis is"
-        if count == 1
-        else f"{count} runs that took part in the diagnosis are"
-    )
-    return f"{left} left out"
+    return f"{count_text(count, 'run')} that took part in the diagnosis {'is' if count == 1 else 'are'} left out"
 
 
 def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:

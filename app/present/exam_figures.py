@@ -279,5 +279,4 @@ def _set_effect_ticks(axes: Axes, words: list[str]) -> None:
     axes.set_xticks(range(len(words)), words, fontsize=TEXT_PT, rotation=90)
     axes.tick_params(length=0)
     axes.grid(visible=False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.spines[:].set_visible(False)

@@ -28,6 +28,7 @@ from dragrig.analysis import (
     SpeedBoundary,
     SpeedPoint,
     StrainLaw,
+    count_text,
     estimate_noise,
     evaluate_strain_law,
     relaxation_residuals,
@@ -125,15 +126,12 @@ def _cut_middle(name: str) -> str:
 
 
 def _largest_chi2_runs(runs: Sequence[RunResidual]) -> list[RunResidual]:
-    if len(runs) <= JOINT_MAX_RUNS:
-        return list(runs)
-    threshold = sorted((run.chi2 for run in runs), reverse=True)[JOINT_MAX_RUNS - 1]
-    return [run for run in runs if run.chi2 >= threshold][:JOINT_MAX_RUNS]
+    largest = sorted(range(len(runs)), key=lambda at: -runs[at].chi2)[:JOINT_MAX_RUNS]
+    return [runs[at] for at in sorted(largest)]
 
 
 def _joint_subtitle(fit: JointFit, shown: int) -> str:
-    total = len({run.file for run in fit.runs})
-    runs = f"{total} run{'' if total == 1 else 's'}"
+    runs = count_text(len({run.file for run in fit.runs}), "run")
     if shown < len(fit.runs):
         runs += f", the {shown} with the largest χ² shown"
     return f"χ² {_chi2_text(fit.chi2 / max(fit.degrees, 1))} per degree of freedom ({fit.degrees})  ·  {runs}"
@@ -358,9 +356,8 @@ def _fits_to_draw(relaxation: RelaxationResult) -> list[RelaxationFit]:
 
 def _relaxation_fit_subtitle(relaxation: RelaxationResult) -> str:
     identified = sum(bool(fit.elements) for fit in relaxation.fits)
-    total = len(relaxation.fits)
-    runs = f"{total} run{'' if total == 1 else 's'}"
-    summary = runs if identified == total else f"{identified} of {runs} identified"
+    runs = count_text(len(relaxation.fits), "run")
+    summary = runs if identified == len(relaxation.fits) else f"{identified} of {runs} identified"
     if not identified:
         return f"{summary}  ·  grey: measured"
     return f"{summary}  ·  grey: measured  ·  orange: spring and two Maxwell branches, driven through the measured ramp"

@@ -46,6 +46,7 @@ from dragrig.present import (
     Text,
     TextKind,
     decimals,
+    joint_figure,
     percent,
     percent_difference,
     shortest,
@@ -53,7 +54,6 @@ from dragrig.present import (
     significant,
 )
 from dragrig.present.friction_model import WALL_TEXTS
-from dragrig.present.identification import joint_figure
 from dragrig.rig import FloatArray, Run, software_version
 from dragrig.sim_backend.friction import skew_resistance, steady_forces
 

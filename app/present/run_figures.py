@@ -396,24 +396,16 @@ def force_panel(
     strong, light = (PURPLE, RAW_MOTOR_FORCE) if motor else (BLUE, RAW_FORCE)
     smooth = filtered.channels.get(name) if filtered is not None else None
     time = run.trace.time
-    if filtered is None or smooth is None:
-        curves = [TraceCurve(time, run.trace.channels[name], gap, LineStyle("raw", strong, 1.0))]
-    else:
+    pen = LineStyle("raw", strong if smooth is None else light, 1.0)
+    curves = [TraceCurve(time, run.trace.channels[name], gap, pen)]
+    if filtered is not None and smooth is not None:
         smooth_gap = gaps_after_samples(filtered.time, run.trace.sample_rate_hz)
-        curves = [
-            TraceCurve(time, run.trace.channels[name], gap, LineStyle("raw", light, 1.0)),
-            TraceCurve(
-                filtered.time,
-                smooth,
-                smooth_gap,
-                LineStyle("filtered", strong, 2.0, detail=_filter_text(filtered.parameters)),
-            ),
-        ]
+        pen = LineStyle("filtered", strong, 2.0, detail=_filter_text(filtered.parameters))
+        curves.append(TraceCurve(filtered.time, smooth, smooth_gap, pen))
     if steady is not None:
         ends, level = np.array([steady.begin_s, steady.end_s]), np.full(2, steady.force_mN)
-        curves.append(
-            TraceCurve(ends, level, np.zeros(1, dtype=np.bool_), LineStyle(steady.text, BLACK, 1.2, dashed=True))
-        )
+        pen = LineStyle(steady.text, BLACK, 1.2, dashed=True)
+        curves.append(TraceCurve(ends, level, np.zeros(1, dtype=np.bool_), pen))
     return TracePanel(CHANNEL_LABELS.get(name, name), tuple(curves), 1.0, height_in=1.45 if channel else 3.5)
 
 
@@ -433,11 +425,8 @@ def speed_panel(run: Run, speed: FloatArray, gap: BoolArray) -> TracePanel:
     wanted, steady = _set_speed(run), run.trace.phase == Phase.STEADY
     if wanted is not None and steady.any():
         level = np.where(steady, wanted, np.nan)
-        curves.append(
-            TraceCurve(
-                run.trace.time, level, gap, LineStyle(f"set {wanted:g} mm/s".replace("-", "−"), BLACK, 1.0, dashed=True)
-            )
-        )
+        pen = LineStyle(f"set {wanted:g} mm/s".replace("-", "−"), BLACK, 1.0, dashed=True)
+        curves.append(TraceCurve(run.trace.time, level, gap, pen))
     return TracePanel("Speed (mm/s)", tuple(curves), 2e-3, level=0.0)
 
 
