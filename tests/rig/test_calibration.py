@@ -194,7 +194,6 @@ def test_a_pushed_travel_does_too(calibrate: Calibrate, lab: Path, capsys: pytes
         (["--travel", "40", "--repeats", "1", "--measured", "-40"], 2, "travel's sign"),
         (["--travel", "200"], 2, "0 to 150 mm"),
         (["--travel", "40", "--repeats", "0"], 2, "1 to 100 repeats"),
-        (["--travel", "40", "--by-hand", "--repeats", "1"], 2, "counted nothing"),
         (["--travel", "40", "--repeats", "2", "--measured", "40", "--measured", "20"], 2, "do not follow"),
     ],
 )
@@ -204,6 +203,11 @@ def test_travels_that_make_no_sense_are_refused(
     assert main(["calibrate", "encoder", *words, "--yes"]) == code
     assert sentence in capsys.readouterr().err
     assert read_calibrations(lab) == ()
+
+
+def test_an_encoder_that_counts_nothing_is_told() -> None:
+    with pytest.raises(SettingsError, match="counted nothing: check its cable"):
+        fit_encoder((40.0, -40.0), (0.0, 0.0))
 
 
 def test_calibrating_needs_a_lab(

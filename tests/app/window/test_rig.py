@@ -318,6 +318,7 @@ def test_operator_and_specimen_are_seen_first_at_the_least_size(window: MainWind
     press(new.state_specimen)
     assert not new.specimen.isVisible()
     press(new.state_specimen)
+    new.specimen.put("excised_at", "")
     new.specimen.put("id", "P7")
     new.update_preview()
     assert new.specimen_told.text() == "P7"
