@@ -472,7 +472,7 @@ def unreadable_row(path: Path, error: RunFileError) -> TableRow:
     return TableRow(path.name, status=UNREADABLE, remark=str(error).removeprefix(f"{path}: "))
 
 
-def set_values(values: Iterable[float]) -> tuple[float, ...]:
+def set_values(values: Iterable[float], tolerance: float = SET_VALUE_TOLERANCE) -> tuple[float, ...]:
     """Return the set value that each of some speeds or strains belongs to: of alike ones, that with the fewest digits.
 
     A value that is converted between units, or read back from a drive, is off by rounding: 0.49999999 was set as 0.5.
@@ -480,7 +480,7 @@ def set_values(values: Iterable[float]) -> tuple[float, ...]:
     given = tuple(map(float, values))
     groups: list[list[float]] = []
     for value in sorted(set(given)):
-        if groups and value - groups[-1][-1] <= SET_VALUE_TOLERANCE * abs(value):
+        if groups and value - groups[-1][-1] <= tolerance * abs(value):
             groups[-1].append(value)
         else:
             groups.append([value])

@@ -215,7 +215,13 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         where=where,
         shrink=reduction,
         unknown=describe_unexplained_gap(
-            where, blocks, classification, weighed.unnamed_line, weighed.bursts, weighed.inputs
+            where,
+            blocks,
+            classification,
+            weighed.unnamed_line,
+            weighed.bursts,
+            weighed.inputs,
+            single_condition=bool(study.only_condition),
         ),
         model=amended_model(study, fit, position, lines, classification, search, reduction, selection),
         traces=traces,

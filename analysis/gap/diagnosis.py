@@ -573,7 +573,7 @@ class Diagnosis:
 
 def left_open(diagnosis: Diagnosis, only_condition: str) -> Diagnosis:
     """Return a diagnosis of runs of a single condition: where they differ from the model, and no cause of it."""
-    budget, unknown = diagnosis.budget, diagnosis.unknown
+    budget = diagnosis.budget
     return replace(
         diagnosis,
         verdict=Verdict.OPEN,
@@ -583,8 +583,6 @@ def left_open(diagnosis: Diagnosis, only_condition: str) -> Diagnosis:
         residual_unknown=diagnosis.verdict is not Verdict.NO_GAP,
         model=None,
         budget=None if budget is None else replace(budget, presence={}, entries=(), runs=()),
-        # What it depends on resembles causes.
-        unknown=None if unknown is None else UnexplainedGap(unknown.location, ""),
         only_condition=only_condition,
         likeliest=diagnosis,
     )

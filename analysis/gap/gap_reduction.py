@@ -91,7 +91,8 @@ def gap_of_run(
     floor = noise.white**2 + noise.slow_sd**2 + float(share @ motion_sd**2)
     own_factors = [_own_factors(*each) for each in (before, after)]
     surely_own = np.minimum(*map(np.abs, own_factors)) > max_own_sigmas
-    surely_own &= np.sign(own_factors[0]) == np.sign(own_factors[1])
+    # Where nothing is to be fitted to a run, nothing is its own.
+    surely_own &= (np.sign(own_factors[0]) == np.sign(own_factors[1])) & (max_own_sigmas > 0)
     limits = np.where(surely_own, max(max_own_sigmas, MAX_SURELY_OWN_SIGMAS), max_own_sigmas)
     residuals = [without_own(*each, zero_sd, limits) for each in (before, after)]
     within_block_sd = noise.white * float(np.sqrt(max(1.0 - float(share @ (1.0 / run.block_data.blocks.samples)), 0.0)))

@@ -225,6 +225,8 @@ def commanded_phase(experiment: Experiment, time_s: FloatArray) -> FloatArray:
 MAX_BLOCK_MM = 0.4
 """Longest block along the stroke, so that folds a few mm apart are resolved."""
 
+MEASURED_SPEED_TOLERANCE = 0.05
+"""Ratio of neighbouring measured speeds, less one, up to which the set speed was one."""
 SAME_SPEED = 1.5
 """Ratio of steady speeds within a motion up to which they are one."""
 
@@ -365,9 +367,13 @@ def run_data_of(channel_blocks: Mapping[str, ChannelBlocks] | tuple[ChannelBlock
     starts = session_starts([data.experiment for data in channels])
     commanded = [_commanded_value(data.experiment) for data in channels]
     shared = dict(zip(commanded, set_values(value or 0.0 for value in commanded), strict=True)) | {None: None}
-    return tuple(
+    runs = tuple(
         RunData(data, start, has_clock=starts is not None, set_value=shared[value])
         for data, start, value in zip(channels, starts or (0.0,) * len(channels), commanded, strict=True)
+    )
+    alike = set_values((run.condition[1] for run in runs), MEASURED_SPEED_TOLERANCE)
+    return tuple(
+        replace(run, set_value=value) if run.set_value is None else run for run, value in zip(runs, alike, strict=True)
     )
 
 

@@ -564,6 +564,8 @@ def describe_unexplained_gap(
     line: SpectralLine | None,
     bursts: Sequence[ForceBurst],
     inputs: DecisionInputs,
+    *,
+    single_condition: bool = False,
 ) -> UnexplainedGap | None:
     """Return location, dependence and law of an unexplained gap; None if all is explained.
 
@@ -573,6 +575,8 @@ def describe_unexplained_gap(
         Spectral line because of which the verdict is `unknown`, if any.
     bursts
         Bursts of the force that are the gap, if any.
+    single_condition
+        Whether all runs are of one condition, which shows a form and no cause that it resembles.
     """
     if classification.verdict is not Verdict.UNKNOWN and not classification.residual_unknown:
         return None
@@ -593,7 +597,7 @@ def describe_unexplained_gap(
     law = fit_gap_law(region)
     entirely_unknown = classification.verdict is Verdict.UNKNOWN and not inputs.has_position_error
     sentences = [dependence_text(where, region)]
-    if entirely_unknown:
+    if entirely_unknown and not single_condition:
         sentences += [nonparametric_law_text(inputs), resemblance_text(inputs)]
     nowhere = NOT_LOCALISABLE if where.runs > 1 else ""
     return UnexplainedGap(

@@ -55,8 +55,10 @@ def decay_of(result: Diagnosis) -> tuple[float, float, float]:
 
 
 def unknown_without_a_rival(result: Diagnosis) -> bool:
-    ranked = {hypothesis.hypothesis: hypothesis.probability for hypothesis in result.ranking}
-    return result.verdict is Verdict.UNKNOWN and ranked.pop("unknown") > 0.8 and max(ranked.values()) < 0.15
+    assert result.likeliest is not None
+    ranked = {hypothesis.hypothesis: hypothesis.probability for hypothesis in result.likeliest.ranking}
+    verdicts = (result.verdict, result.likeliest.verdict)
+    return verdicts == (Verdict.OPEN, Verdict.UNKNOWN) and ranked.pop("unknown") > 0.8 and max(ranked.values()) < 0.15
 
 
 @pytest.mark.thorough
@@ -85,12 +87,14 @@ OF_DRIVES = {"cogging", "velocity_ripple", "mains_hum", "payload_inertia", "serv
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("without", [tuple(set(catalogue()) - OF_DRIVES), ()], ids=["few", "all"])
-def test_a_motors_cogging_is_named_with_72_to_a_turn(tmp_path: Path, without: tuple[str, ...]) -> None:
+def test_a_motors_cogging_is_found_with_72_to_a_turn(tmp_path: Path, without: tuple[str, ...]) -> None:
     amplitudes = {}
     for name, from_s in (("uncompensated", UNCOMPENSATED_S), ("compensated", COMPENSATED_S)):
         diagnosis = dragrig.diagnose(turning(tmp_path / name, from_s), nominal="drive", without=without)
-        assert diagnosis.effects == ("cogging",), diagnosis.ranking
-        values = {parameter.name: parameter.value for parameter in diagnosis.ranking[0].parameters}
+        # A single speed does not show a cause: there the likeliest is told to programs alone.
+        told = diagnosis.likeliest or diagnosis
+        assert told.effects == ("cogging",), told.ranking
+        values = {parameter.name: parameter.value for parameter in told.ranking[0].parameters}
         assert 2 * pi * RADIUS_MM / values["pitch_mm"] == pytest.approx(72, abs=0.5)
         amplitudes[name] = values["amplitude_mN"]
     assert amplitudes["uncompensated"] > amplitudes["compensated"]

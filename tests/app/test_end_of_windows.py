@@ -10,6 +10,8 @@ from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.runfile.reader import read_info
 from dragrig.session_state import STATE_FILE
 
+FAULT = "Windows ends the program: its console is closed, its user logged off, the computer shut down"
+"""As docs/faults.md has it."""
 pytestmark = pytest.mark.skipif(sys.platform != "win32", reason="only Windows ends a program by calling it")
 
 SESSION = """

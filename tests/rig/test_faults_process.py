@@ -267,7 +267,8 @@ def test_without_ni_driver_nothing_moves_and_one_sentence_says_what_to_install(f
 def test_the_page_on_faults_shows_what_the_tests_hear() -> None:
     rows = [line.split("|")[1:3] for line in DOCS.read_text("utf-8").splitlines() if line.startswith("| ")]
     shown = {fault.strip() for fault, line in rows if line.strip().startswith("`")}
-    heard = (*TESTS.rglob("test_faults_*.py"), TESTS / "app" / "window" / "test_frozen.py")
+    elsewhere = ("window/test_frozen.py", "test_end_of_windows.py")
+    heard = (*TESTS.rglob("test_faults_*.py"), *(TESTS / "app" / name for name in elsewhere))
     answer = "".join(path.read_text("utf-8") for path in heard)
     assert len(shown) > 20
     assert [fault for fault in sorted(shown) if f'"{fault}"' not in answer] == []

@@ -190,7 +190,7 @@ def test_what_decays_over_many_strokes_does_so_along_the_way_made(decays: bool) 
         "a", "force", "motion", Contact.SLIDING, 5.0, 0.0, None, residual + noise, np.full(400, 0.3),
         np.full(400, 0.1), time, np.full(400, int(Phase.STEADY), np.uint8), position,
     )  # fmt: skip
-    decay = fit_decay(GapRegion("force", ("motion",), "", (run,), (np.ones(400, dtype=np.bool_),), 1.0))
+    decay = fit_decay(GapRegion("force", ("motion",), (run,), (np.ones(400, dtype=np.bool_),), 1.0))
     if decays:
         assert decay is not None
         assert (decay.along_way, decay.length) == (True, pytest.approx(30.0, rel=0.1))

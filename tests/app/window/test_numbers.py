@@ -64,7 +64,7 @@ def test_a_jog_is_announced_with_the_number_typed_and_goes_so_far(window: MainWi
     qtbot.waitUntil(lambda: window.guard.text() == "guard: armed", timeout=WAIT_MS)
     for text, sentence, end in (
         ("1.5", "by +1.5 mm at 0.5 mm/s", "1.500"),
-        ("2,0625", "by +2.0625 mm at 0.5 mm/s", "2.06"),  # the simulated rig is homed anew
+        ("2,0625", "by +2.0625 mm at 0.5 mm/s", "3.56"),  # the simulated rig stays where it is
     ):
         type_in(hand.distance.lineEdit(), text)
         type_in(hand.speed.lineEdit(), "0,5")

@@ -136,7 +136,7 @@ def test_a_diagnosis_fits_the_window_and_scrolls_within_its_tab(window: MainWind
         for _ in range(3):
             QApplication.processEvents()
         assert window.room.verticalScrollBar().maximum() == 0, results.view.tabs.tabText(at)
-        assert is_whole(results.next, window)
+        assert is_whole(results.next_words, window)
     results.hide()
 
 
