@@ -245,7 +245,7 @@ def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
     used = len({*diagnosis.used_for_fit, *diagnosis.held_out})
     return Section(
         "confidence",
-        "Confidence",
+        "What these runs show" if diagnosis.verdict is Verdict.OPEN else "Confidence",
         (
             *(Text(effect_description(effect)) for effect in diagnosis.effects),
             Text(" ".join(filter(None, calibration)), TextKind.CAUTION),
