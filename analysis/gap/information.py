@@ -53,12 +53,19 @@ def entropy_bits(weights: FloatArray, labels: Sequence[Hashable]) -> float:
     return float(-values @ np.log2(values))
 
 
+IN_DOUBT = 0.9
+"""An answer that is less probable is in doubt, so that any run may help."""
+
+
 def bits_to_change(probabilities: Iterable[float]) -> float:
     """Return the least information of an outcome that makes another answer the likeliest; infinite for a sure one.
 
-    So far is the nearest distribution, by its divergence (Kullback and Leibler), that gives two answers the same.
+    So far is the nearest distribution, by its divergence (Kullback and Leibler), that gives two answers the same; 0 for
+    an answer that is in doubt.
     """
     first, second, *_ = *sorted(probabilities, reverse=True), 0.0
+    if first < IN_DOUBT:
+        return 0.0
     left = 1.0 - (sqrt(first) - sqrt(second)) ** 2
     return -log2(left) if left > 0 else inf
 

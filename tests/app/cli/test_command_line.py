@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from unicodedata import normalize
 
 import click
 import pytest
@@ -172,7 +173,8 @@ def test_what_a_console_lacks_is_said_with_what_it_has(encoding: str, shown: str
 @given(st.text(), st.sampled_from(["ascii", "cp1252", "cp850", "cp437", "utf-8", "cp932", "latin-1"]))
 def test_every_text_has_letters_for_every_console(text: str, encoding: str) -> None:
     shown = legible(text, encoding)
-    assert shown.encode(encoding).decode(encoding) == shown
+    # Japan's code page has some signs, as ¬, in their wide form alone.
+    assert normalize("NFKC", shown.encode(encoding).decode(encoding)) == normalize("NFKC", shown)
     assert legible(shown, encoding) == shown
     if text.isascii():
         assert shown == text
