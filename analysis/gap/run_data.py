@@ -228,7 +228,7 @@ MAX_BLOCK_MM = 0.4
 MEASURED_SPEED_TOLERANCE = 0.05
 """Ratio of neighbouring measured speeds, less one, up to which the set speed was one."""
 SAME_SPEED = 1.5
-"""Ratio of steady speeds within a motion up to which they are one."""
+"""Ratio of the speeds of nine tenths and of a tenth of a motion's way up to which they are one."""
 
 
 def run_noun(kind: str) -> str:
@@ -304,9 +304,13 @@ class RunData:
     @cached_property
     def typical_speed_mm_s(self) -> float:
         """Speed above which half of the way was made, to two digits: extremes of a measured speed are noise."""
+        return float(f"{self._speeds_of_way(0.5)[0]:.2g}")
+
+    def _speeds_of_way(self, *shares: float) -> FloatArray:
+        """Return the speeds below which these shares of the way were made."""
         speed = self.coordinates.speed_mm_s
         way = speed * self.coordinates.width_s + np.finfo(float).tiny
-        return float(f"{np.quantile(speed, 0.5, method='inverted_cdf', weights=way):.2g}")
+        return np.asarray(np.quantile(speed, shares, method="inverted_cdf", weights=way))
 
     @property
     def label(self) -> str:
@@ -317,10 +321,8 @@ class RunData:
     @property
     def is_one_condition(self) -> bool:
         """Whether it has one speed: a motion may have strokes at several."""
-        steady = self.coordinates.speed_mm_s[self.coordinates.phase == Phase.STEADY]
-        return self.experiment.kind != "motion" or bool(
-            steady.max(initial=0.0) < SAME_SPEED * steady.min(initial=np.inf)
-        )
+        slow, fast = self._speeds_of_way(0.1, 0.9)
+        return self.experiment.kind != "motion" or bool(fast < SAME_SPEED * slow)
 
     @property
     def condition_text(self) -> str:
