@@ -52,6 +52,7 @@ from dragrig.session_state import SessionState, StatePublisher, session_lock
 from dragrig.setup import (
     HARDWARE_BACKEND,
     Assignments,
+    AssignmentsLike,
     PlanLike,
     Setup,
     SetupChoices,
@@ -126,7 +127,7 @@ class _FolderTakenError(OutputError):
 
 
 def resume_campaign(
-    folder: Path, options: SessionOptions, person: SessionOperator | None, assignments: Sequence[str] = ()
+    folder: Path, options: SessionOptions, person: SessionOperator | None, assignments: AssignmentsLike = ()
 ) -> Made:
     """Make the missing runs of a campaign's latest plan, with its own settings.
 

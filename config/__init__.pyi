@@ -73,6 +73,7 @@ from .settings import parse_toml as parse_toml
 from .settings import parse_value as parse_value
 from .settings import read_settings_file as read_settings_file
 from .settings import read_toml as read_toml
+from .settings import refuse_unknown as refuse_unknown
 from .settings import shipped_files as shipped_files
 from .settings import suggestion as suggestion
 from .settings import to_toml as to_toml

@@ -7,7 +7,7 @@ import ast
 import inspect
 import sys
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 from importlib import resources
@@ -159,7 +159,7 @@ def parse(model: type[ModelT], data: Mapping[str, object], source: str) -> Model
     Parameters
     ----------
     source
-        Origin of the table for the error message: a path, or `--set`.
+        Origin of the table for the error message: a path, or the changes as typed.
 
     Raises
     ------
@@ -207,6 +207,12 @@ def suggestion(word: str, known: Sequence[str]) -> str:
     return f"known are {', '.join(known)}."
 
 
+def refuse_unknown(keywords: Iterable[str], known: Iterable[str]) -> None:
+    """Raise `TypeError` for a keyword argument that nothing takes, with the most similar one that something does."""
+    if unknown := sorted(set(keywords).difference(known)):
+        raise TypeError(f"{unknown[0]} is not an argument; {suggestion(unknown[0], sorted(known))}")
+
+
 def merge_tables(table: Mapping[str, object], changes: Mapping[str, object]) -> Table:
     """Return `table` with `changes` merged into it, table by table."""
     merged = dict(table)
@@ -229,7 +235,7 @@ def parse_assignment(text: str) -> tuple[tuple[str, ...], object]:
     key, equals, value = text.partition("=")
     path = tuple(part.strip() for part in key.split("."))
     if not equals or not all(path) or len(path) > _MAX_NESTING:
-        raise SettingsError(f"--set {text}: is not of the form key=value, as in speed_mm_s=5.")
+        raise SettingsError(f"{text}: is not of the form key=value, as in speed_mm_s=5.")
     return path, parse_value(value.strip())
 
 

@@ -39,16 +39,18 @@ from dragrig.config import (
     Capsule,
     EffectSettings,
     FrictionModelSettings,
+    RunFileError,
     Specimen,
     Table,
     find_settings,
     merge_tables,
     parse,
     read_toml,
+    refuse_unknown,
 )
 from dragrig.present import unused_path, write_text
 from dragrig.rig import Campaign, Run, read_campaign, read_info, read_run
-from dragrig.run_inputs import run_files
+from dragrig.run_inputs import require_run_files, run_files
 from dragrig.setup import friction_model, with_effects
 
 if TYPE_CHECKING:
@@ -64,7 +66,7 @@ def load(path: str | Path) -> Run:
     Raises
     ------
     RunFileError
-        When it is missing, foreign, damaged, or of a newer format.
+        When it is missing, a folder, foreign, damaged, or of a newer format.
 
     Examples
     --------
@@ -72,6 +74,8 @@ def load(path: str | Path) -> Run:
     >>> run = dragrig.load("20260504-091500-drag-000.h5")  # doctest: +SKIP
     >>> run.trace.force.mean(), run.info.header.protocol["speed_mm_s"]  # doctest: +SKIP
     """
+    if Path(path).is_dir():
+        raise RunFileError(f"{path}: is a folder; dragrig.campaign(…) reads its runs, dragrig.table(…) measures them.")
     return read_run(Path(path))
 
 
@@ -81,9 +85,12 @@ def campaign(folder: str | Path) -> Campaign:
     Raises
     ------
     RunFileError
-        When there is no such folder.
+        When there is no such folder, or it holds no runs.
     """
-    return read_campaign(Path(folder))
+    found = read_campaign(Path(folder))
+    if not (found.runs or found.unreadable or found.recordings):
+        require_run_files(found.folder)
+    return found
 
 
 def filter_settings(
@@ -163,7 +170,7 @@ def table(runs: str | Path | Iterable[Run] | Iterable[str | Path]) -> "pd.DataFr
     Raises
     ------
     RunFileError
-        When there is no such folder.
+        When there is no such folder, or it holds no runs.
 
     Examples
     --------
@@ -174,8 +181,10 @@ def table(runs: str | Path | Iterable[Run] | Iterable[str | Path]) -> "pd.DataFr
     given = (runs,) if isinstance(runs, str | Path) else tuple(runs)
     in_memory = tuple(table_row(run) for run in given if isinstance(run, Run))
     folders = tuple(Path(folder) for folder in given if not isinstance(folder, Run))
-    rows = (*in_memory, *(pooled_rows(folders) if folders else ()))
-    return as_frame(rows)
+    measured = pooled_rows(folders) if folders else ()
+    if folders and not measured:
+        require_run_files(folders[0])
+    return as_frame((*in_memory, *measured))
 
 
 def export(
@@ -336,7 +345,9 @@ def import_run(
     OutputError
         When the target exists or cannot be written.
     SettingsError
-        For a setting that is not allowed.
+        For a value that is not allowed.
+    TypeError
+        For a setting that is none.
 
     Examples
     --------
@@ -366,6 +377,7 @@ def import_runs(
 def _import_settings_of(
     target: Path, columns: Mapping[str, str] | None, settings: str | Path | None, options: dict[str, object]
 ) -> ImportSettings:
+    refuse_unknown(options, ImportSettings.model_fields.keys() - {"columns"})
     if target.is_dir():
         options.setdefault("order", next_run_order(target))
     return import_settings([f"{name}={source}" for name, source in (columns or {}).items()], options, settings)

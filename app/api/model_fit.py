@@ -333,7 +333,7 @@ def identify_many(
     out
         Folder to use in their place; each campaign gets a folder of its own name in it.
     workers, scheduler
-        As in `dragrig.diagnose_many`.
+        As in `dragrig.gap_diagnose_many`.
 
     Returns
     -------

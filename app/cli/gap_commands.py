@@ -247,13 +247,13 @@ def next_command(
     helps or the rig time is used up. dragrig run carries out the plan of --save-plan.
     """
     from dragrig.analysis.gap import DEFAULT_HANDS_MIN
-    from dragrig.api import next_experiment, save_next_plan
+    from dragrig.api import gap_next, save_next_plan
     from dragrig.present import next_experiment_document, require_writable
 
     if save_plan is not None:
         require_writable(save_plan, overwrite=overwrite)
     with ProgressMeter("searching") as meter:
-        experiment = next_experiment(
+        experiment = gap_next(
             source,
             between=between,
             minutes=minutes,
@@ -313,8 +313,7 @@ def settle_command(
     Exit codes: 0 ended as it should, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """
     from dragrig.analysis.gap import DEFAULT_HANDS_MIN, DEFAULT_UNTIL, SettleRecord
-    from dragrig.api import DEFAULT_SETTLE_MIN, SettleHands, resume_settling
-    from dragrig.api import settle as settle_plan
+    from dragrig.api import DEFAULT_SETTLE_MIN, SettleHands, gap_settle, gap_settle_resume
     from dragrig.cli.operator import TerminalOperator
     from dragrig.present import require_writable, settlement_document, step_sentence
 
@@ -332,9 +331,9 @@ def settle_command(
     with TerminalOperator(yes=yes) as person:
         at_the_rig = SettleHands(operator, note, pace, person, mirror, print_warning)
         if resume is not None:
-            settled = resume_settling(resume, hands=at_the_rig, step=tell, minutes=minutes)
+            settled = gap_settle_resume(resume, hands=at_the_rig, step=tell, minutes=minutes)
         else:
-            settled = settle_plan(
+            settled = gap_settle(
                 plan or "",
                 minutes=DEFAULT_SETTLE_MIN if minutes is None else minutes,
                 until=DEFAULT_UNTIL if until is None else until,
@@ -377,14 +376,14 @@ def isolability_command(
     their distance in standard deviations of the noise, at their default sizes.
     """
     from dragrig.analysis import parts_of
-    from dragrig.api import isolability
+    from dragrig.api import gap_isolability
     from dragrig.present import isolability_document, require_writable
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
     with ProgressMeter("computing") as meter:
         isolating, reporting = parts_of(meter.at, ISOLATE_COST, PAGE_COST * (report is not None))
-        document = isolability_document(isolability(source, without=without, progress=isolating, **settings))
+        document = isolability_document(gap_isolability(source, without=without, progress=isolating, **settings))
         write_report(document, report, overwrite=overwrite, progress=reporting)
     print_document(document, as_json=as_json)
     if report is not None and not as_json:

@@ -192,7 +192,7 @@ def test_a_calibration_of_ones_own_decides(tmp_path: Path, diagnosed: DiagnosedC
     stribeck = diagnosed["stribeck"]
     assert stribeck.diagnosis.effects == ("stribeck",)
     others = sorted(catalogue().keys() - {"stribeck"})
-    assert dragrig.diagnose(stribeck.runs, without=others, calibration=file).effects == ()
+    assert dragrig.gap_diagnose(stribeck.runs, without=others, calibration=file).effects == ()
 
 
 @pytest.mark.parametrize(("text", "answer"), [(None, "cannot be read"), ("{}", "is not what dragrig gap calibrate")])
@@ -201,4 +201,4 @@ def test_a_calibration_that_is_none_is_told_in_one_sentence(tmp_path: Path, text
     if text is not None:
         file.write_text(text, "utf-8")
     with pytest.raises(SettingsError, match=answer):
-        dragrig.diagnose(tmp_path, calibration=file)
+        dragrig.gap_diagnose(tmp_path, calibration=file)
