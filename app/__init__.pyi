@@ -2,10 +2,13 @@ from .api.evaluate import campaign as campaign
 from .api.evaluate import compare as compare
 from .api.evaluate import export as export
 from .api.evaluate import filter as filter  # noqa: A004  # the word that people look for
+from .api.evaluate import find as find
 from .api.evaluate import import_run as import_run
 from .api.evaluate import import_runs as import_runs
 from .api.evaluate import load as load
+from .api.evaluate import mark as mark
 from .api.evaluate import model as model
+from .api.evaluate import show as show
 from .api.evaluate import table as table
 from .api.gap import gap_diagnose as gap_diagnose
 from .api.gap import gap_diagnose_many as gap_diagnose_many

@@ -2,16 +2,17 @@
 
 import hashlib
 import os
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, time
 from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
+from time import time as now
 from typing import TYPE_CHECKING, Protocol, Self
 
+from dragrig.config import SettingsError
 from dragrig.rig import FINISHED_SUFFIX, MARK_SUFFIX, RECORDING_SUFFIX, mark_path
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ class RunQuery:
     """Which runs are wanted; None and empty for any."""
 
     specimen: str = ""
-    """Name or id."""
+    """Name or id, in letters of any case."""
     kind: str = ""
     operator: str = ""
     since: datetime | None = None
@@ -69,13 +70,21 @@ class RunQuery:
     marked: bool | None = None
     """Whether the run is marked bad."""
 
+    @classmethod
+    def typed(
+        cls, specimen: str, kind: str, operator: str, since: str | datetime, until: str | datetime, bad: bool | None
+    ) -> Self:
+        """Return the query of times as typed, of which a day holds all of its hours; raises `SettingsError`."""
+        from_, to = _moment(since, time.min), _moment(until, time.max)
+        return cls(specimen, kind, operator, from_, to, bad)
+
     def matches(self, run: "RunInfo", *, marked: bool) -> bool:
         """Whether a run is among them."""
         from dragrig.rig import specimen_key
 
         header = run.header
         return (
-            (not self.specimen or self.specimen in {specimen_key(run), str(header.specimen["name"])})
+            self.specimen.casefold() in {"", specimen_key(run).casefold(), str(header.specimen["name"]).casefold()}
             and self.kind in {"", *kinds_of(run)}
             and self.operator.casefold() in operator_of(run).casefold()
             and (self.since is None or header.start_time >= self.since)
@@ -149,6 +158,19 @@ class FileListing:
         return tuple(map(read_campaign, self.folders()))
 
 
+def _moment(text: str | datetime, of_day: time) -> datetime | None:
+    """Return a moment with its offset, of a date alone the given time; None for an empty text."""
+    if not text:
+        return None
+    try:
+        moment = text if isinstance(text, datetime) else datetime.fromisoformat(text)
+        if isinstance(text, str) and len(text) <= len("2026-05-04"):
+            moment = datetime.combine(moment, of_day)
+        return moment if moment.tzinfo is not None else moment.astimezone()
+    except (ValueError, OverflowError):  # also of a year for which the local offset is not known
+        raise SettingsError(f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15.") from None
+
+
 def operator_of(run: "RunInfo") -> str:
     """Return the operator of a run, "" where nobody said."""
     return str(run.header.entry.get("operator", ""))
@@ -205,7 +227,7 @@ def walk(top: Path, known_subfolders: Callable[[str, str], Iterable[str] | None]
         path = left.pop()
         # A folder that is gone meanwhile, or may not be read, holds nothing; the latter may be allowed later.
         try:
-            state = _state(os.stat(f"{base}/{path}"), time.time())  # noqa: PTH116  # thousands of them
+            state = _state(os.stat(f"{base}/{path}"), now())  # noqa: PTH116  # thousands of them
             subfolders = known_subfolders(path, state)
             if subfolders is None:
                 found, subfolders = scan_folder(top, path, state)
@@ -220,7 +242,7 @@ def walk(top: Path, known_subfolders: Callable[[str, str], Iterable[str] | None]
 
 def scan_folder(top: Path, path: str, state: str) -> tuple[ScannedFolder, list[str]]:
     """Look at what is in a folder in this state; return it, and the names of its subfolders."""
-    now_s = time.time()
+    now_s = now()
     files: dict[str, str] = {}
     marks: dict[str, str] = {}
     subfolders: list[str] = []

@@ -25,7 +25,7 @@ from dragrig.analysis import (
     smooth_channel,
 )
 from dragrig.config import AnalysisError
-from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray, Run, RunInfo, Trace
+from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray, Run, RunInfo, Trace, as_html
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -555,7 +555,7 @@ class GroupDifference:
         return float("inf") if self.value else 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
     """All results of a comparison.
 
@@ -582,6 +582,11 @@ class Comparison:
     groups: tuple[GroupDifference, ...]
     remarks: tuple[str, ...] = ()
     sentences: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        return f"<comparison of {self.a.name} and {self.b.name}: {' '.join(self.sentences[1:2])}>"
+
+    _repr_html_ = as_html
 
     @property
     def backends(self) -> tuple[str, ...]:

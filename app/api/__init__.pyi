@@ -1,11 +1,15 @@
 from .evaluate import ExportFormatName as ExportFormatName
+from .evaluate import ask_lab as ask_lab
 from .evaluate import compare as compare
 from .evaluate import comparison_folder as comparison_folder
 from .evaluate import export as export
 from .evaluate import filter_settings as filter_settings
+from .evaluate import find as find
 from .evaluate import import_settings as import_settings
+from .evaluate import mark as mark
 from .evaluate import model as model
 from .evaluate import next_run_order as next_run_order
+from .evaluate import show as show
 from .evaluate import write_comparison as write_comparison
 from .gap import DiagnosedFolder as DiagnosedFolder
 from .gap import DiagnosisRequest as DiagnosisRequest

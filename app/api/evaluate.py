@@ -1,9 +1,10 @@
 """Load, filter, tabulate, compare, export and import runs, and tabulate what the friction model predicts."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from dragrig import analysis, present
 from dragrig.analysis import (
@@ -34,14 +35,17 @@ from dragrig.analysis import (
     table_row,
     write_export,
 )
+from dragrig.catalogue import ask_runs
 from dragrig.config import (
     AnalysisError,
     Capsule,
     EffectSettings,
     FrictionModelSettings,
     RunFileError,
+    SettingsError,
     Specimen,
     Table,
+    data_root_of,
     find_settings,
     merge_tables,
     parse,
@@ -49,14 +53,16 @@ from dragrig.config import (
     refuse_unknown,
 )
 from dragrig.present import unused_path, write_text
-from dragrig.rig import Campaign, Run, read_campaign, read_info, read_run
+from dragrig.rig import Campaign, Run, mark_bad, read_campaign, read_info, read_mark, read_run, unmark, write_note
 from dragrig.run_inputs import require_run_files, run_files
-from dragrig.setup import friction_model, with_effects
+from dragrig.run_listing import RunListing, RunQuery
+from dragrig.setup import friction_model, resolve_rig, with_effects
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
-
+AnswerT = TypeVar("AnswerT")
 ExportFormatName = Literal["csv", "parquet", "mat", "npz"]
 
 
@@ -91,6 +97,147 @@ def campaign(folder: str | Path) -> Campaign:
     if not (found.runs or found.unreadable or found.recordings):
         require_run_files(found.folder)
     return found
+
+
+def ask_lab(
+    folder: Path | None,
+    question: Callable[[RunListing], AnswerT],
+    *,
+    remark: Callable[[str], None] = print,
+    progress: Progress = no_progress,
+    rebuild: bool = False,
+) -> AnswerT:
+    """Answer a question about the runs of a folder that holds some, by default the lab's data root.
+
+    The arguments and errors are those of `ask_runs`; a folder without runs is a `RunFileError` too.
+    """
+    root = folder or data_root_of(Path.cwd()) or resolve_rig().data_root
+
+    def answer(listing: RunListing) -> AnswerT:
+        if not listing.folders():
+            raise RunFileError(f"{root}: holds no campaign; name the folder that does.")
+        return question(listing)
+
+    return ask_runs(root, answer, remark=remark, progress=progress, rebuild=rebuild)
+
+
+def find(
+    folder: str | Path | None = None,
+    *,
+    specimen: str = "",
+    kind: str = "",
+    operator: str = "",
+    since: str | datetime = "",
+    until: str | datetime = "",
+    bad: bool | None = None,
+) -> tuple[Path, ...]:
+    """Find runs in all campaigns in a folder and below it.
+
+    Parameters
+    ----------
+    folder
+        By default the lab's data root.
+    specimen, kind, operator
+        Name or id; kind of run, or `sentinel`; part of the name.
+    since, until
+        Begun at this time or later, and earlier: a moment, or `2026-05-04`, a day with all of its hours.
+    bad
+        Whether they are marked bad (default: either).
+
+    Returns
+    -------
+    The run files, which `load`, `table` and `mark` take.
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder, or it holds no campaign.
+    SettingsError
+        For a time that is none.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> [dragrig.load(file) for file in dragrig.find(specimen="P7", kind="drag")]  # doctest: +SKIP
+    """
+    query = RunQuery.typed(specimen, kind, operator, since, until, bad)
+    found = ask_lab(None if folder is None else Path(folder), lambda listing: listing.found(query))
+    return tuple(parent / name for parent, names in found.items() for name in names)
+
+
+def mark(
+    runs: str | Path | Iterable[str | Path], *, bad: str | None = None, good: bool = False, note: str | None = None
+) -> tuple[Path, ...]:
+    """Mark runs as bad, remove the mark, or write a note on them, all beside their files.
+
+    Parameters
+    ----------
+    runs
+        Run files, patterns and campaigns' folders.
+    bad
+        Why the runs must not be used.
+    good
+        Whether the mark is removed.
+    note
+        In place of an earlier one; an empty one removes it.
+
+    Returns
+    -------
+    The run files.
+
+    Raises
+    ------
+    RunFileError
+        When one of them is no run; none is marked then.
+    SettingsError, OutputError
+        When nothing is said of the runs, or both good and bad; when the folder refuses.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.mark("runs/first/*-drag-003.h5", bad="capsule turned")  # doctest: +SKIP
+    """
+    if (good and bad is not None) or not (good or bad is not None or note is not None):
+        raise SettingsError("runs are marked either bad, with a reason, or good, or get a note; say which.")
+    paths = run_files([runs] if isinstance(runs, str | Path) else tuple(runs))
+    for path in paths:
+        read_info(path)  # nothing is marked unless all files are runs
+    for path in paths:
+        if bad is not None:
+            mark_bad(path, bad)
+        elif good:
+            unmark(path)
+        if note is not None:
+            write_note(path, note)
+    return paths
+
+
+def show(run: str | Path, *, filtered: bool = True, motor_force: bool = False) -> "Figure":
+    """Draw a run file, or for a campaign's folder an overview of its runs.
+
+    Parameters
+    ----------
+    filtered, motor_force
+        As of `Run.plot`.
+
+    Raises
+    ------
+    RunFileError
+        When there is no run to draw, or it cannot be read.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.show("runs/first").savefig("first.pdf")  # doctest: +SKIP
+    """
+    path = Path(run)
+    if path.is_dir():
+        paths = run_files([path])
+        marked = [each for each in paths if read_mark(each) is not None]
+        return present.campaign_figure((read_run(each) for each in paths), path.resolve().name, marked)
+    mark = read_mark(path)
+    reason = None if mark is None else mark.reason
+    return present.run_figure(read_run(path), filtered=filtered, motor_force=motor_force, bad_reason=reason)
 
 
 def filter_settings(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack
+from typing import TYPE_CHECKING
 
 import click
 
@@ -76,21 +76,9 @@ def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, note: str
     RUN is a run file, a pattern or a campaign's folder. Mark and note are stored beside the run file, which is not
     changed; filter, export, table and all later steps leave marked runs out or report them.
     """
-    if (good and bad is not None) or not (good or bad is not None or note is not None):
-        raise click.UsageError("Give either --bad REASON or --good, or --note TEXT", click.get_current_context())
-    from dragrig.rig import mark_bad, read_info, unmark, write_note
-    from dragrig.run_inputs import run_files
+    from dragrig.api import mark
 
-    paths = run_files(inputs)
-    for path in paths:
-        read_info(path)  # nothing is marked unless all files are runs
-    for path in paths:
-        if bad is not None:
-            mark_bad(path, bad)
-        elif good:
-            unmark(path)
-        if note is not None:
-            write_note(path, note)
+    paths = mark(inputs, bad=bad, good=good, note=note)
     if as_json:
         print_json([{"file": path, "bad": bad, "noted": note} for path in paths])
         return
@@ -156,33 +144,6 @@ def _print_results(results: Sequence[object], lines: Sequence[str], *, as_json: 
             print_result(line)
 
 
-class _ImportOptions(TypedDict):
-    """Options that are import settings of the same name."""
-
-    encoding: str | None
-    delimiter: str | None
-    decimal: str | None
-    header_lines: int | None
-    missing: str | None
-    table: str | None
-    radius_mm: float | None
-    split_at: str | None
-    sample_rate_hz: float | None
-    resample_hz: float | None
-    steady: bool | None
-    from_s: float | None
-    to_s: float | None
-    kind: str | None
-    specimen: str | None
-    wall_thickness_mm: float | None
-    capsule: str | None
-    fixture: str | None
-    insertion_dwell_s: float | None
-    operator: str | None
-    note: str | None
-    start_time: str | None
-
-
 @click.command("import")
 @click.argument("inputs", metavar="FILE…", nargs=-1, required=True)
 @click.option(
@@ -237,7 +198,7 @@ def import_command(
     protocol: tuple[str, ...],
     out: Path | None,
     as_json: bool,
-    **options_set: Unpack[_ImportOptions],
+    **options_set: object,
 ) -> None:
     """Convert foreign measurements into run files.
 

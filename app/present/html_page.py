@@ -1,10 +1,11 @@
 """Documents as HTML pages: single files with their figures inside, which need no network."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from typing import TYPE_CHECKING, cast
 from xml.etree import ElementTree as ET
 from zlib import crc32
 
@@ -13,9 +14,13 @@ import numpy.typing as npt
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from dragrig.analysis import printable
+from dragrig import present
+from dragrig.analysis import Comparison, Identification, printable
 from dragrig.present import Block, Document, figure_form, svg_text
-from dragrig.rig import software_version
+from dragrig.rig import AnyFloatArray, Campaign, Run, software_version
+
+if TYPE_CHECKING:
+    from dragrig.analysis.gap import Diagnosis
 
 _NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±′]) (?=[\d−-])|(?<=\w) (?=[=<±] )")
 _APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")
@@ -36,6 +41,50 @@ def render_page(document: Document) -> str:
             "drawings": {name: _markup(figure.element) for name, figure in figures.items()},
             "glyphs": _markup("".join(glyphs.values())),
         },
+    )
+
+
+def notebook_html(result: object) -> str:
+    """Return a run, a campaign or a result as notebooks show it: its headline, a run's force, and its first table."""
+    match result:
+        case Run():
+            document, force = present.run_document(result), result.trace.force
+        case Campaign():
+            document, force = present.campaign_runs_document(result), np.zeros(0)
+        case Comparison():
+            document, force = present.comparison_document(result), np.zeros(0)
+        case Identification():
+            document, force = present.identification_document(result), np.zeros(0)
+        case _:
+            document, force = present.diagnosis_document(cast("Diagnosis", result)), np.zeros(0)
+    sentences = (_markup("<b>{}</b>").format(document.answer or document.title), *document.lead)
+    drawing = _markup(_SPARKLINE).format(_points(force)) if force.size else ""
+    table = next(document.tables(), None)
+    rows = [] if table is None else [[column.heading for column in table.columns]]
+    rows += [] if table is None else [[cell.text for cell in row] for row in table.cells[:_NOTEBOOK_ROWS]]
+    cells = _markup("").join(_row_markup(row) for row in rows)
+    more = "" if table is None or len(table.rows) <= _NOTEBOOK_ROWS else f"… {len(table.rows)} rows"
+    body = _markup("<br>").join(sentences)
+    return str(_markup("<p>{}</p>{}<table>{}</table>{}").format(body, drawing, cells, more))
+
+
+_NOTEBOOK_ROWS = 12
+_SPARKLINE = """<svg viewBox="0 0 400 40" width="400" height="40" role="img" aria-label="force against time">\
+<polyline points="{}" fill="none" stroke="currentColor"/></svg>"""
+
+
+def _row_markup(texts: Sequence[str]) -> Markup:
+    return _markup("<tr>{}</tr>").format(_markup("").join(_markup("<td>{}</td>").format(text) for text in texts))
+
+
+def _points(force: AnyFloatArray) -> str:
+    """Return a force over time as points of a line, 400 wide and 40 high."""
+    few = np.asarray(force[:: max(1, force.size // 400)], dtype=np.float64)
+    low, span = float(np.nanmin(few)), float(np.ptp(few[np.isfinite(few)])) or 1.0
+    return " ".join(
+        f"{400 * place / few.size:.0f},{39 - 38 * (value - low) / span:.1f}"
+        for place, value in enumerate(few.tolist())
+        if np.isfinite(value)
     )
 
 

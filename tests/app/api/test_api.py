@@ -15,12 +15,12 @@ from matplotlib.figure import Figure
 import dragrig
 from dragrig.api import evaluate as evaluating
 from dragrig.api import measure as measuring
-from dragrig.config.errors import AnalysisError, DragrigError, OutputError, PlanError, RunFileError
+from dragrig.config.errors import AnalysisError, DragrigError, OutputError, PlanError, RunFileError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import PlanStep
 from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.protocols.drag import DragProtocol
-from dragrig.setup import StepChoices
+from dragrig.setup import StepChoices, create_lab
 from places import ROOT
 
 pytestmark = pytest.mark.usefixtures("finished_here")
@@ -174,6 +174,57 @@ def test_a_former_name_still_works_and_says_what_it_is_called_now() -> None:
     with pytest.warns(DeprecationWarning, match=r"dragrig\.next_experiment is called dragrig\.gap_next now"):
         former = getattr(dragrig, "next_experiment")  # noqa: B009  # mypy knows that there is no such name
     assert former is dragrig.gap_next
+
+
+def test_a_run_shows_itself_in_a_line_and_in_a_notebook_with_its_force(run: dragrig.Run, tmp_path: Path) -> None:
+    assert repr(run).startswith("<run drag, speed_mm_s=10.0, jejunum, ")
+    html = run._repr_html_()
+    assert "steady force" in html
+    assert html.count("<polyline") == 1
+    dragrig.simulate(DRAG, out=tmp_path / "c")
+    campaign = dragrig.campaign(tmp_path / "c")
+    assert repr(campaign) == f"<campaign {tmp_path / 'c'}: 1 drag; jejunum>"
+    assert campaign.runs[0].path.name in campaign._repr_html_()
+    compared = dragrig.compare(run, tmp_path / "c")
+    assert repr(compared).startswith("<comparison of A and c: ")
+    assert all(len(repr(value)) < 400 for value in (run, campaign, compared))
+
+
+def test_a_run_becomes_a_table_and_a_dataset_with_units_and_phases(run: dragrig.Run) -> None:
+    frame = run.to_pandas()
+    assert frame.index.name == "time_s"
+    assert list(frame.columns) == ["force_mN", "position_mm", "motor_force_mN", "command_mm", "phase"]
+    assert frame.loc[frame["phase"] == "steady", "position_mm"].between(0, 15).all()
+    dataset = dragrig.filter(run).to_xarray()
+    assert dataset["force"].attrs == dataset["force_filtered"].attrs == {"units": "mN"}
+    assert dataset["time"].attrs == {"units": "s"}
+    steady = dataset["force"].where(dataset["phase"] == "steady", drop=True)
+    assert float(steady.mean()) == pytest.approx(float(frame.loc[frame["phase"] == "steady", "force_mN"].mean()), 1e-4)
+    assert dataset.attrs["protocol_speed_mm_s"] == 10
+
+
+def test_without_xarray_one_sentence_says_how_to_get_it(run: dragrig.Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(AnalysisError, match="pip install xarray"):
+        run.to_xarray()
+
+
+def test_runs_are_found_marked_and_drawn_as_by_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    create_lab(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (made,) = dragrig.simulate(DRAG, out="runs/first")
+    (found,) = dragrig.find(specimen="Jejunum", kind="drag", since="2020-01-01")
+    assert found.samefile(made.info.path)
+    assert dragrig.find(until="2020-01-01") == ()
+    assert dragrig.mark(found, bad="capsule turned") == (found,)
+    assert dragrig.find(bad=True) == (found,)
+    assert isinstance(dragrig.show(found), Figure)
+    assert isinstance(dragrig.show("runs/first"), Figure)
+    assert isinstance(made.plot(), Figure)
+    with pytest.raises(SettingsError, match="say which"):
+        dragrig.mark(found)
+    with pytest.raises(SettingsError, match="write it as 2026-05-04"):
+        dragrig.find(since="4.5.2026")
 
 
 def notebook_cells() -> list[str]:
