@@ -255,8 +255,8 @@ def student_mean(values: Sequence[float]) -> tuple[float, float | None]:
     return mean, float(stdtrit(len(values) - 1, 0.975)) * float(np.std(values, ddof=1)) / sqrt(len(values))
 
 
-def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow, ...]:
-    """Measure every run of a campaign, in order; a file that cannot be read has a row with the reason.
+def table_rows(folder: "Path | Campaign", progress: Progress = no_progress) -> tuple[TableRow, ...]:
+    """Measure every run of a campaign, its folder or its listing; a file that cannot be read has a row with the reason.
 
     Raises `RunFileError` when there is no such folder.
     """
@@ -264,7 +264,7 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
 
     from dragrig.rig import read_campaign, read_run
 
-    campaign = read_campaign(folder)
+    campaign = read_campaign(folder) if isinstance(folder, Path) else folder
     rows: list[TableRow] = []
     # Of vectors as long as a run, further threads only wait, each on a core of its own.
     with threadpool_limits(limits=1, user_api="blas"):

@@ -28,6 +28,7 @@ from .friction_model import parse_effects as parse_effects
 from .lab import CALIBRATION_FILE as CALIBRATION_FILE
 from .lab import COMMISSIONING_FILE as COMMISSIONING_FILE
 from .lab import CONTACT_FILE as CONTACT_FILE
+from .lab import DEFAULT_DATA_ROOT as DEFAULT_DATA_ROOT
 from .lab import RIG_FILE as RIG_FILE
 from .lab import data_root_of as data_root_of
 from .lab import rig_file_of as rig_file_of

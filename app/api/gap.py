@@ -133,18 +133,20 @@ class DiagnosisRequest:
         """Return the expected model; raises `SettingsError`."""
         return find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
 
-    def diagnose(self, campaign: str | Path | Iterable[Run], progress: Progress = no_progress) -> DiagnosedCampaign:
+    def diagnose(
+        self, campaign: str | Path | Campaign | Iterable[Run], progress: Progress = no_progress
+    ) -> DiagnosedCampaign:
         """Diagnose one campaign; raises as `dragrig.gap_diagnose`."""
         from dragrig.analysis.gap.diagnose import diagnose as diagnose_selection
 
         # Before any run is read: a wrong option is told at once.
         model, options = self.model(), self.options()
-        named = isinstance(campaign, str | Path)
         reading, diagnosing = parts_of(progress, READING_COST, DIAGNOSIS_COST)
         runs = Path(campaign) if isinstance(campaign, str | Path) else campaign
         selection = choose_runs(runs, self.specimen, reading)
         result = diagnose_selection(selection, model, options, diagnosing)
-        return DiagnosedCampaign(result, selection, str(campaign) if named else "these runs")
+        folder = runs.folder if isinstance(runs, Campaign) else runs
+        return DiagnosedCampaign(result, selection, str(folder) if isinstance(folder, Path) else "these runs")
 
     def diagnose_on_cluster(self, campaign: Path, scheduler: str) -> DiagnosedCampaign:
         """Diagnose one campaign on a Dask cluster; raises `SettingsError` and `WorkerError` too."""

@@ -37,7 +37,7 @@ figures beside it."""
 
 
 @click.command("diagnose")
-@click.argument("campaigns", metavar="CAMPAIGN…", type=FILE, nargs=-1, required=True)
+@options.campaigns
 @click.option(
     "--nominal",
     metavar="NAME|FILE",
@@ -59,7 +59,7 @@ figures beside it."""
 @options.as_json
 @options.quiet
 def diagnose_command(
-    campaigns: tuple[Path, ...],
+    campaigns: tuple[str, ...],
     nominal: str,
     without: tuple[str, ...],
     tolerance_mN: float | None,
@@ -76,9 +76,10 @@ def diagnose_command(
 ) -> None:
     """Diagnose where a campaign differs from the model, which effect causes it, and how far it closes the gap.
 
-    CAMPAIGN is a folder of run files; it need not be complete. For one campaign this prints the verdict (one effect,
-    several, no gap, or a gap that no effect of the catalogue explains), where the gap is, the ranking with
-    probabilities, how far the gap closes on held-out runs, and which questions these runs leave open. Several campaigns
+    CAMPAIGN is a folder of run files (default: the newest), or run files of one; it need not be complete. For one this
+    prints the verdict (one effect, several, no gap, or a gap that no effect of the catalogue explains), where the gap
+    is, the ranking with probabilities, how far the gap closes on held-out runs, and which questions these runs leave
+    open. Several campaigns
     are diagnosed in parallel and printed as a table, or with --json as one line each; with --together campaigns of one
     rig are one question: which effects are in all of them, in some, or in one. Runs marked bad, return strokes
     and runs that did not end as planned are left out. The exit code is 0 whatever the verdict; no model is written
@@ -92,30 +93,30 @@ def diagnose_command(
         require_writable,
         save_figures,
     )
+    from dragrig.run_inputs import named_campaigns
 
+    folders, listing = named_campaigns(campaigns)
     worker_count(workers, scheduler)
     request = DiagnosisRequest(nominal, without, tolerance_mN, specimen, calibration)
     if together:
-        options.require_single_campaign(len(campaigns), save_model=save_model)
-        _diagnose_together(
-            campaigns, request, report, figures, workers, scheduler, overwrite=overwrite, as_json=as_json
-        )
+        options.require_single_campaign(len(folders), save_model=save_model)
+        _diagnose_together(folders, request, report, figures, workers, scheduler, overwrite=overwrite, as_json=as_json)
         return
-    if len(campaigns) > 1:
-        options.require_single_campaign(len(campaigns), save_model=save_model, report=report, figures=figures)
-        with ProgressMeter(f"diagnosing {len(campaigns)} campaigns") as meter:
-            folders = request.diagnose_many(campaigns, workers, scheduler, meter.at)
-        _print_diagnoses(folders, as_json=as_json)
+    if len(folders) > 1:
+        options.require_single_campaign(len(folders), save_model=save_model, report=report, figures=figures)
+        with ProgressMeter(f"diagnosing {len(folders)} campaigns") as meter:
+            several = request.diagnose_many(folders, workers, scheduler, meter.at)
+        _print_diagnoses(several, as_json=as_json)
         return
-    [campaign] = campaigns
+    [campaign] = folders
     for path in filter(None, (save_model, report)):
         require_writable(path, overwrite=overwrite)
     with ProgressMeter("diagnosing") as meter:
         finding, reporting, drawing = parts_of(
             meter.at, DIAGNOSE_COST, PAGE_COST * (report is not None), FIGURES_COST * (figures is not None)
         )
-        if scheduler is None:
-            diagnosed = request.diagnose(campaign, finding)
+        if scheduler is None or listing is not None:
+            diagnosed = request.diagnose(listing or campaign, finding)
         else:
             diagnosed = request.diagnose_on_cluster(campaign, scheduler)
         diagnosis = diagnosed.result

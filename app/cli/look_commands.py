@@ -38,24 +38,25 @@ AnswerT = TypeVar("AnswerT")
 
 
 @click.command("table")
-@click.argument("campaigns", nargs=-1, required=True, type=click.Path(path_type=Path))
+@options.campaigns
 @options.as_json
 @options.quiet
-def table_command(campaigns: tuple[Path, ...], as_json: bool) -> None:
-    """Tabulate CAMPAIGNS, folders of run files, pooled where they are several.
+def table_command(campaigns: tuple[str, ...], as_json: bool) -> None:
+    """Tabulate CAMPAIGNs: folders, pooled where they are several, or run files of one (default: the newest campaign).
 
     One line per run: kind, speed, steady force with its standard error, checks, and whether it is marked bad; then the
     mean steady force of each specimen's repeats, and over specimens where there are several, with 95 % intervals by
     Student's t, without bad and unfinished runs and sentinels. Specimens are told apart by their id.
     """
-    from dragrig.analysis import pooled_rows
+    from dragrig.analysis import pooled_rows, table_rows
     from dragrig.present import campaign_table_document
-    from dragrig.run_inputs import require_run_files
+    from dragrig.run_inputs import named_campaigns, require_run_files
 
+    folders, listing = named_campaigns(campaigns)
     with ProgressMeter("measuring") as meter:
-        rows = pooled_rows(campaigns, meter.at)
+        rows = pooled_rows(folders, meter.at) if listing is None else table_rows(listing, meter.at)
     if not rows:
-        require_run_files(campaigns[0])
+        require_run_files(folders[0])
     print_document(campaign_table_document(rows), as_json=as_json)
 
 
@@ -143,7 +144,7 @@ PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 @click.command("show")
-@options.inputs
+@options.inputs_or_newest
 @click.option(
     "--out",
     "-o",
@@ -223,7 +224,7 @@ def _picture_target(out: Path | None, pictures: int, overwrite: bool) -> _Pictur
 
 
 @click.command("report")
-@click.argument("source", metavar="RUN|CAMPAIGN", type=click.Path(path_type=Path))
+@options.inputs_or_newest
 @click.option(
     "--out",
     "-o",
@@ -234,8 +235,8 @@ def _picture_target(out: Path | None, pictures: int, overwrite: bool) -> _Pictur
 @options.overwrite
 @options.as_json
 @options.quiet
-def report_command(source: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Write a report on a run file or a campaign's folder, one HTML file that can be mailed.
+def report_command(inputs: tuple[str, ...], out: Path | None, overwrite: bool, as_json: bool) -> None:
+    """Write a report on RUN, a run file or a campaign's folder (default: the newest), one HTML file to be mailed.
 
     For a run: force, position and speed, measures with their errors, checks, events and all settings. For a campaign:
     steady force against speed, relaxations, a table and a figure of every run, sessions, and the runs left out with the
@@ -243,6 +244,9 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
     """
     from dragrig.api import report
 
+    if len(inputs) > 1:
+        raise click.UsageError("a report is on one run or one campaign; name one", click.get_current_context())
+    source = Path(inputs[0])
     with ProgressMeter("measuring and drawing") as meter:
         written = report(source, out, overwrite=overwrite, workers=None, progress=meter.at)
     if as_json:

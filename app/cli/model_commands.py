@@ -261,7 +261,7 @@ def paper_command(
 
 
 @click.command("identify")
-@click.argument("campaigns", metavar="CAMPAIGN…", type=click.Path(path_type=Path), nargs=-1, required=True)
+@options.campaigns
 @click.option(
     "--nominal",
     metavar="NAME|FILE",
@@ -293,7 +293,7 @@ def paper_command(
 @options.as_json
 @options.quiet
 def identify_command(
-    campaigns: tuple[Path, ...],
+    campaigns: tuple[str, ...],
     nominal: str,
     model: str,
     wall: Literal["scaled", "fitted"],
@@ -309,8 +309,9 @@ def identify_command(
 ) -> None:
     """Identify a specimen from its runs: the friction model's parameters with their uncertainty.
 
-    CAMPAIGN is a folder of run files. Prints which parameters the runs determine and which they do not; writes the
-    model, which dragrig run loads with --model, and pictures. Runs marked bad, return strokes and runs that did not end
+    CAMPAIGN is a folder of run files (default: the newest), or run files of one. Prints which parameters the runs
+    determine and which they do not; writes the model, which dragrig run loads with --model, and pictures. Runs marked
+    bad, return strokes and runs that did not end
     as planned are left out. The exit code is 0 even where runs are missing, and 2 where the fit did not converge; no
     model is written then, nor where the runs determine none of its parameters.
 
@@ -328,20 +329,22 @@ def identify_command(
     )
     from dragrig.parallel import worker_count
     from dragrig.present import identification_document, identification_json, require_writable
+    from dragrig.run_inputs import named_campaigns
 
+    folders, listing = named_campaigns(campaigns)
     worker_count(workers, scheduler)
     if report is not None:
         require_writable(report, overwrite=overwrite)
     choices: _FitChoices = {"nominal": nominal, "model": model, "wall": wall, "specimen": specimen}
     if together:
         _require_no_model(save_model, out)
-        _identify_together(campaigns, choices, workers, scheduler, report, overwrite=overwrite, as_json=as_json)
+        _identify_together(folders, choices, workers, scheduler, report, overwrite=overwrite, as_json=as_json)
         return
-    if len(campaigns) > 1:
-        options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
-        with ProgressMeter(f"identifying {len(campaigns)} campaigns") as meter:
-            folders = identify_many(
-                campaigns,
+    if len(folders) > 1:
+        options.require_single_campaign(len(folders), save_model=save_model, report=report)
+        with ProgressMeter(f"identifying {len(folders)} campaigns") as meter:
+            several = identify_many(
+                folders,
                 **choices,
                 write=out is not None or not as_json,
                 out=out,
@@ -350,16 +353,16 @@ def identify_command(
                 scheduler=scheduler,
                 progress=meter.at,
             )
-        _print_identifications(folders, as_json=as_json)
+        _print_identifications(several, as_json=as_json)
         return
-    [campaign] = campaigns
+    [campaign] = folders
     _require_no_cluster(scheduler)
     draws = out is not None or not as_json
     with ProgressMeter("identifying") as meter:
         fitting, reporting, drawing = parts_of(
             meter.at, IDENTIFY_COST, PAGE_COST * (report is not None), PAGE_COST * draws
         )
-        identified = identify(campaign, **choices, progress=fitting)
+        identified = identify(listing or campaign, **choices, progress=fitting)
         result = identified.result
         # Written before anything is printed: a reader such as head ends the command.
         document = identification_document(result)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, ParamSpec, TypedDict, TypeVar
 
 import click
 
-from dragrig.cli.console import QUIET, print_json, print_remark, print_result
+from dragrig.cli.console import QUIET, display_path, print_json, print_remark, print_result
 
 if TYPE_CHECKING:
     from dragrig.api import MoveResult
@@ -192,6 +192,27 @@ def session_notes(place: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 def inputs(function: Callable[P, R]) -> Callable[P, R]:
     """Add the argument `inputs`: run files, patterns and folders."""
     return click.argument("inputs", metavar="RUN…", nargs=-1, required=True)(function)
+
+
+def inputs_or_newest(function: Callable[P, R]) -> Callable[P, R]:
+    """Add the argument `inputs`: run files, patterns and folders; without any the newest campaign."""
+    return click.argument("inputs", metavar="[RUN…]", nargs=-1, callback=_or_newest)(function)
+
+
+def campaigns(function: Callable[P, R]) -> Callable[P, R]:
+    """Add the argument `campaigns`: folders, or run files of one; without any the newest campaign."""
+    return click.argument("campaigns", metavar="[CAMPAIGN…]", nargs=-1, callback=_or_newest)(function)
+
+
+def _or_newest(context: click.Context, parameter: click.Parameter, named: tuple[str, ...]) -> tuple[str, ...]:
+    del parameter
+    if named or context.resilient_parsing:
+        return named
+    from dragrig.run_inputs import newest_campaign
+
+    folder = display_path(newest_campaign())
+    print_remark(f"{folder} is the newest campaign:")
+    return (folder,)
 
 
 def workers(tasks: str) -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 @click.command("info")
-@options.inputs
+@options.inputs_or_newest
 @click.option("--verify", is_flag=True, help="Read every sample and compare it with the checksum in the file.")
 @options.as_json
 @options.quiet
 @click.pass_context
 def info_command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_json: bool) -> None:
-    """Print what run files contain. RUN is a run file, a pattern or a campaign's folder.
+    """Print what run files contain. RUN is a run file, a pattern or a campaign's folder (default: the newest).
 
     With --verify the exit code is 2 when the samples of a file are not those that were recorded.
     """
@@ -76,9 +76,9 @@ def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, note: str
     RUN is a run file, a pattern or a campaign's folder. Mark and note are stored beside the run file, which is not
     changed; filter, export, table and all later steps leave marked runs out or report them.
     """
-    from dragrig.api import mark
+    from dragrig.api import mark as mark_runs
 
-    paths = mark(inputs, bad=bad, good=good, note=note)
+    paths = mark_runs(inputs, bad=bad, good=good, note=note)
     if as_json:
         print_json([{"file": path, "bad": bad, "noted": note} for path in paths])
         return

@@ -205,7 +205,7 @@ class Run:
         import pandas as pd
 
         columns = {f"{name}_{units.replace('/', '_')}": values for name, (values, units) in self._columns().items()}
-        phases = pd.Categorical.from_codes(self.trace.phase.astype(np.intp), list(PHASE_NAMES))
+        phases = pd.Categorical(_NAMES[self.trace.phase], categories=list(PHASE_NAMES))
         return pd.DataFrame({**columns, "phase": phases}, index=pd.Index(self.trace.time, name="time_s"))
 
     def to_xarray(self) -> "xr.Dataset":
