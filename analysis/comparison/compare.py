@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
+from itertools import groupby
 from math import sqrt
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +54,6 @@ from dragrig.analysis.comparison.comparison import (
     RunCondition,
     RunPair,
     align_runs,
-    main_measures,
     run_condition,
     secondary_differences,
 )
@@ -221,6 +222,8 @@ MIN_PAIRS_FOR_SCATTER = 3
 """Pairs from which their own scatter estimates the error of their mean."""
 MIN_FORCE_ERRORS = 3.0
 """Standard errors that a force must have for a difference to be given relative to it."""
+MAX_STRETCHES = 3
+"""Stretches of speeds that a headline tells apart."""
 FALSE_POSITIVE_RATE = 0.05
 MIN_REPORTED_LAG_S = 0.0005
 MIN_REPORTED_ERROR_MM = 0.01
@@ -553,7 +556,7 @@ def _average_group(group: Sequence[RunPair]) -> Iterator[GroupDifference]:
     samples = sum(trace.samples for trace in traces)
     rms = sqrt(sum(trace.samples * trace.rms_mN**2 for trace in traces) / samples) if samples else None
     condition = group[0].condition
-    for name in main_measures(condition.kind):
+    for name in condition.main_measures:
         known = [
             difference
             for pair in group
@@ -583,8 +586,7 @@ def comparison_sentences(comparison: Comparison) -> tuple[str, ...]:
         by_measure.setdefault(f"{group.condition.kind}, {group.measure}", []).append(group)
     return (
         _overview(comparison),
-        _overall_judgement(comparison),
-        *_clearest_group(comparison.groups),
+        _headline(comparison),
         *(_measure_sentence(name, groups) for name, groups in by_measure.items()),
         *_motion_sentences(comparison.pairs),
         *_zero_sentence(comparison),
@@ -602,7 +604,8 @@ def _overview(comparison: Comparison) -> str:
     return f"{count_text(count, 'pair')} of runs, A from {comparison.a.name}, B from {comparison.b.name}{without}."
 
 
-def _overall_judgement(comparison: Comparison) -> str:
+def _headline(comparison: Comparison) -> str:
+    """Return where B is above and below A, and how many differences that is; of chance alone, the latter."""
     judged = [
         difference
         for pair in comparison.pairs
@@ -612,23 +615,56 @@ def _overall_judgement(comparison: Comparison) -> str:
     if not judged:
         return "No pair has a known difference of forces, so that nothing can be concluded."
     beyond = sum(difference.verdict is DifferenceVerdict.BEYOND for difference in judged)
-    names = dict.fromkeys(difference.measure.removesuffix(" force") for difference in judged)
-    forces = count_text(len(judged), f"{', '.join(names)} force")
     if beyond == 0:
-        return f"None of {forces} differs by more than noise and run-to-run scatter explain."
-    by_chance = FALSE_POSITIVE_RATE * len(judged)
-    expected = f"; of equal runs about {by_chance:.0f} would" if by_chance >= 1 else ""
-    differ = "differs" if beyond == 1 else "differ"
-    return f"{beyond} of {forces} {differ} by more than noise and run-to-run scatter explain{expected}."
-
-
-def _clearest_group(groups: Sequence[GroupDifference]) -> Iterator[str]:
-    if len(groups) > 1 and groups[0].verdict is DifferenceVerdict.BEYOND:
-        group = groups[0]
-        yield (
-            f"Clearest: {group.condition}, {group.measure} {group.a:.1f} against {group.b:.1f} mN, "
-            f"{_signed_difference(group.value, group.error)} mN (95 %){_percent(group.relative)}."
+        return (
+            f"A and B agree: none of {count_text(len(judged), 'force')} differs by more than noise and scatter explain."
         )
+    expected = FALSE_POSITIVE_RATE * len(judged)
+    by_chance = f"; about {expected:.0f} would by chance" if expected >= 1 else ""
+    counts = f"{beyond} of {len(judged)} {'differs' if beyond == 1 else 'differ'}{by_chance}."
+    by_kind: dict[str, list[GroupDifference]] = {}
+    for group in comparison.groups:
+        if group.measure == STEADY_FORCE and group.condition.speed_mm_s is not None:
+            by_kind.setdefault(group.condition.kind, []).append(group)
+    patterns = [
+        pattern for kind in sorted(by_kind, key=_of_interest) if (pattern := _speed_pattern(kind, by_kind[kind]))
+    ]
+    return f"{patterns[0]} ({counts})" if patterns else counts
+
+
+def _of_interest(kind: str) -> tuple[bool, str]:
+    return kind != "drag", kind
+
+
+def _speed_pattern(kind: str, groups: Sequence[GroupDifference]) -> str:
+    """Return over which speeds B is above A, below it, and as A; "" where it is as A at all of them."""
+    ordered = sorted(groups, key=lambda group: group.condition.speed_mm_s or 0.0)
+    sides = [(group.verdict is DifferenceVerdict.BEYOND) * (1 if group.value > 0 else -1) for group in ordered]
+    if not any(sides):
+        return ""
+    stretches = [
+        (side, [group for _, group in part]) for side, part in groupby(zip(sides, ordered, strict=True), itemgetter(0))
+    ]
+    if len(stretches) > MAX_STRETCHES:
+        largest = max(
+            (group for group, side in zip(ordered, sides, strict=True) if side), key=lambda group: abs(group.value)
+        )
+        speeds = len(set(sides) - {0})
+        mixed = "above or below" if speeds > 1 else "above" if max(sides) > 0 else "below"
+        count = f"{sum(map(bool, sides))} of {len(ordered)} conditions"
+        size = f"{abs(largest.value):.1f} mN{_percent(largest.relative)}"
+        return f"In {kind} runs B is {mixed} A in {count}, by up to {size}."
+    phrases = []
+    for place, (side, part) in enumerate(stretches):
+        low, high = (part[end].condition.speed_mm_s or 0.0 for end in (0, -1))
+        where = (
+            "at every speed" if len(stretches) == 1 else f"up to {high:.3g} mm/s" if place == 0
+            else f"from {low:.3g} mm/s on" if place == len(stretches) - 1 else _condition_range(part)
+        )  # fmt: skip
+        largest = max(part, key=lambda group: abs(group.value))
+        size = f", by up to {abs(largest.value):.1f} mN{_percent(largest.relative)}"
+        phrases.append(f"B is {'above' if side > 0 else 'below'} A {where}{size}" if side else f"{where} they agree")
+    return f"In {kind} runs {'; '.join(phrases)}."
 
 
 def _measure_sentence(name: str, groups: Sequence[GroupDifference]) -> str:
@@ -692,8 +728,8 @@ def _zero_sentence(comparison: Comparison) -> Iterator[str]:
     kinds = sorted({pair.condition.kind for pair in comparison.pairs} - ZERO_FORCE_AT_REST_KINDS)
     if kinds:
         yield (
-            f"Zeros of {' and '.join(kinds)} runs are not subtracted, for their rest is not free of force; "
-            f"{comparison.zero_mN:.1f} mN per run is allowed for them."
+            f"The forces of {' and '.join(kinds)} runs are compared as recorded, for the gut pulls already at rest: "
+            f"the sensor's zero may differ by {comparison.zero_mN:.1f} mN."
         )
 
 

@@ -258,6 +258,15 @@ class RunCondition:
     travel_mm: float | None
     capsule: tuple[float | None, ...]
     measured: bool = False
+    strokes: str = ""
+    """Of a motion of several strokes, which has no speed and no steady force, as its protocol writes them."""
+
+    @property
+    def main_measures(self) -> tuple[str, ...]:
+        """Measures that decide the verdict on its runs."""
+        if self.strokes:
+            return ()
+        return (PEAK_FORCE, HOLD_FORCE) if self.kind == "relaxation" else (STEADY_FORCE,)
 
     def __str__(self) -> str:
         """In words: drag at 5 mm/s, relaxation at 50 %."""
@@ -274,6 +283,7 @@ class RunCondition:
                 ("kind", self.kind, condition.kind),
                 ("signal", self.signal, condition.signal),
                 ("fixture", self.fixture, condition.fixture),
+                ("strokes", self.strokes, condition.strokes),
             )
             if own != others
         ]
@@ -298,7 +308,8 @@ def run_condition(run: Run) -> RunCondition:
     protocol = header.protocol
     speed = attribute_number(protocol, "speed_mm_s", "ramp_speed_mm_s")
     travel, strain = attribute_number(protocol, "travel_mm"), attribute_number(protocol, "shear_strain")
-    measured = strain is None and (speed is None or travel is None)
+    strokes = str(protocol.get("strokes", ""))
+    measured = strain is None and (speed is None or travel is None) and not strokes
     if measured:
         recorded_speed, recorded_travel = _recorded_motion(run)
         speed, travel = speed or recorded_speed, travel or recorded_travel
@@ -311,6 +322,7 @@ def run_condition(run: Run) -> RunCondition:
         travel_mm=travel,
         capsule=tuple(attribute_number(header.capsule, key) for key in CAPSULE_SIZES),
         measured=measured,
+        strokes=strokes,
     )
 
 
@@ -414,11 +426,6 @@ def judge_difference(value: float | None, noise: float | None, error: float | No
     return DifferenceVerdict.SCATTER if abs(value) <= NORMAL_95 * error else DifferenceVerdict.BEYOND
 
 
-def main_measures(kind: str) -> tuple[str, ...]:
-    """Measures that decide the verdict on a kind of run."""
-    return (PEAK_FORCE, HOLD_FORCE) if kind == "relaxation" else (STEADY_FORCE,)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedRun:
     """A run of one side: its attributes, and a function that reads its samples."""
@@ -500,7 +507,7 @@ class RunPair:
     @property
     def main(self) -> tuple[MeasureDifference, ...]:
         """Differences of the main measures of the pair's kind."""
-        wanted = main_measures(self.condition.kind)
+        wanted = self.condition.main_measures
         return tuple(difference for difference in self.differences if difference.measure in wanted)
 
     @property

@@ -1,7 +1,6 @@
 from .evaluate import ExportFormatName as ExportFormatName
 from .evaluate import ask_lab as ask_lab
 from .evaluate import compare as compare
-from .evaluate import comparison_folder as comparison_folder
 from .evaluate import export as export
 from .evaluate import filter_settings as filter_settings
 from .evaluate import find as find

@@ -575,7 +575,7 @@ def compare(
     Raises
     ------
     AnalysisError
-        When no run has a partner.
+        When no run has a partner, or both are the same campaign or run.
     RunFileError, SettingsError
         When a file, a folder or the model cannot be read.
 
@@ -591,6 +591,8 @@ def compare(
         raise AnalysisError("Effects belong to a model; name the model too.")
     if (b is None) == (model is None):
         raise AnalysisError("A comparison takes either a second campaign or a model.")
+    if isinstance(a, str | Path) and isinstance(b, str | Path) and Path(a).resolve() == Path(b).resolve():
+        raise AnalysisError(f"{a} and {b}: are the same; name another campaign or run to compare with.")
     first = _comparison_side(a, specimen, "A")
     if b is not None:
         return compare_sides(first, _comparison_side(b, specimen, "B"), progress)
@@ -631,13 +633,6 @@ def write_comparison(
         progress(done, total)
         yield save_figure_in(folder, f"{Path(pair.a.file).stem}", present.comparison_figure(pair, names), overwrite)
     progress(total, total)
-
-
-def comparison_folder(comparison: Comparison, a: str | Path) -> Path:
-    """Return the default folder of a comparison, beside the runs of A."""
-    beside = Path(a) if Path(a).is_dir() else Path(a).parent
-    b_name = comparison.b.name.removesuffix(".h5").replace(" ", "-")
-    return beside / f"compared-with-{b_name}"
 
 
 def _comparison_side(runs: Comparable, specimen: str | None, name: str) -> ComparedSide:

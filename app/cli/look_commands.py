@@ -261,7 +261,7 @@ def report_command(inputs: tuple[str, ...], out: Path | None, overwrite: bool, a
 @click.option("--model", metavar="F|NAME", help="Compare A with this friction model in place of B.")
 @options.effects("Add an effect to that model, as listed by dragrig gap effects; repeatable.")
 @click.option("--specimen", metavar="NAME", help="Specimen, where a folder holds several (default: all).")
-@options.out("Folder for pictures and table (default: a new one beside A's runs; with --json: none).")
+@options.out("Folder for a table, an overview, and a picture of each pair.")
 @options.report
 @options.picture_form
 @options.overwrite
@@ -282,13 +282,13 @@ def compare_command(
 
     A and B are campaign folders or run files. Runs under the same conditions are paired and aligned on the start of
     their motion. Prints the measures side by side (differences are B − A; ± is the 95 % interval for equal runs, from
-    noise, run-to-run scatter and unknown zeros), the largest differences first, and a summary; writes a table as CSV,
-    an overview, and a picture of each pair. The exit code is 0 even where they differ.
+    noise, run-to-run scatter and unknown zeros), the largest differences first; the report has all pairs. The exit code
+    is 0 even where they differ.
     """
     if (b is None) == (model is None):
         raise click.UsageError("name either a second campaign or run, or a --model", click.get_current_context())
-    from dragrig.api import compare, comparison_folder, write_comparison
-    from dragrig.present import comparison_document, comparison_json, require_writable, unused_path
+    from dragrig.api import compare, write_comparison
+    from dragrig.present import comparison_document, comparison_json, require_writable
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
@@ -296,23 +296,18 @@ def compare_command(
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
     document = comparison_document(comparison)
     write_report(document, report, overwrite=overwrite)
-    if as_json and out is None:
-        print_document(document, as_json=True)
-        return
-    default = comparison_folder(comparison, a)
-    # Measured data are often read-only.
-    writable = default if os.access(default.parent, os.W_OK) else Path(default.name)
-    folder = out or unused_path(writable)
-    with ProgressMeter("drawing") as meter:
-        written = list(write_comparison(comparison, folder, overwrite=overwrite, progress=meter.at))
+    written: list[Path] = []
+    if out is not None:
+        with ProgressMeter("drawing") as meter:
+            written = list(write_comparison(comparison, out, overwrite=overwrite, progress=meter.at))
     if as_json:
-        print_json({**comparison_json(comparison), "files": written})
+        print_json({**comparison_json(comparison), **({"files": written} if written else {})})
         return
     print_document(document, as_json=False)
-    print_result(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
-    if report is not None:
-        print_result(f"report    {display_path(report)}")
-    print_result(f"pictures  {len(written) - 2} in {display_path(folder)}")
+    for path in (*written[:2], *filter(None, (report,))):
+        print_result(display_path(path))
+    if written[2:]:
+        print_result(f"{len(written) - 2} pictures of pairs in {display_path(written[0].parent)}")
 
 
 DEFAULT_PORT = 8765
