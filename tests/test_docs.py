@@ -135,7 +135,7 @@ def shown_commands(page: Path) -> list[list[str]]:
     """The command lines in the blocks of a page, without `dragrig` itself."""
     blocks = re.findall(r"```(?:sh|powershell)\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
-    plain = [re.sub(r"\$\(.*?\)|\$\w+", "1", re.sub(r"\S+ -m uv run ", "", line)) for line in lines]
+    plain = [re.sub(r"\$\(.*?\)|\$\w+", "1", re.sub(r"\S+ -m uv run (--no-dev )?", "", line)) for line in lines]
     parts = [part for line in plain for part in re.split(r"&&|;|[{}]", line)]
     return [words[1:] for part in parts if (words := shlex.split(part, comments=True))[:1] == ["dragrig"]]
 

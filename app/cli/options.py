@@ -196,23 +196,26 @@ def inputs(function: Callable[P, R]) -> Callable[P, R]:
 
 def inputs_or_newest(function: Callable[P, R]) -> Callable[P, R]:
     """Add the argument `inputs`: run files, patterns and folders; without any the newest campaign."""
-    return click.argument("inputs", metavar="[RUN…]", nargs=-1, callback=_or_newest)(function)
+    return _or_newest("inputs", "[RUN…]", function)
 
 
 def campaigns(function: Callable[P, R]) -> Callable[P, R]:
     """Add the argument `campaigns`: folders, or run files of one; without any the newest campaign."""
-    return click.argument("campaigns", metavar="[CAMPAIGN…]", nargs=-1, callback=_or_newest)(function)
+    return _or_newest("campaigns", "[CAMPAIGN…]", function)
 
 
-def _or_newest(context: click.Context, parameter: click.Parameter, named: tuple[str, ...]) -> tuple[str, ...]:
-    del parameter
-    if named or context.resilient_parsing:
-        return named
-    from dragrig.run_inputs import newest_campaign
+def _or_newest(name: str, metavar: str, function: Callable[P, R]) -> Callable[P, R]:
+    @wraps(function)
+    def with_default(*arguments: P.args, **settings: P.kwargs) -> R:
+        if not settings[name]:
+            from dragrig.run_inputs import newest_campaign
 
-    folder = display_path(newest_campaign())
-    print_remark(f"{folder} is the newest campaign:")
-    return (folder,)
+            folder = display_path(newest_campaign())
+            print_remark(f"{folder} is the newest campaign:")
+            settings[name] = (folder,)
+        return function(*arguments, **settings)
+
+    return click.argument(name, metavar=metavar, nargs=-1)(with_default)
 
 
 def workers(tasks: str) -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -5,7 +5,7 @@ import re
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from uuid import uuid4
 
@@ -266,10 +266,8 @@ def test_the_headline_is_where_the_sides_differ_and_how_many_would_by_chance(
     factors: Mapping[float, float], headline: str
 ) -> None:
     runs = [drag(f"speed_mm_s={speed}") for speed in (2, 5, 10, 20)]
-    changed = [
-        with_force(run, lambda force, f=factors.get(run.info.header.protocol["speed_mm_s"], 1.0): f * force)
-        for run in runs
-    ]
+    speeds = {run.info.header.run_id: run.info.header.protocol["speed_mm_s"] for run in runs}
+    changed = [with_force(run, partial(np.multiply, factors.get(speeds[run.info.header.run_id], 1.0))) for run in runs]
     comparison = dragrig.compare(runs, changed)
     assert re.match(headline, comparison.sentences[1])
     assert comparison.sentences[1].endswith(f"({len(factors)} of 4 differ{'s' * (len(factors) == 1)}.)")
