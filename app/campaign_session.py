@@ -25,7 +25,7 @@ from dragrig.config import (
     reason_of,
     rig_file_of,
 )
-from dragrig.hosted_session import SessionOperator, SessionOptions, run_session
+from dragrig.hosted_session import SessionOperator, SessionOptions, begins_at, run_session
 from dragrig.rig import (
     Campaign,
     CampaignProgress,
@@ -60,6 +60,7 @@ from dragrig.setup import (
     load_settings,
     require_shipped_dialect,
     resolve,
+    resolve_pace,
     within_lab,
 )
 
@@ -235,7 +236,8 @@ def _continue_campaign(
 ) -> Made:
     # Rests of a dry run take no wall time, so that its last run may end in the future.
     ended = [run.end_time or run.header.start_time for run in before.runs]
-    origin = max([datetime.now().astimezone(), latest.begun_at + timedelta(seconds=1), *ended])
+    now = begins_at(setup, setup.programme(), resolve_pace(options.pace, double=setup.double))
+    origin = max([now, latest.begun_at + timedelta(seconds=1), *ended])
     first = min((run.header.start_time for run in _runs_of_specimen(before.runs, setup.specimen)), default=None)
     options = replace(options, folder=before.folder, origin=origin, first_run_at=first)
     return _run_campaign(setup, options, person, lambda: None, before)

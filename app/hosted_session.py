@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from threading import Event as Signal
 from typing import Protocol, TypeVar
@@ -43,7 +43,9 @@ from dragrig.rig import (
 )
 from dragrig.setup import (
     HARDWARE_BACKEND,
+    SIMULATED_BACKEND,
     Pace,
+    Pacing,
     Setup,
     opened_rig,
     resolve_pace,
@@ -52,6 +54,8 @@ from dragrig.setup import (
 ResultT = TypeVar("ResultT")
 
 _POLL_S = 0.02
+_BETWEEN_RUNS_S = 1.0
+"""For what a simulated stage does between two runs, homing included."""
 _IDLE_MEAN_S = 0.1
 """Five periods of the mains."""
 
@@ -249,7 +253,7 @@ def run_session(
         setup.rig,
         setup.model,
         pace.real_time,
-        options.origin,
+        options.origin or begins_at(setup, left, pace),
         calibrations,
         pace=pace.times_faster,
         first_run_at=options.first_run_at,
@@ -286,6 +290,20 @@ def run_session(
             options.begun(session.abort)
             with _kept_awake(setup):
                 return run_on_worker(session.run, session.abort, operator)
+
+
+def begins_at(setup: Setup, programme: Programme, pace: Pacing) -> datetime:
+    """Return when a session begins: now, or where rests take no time so much earlier that it ends now.
+
+    No run is dated before its specimen was taken and mounted, so that the last ones may lie in the future then.
+    """
+    now = datetime.now().astimezone()
+    if pace.real_time or setup.backend != SIMULATED_BACKEND:
+        return now
+    specimen = setup.specimen
+    earliest = (moment for moment in (specimen.excised_at, specimen.mounted_at) if moment is not None)
+    lasts_s = programme.duration_s + _BETWEEN_RUNS_S * len(programme.runs)
+    return max((now - timedelta(seconds=lasts_s), *earliest))
 
 
 @contextmanager

@@ -193,6 +193,7 @@ def _installed(group: str, _search_path: tuple[str, ...]) -> EntryPoints:
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 DEFAULT_SETTINGS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
+SIMULATED_BACKEND = "simulated"
 HARDWARE_BACKEND = "hardware"
 """The backend of the real rig, to which no effects can be added."""
 CALIBRATED_QUANTITIES = ("force", "encoder")

@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -174,6 +175,17 @@ def test_a_former_name_still_works_and_says_what_it_is_called_now() -> None:
     with pytest.warns(DeprecationWarning, match=r"dragrig\.next_experiment is called dragrig\.gap_next now"):
         former = getattr(dragrig, "next_experiment")  # noqa: B009  # mypy knows that there is no such name
     assert former is dragrig.gap_next
+
+
+def test_simulated_runs_end_now_and_none_before_its_specimen_was_taken() -> None:
+    began = datetime.now().astimezone()
+    runs = dragrig.simulate("drag", speed_mm_s=[5, 10], wait_s=3600)
+    ends = [run.info.end_time for run in runs]
+    assert all(end is not None and end <= datetime.now().astimezone() for end in ends)
+    assert runs[0].info.header.start_time < began - timedelta(hours=1)
+    excised = began - timedelta(minutes=5)
+    (run, *_) = dragrig.simulate("drag", wait_s=3600, assignments={"specimen.excised_at": excised.isoformat()})
+    assert run.info.header.start_time > excised
 
 
 def test_a_run_shows_itself_in_a_line_and_in_a_notebook_with_its_force(run: dragrig.Run, tmp_path: Path) -> None:
