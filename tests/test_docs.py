@@ -14,7 +14,7 @@ from playwright.sync_api import Browser
 
 from browsing import opened
 from dragrig.cli import main
-from dragrig.cli.commands import dragrig_group, gap_group
+from dragrig.cli.commands import dragrig_group, gap_command
 from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.runfile import schema
 from places import ROOT
@@ -157,7 +157,7 @@ def test_every_command_that_a_page_shows_is_one(page: Path, tmp_path: Path, monk
 def test_the_readme_lists_every_command_once() -> None:
     rows = re.findall(r"^\| [a-z ]+ \| (`.*`) \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)
     listed = re.findall(r"`([^`]+)`", " ".join(rows))
-    gap = [f"gap {name}" for name in gap_group.list_commands(click.Context(gap_group))]
+    gap = [f"gap {name}" for name in gap_command.list_commands(click.Context(gap_command))]
     every = [name for name in dragrig_group.list_commands(click.Context(dragrig_group)) if name != "gap"]
     assert sorted(listed) == sorted([*every, *gap])
 

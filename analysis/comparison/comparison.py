@@ -268,12 +268,20 @@ class RunCondition:
             return ()
         return (PEAK_FORCE, HOLD_FORCE) if self.kind == "relaxation" else (STEADY_FORCE,)
 
+    @property
+    def varied(self) -> tuple[float, str]:
+        """Its strain or its speed, with the unit."""
+        if self.shear_strain is not None:
+            return 100 * self.shear_strain, "%"
+        return self.speed_mm_s or 0.0, "mm/s"
+
     def __str__(self) -> str:
         """In words: drag at 5 mm/s, relaxation at 50 %."""
-        if self.shear_strain is not None:
-            return f"{self.kind} at {100 * self.shear_strain:.3g} %"
+        if self.shear_strain is None and self.speed_mm_s is None:
+            return self.kind
         back = " back" if (self.travel_mm or 0.0) < 0 else ""
-        return self.kind if self.speed_mm_s is None else f"{self.kind} at {self.speed_mm_s:.3g} mm/s{back}"
+        value, unit = self.varied
+        return f"{self.kind} at {value:.3g} {unit}{back}"
 
     def differs_from(self, condition: "RunCondition") -> tuple[str, ...]:
         """Return in words what differs between two conditions; empty where the runs may be compared."""

@@ -22,6 +22,7 @@ from dragrig.cli.options import NUMBER
 
 if TYPE_CHECKING:
     from dragrig.api import DiagnosedFolder, DiagnosisRequest
+    from dragrig.setup import SetupChoices
 
 
 FILE = click.Path(path_type=Path)
@@ -238,7 +239,7 @@ def next_command(
     save_plan: Path | None,
     overwrite: bool,
     as_json: bool,
-    **settings: Unpack[options.SettingsOptions],
+    **settings: "Unpack[SetupChoices]",
 ) -> None:
     """Recommend the next runs: those that separate the leading hypotheses best per minute of rig time.
 
@@ -302,7 +303,7 @@ def settle_command(
     report: Path | None,
     overwrite: bool,
     as_json: bool,
-    **settings: Unpack[options.SettingsOptions],
+    **settings: "Unpack[SetupChoices]",
 ) -> None:
     """Make runs until the gap is settled: the runs of PLAN first, then batches of those that tell most per minute.
 
@@ -367,7 +368,7 @@ def isolability_command(
     report: Path | None,
     overwrite: bool,
     as_json: bool,
-    **settings: Unpack[options.SettingsOptions],
+    **settings: "Unpack[SetupChoices]",
 ) -> None:
     """Determine which effects runs can tell apart, and the smallest detectable size of each.
 
@@ -499,7 +500,7 @@ FOLDER = click.Path(path_type=Path)
 )
 @options.as_json
 @options.overwrite
-def gap_calibrate_command(
+def calibrate_command(
     exams: tuple[Path, ...], save: Path | None, folds: int | None, as_json: bool, overwrite: bool
 ) -> None:
     """Learn the verdict's thresholds and weights from exams that dragrig gap blind --out wrote.

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, ParamSpec, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
 
 import click
 
@@ -14,6 +14,22 @@ from dragrig.cli.console import QUIET, display_path, print_json, print_remark, p
 if TYPE_CHECKING:
     from dragrig.api import MoveResult
     from dragrig.rig import TravelEnd
+    from dragrig.setup import RigChoices
+
+    class StageOptions(RigChoices):
+        """The arguments that `rig_session` adds."""
+
+        pace: "Pace | None"
+
+    class OperatorOptions(StageOptions):
+        """The arguments of `rig_session`, and `--operator`."""
+
+        operator: str
+
+    class CalibrationOptions(OperatorOptions):
+        """The arguments of `rig_session` and `session_notes`."""
+
+        note: str
 
 
 P = ParamSpec("P")
@@ -107,42 +123,6 @@ _SETTINGS_OPTIONS = (
 _SET_RIG_OPTION = click.option(
     "--set", "assignments", metavar="KEY=VALUE", multiple=True, help="Change rig.… or model.…; repeatable."
 )
-
-
-class RigOptions(TypedDict):
-    """The arguments that `rig` adds, as `dragrig.setup.RigChoices`, which `dragrig --help` must not load."""
-
-    rig: str | None
-    model: str | None
-    backend: str | None
-    double: bool
-    assignments: tuple[str, ...]
-
-
-class StageOptions(RigOptions):
-    """The arguments that `rig_session` adds to those of `rig`."""
-
-    pace: Pace | None
-
-
-class OperatorOptions(StageOptions):
-    """The arguments of `rig_session`, and `--operator`."""
-
-    operator: str
-
-
-class CalibrationOptions(OperatorOptions):
-    """The arguments of `rig_session` and `session_notes`."""
-
-    note: str
-
-
-class SettingsOptions(RigOptions):
-    """The arguments that `settings` adds, as `dragrig.setup.SetupChoices`."""
-
-    specimen: str | None
-    capsule: str | None
-    effects: tuple[str, ...]
 
 
 def settings(function: Callable[P, R]) -> Callable[P, R]:

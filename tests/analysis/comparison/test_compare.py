@@ -132,7 +132,7 @@ def test_equal_specimens_do_not_differ_and_more_friction_shows_where_there_is_fr
     assert [group.times_error for group in comparison.groups] == sorted(
         (group.times_error for group in comparison.groups), reverse=True
     )
-    assert any("coulomb, steady force: B is above A" in sentence for sentence in comparison.sentences)
+    assert any("Coulomb, steady force: B is above A" in sentence for sentence in comparison.sentences)
 
 
 def test_runs_are_aligned_on_their_motion_and_the_faster_one_is_interpolated() -> None:
@@ -252,14 +252,14 @@ def test_the_same_campaign_twice_and_several_specimens_are_said(tmp_path: Path) 
     [
         (
             {2: 1.5, 5: 1.4},
-            r"In drag runs B is above A up to 5 mm/s, by up to [\d.]+ mN \(\+\d+ %\); from 10 mm/s on they agree\.",
+            r"Drag, steady force: B is above A up to 5 mm/s, by up to [\d.]+ mN \(\+\d+ %\); from 10 mm/s on they agr",
         ),
         (
             {20: 0.5},
-            r"In drag runs up to 10 mm/s they agree; B is below A from 20 mm/s on, by up to [\d.]+ mN \(-\d+ %\)\.",
+            r"Drag, steady force: up to 10 mm/s they agree; B is below A from 20 mm/s on, by [\d.]+ mN \(-\d+ %\)\.",
         ),
-        ({2: 1.5, 5: 1.5, 10: 1.5, 20: 1.5}, r"In drag runs B is above A at every speed, by up to "),
-        ({2: 1.5, 10: 0.5}, r"In drag runs B is above or below A in 2 of 4 conditions, by up to "),
+        ({2: 1.5, 5: 1.5, 10: 1.5, 20: 1.5}, r"Drag, steady force: B is above A from 2 to 20 mm/s, by up to "),
+        ({2: 1.5, 10: 0.5}, r"Drag, steady force: B is above or below A in 2 of 4 conditions, by up to "),
     ],
 )
 def test_the_headline_is_where_the_sides_differ_and_how_many_would_by_chance(

@@ -18,7 +18,7 @@ from dragrig.present.numbers import to_json_value
 
 ALONE = "Without a plan the rig itself is checked, so"
 HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")
-COMMANDS = [(name, command.summary) for section in SECTIONS.values() for name, command in section.items()]
+COMMANDS = [(name, summary) for section in SECTIONS.values() for name, (_, summary) in section.items()]
 
 
 def dragrig(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
