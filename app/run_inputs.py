@@ -63,19 +63,6 @@ def good_runs(inputs: Sequence[str | Path]) -> GoodRuns:
     return GoodRuns(tuple(path for path in paths if path not in left_out), left_out)
 
 
-def latest_campaign(folder: Path) -> Path:
-    """Return `folder` if it is a campaign, else the latest campaign in it; `RunFileError` if there is none."""
-    if not folder.is_dir():
-        missing = "is a file" if folder.is_file() else "no such folder"
-        raise RunFileError(f"{folder}: {missing}; name a campaign, or the folder that holds campaigns.")
-    if any(folder.glob("session-*")) or any(folder.glob("*.h5")):
-        return folder
-    sessions = list(folder.glob("*/session-*.toml"))
-    if not sessions:
-        raise RunFileError(f"{folder}: holds no campaign; name the folder dragrig run writes to.")
-    return max(sessions, key=lambda path: path.stat().st_mtime_ns).parent
-
-
 def newest_campaign() -> Path:
     """Return the campaign whose run file is the newest in the lab's data root, outside of a lab in `runs` here.
 

@@ -5,14 +5,13 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from datetime import datetime, time
+from datetime import datetime
 from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
 from time import time as now
 from typing import TYPE_CHECKING, Protocol, Self
 
-from dragrig.config import SettingsError
 from dragrig.rig import FINISHED_SUFFIX, MARK_SUFFIX, RECORDING_SUFFIX, mark_path
 
 if TYPE_CHECKING:
@@ -69,14 +68,6 @@ class RunQuery:
     until: datetime | None = None
     marked: bool | None = None
     """Whether the run is marked bad."""
-
-    @classmethod
-    def typed(
-        cls, specimen: str, kind: str, operator: str, since: str | datetime, until: str | datetime, bad: bool | None
-    ) -> Self:
-        """Return the query of times as typed, of which a day holds all of its hours; raises `SettingsError`."""
-        from_, to = _moment(since, time.min), _moment(until, time.max)
-        return cls(specimen, kind, operator, from_, to, bad)
 
     def matches(self, run: "RunInfo", *, marked: bool) -> bool:
         """Whether a run is among them."""
@@ -156,19 +147,6 @@ class FileListing:
         from dragrig.rig import read_campaign
 
         return tuple(map(read_campaign, self.folders()))
-
-
-def _moment(text: str | datetime, of_day: time) -> datetime | None:
-    """Return a moment with its offset, of a date alone the given time; None for an empty text."""
-    if not text:
-        return None
-    try:
-        moment = text if isinstance(text, datetime) else datetime.fromisoformat(text)
-        if isinstance(text, str) and len(text) <= len("2026-05-04"):
-            moment = datetime.combine(moment, of_day)
-        return moment if moment.tzinfo is not None else moment.astimezone()
-    except (ValueError, OverflowError):  # also of a year for which the local offset is not known
-        raise SettingsError(f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15.") from None
 
 
 def operator_of(run: "RunInfo") -> str:

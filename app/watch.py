@@ -25,7 +25,6 @@ import numpy as np
 from dragrig.config import OutputError, RunFileError
 from dragrig.present import to_json_object
 from dragrig.rig import PHASE_NAMES, Run, is_recording, read_info, read_session_records, read_tail, run_name
-from dragrig.run_inputs import latest_campaign
 from dragrig.session_state import SessionState, is_session_running, read_state
 
 RECENT_TRACE_S = 20.0
@@ -220,6 +219,19 @@ class CampaignWatch:
                 path.name, info.kind, info.header.order, info.status.value, info.reason, info.samples
             )
         return tuple(sorted(self._finished.values(), key=lambda run: (run.order, run.file)))
+
+
+def latest_campaign(folder: Path) -> Path:
+    """Return `folder` if it is a campaign, else the latest campaign in it; `RunFileError` if there is none."""
+    if not folder.is_dir():
+        missing = "is a file" if folder.is_file() else "no such folder"
+        raise RunFileError(f"{folder}: {missing}; name a campaign, or the folder that holds campaigns.")
+    if any(folder.glob("session-*")) or any(folder.glob("*.h5")):
+        return folder
+    sessions = list(folder.glob("*/session-*.toml"))
+    if not sessions:
+        raise RunFileError(f"{folder}: holds no campaign; name the folder dragrig run writes to.")
+    return max(sessions, key=lambda path: path.stat().st_mtime_ns).parent
 
 
 def _run_in_progress(run: Run, state: SessionState | None) -> RunInProgress:

@@ -8,6 +8,7 @@ from .evaluate import import_settings as import_settings
 from .evaluate import mark as mark
 from .evaluate import model as model
 from .evaluate import next_run_order as next_run_order
+from .evaluate import run_query as run_query
 from .evaluate import show as show
 from .evaluate import write_comparison as write_comparison
 from .gap import DiagnosedFolder as DiagnosedFolder

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
@@ -160,9 +160,29 @@ def find(
     >>> import dragrig
     >>> [dragrig.load(file) for file in dragrig.find(specimen="P7", kind="drag")]  # doctest: +SKIP
     """
-    query = RunQuery.typed(specimen, kind, operator, since, until, bad)
+    query = run_query(specimen, kind, operator, since, until, bad)
     found = ask_lab(None if folder is None else Path(folder), lambda listing: listing.found(query))
     return tuple(parent / name for parent, names in found.items() for name in names)
+
+
+def run_query(
+    specimen: str, kind: str, operator: str, since: str | datetime, until: str | datetime, bad: bool | None
+) -> RunQuery:
+    """Return a query of times as typed, of which a day holds all of its hours; raises `SettingsError`."""
+    return RunQuery(specimen, kind, operator, _moment(since, time.min), _moment(until, time.max), bad)
+
+
+def _moment(text: str | datetime, of_day: time) -> datetime | None:
+    """Return a moment with its offset, of a date alone the given time; None for an empty text."""
+    if not text:
+        return None
+    try:
+        moment = text if isinstance(text, datetime) else datetime.fromisoformat(text)
+        if isinstance(text, str) and len(text) <= len("2026-05-04"):
+            moment = datetime.combine(moment, of_day)
+        return moment if moment.tzinfo is not None else moment.astimezone()
+    except (ValueError, OverflowError):  # also of a year for which the local offset is not known
+        raise SettingsError(f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15.") from None
 
 
 def mark(

@@ -22,6 +22,7 @@ from dragrig.cli.options import NUMBER
 
 if TYPE_CHECKING:
     from dragrig.api import DiagnosedFolder, DiagnosisRequest
+    from dragrig.rig import Campaign
     from dragrig.setup import SetupChoices
 
 
@@ -60,7 +61,8 @@ figures beside it."""
 @options.as_json
 @options.quiet
 def diagnose_command(
-    campaigns: tuple[str, ...],
+    campaigns: tuple[Path, ...],
+    listing: "Campaign | None",
     nominal: str,
     without: tuple[str, ...],
     tolerance_mN: float | None,
@@ -94,22 +96,22 @@ def diagnose_command(
         require_writable,
         save_figures,
     )
-    from dragrig.run_inputs import named_campaigns
 
-    folders, listing = named_campaigns(campaigns)
     worker_count(workers, scheduler)
     request = DiagnosisRequest(nominal, without, tolerance_mN, specimen, calibration)
     if together:
-        options.require_single_campaign(len(folders), save_model=save_model)
-        _diagnose_together(folders, request, report, figures, workers, scheduler, overwrite=overwrite, as_json=as_json)
+        options.require_single_campaign(len(campaigns), save_model=save_model)
+        _diagnose_together(
+            campaigns, request, report, figures, workers, scheduler, overwrite=overwrite, as_json=as_json
+        )
         return
-    if len(folders) > 1:
-        options.require_single_campaign(len(folders), save_model=save_model, report=report, figures=figures)
-        with ProgressMeter(f"diagnosing {len(folders)} campaigns") as meter:
-            several = request.diagnose_many(folders, workers, scheduler, meter.at)
+    if len(campaigns) > 1:
+        options.require_single_campaign(len(campaigns), save_model=save_model, report=report, figures=figures)
+        with ProgressMeter(f"diagnosing {len(campaigns)} campaigns") as meter:
+            several = request.diagnose_many(campaigns, workers, scheduler, meter.at)
         _print_diagnoses(several, as_json=as_json)
         return
-    [campaign] = folders
+    [campaign] = campaigns
     for path in filter(None, (save_model, report)):
         require_writable(path, overwrite=overwrite)
     with ProgressMeter("diagnosing") as meter:

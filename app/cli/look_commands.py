@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
+    from dragrig.rig import Campaign
     from dragrig.run_listing import RunListing, RunQuery
     from dragrig.watch import CampaignState, CampaignWatch
 
@@ -41,7 +42,7 @@ AnswerT = TypeVar("AnswerT")
 @options.campaigns
 @options.as_json
 @options.quiet
-def table_command(campaigns: tuple[str, ...], as_json: bool) -> None:
+def table_command(campaigns: tuple[Path, ...], listing: "Campaign | None", as_json: bool) -> None:
     """Tabulate CAMPAIGNs: folders, pooled where they are several, or run files of one (default: the newest campaign).
 
     One line per run: kind, speed, steady force with its standard error, checks, and whether it is marked bad; then the
@@ -50,13 +51,12 @@ def table_command(campaigns: tuple[str, ...], as_json: bool) -> None:
     """
     from dragrig.analysis import pooled_rows, table_rows
     from dragrig.present import campaign_table_document
-    from dragrig.run_inputs import named_campaigns, require_run_files
+    from dragrig.run_inputs import require_run_files
 
-    folders, listing = named_campaigns(campaigns)
     with ProgressMeter("measuring") as meter:
-        rows = pooled_rows(folders, meter.at) if listing is None else table_rows(listing, meter.at)
+        rows = pooled_rows(campaigns, meter.at) if listing is None else table_rows(listing, meter.at)
     if not rows:
-        require_run_files(folders[0])
+        require_run_files(campaigns[0])
     print_document(campaign_table_document(rows), as_json=as_json)
 
 
@@ -111,9 +111,9 @@ def find_command(
     Prints the path of each run file: dragrig show $(dragrig find --specimen P7 --kind drag); or of each campaign:
     dragrig identify --together $(dragrig find --kind relaxation --campaigns).
     """
-    from dragrig.run_listing import RunQuery
+    from dragrig.api import run_query
 
-    query = RunQuery.typed(specimen, kind, operator, since, until, marked)
+    query = run_query(specimen, kind, operator, since, until, marked)
     found, hint = _ask_runs(folder, lambda listing: _found_or_hint(listing, query))
     if as_json:
         paths = [join_path(str(parent), name) for parent, names in found.items() for name in names]

@@ -23,6 +23,7 @@ from dragrig.config import AnalysisError, SettingsError
 if TYPE_CHECKING:
     from dragrig.api import IdentifiedFolder, PaperViscous, PaperWall
     from dragrig.config import FrictionModelSettings, RobotDrive
+    from dragrig.rig import Campaign
 
 
 IDENTIFY_COST, PAGE_COST = 7, 10
@@ -293,7 +294,8 @@ def paper_command(
 @options.as_json
 @options.quiet
 def identify_command(
-    campaigns: tuple[str, ...],
+    campaigns: tuple[Path, ...],
+    listing: "Campaign | None",
     nominal: str,
     model: str,
     wall: Literal["scaled", "fitted"],
@@ -329,22 +331,20 @@ def identify_command(
     )
     from dragrig.parallel import worker_count
     from dragrig.present import identification_document, identification_json, require_writable
-    from dragrig.run_inputs import named_campaigns
 
-    folders, listing = named_campaigns(campaigns)
     worker_count(workers, scheduler)
     if report is not None:
         require_writable(report, overwrite=overwrite)
     choices: _FitChoices = {"nominal": nominal, "model": model, "wall": wall, "specimen": specimen}
     if together:
         _require_no_model(save_model, out)
-        _identify_together(folders, choices, workers, scheduler, report, overwrite=overwrite, as_json=as_json)
+        _identify_together(campaigns, choices, workers, scheduler, report, overwrite=overwrite, as_json=as_json)
         return
-    if len(folders) > 1:
-        options.require_single_campaign(len(folders), save_model=save_model, report=report)
-        with ProgressMeter(f"identifying {len(folders)} campaigns") as meter:
+    if len(campaigns) > 1:
+        options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
+        with ProgressMeter(f"identifying {len(campaigns)} campaigns") as meter:
             several = identify_many(
-                folders,
+                campaigns,
                 **choices,
                 write=out is not None or not as_json,
                 out=out,
@@ -355,7 +355,7 @@ def identify_command(
             )
         _print_identifications(several, as_json=as_json)
         return
-    [campaign] = folders
+    [campaign] = campaigns
     _require_no_cluster(scheduler)
     draws = out is not None or not as_json
     with ProgressMeter("identifying") as meter:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar, cast
 
 import click
 
@@ -180,8 +180,16 @@ def inputs_or_newest(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def campaigns(function: Callable[P, R]) -> Callable[P, R]:
-    """Add the argument `campaigns`: folders, or run files of one; without any the newest campaign."""
-    return _or_newest("campaigns", "[CAMPAIGN…]", function)
+    """Add `campaigns`, folders, and `listing`, the runs that are named of one; by default the newest campaign."""
+
+    @wraps(function)
+    def of_named(*arguments: P.args, **settings: P.kwargs) -> R:
+        from dragrig.run_inputs import named_campaigns
+
+        settings["campaigns"], settings["listing"] = named_campaigns(cast("tuple[str, ...]", settings["campaigns"]))
+        return function(*arguments, **settings)
+
+    return _or_newest("campaigns", "[CAMPAIGN…]", of_named)
 
 
 def _or_newest(name: str, metavar: str, function: Callable[P, R]) -> Callable[P, R]:

@@ -1,7 +1,7 @@
 """Documents as HTML pages: single files with their figures inside, which need no network."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -57,24 +57,8 @@ def notebook_html(result: object) -> str:
             document, force = present.identification_document(result), np.zeros(0)
         case _:
             document, force = present.diagnosis_document(cast("Diagnosis", result)), np.zeros(0)
-    sentences = (_markup("<b>{}</b>").format(document.answer or document.title), *document.lead)
-    drawing = _markup(_SPARKLINE).format(_points(force)) if force.size else ""
-    table = next(document.tables(), None)
-    rows = [] if table is None else [[column.heading for column in table.columns]]
-    rows += [] if table is None else [[cell.text for cell in row] for row in table.cells[:_NOTEBOOK_ROWS]]
-    cells = _markup("").join(_row_markup(row) for row in rows)
-    more = "" if table is None or len(table.rows) <= _NOTEBOOK_ROWS else f"… {len(table.rows)} rows"
-    body = _markup("<br>").join(sentences)
-    return str(_markup("<p>{}</p>{}<table>{}</table>{}").format(body, drawing, cells, more))
-
-
-_NOTEBOOK_ROWS = 12
-_SPARKLINE = """<svg viewBox="0 0 400 40" width="400" height="40" role="img" aria-label="force against time">\
-<polyline points="{}" fill="none" stroke="currentColor"/></svg>"""
-
-
-def _row_markup(texts: Sequence[str]) -> Markup:
-    return _markup("<tr>{}</tr>").format(_markup("").join(_markup("<td>{}</td>").format(text) for text in texts))
+    table, points = next(document.tables(), None), _points(force) if force.size else ""
+    return render_template("notebook.html", {"document": document, "table": table, "points": points})
 
 
 def _points(force: AnyFloatArray) -> str:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 
-from dragrig.config import AnalysisError
 from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray
 
 if TYPE_CHECKING:
@@ -213,13 +212,13 @@ class Run:
 
         Raises
         ------
-        AnalysisError
+        ImportError
             Where xarray is not installed.
         """
         try:
             import xarray as xr
         except ImportError as error:
-            raise AnalysisError("xarray is not installed here: pip install xarray.") from error
+            raise ImportError("xarray is not installed here: pip install xarray.") from error
 
         header = self.info.header
         columns = self._columns().items()

@@ -217,7 +217,7 @@ def test_a_run_becomes_a_table_and_a_dataset_with_units_and_phases(run: dragrig.
 
 def test_without_xarray_one_sentence_says_how_to_get_it(run: dragrig.Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(AnalysisError, match="pip install xarray"):
+    with pytest.raises(ImportError, match="pip install xarray"):
         run.to_xarray()
 
 
