@@ -234,9 +234,9 @@ def parse(model: type[ModelT], data: Mapping[str, object], source: str) -> Model
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        if not data:
-            needed = " and ".join(key for key, field in model.model_fields.items() if field.is_required())
-            raise SettingsError(f"{source}: is empty; it needs {needed}.") from error
+        needed = [key for key, field in model.model_fields.items() if field.is_required()]
+        if not data and len(needed) > 1:
+            raise SettingsError(f"{source}: is empty; it needs {' and '.join(needed)}.") from error
         raise SettingsError(describe_validation_error(error, model, source)) from error
 
 
