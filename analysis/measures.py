@@ -298,8 +298,8 @@ def _are_alike(sds: FloatArray, degrees: IndexArray) -> bool:
     return bool(chdtrc(len(sds) - 1, excess / correction) >= MAX_UNEQUAL_P)
 
 
-def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow, ...]:
-    """Measure every run of a campaign, in order; a file that cannot be read has a row with the reason.
+def table_rows(folder: "Path | Campaign", progress: Progress = no_progress) -> tuple[TableRow, ...]:
+    """Measure every run of a campaign, its folder or its listing; a file that cannot be read has a row with the reason.
 
     Raises `RunFileError` when there is no such folder.
     """
@@ -307,7 +307,7 @@ def table_rows(folder: Path, progress: Progress = no_progress) -> tuple[TableRow
 
     from dragrig.rig import read_campaign, read_run
 
-    campaign = read_campaign(folder)
+    campaign = read_campaign(folder) if isinstance(folder, Path) else folder
     rows: list[TableRow] = []
     # Of vectors as long as a run, further threads only wait, each on a core of its own.
     with threadpool_limits(limits=1, user_api="blas"):

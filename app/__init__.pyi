@@ -2,17 +2,20 @@ from .api.evaluate import campaign as campaign
 from .api.evaluate import compare as compare
 from .api.evaluate import export as export
 from .api.evaluate import filter as filter  # noqa: A004  # the word that people look for
+from .api.evaluate import find as find
 from .api.evaluate import import_run as import_run
 from .api.evaluate import import_runs as import_runs
 from .api.evaluate import load as load
+from .api.evaluate import mark as mark
 from .api.evaluate import model as model
+from .api.evaluate import show as show
 from .api.evaluate import table as table
-from .api.gap import diagnose as diagnose
-from .api.gap import diagnose_many as diagnose_many
-from .api.gap import diagnose_together as diagnose_together
+from .api.gap import gap_diagnose as gap_diagnose
+from .api.gap import gap_diagnose_many as gap_diagnose_many
+from .api.gap import gap_diagnose_together as gap_diagnose_together
 from .api.gap import gap_evaluate as gap_evaluate
-from .api.gap import isolability as isolability
-from .api.gap import next_experiment as next_experiment
+from .api.gap import gap_isolability as gap_isolability
+from .api.gap import gap_next as gap_next
 from .api.measure import check as check
 from .api.measure import examine as examine
 from .api.measure import resume as resume
@@ -25,8 +28,8 @@ from .api.model_fit import identify_together as identify_together
 from .api.reports import paper as paper
 from .api.reports import report as report
 from .api.robot import robot as robot
-from .api.settle import resume_settling as resume_settling
-from .api.settle import settle as settle
+from .api.settle import gap_settle as gap_settle
+from .api.settle import gap_settle_resume as gap_settle_resume
 from .api.stage import calibrate_encoder as calibrate_encoder
 from .api.stage import calibrate_force as calibrate_force
 from .api.stage import home as home

@@ -25,7 +25,7 @@ from dragrig.config import (
     reason_of,
     rig_file_of,
 )
-from dragrig.hosted_session import SessionOperator, SessionOptions, run_session
+from dragrig.hosted_session import SessionOperator, SessionOptions, begins_at, run_session
 from dragrig.rig import (
     Campaign,
     CampaignProgress,
@@ -53,6 +53,7 @@ from dragrig.session_state import SessionState, StatePublisher, session_lock
 from dragrig.setup import (
     HARDWARE_BACKEND,
     Assignments,
+    AssignmentsLike,
     PlanLike,
     Setup,
     SetupChoices,
@@ -130,7 +131,7 @@ def resume_campaign(
     folder: Path,
     options: SessionOptions,
     person: SessionOperator | None,
-    assignments: Sequence[str] = (),
+    assignments: AssignmentsLike = (),
     memory: RigMemory | None = None,
 ) -> Made:
     """Make the missing runs of a campaign's latest plan, with its own settings.
@@ -241,7 +242,8 @@ def _continue_campaign(
 ) -> Made:
     # Rests of a dry run take no wall time, so that its last run may end in the future.
     ended = [run.end_time or run.header.start_time for run in before.runs]
-    origin = max([datetime.now().astimezone(), latest.begun_at + timedelta(seconds=1), *ended])
+    now = begins_at(setup, setup.programme(), real_time=setup.request(options.pace).real_time)
+    origin = max([now, latest.begun_at + timedelta(seconds=1), *ended])
     first = min((run.header.start_time for run in _runs_of_specimen(before.runs, setup.specimen)), default=None)
     options = replace(options, folder=before.folder, origin=origin, first_run_at=first)
     return _run_campaign(setup, options, person, lambda: None, before)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 SUFFIX = ".catalogue.sqlite"
 """Of a catalogue's name, after that of the data root."""
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 CHECKED_FILES = 5_000
 """So many run files of the latest campaigns are compared whenever an answer is asked for, which takes 0.05 s; a folder
 of older ones only once a name in it has changed."""
@@ -454,8 +454,8 @@ def _microseconds(moment: datetime) -> int:
 def _run_columns(run: "RunInfo", campaign: "Campaign") -> tuple[bytes | int, ...]:
     from dragrig.rig import specimen_key
 
-    texts = (run.kind, specimen_key(run), str(run.header.specimen["name"]), operator_of(run).casefold())
-    kind, specimen, specimen_name, operator = map(_bytes, texts)
+    folded = (specimen_key(run), str(run.header.specimen["name"]), operator_of(run))
+    kind, specimen, specimen_name, operator = map(_bytes, (run.kind, *map(str.casefold, folded)))
     start_us, bad = _microseconds(run.header.start_time), run.path in campaign.marks
     return os.fsencode(run.path.name), kind, run.is_sentinel, specimen, specimen_name, operator, start_us, bad
 
@@ -464,7 +464,7 @@ def _conditions(query: RunQuery) -> tuple[str, list[bytes | int]]:
     """Return the condition of a query and its values, in this order."""
     asked: list[tuple[str, tuple[bytes | int, ...]]] = [("1", ())]
     if query.specimen:
-        asked.append(("(specimen = ? OR specimen_name = ?)", (_bytes(query.specimen),) * 2))
+        asked.append(("(specimen = ? OR specimen_name = ?)", (_bytes(query.specimen.casefold()),) * 2))
     if query.kind:
         sentinel = " OR sentinel" if query.kind == "sentinel" else ""
         asked.append((f"(kind = ?{sentinel})", (_bytes(query.kind),)))

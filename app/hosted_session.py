@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from threading import Event as Signal
 from typing import Protocol, TypeVar
@@ -43,6 +43,7 @@ from dragrig.rig import (
 )
 from dragrig.setup import (
     HARDWARE_BACKEND,
+    SIMULATED_BACKEND,
     Pace,
     Setup,
     opened_rig,
@@ -51,6 +52,8 @@ from dragrig.setup import (
 ResultT = TypeVar("ResultT")
 
 _POLL_S = 0.02
+_BETWEEN_RUNS_S = 1.0
+"""For what a simulated stage does between two runs, homing included."""
 _IDLE_MEAN_S = 0.1
 """Five periods of the mains."""
 
@@ -221,7 +224,9 @@ def run_session(
     if not left.runs:
         # Without runs, neither prompt nor homing.
         return SessionResult(RunStatus.COMPLETE, "", ())
-    request = replace(setup.request(options.pace), origin=options.origin, first_run_at=options.first_run_at)
+    request = setup.request(options.pace)
+    origin = options.origin or begins_at(setup, left, real_time=request.real_time)
+    request = replace(request, origin=origin, first_run_at=options.first_run_at)
     with opened_rig(setup.backend, request, double=setup.double) as backend:
         further = len(backend.sampler.channels) - 2
         stops = setup.stops() if backend.needs_hands else None
@@ -254,6 +259,20 @@ def run_session(
             options.begun(session.abort, options.folder)
             with _kept_awake(setup):
                 return run_on_worker(session.run, session.abort, operator)
+
+
+def begins_at(setup: Setup, programme: Programme, *, real_time: bool) -> datetime:
+    """Return when a session begins: now, or where rests take no time so much earlier that it ends now.
+
+    No run is dated before its specimen was taken and mounted, so that the last ones may lie in the future then.
+    """
+    now = datetime.now().astimezone()
+    if real_time or setup.backend != SIMULATED_BACKEND:
+        return now
+    specimen = setup.specimen
+    earliest = (moment for moment in (specimen.excised_at, specimen.mounted_at) if moment is not None)
+    lasts_s = programme.duration_s + _BETWEEN_RUNS_S * len(programme.runs)
+    return max((now - timedelta(seconds=lasts_s), *earliest))
 
 
 @contextmanager

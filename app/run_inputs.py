@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dragrig.config import RunFileError
-from dragrig.rig import RECORDING_SUFFIX, read_mark
+from dragrig.config import DEFAULT_DATA_ROOT, RunFileError, data_root_of
+from dragrig.rig import FINISHED_SUFFIX, RECORDING_SUFFIX, Campaign, campaign_of, read_mark, read_marked
 
 
 def run_files(inputs: Sequence[str | Path]) -> tuple[Path, ...]:
@@ -61,6 +61,37 @@ def good_runs(inputs: Sequence[str | Path]) -> GoodRuns:
     marks = {path: read_mark(path) for path in paths if path not in named}
     left_out = {path: mark.reason for path, mark in marks.items() if mark is not None}
     return GoodRuns(tuple(path for path in paths if path not in left_out), left_out)
+
+
+def newest_campaign() -> Path:
+    """Return the campaign whose run file is the newest in the lab's data root, outside of a lab in `runs` here.
+
+    Raises `RunFileError` where there is none.
+    """
+    root = data_root_of(Path.cwd()) or Path(DEFAULT_DATA_ROOT)
+    files = [path for path in root.glob(f"*/*{FINISHED_SUFFIX}") if not path.name.endswith(RECORDING_SUFFIX)]
+    if not files:
+        raise RunFileError(f"{root}: there is no campaign in it yet; name a campaign's folder.")
+    return max(files, key=lambda path: path.stat().st_mtime_ns).parent
+
+
+def named_campaigns(named: Sequence[str | Path]) -> tuple[tuple[Path, ...], Campaign | None]:
+    """Return the folders of the campaigns that are named, and where run files of one are named those of its runs.
+
+    Raises
+    ------
+    RunFileError
+        For run files of several campaigns, or beside folders.
+    """
+    paths = [Path(name) for name in named]
+    files = [path for path in paths if path.suffix == FINISHED_SUFFIX and path.is_file()]
+    if not files:
+        return tuple(paths), None
+    folders = {path.parent for path in files}
+    if len(folders) > 1 or any(path.is_dir() for path in paths):
+        raise RunFileError(f"{files[-1]}: run files may be named of one campaign alone; name the folders of several.")
+    (folder,) = folders
+    return (folder,), campaign_of(folder, files, read_marked)
 
 
 def _matching_files(name: str | Path) -> list[Path]:

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from datetime import datetime
 from fnmatch import fnmatch
 from functools import cached_property
 from pathlib import Path
+from time import time as now
 from typing import TYPE_CHECKING, Protocol, Self
 
 from dragrig.rig import FINISHED_SUFFIX, MARK_SUFFIX, RECORDING_SUFFIX, mark_path
@@ -61,7 +61,7 @@ class RunQuery:
     """Which runs are wanted; None and empty for any."""
 
     specimen: str = ""
-    """Name or id."""
+    """Name or id, in letters of any case."""
     kind: str = ""
     operator: str = ""
     since: datetime | None = None
@@ -75,7 +75,7 @@ class RunQuery:
 
         header = run.header
         return (
-            (not self.specimen or self.specimen in {specimen_key(run), str(header.specimen["name"])})
+            self.specimen.casefold() in {"", specimen_key(run).casefold(), str(header.specimen["name"]).casefold()}
             and self.kind in {"", *kinds_of(run)}
             and self.operator.casefold() in operator_of(run).casefold()
             and (self.since is None or header.start_time >= self.since)
@@ -205,7 +205,7 @@ def walk(top: Path, known_subfolders: Callable[[str, str], Iterable[str] | None]
         path = left.pop()
         # A folder that is gone meanwhile, or may not be read, holds nothing; the latter may be allowed later.
         try:
-            state = _state(os.stat(f"{base}/{path}"), time.time())  # noqa: PTH116  # thousands of them
+            state = _state(os.stat(f"{base}/{path}"), now())  # noqa: PTH116  # thousands of them
             subfolders = known_subfolders(path, state)
             if subfolders is None:
                 found, subfolders = scan_folder(top, path, state)
@@ -220,7 +220,7 @@ def walk(top: Path, known_subfolders: Callable[[str, str], Iterable[str] | None]
 
 def scan_folder(top: Path, path: str, state: str) -> tuple[ScannedFolder, list[str]]:
     """Look at what is in a folder in this state; return it, and the names of its subfolders."""
-    now_s = time.time()
+    now_s = now()
     files: dict[str, str] = {}
     marks: dict[str, str] = {}
     subfolders: list[str] = []

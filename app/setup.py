@@ -8,9 +8,11 @@ from datetime import datetime
 from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points
 from inspect import getattr_static
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict, TypeGuard, TypeVar, Unpack
 
+import numpy as np
 import tomli_w
 
 from dragrig.config import (
@@ -40,6 +42,7 @@ from dragrig.config import (
     parse,
     parse_assignment,
     parse_effects,
+    refuse_unknown,
     rig_file_of,
     suggestion,
 )
@@ -88,12 +91,12 @@ def resolve_pace(pace: Pace | None, *, double: bool) -> Pacing:
     """
     if not double:
         if pace not in {None, "fast", "real"}:
-            raise SettingsError(f"--pace {pace}: is fast or real; a number of times faster is for --double.")
+            raise SettingsError(f"pace {pace}: is fast or real; a double alone runs a number of times faster.")
         return Pacing(real_time=pace == "real")
     times_faster = 1.0 if pace is None or pace == "real" else pace
     if isinstance(times_faster, str) or not 0 < times_faster <= _MAX_TIMES_FASTER:
         raise SettingsError(
-            f"--pace {pace}: that of a double is real, or a number of times faster, as 20, up to {_MAX_TIMES_FASTER:g}."
+            f"pace {pace}: that of a double is real, or a number of times faster, as 20, up to {_MAX_TIMES_FASTER:g}."
         )
     return Pacing(real_time=True, times_faster=float(times_faster))
 
@@ -119,7 +122,7 @@ def find_backend(name: str, *, double: bool = False) -> EntryPoint:
         return entry
     if double and name in backend_names():
         raise SettingsError(
-            f"backend = {name!r}: has no double; leave out --double, or name one with --backend: "
+            f"backend = {name!r}: has no double; choose none, or a backend that has one: "
             f"{', '.join(sorted(_installed(DOUBLE_GROUP, tuple(sys.path)).names))}."
         )
     raise SettingsError(f"backend = {name!r}: no such backend is installed; {suggestion(name, backend_names())}")
@@ -191,9 +194,14 @@ def _installed(group: str, _search_path: tuple[str, ...]) -> EntryPoints:
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 DEFAULT_SETTINGS: Mapping[str, str] = {"rig": "bench", "specimen": "jejunum", "model": "paper"}
+SIMULATED_BACKEND = "simulated"
 HARDWARE_BACKEND = "hardware"
 """The backend of the real rig, to which no effects can be added."""
 CALIBRATED_QUANTITIES = ("force", "encoder")
+
+
+AssignmentsLike = Sequence[str] | Mapping[str, object]
+"""Changes of settings: `["speed_mm_s=5", "rig.stage.highest_mm=120"]`, or `{"speed_mm_s": 5}`."""
 
 
 class RigChoices(TypedDict, total=False):
@@ -203,7 +211,7 @@ class RigChoices(TypedDict, total=False):
     model: str | Path | FrictionModelSettings | None
     backend: str | None
     double: bool
-    assignments: Sequence[str]
+    assignments: AssignmentsLike
     memory: RigMemory
 
 
@@ -220,8 +228,8 @@ def with_allowed_effects(
     if backend == HARDWARE_BACKEND and (effects or (double and model.effects)):
         where = "its double" if double else "the rig itself"
         raise SettingsError(
-            f"--effect: effects act in the simulated rig, and backend {backend} is {where}; leave them out, or name "
-            "--backend simulated."
+            f"effects act in the simulated rig, and backend {backend} is {where}; leave them out, or choose the "
+            "backend simulated."
         )
     return with_effects(model, effects)
 
@@ -324,9 +332,10 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
     SettingsError
         With file, key and what is allowed.
     """
+    refuse_unknown(choices, RigChoices.__annotations__)
     changes = Assignments.of(choices.get("assignments", ()))
-    if changes.steps or changes.others["plan"] or changes.others["specimen"]:
-        raise SettingsError("--set: without a plan, only rig.… and model.… can be changed.")
+    if other := (*changes.texts["steps"], *changes.texts["plan"], *changes.texts["specimen"]):
+        raise SettingsError(f"{other[0]}: without a plan, only rig.… and model.… can be changed.")
     settings, rig_folder = load_settings(RigSettings, "rig", choices.get("rig") or rig_file_of(folder or Path.cwd()))
     rig = changes.applied_to(settings, "rig")
     model = changes.applied_to(load_settings(FrictionModelSettings, "model", choices.get("model"))[0], "model")
@@ -432,36 +441,69 @@ class Assignments:
     texts: Mapping[str, tuple[str, ...]]
 
     @classmethod
-    def of(cls, assignments: Sequence[str]) -> "Assignments":
-        """Sort assignments; raises `SettingsError`."""
-        steps: Table = {}
-        others: dict[str, Table] = {"rig": {}, "model": {}, "specimen": {}, "plan": {}}
-        texts: dict[str, tuple[str, ...]] = dict.fromkeys(others, ())
-        for text in (assignments,) if isinstance(assignments, str) else assignments:
-            (first, *rest), value = parse_assignment(text)
-            if not rest:
-                steps[first] = value
-            elif first in others:
-                others[first] = merge_tables(others[first], nested_table(rest, value))
-                texts[first] = (*texts[first], text)
-            else:
+    def of(cls, assignments: AssignmentsLike, step_keys: Mapping[str, object] | None = None) -> "Assignments":
+        """Sort assignments, and keys of steps with their values; raises `SettingsError`."""
+        tables: dict[str, Table] = {"steps": {}, "rig": {}, "model": {}, "specimen": {}, "plan": {}}
+        texts: dict[str, tuple[str, ...]] = dict.fromkeys(tables, ())
+        for text, path, value in _typed_changes(assignments, step_keys or {}):
+            first, *rest = path if len(path) > 1 else ("steps", *path)
+            if first not in tables or not rest:
                 hint = f": write rig.{text}" if first in RigSettings.model_fields else ""
-                raise SettingsError(f"--set {text}: {first} is none of rig, model, specimen and plan{hint}.")
-        return cls(steps, others, texts)
+                raise SettingsError(f"{text}: {first} is none of rig, model, specimen and plan{hint}.")
+            tables[first] = merge_tables(tables[first], nested_table(rest, value))
+            texts[first] = (*texts[first], text)
+        return cls(tables.pop("steps"), tables, texts)
 
     def applied_to(self, settings: SettingsT, name: str) -> SettingsT:
         """Return the settings with their changes."""
         if not self.others[name]:
             return settings
         data = merge_tables(settings.model_dump(mode="json", exclude_unset=True), self.others[name])
-        return parse(type(settings), data, f"--set {' '.join(self.texts[name])}")
+        return parse(type(settings), data, " ".join(self.texts[name]))
+
+
+def _typed_changes(
+    assignments: AssignmentsLike, step_keys: Mapping[str, object]
+) -> Iterator[tuple[str, tuple[str, ...], object]]:
+    """Yield each change as it would be typed, its path and its value."""
+    if not isinstance(assignments, Mapping):
+        for text in (assignments,) if isinstance(assignments, str) else assignments:
+            yield text, *parse_assignment(text)
+        assignments = {}
+    for key, value in {**assignments, **step_keys}.items():
+        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        yield f"{key}={plain}", tuple(key.split(".")), list(plain) if isinstance(plain, tuple | range) else plain
 
 
 PlanLike = str | Path | Plan | RunProtocol
 """A plan by name or file, a run file whose session is repeated, a plan, or the single run of a protocol."""
 
 
-class SetupChoices(RigChoices, total=False):
+class StepChoices(TypedDict, total=False):
+    """Keys of a plan's steps, given to every step that has them."""
+
+    speed_mm_s: float | Sequence[float]
+    travel_mm: float | Sequence[float]
+    shear_strain: float | Sequence[float]
+    ramp_speed_mm_s: float | Sequence[float]
+    ramp_accel_mm_s2: float | Sequence[float]
+    rest_s: float | Sequence[float]
+    hold_s: float | Sequence[float]
+    accel_mm_s2: float | Sequence[float]
+    strokes: Sequence[Mapping[str, float]]
+    repeats: int
+    order: str
+    wait_s: float
+    way_back: str
+    way_back_speed_mm_s: float
+    start_mm: float
+    tare_s: float
+    prompt: str
+    prompt_each: bool
+    fixture: str
+
+
+class SetupChoices(RigChoices, StepChoices, total=False):
     """The keyword arguments of `resolve`; None means the default."""
 
     specimen: str | Path | None
@@ -484,13 +526,13 @@ class Setup(RigSetup):
     differences: tuple[str, ...] = ()
     """How the rig differs from the stored one of the run or campaign that is repeated."""
 
-    def with_rig(self, assignments: Sequence[str]) -> "Setup":
+    def with_rig(self, assignments: AssignmentsLike) -> "Setup":
         """Return this with assignments to the rig applied; raises `SettingsError` for any other."""
         changes = Assignments.of(assignments)
         if changes.steps or any(table for name, table in changes.others.items() if name != "rig"):
+            typed = " ".join(chain(*changes.texts.values()))
             raise SettingsError(
-                f"--set {' '.join(assignments)}: a campaign goes on with its own plan, specimen and model, so only "
-                "rig.… can be changed."
+                f"{typed}: a campaign goes on with its own plan, specimen and model, so only rig.… can be changed."
             )
         return replace(self, rig=changes.applied_to(self.rig, "rig"))
 
@@ -528,18 +570,23 @@ def resolve(
         `backend`: by default that of the rig. `double`: whether to use its double.
         `effects`: added to those of the model of the simulated rig, each as `stribeck:ratio=0.4,speed_mm_s=2`.
         `assignments`: each `key=value`; a path that begins with rig, model, specimen or plan changes that, a bare
-        key every step that has it.
+        key every step that has it. Any other name is such a key of steps: `speed_mm_s=10`.
 
     Raises
     ------
     SettingsError, PlanError
         With file, key and what is allowed.
+    TypeError
+        For a name that is no choice and no key of any kind of step.
     """
     stored = _stored_session(plan)
     before = campaign or stored
     rig = choices.get("rig") or rig_file_of(folder or Path.cwd())
     rig_settings, rig_folder = load_settings(RigSettings, "rig", rig)
-    changes = Assignments.of(choices.get("assignments", ()))
+    refuse_unknown(choices, {*SetupChoices.__annotations__, *_STEP_KEYS.union(*map(_keys_of, protocol_kinds()))})
+    settings = SetupChoices.__annotations__.keys() - StepChoices.__annotations__.keys()
+    step_keys = {key: value for key, value in choices.items() if key not in settings}
+    changes = Assignments.of(choices.get("assignments", ()), step_keys)
     if (capsule := choices.get("capsule")) is not None:
         # The plan may be elsewhere, and files in it are relative to it.
         changes.steps["capsule"] = str(Path(capsule).absolute() if Path(capsule).is_file() else capsule)
@@ -566,7 +613,7 @@ def resolve(
     model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
     model = changes.applied_to(model, "model")
     return Setup(
-        plan=_with_step_keys(changes.applied_to(base_plan, "plan"), changes.steps),
+        plan=_with_step_keys(changes.applied_to(base_plan, "plan"), changes),
         plan_source=source,
         plan_folder=plan_folder,
         rig=rig_changed,
@@ -616,26 +663,29 @@ def _load_plan(plan: PlanLike) -> tuple[Plan, str, Path | None]:
     return parse(Plan, data, source), source, settings_folder(source)
 
 
-def _with_step_keys(plan: Plan, changes: Table) -> Plan:
-    if not changes:
+def _with_step_keys(plan: Plan, changes: Assignments) -> Plan:
+    if not changes.steps:
         return plan
-    known = [_keys_of(step) for step in plan.steps]
-    for key in changes:
+    known = [_keys_of(step.kind) for step in plan.steps]
+    for key in changes.steps:
         if not any(key in keys for keys in known):
             everything = sorted(set().union(*known))
-            raise PlanError(f"--set {key}: no step of plan {plan.name} has such a key; {suggestion(key, everything)}")
+            raise PlanError(f"{key}: no step of plan {plan.name} has such a key; {suggestion(key, everything)}")
     steps = [
-        merge_tables(step.model_dump(mode="json", exclude_unset=True), {k: v for k, v in changes.items() if k in keys})
+        {**step.model_dump(mode="json", exclude_unset=True), **{k: v for k, v in changes.steps.items() if k in keys}}
         for step, keys in zip(plan.steps, known, strict=True)
     ]
     data = plan.model_dump(mode="json", exclude_unset=True)
-    return parse(Plan, {**data, "steps": steps}, "--set")
+    return parse(Plan, {**data, "steps": steps}, " ".join(changes.texts["steps"]) or plan.name)
 
 
-def _keys_of(step: PlanStep) -> set[str]:
-    own = set(PlanStep.model_fields) - {"kind", "parameters"}
-    protocol = protocol_kinds().get(step.kind)
-    return own if protocol is None else own | set(protocol.model_fields)
+_STEP_KEYS = frozenset(PlanStep.model_fields) - {"kind", "parameters"}
+
+
+def _keys_of(kind: str) -> frozenset[str]:
+    """Return the keys that a step of this kind may have."""
+    protocol = protocol_kinds().get(kind)
+    return _STEP_KEYS if protocol is None else _STEP_KEYS | set(protocol.model_fields)
 
 
 def create_lab(folder: Path) -> tuple[Path, ...]:

@@ -966,9 +966,9 @@ def _reported(task: DiagnosisTask, progress: Progress) -> CompletedReport:
 
 
 def _diagnosed(task: DiagnosisTask, progress: Progress) -> CompletedDiagnosis:
-    from dragrig.api import diagnose
+    from dragrig.api import gap_diagnose
 
-    return completed(diagnose(task.campaign, nominal=task.nominal, progress=progress), task.campaign)
+    return completed(gap_diagnose(task.campaign, nominal=task.nominal, progress=progress), task.campaign)
 
 
 def _settled_step(task: DiagnosisTask, progress: Progress) -> CompletedSettleStep:

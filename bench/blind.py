@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from dragrig.api.gap import diagnose_many
+from dragrig.api.gap import gap_diagnose_many
 from dragrig.exam.hidden_cases import draw_cases
 from dragrig.sim_backend.blind import CATALOGUE, OUTSIDE, draw_campaign, write_campaign
 
@@ -41,7 +41,7 @@ def print_scale(campaigns: Sequence[int], workers: Sequence[int], seed: int) -> 
             alone = None
             for some in workers:
                 began = perf_counter()
-                result = diagnose_many(folders[:count], workers=some)
+                result = gap_diagnose_many(folders[:count], workers=some)
                 seconds = perf_counter() - began
                 alone = alone or seconds
                 failed = sum(entry.result is None for entry in result)
@@ -56,7 +56,7 @@ def diagnose(folder: Path) -> None:
     from dragrig.present.diagnosis import diagnosis_json
 
     waiting = [path for path in sorted(folder.iterdir()) if path.is_dir() and not (path / "diagnosis.json").exists()]
-    for entry in diagnose_many(waiting):
+    for entry in gap_diagnose_many(waiting):
         if entry.result is None:
             print(entry.why_not)
         else:

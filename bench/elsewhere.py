@@ -73,7 +73,7 @@ def diagnosed(source: Source, data: Path, folder: Path) -> None:
             to_s=to_s,
         )
     imported = perf_counter()
-    diagnosis = dragrig.diagnose(folder, nominal=source.nominal)
+    diagnosis = dragrig.gap_diagnose(folder, nominal=source.nominal)
     done = perf_counter()
     print(f"\n{source.name}: {diagnosis.verdict.value} {' and '.join(diagnosis.effects)}".rstrip())
     for hypothesis in diagnosis.ranking[:3]:

@@ -56,7 +56,7 @@ def replace_steps(plan: Plan, steps: tuple[object, ...]) -> Plan:
 def angles() -> None:
     """Print how far the two are apart, and from their nearest rivals."""
     for name, plan in parts().items():
-        isolability = dragrig.isolability(plan, without=POSITION)
+        isolability = dragrig.gap_isolability(plan, without=POSITION)
         seen = {effect.effect: effect for effect in isolability.effects}
         for effect in PAIR:
             entry = seen[effect]

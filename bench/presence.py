@@ -116,7 +116,7 @@ def draw_cases(campaigns: int, seed: int, plant: str) -> list[Case]:
 
 def answer(case: Case) -> Answer:
     """Simulate and diagnose a case."""
-    from dragrig.api import diagnose
+    from dragrig.api import gap_diagnose
 
     with tempfile.TemporaryDirectory() as folder:
         secret = draw_campaign(
@@ -128,7 +128,7 @@ def answer(case: Case) -> Answer:
             conditions=case.conditions,
         )
         write_campaign(secret, Path(folder))
-        diagnosis = diagnose(folder)
+        diagnosis = gap_diagnose(folder)
     assert diagnosis.budget is not None
     assert diagnosis.decision_inputs is not None
     on_force = [name for name in diagnosis.budget.presence if name in diagnosis.decision_inputs.competition]

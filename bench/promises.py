@@ -47,12 +47,12 @@ def draw_cases(campaigns: int, seed: int) -> Iterator[Case]:
 
 def verdicts_of(case: Case) -> tuple[Case, dict[str, PromiseVerdict]]:
     """Diagnose a case and evaluate its model on four fresh sessions; empty where the effect is not named."""
-    from dragrig.api import diagnose, gap_evaluate
+    from dragrig.api import gap_diagnose, gap_evaluate
 
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "campaign"
         write_campaign(draw_campaign(case.seed, effects=(case.effect,), size=1.0), campaign)
-        diagnosis = diagnose(campaign)
+        diagnosis = gap_diagnose(campaign)
         if diagnosis.model is None or case.effect not in diagnosis.effects:
             return case, {}
         hidden = ((case.effect,), (), (case.replacement,), (case.effect,))

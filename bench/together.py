@@ -5,7 +5,8 @@ five campaigns of the blind plant, each on a specimen of its own, with an effect
 an effect of the rig at a third in all; the same beside an effect of the gut at a tenth; an effect of the gut at full
 size in one of five; and nothing. The rates have
 Wilson's 95 % intervals. `--keep` stores the evidence of each campaign, from which a second call goes on.
-`--count N` instead times `dragrig.diagnose_together` on the files of N campaigns of all kinds, and of a fifth of them.
+`--count N` instead times `dragrig.gap_diagnose_together` on the files of N campaigns of all kinds, and of a
+fifth of them.
 """
 
 import os
@@ -223,7 +224,7 @@ def print_times(members: Sequence[Member], workers: int | None, temporary: Path,
     map_tasks(partial(_write, dict(zip(folders, members, strict=True))), folders, workers, None, no_progress)
     for count in (len(folders) // 5, len(folders)):
         start = perf_counter()
-        pooled = dragrig.diagnose_together(folders[:count], workers=workers)
+        pooled = dragrig.gap_diagnose_together(folders[:count], workers=workers)
         wall_s = perf_counter() - start
         print(
             f"{count} campaigns, {sum(campaign.runs for campaign in pooled.campaigns)} runs: {wall_s:.0f} s", flush=True

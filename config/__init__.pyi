@@ -28,6 +28,7 @@ from .friction_model import parse_effects as parse_effects
 from .lab import CALIBRATION_FILE as CALIBRATION_FILE
 from .lab import COMMISSIONING_FILE as COMMISSIONING_FILE
 from .lab import CONTACT_FILE as CONTACT_FILE
+from .lab import DEFAULT_DATA_ROOT as DEFAULT_DATA_ROOT
 from .lab import RIG_FILE as RIG_FILE
 from .lab import data_root_of as data_root_of
 from .lab import read_text as read_text
@@ -74,6 +75,7 @@ from .settings import parse_toml as parse_toml
 from .settings import parse_value as parse_value
 from .settings import read_settings_file as read_settings_file
 from .settings import read_toml as read_toml
+from .settings import refuse_unknown as refuse_unknown
 from .settings import shipped_files as shipped_files
 from .settings import suggestion as suggestion
 from .settings import to_toml as to_toml

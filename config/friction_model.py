@@ -56,11 +56,11 @@ def _parse_effect(text: str) -> EffectSettings:
             key = ""
         if not (name.strip() and key.strip()):
             raise SettingsError(
-                f"--effect {text}: is not of the form id:parameter=number,…, as in stribeck:ratio=0.4,speed_mm_s=2."
+                f"effect {text}: is not of the form id:parameter=number,…, as in stribeck:ratio=0.4,speed_mm_s=2."
             )
     if not name.strip():
-        raise SettingsError(f"--effect {text}: names no effect; dragrig gap effects lists them.")
-    return parse(EffectSettings, {"id": name.strip(), "parameters": values}, f"--effect {text}")
+        raise SettingsError(f"effect {text}: names no effect; dragrig gap effects lists them.")
+    return parse(EffectSettings, {"id": name.strip(), "parameters": values}, f"effect {text}")
 
 
 class IdentifiedValue(Settings):

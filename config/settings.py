@@ -5,9 +5,10 @@ A validation error is one sentence that names the file, the key and what is allo
 
 import ast
 import inspect
+import re
 import sys
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 from importlib import resources
@@ -28,14 +29,46 @@ _MAX_FILE_BYTES = 4 * 1024 * 1024
 _MAX_TEXT_CHARACTERS = 4096
 _MAX_NESTING = 32
 """Lists and tables within each other."""
-_NO_NUMBER = frozenset({"float_parsing", "int_parsing"})
-_EXPECTED_SHAPES = {
-    "model_type": "a table of keys",
-    "dict_type": "a table of keys",
-    "mapping_type": "a table of keys",
-    "list_type": "a list",
-    "tuple_type": "a list",
+_NO_NUMBER = frozenset({"float_parsing", "int_parsing", "float_type", "int_type"})
+_TABLE, _LIST = "must be a table of keys", "must be a list, in brackets"
+_TIME = "is not a time; write it as 2026-05-04T09:15:00+02:00"
+_SENTENCES = {
+    "model_type": _TABLE,
+    "dict_type": _TABLE,
+    "mapping_type": _TABLE,
+    "list_type": _LIST,
+    "tuple_type": _LIST,
+    "string_type": "must be text, in quotes",
+    "bool_type": "must be true or false",
+    "bool_parsing": "must be true or false",
+    "finite_number": "must be a number that is not infinite",
+    "greater_than": "must be above {gt:g}",
+    "greater_than_equal": "must be at least {ge:g}",
+    "less_than": "must be below {lt:g}",
+    "less_than_equal": "must be at most {le:g}",
+    "string_too_short": "must not be empty",
+    "too_short": "must have {min_length} or more entries, and has {actual_length}",
+    "too_long": "must have no more than {max_length} entries",
+    "datetime_type": _TIME,
+    "datetime_parsing": _TIME,
+    "datetime_from_date_parsing": _TIME,
+    "timezone_aware": "must have an offset from UTC, as 2026-05-04T09:15:00+02:00",
+    "string_unicode": NO_TEXT,
 }
+"""What is wrong, by pydantic's type of error, whose context fills the braces."""
+_TOML_MISTAKES: tuple[tuple[str, Callable[[re.Match[str]], str]], ...] = (
+    (r"\[\[?[\w.\s-]+\]?", lambda m: f"the brackets do not match; write {_bracketed(m[0])}"),
+    (r"([\w.-]+)\s*=", lambda m: f"{m[1]} has no value; give it one, or leave the line out"),
+    (r"([\w.-]+)\s*=\s*([-+]?\d+),(\d+)", lambda m: f"decimals have a point; write {m[1]} = {m[2]}.{m[3]}"),
+    (r"([\w.-]+)\s*=\s*([-+.\d]+(?:,\s*[-+.\d]+)+)", lambda m: f"a list has brackets; write {m[1]} = [{m[2]}]"),
+    (r"([\w.-]+)\s*=\s*([-+]?[\d.]+)\s*[^\W\d_].*", lambda m: f"a number has no unit; write {m[1]} = {m[2]}"),
+    (r"([\w.-]+)\s*=\s*([^\W\d_][^\"'#]*)", lambda m: f'text has quotes; write {m[1]} = "{m[2].strip()}"'),
+    (r"([\w.-]+)\s*=\s*\"([^\"]*\\[^\"]*)\"", lambda m: f"a text with \\ has single quotes; write {m[1]} = '{m[2]}'"),
+    (r"([\w.-]+)\s*=\s*([\"'])[^\"']*", lambda m: f"the quotes are not closed; end the text with {m[2]}"),
+    (r"([\w.-]+)\s*=\s*\[[^\]]*", lambda _: "the list is not closed; end it with ]"),
+    (r"([\w.-]+)\s*[: ]\s*([^=]+)", lambda m: f"a key and its value have = between them; write {m[1]} = {m[2]}"),
+)
+"""Lines that are no TOML, and how they are written; the first that fits counts."""
 SHIPPED_FOLDERS = {
     "rig": "rigs",
     "capsule": "capsules",
@@ -123,7 +156,7 @@ def parse_toml(text: str, source: str) -> Table:
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{source}: is not valid TOML: {error}.") from error
+        raise SettingsError(f"{source}: is not valid TOML{_toml_mistake(text, str(error))}.") from error
     except RecursionError as error:
         raise SettingsError(too_deep) from error
     except ValueError as error:  # a whole number of thousands of digits
@@ -136,6 +169,38 @@ def parse_toml(text: str, source: str) -> Table:
             raise SettingsError(f"{source}: holds a whole number of more than 64 bits, which TOML does not have.")
         level = [entry for value in level for entry in _members(value)]
     raise SettingsError(too_deep)
+
+
+def _toml_mistake(text: str, reason: str) -> str:
+    """Return where a text is no TOML, the line, and how it is written, as ", line 3, kind = drag: text has quotes"."""
+    lines = [line.partition("#")[0].strip()[:_MAX_TEXT_CHARACTERS] for line in text.splitlines()]
+    place = re.search(r"at line (\d+)", reason)
+    last = min(int(place[1]) if place else len(lines), len(lines))
+    if "overwrite" in reason or "twice" in reason:
+        return f", line {last}, {lines[last - 1]:.60}: is there already; leave one of the two out"
+    # A list or a text that is not closed is seen at what follows it.
+    written = [number for number in range(last, 0, -1) if lines[number - 1]][:2]
+    for number in written:
+        line = lines[number - 1]
+        fitting = ((re.fullmatch(pattern, line), say) for pattern, say in _TOML_MISTAKES)
+        if not _is_toml(line) and (hint := next((say(found) for found, say in fitting if found is not None), "")):
+            return f", line {number}, {line:.60}: {hint}"
+    unclosed = "Unclosed" in reason
+    parser = "what was opened above is not closed; end it with ]" if unclosed else re.sub(r"\s*\(at .*\)", "", reason)
+    return f", line {written[0]}, {lines[written[0] - 1]:.60}: {parser}" if written else f": {parser}"
+
+
+def _is_toml(line: str) -> bool:
+    try:
+        tomllib.loads(line)
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+def _bracketed(line: str) -> str:
+    name = line.strip("[] ")
+    return f"[[{name}]]" if line.startswith("[[") or line.endswith("]]") else f"[{name}]"
 
 
 def _members(value: object) -> Collection[object]:
@@ -160,7 +225,7 @@ def parse(model: type[ModelT], data: Mapping[str, object], source: str) -> Model
     Parameters
     ----------
     source
-        Origin of the table for the error message: a path, or `--set`.
+        Origin of the table for the error message: a path, or the changes as typed.
 
     Raises
     ------
@@ -170,6 +235,9 @@ def parse(model: type[ModelT], data: Mapping[str, object], source: str) -> Model
     try:
         return model.model_validate(data)
     except ValidationError as error:
+        needed = [key for key, field in model.model_fields.items() if field.is_required()]
+        if not data and len(needed) > 1:
+            raise SettingsError(f"{source}: is empty; it needs {' and '.join(needed)}.") from error
         raise SettingsError(describe_validation_error(error, model, source)) from error
 
 
@@ -202,10 +270,13 @@ def mistakes_in(model: type[BaseModel], data: Mapping[str, object]) -> dict[tupl
 
 def suggestion(word: str, known: Sequence[str]) -> str:
     """Return the end of an error message: the most similar known word, or all of them when none is similar."""
-    close = get_close_matches(word, known, n=1, cutoff=0.5)
-    if close:
-        return f"did you mean {close[0]}?"
-    return f"known are {', '.join(known)}."
+    return _nearest(word, known) or f"known are {', '.join(known)}."
+
+
+def refuse_unknown(keywords: Iterable[str], known: Iterable[str]) -> None:
+    """Raise `TypeError` for a keyword argument that nothing takes, with the most similar one that something does."""
+    if unknown := sorted(set(keywords).difference(known)):
+        raise TypeError(f"{unknown[0]} is not an argument; {suggestion(unknown[0], sorted(known))}")
 
 
 def merge_tables(table: Mapping[str, object], changes: Mapping[str, object]) -> Table:
@@ -230,7 +301,7 @@ def parse_assignment(text: str) -> tuple[tuple[str, ...], object]:
     key, equals, value = text.partition("=")
     path = tuple(part.strip() for part in key.split("."))
     if not equals or not all(path) or len(path) > _MAX_NESTING:
-        raise SettingsError(f"--set {text}: is not of the form key=value, as in speed_mm_s=5.")
+        raise SettingsError(f"{text}: is not of the form key=value, as in speed_mm_s=5.")
     return path, parse_value(value.strip())
 
 
@@ -253,8 +324,8 @@ def _describe_detail(detail: ErrorDetails, model: type[BaseModel]) -> str:
         )
     if kind == "missing":
         return f"{key} is missing"
-    if kind in _EXPECTED_SHAPES:
-        return f"{key} must be {_EXPECTED_SHAPES[kind]}, and is {detail['input']!r:.60}"
+    if kind in {"tuple_type", "list_type"} and isinstance(detail["input"], Mapping):
+        return f"{key} must be a list: begin each entry with [[{key}]]"
     message = _message(detail)
     if isinstance(detail["input"], Mapping):
         return f"{key}: {message}" if key else message  # about the table's keys among each other, which it names
@@ -262,11 +333,26 @@ def _describe_detail(detail: ErrorDetails, model: type[BaseModel]) -> str:
 
 
 def _message(detail: ErrorDetails) -> str:
-    if detail["type"] == "string_unicode":
-        return NO_TEXT
-    if detail["type"] in _NO_NUMBER:
-        return _no_number(str(detail["input"]))
-    message = detail["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    kind, value = detail["type"], str(detail["input"])
+    if kind in _NO_NUMBER:
+        return _no_number(value)
+    if kind == "int_from_float":
+        return "must be a whole number"
+    if kind in {"literal_error", "enum"}:
+        allowed = [word.strip("'") for word in re.split(r", | or ", str(detail["ctx"]["expected"]))]
+        return f"is not one of {', '.join(allowed)}" + (f"; {near}" if (near := _nearest(value, allowed)) else "")
+    if kind == "string_pattern_mismatch":
+        plain = re.sub(r"[^\w.-]+", "-", value).strip("-") or "my-name"
+        lower = "A-Z" not in detail["ctx"]["pattern"] and "\\w" not in detail["ctx"]["pattern"]
+        return f"a name has letters, digits, . _ and - alone; write {plain.lower() if lower else plain}"
+    if kind in _SENTENCES:
+        return _SENTENCES[kind].format(**detail.get("ctx", {}))
+    message = (
+        detail["msg"]
+        .replace("Input should be", "must be")
+        .removeprefix("Value error, ")
+        .removeprefix("Assertion failed, ")
+    )
     return message[0].lower() + message[1:] if message[:1].isupper() and not message[1:2].isupper() else message
 
 
@@ -274,8 +360,18 @@ def _no_number(text: str) -> str:
     try:
         example = number_text(read_number(text))
     except SettingsError:
-        return "is not a number; write it as 12.5"
+        number = re.match(r"\s*([-+]?\d+(?:[.,]\d+)?)\s*[^\W\d_%°]", text)
+        return (
+            f"is not a number; write {number[1].replace(',', '.')} alone"
+            if number
+            else "is not a number; write it as 12.5"
+        )
     return f"is no number with a decimal point; write {example}"
+
+
+def _nearest(word: str, known: Sequence[str]) -> str:
+    close = get_close_matches(word, known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]}?" if close else ""
 
 
 def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:

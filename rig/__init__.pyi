@@ -128,6 +128,7 @@ from .runfile.model import RunHeader as RunHeader
 from .runfile.model import RunInfo as RunInfo
 from .runfile.model import RunStatus as RunStatus
 from .runfile.model import Trace as Trace
+from .runfile.model import as_html as as_html
 from .runfile.reader import read_info as read_info
 from .runfile.reader import read_run as read_run
 from .runfile.reader import read_tail as read_tail

@@ -442,11 +442,14 @@ def preflight(
     needed = total + largest + round(rig.recording.reserve_mb * 1e6)
     if needed > free:
         findings.append(
-            f"{folder}: {free / 1e6:.0f} MB are free where the session needs up to {needed / 1e6:.0f} MB; "
-            "make room or name another folder with --out"
+            f"{folder}: {free / 1e6:.0f} MB are free where the session needs up to {needed / 1e6:.0f} MB, "
+            f"{rig.recording.reserve_mb:g} MB of it in reserve (recording.reserve_mb); make room or name another folder"
         )
     fastest_mm_s = max((preview.speed_mm_s for preview in previews), default=0.0)
     remarks = [run_on_remark(failure, on, fastest_mm_s) for failure, on in furthest.items() if on.distance_mm]
+    if (days := programme.duration_s / 86_400) > 1:
+        until = datetime.now().astimezone() + timedelta(days=days)
+        remarks.append(f"the session takes {days:.1f} days, until {until:%Y-%m-%d %H:%M}")
     return Preflight(tuple(previews), programme.duration_s, total, free, tuple(findings), tuple(remarks))
 
 

@@ -14,7 +14,7 @@ from playwright.sync_api import Browser
 
 from browsing import opened
 from dragrig.cli import main
-from dragrig.cli.commands import dragrig_group, gap_group
+from dragrig.cli.commands import dragrig_group, gap_command
 from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.runfile import schema
 from places import ROOT
@@ -135,7 +135,7 @@ def shown_commands(page: Path) -> list[list[str]]:
     """The command lines in the blocks of a page, without `dragrig` itself."""
     blocks = re.findall(r"```(?:sh|powershell)\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
-    plain = [re.sub(r"\$\(.*?\)|\$\w+", "1", re.sub(r"\S+ -m uv run ", "", line)) for line in lines]
+    plain = [re.sub(r"\$\(.*?\)|\$\w+", "1", re.sub(r"\S+ -m uv run (--no-dev )?", "", line)) for line in lines]
     parts = [part for line in plain for part in re.split(r"&&|;|[{}]", line)]
     return [words[1:] for part in parts if (words := shlex.split(part, comments=True))[:1] == ["dragrig"]]
 
@@ -157,7 +157,7 @@ def test_every_command_that_a_page_shows_is_one(page: Path, tmp_path: Path, monk
 def test_the_readme_lists_every_command_once() -> None:
     rows = re.findall(r"^\| [a-z ]+ \| (`.*`) \|$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)
     listed = re.findall(r"`([^`]+)`", " ".join(rows))
-    gap = [f"gap {name}" for name in gap_group.list_commands(click.Context(gap_group))]
+    gap = [f"gap {name}" for name in gap_command.list_commands(click.Context(gap_command))]
     every = [name for name in dragrig_group.list_commands(click.Context(dragrig_group)) if name != "gap"]
     assert sorted(listed) == sorted([*every, *gap])
 

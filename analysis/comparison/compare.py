@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
+from itertools import groupby
 from math import sqrt
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,7 @@ from dragrig.analysis import (
     count_text,
     in_phase,
     incomplete_reason,
+    join_names,
     measure,
     no_progress,
     summarise_exclusions,
@@ -52,7 +55,6 @@ from dragrig.analysis.comparison.comparison import (
     RunCondition,
     RunPair,
     align_runs,
-    main_measures,
     run_condition,
     secondary_differences,
 )
@@ -221,6 +223,8 @@ MIN_PAIRS_FOR_SCATTER = 3
 """Pairs from which their own scatter estimates the error of their mean."""
 MIN_FORCE_ERRORS = 3.0
 """Standard errors that a force must have for a difference to be given relative to it."""
+MAX_STRETCHES = 3
+"""Stretches of conditions that a sentence tells apart."""
 FALSE_POSITIVE_RATE = 0.05
 MIN_REPORTED_LAG_S = 0.0005
 MIN_REPORTED_ERROR_MM = 0.01
@@ -553,7 +557,7 @@ def _average_group(group: Sequence[RunPair]) -> Iterator[GroupDifference]:
     samples = sum(trace.samples for trace in traces)
     rms = sqrt(sum(trace.samples * trace.rms_mN**2 for trace in traces) / samples) if samples else None
     condition = group[0].condition
-    for name in main_measures(condition.kind):
+    for name in condition.main_measures:
         known = [
             difference
             for pair in group
@@ -577,18 +581,29 @@ def _average_group(group: Sequence[RunPair]) -> Iterator[GroupDifference]:
 
 
 def comparison_sentences(comparison: Comparison) -> tuple[str, ...]:
-    """Say what was compared, whether it differs, where most, and the result for each kind and measure."""
-    by_measure: dict[str, list[GroupDifference]] = {}
+    """Say what was compared, then over which conditions B differs from A: drags first, then each kind and measure."""
+    by_measure: dict[tuple[str, str], list[GroupDifference]] = {}
     for group in comparison.groups:
-        by_measure.setdefault(f"{group.condition.kind}, {group.measure}", []).append(group)
+        by_measure.setdefault((group.condition.kind, group.measure), []).append(group)
+    differing = [group.verdict is DifferenceVerdict.BEYOND for groups in by_measure.values() for group in groups]
+    patterns = {
+        key: _pattern(f"{key[0].capitalize()}, {key[1]}", groups)
+        for key, groups in sorted(by_measure.items(), key=lambda entry: _of_interest(*entry))
+    }
+    headline, *others = patterns.values() if any(differing) else ("", *patterns.values())
+    counts = _counts(comparison)
     return (
         _overview(comparison),
-        _overall_judgement(comparison),
-        *_clearest_group(comparison.groups),
-        *(_measure_sentence(name, groups) for name, groups in by_measure.items()),
+        f"{headline} ({counts})" if headline else counts,
+        *others,
         *_motion_sentences(comparison.pairs),
         *_zero_sentence(comparison),
     )
+
+
+def _of_interest(key: tuple[str, str], groups: Sequence[GroupDifference]) -> tuple[bool, bool]:
+    """Sort what differs first, and of that the drags."""
+    return not any(group.verdict is DifferenceVerdict.BEYOND for group in groups), key[0] != "drag"
 
 
 def _overview(comparison: Comparison) -> str:
@@ -602,7 +617,8 @@ def _overview(comparison: Comparison) -> str:
     return f"{count_text(count, 'pair')} of runs, A from {comparison.a.name}, B from {comparison.b.name}{without}."
 
 
-def _overall_judgement(comparison: Comparison) -> str:
+def _counts(comparison: Comparison) -> str:
+    """Return how many forces differ, and how many would by chance alone."""
     judged = [
         difference
         for pair in comparison.pairs
@@ -612,68 +628,59 @@ def _overall_judgement(comparison: Comparison) -> str:
     if not judged:
         return "No pair has a known difference of forces, so that nothing can be concluded."
     beyond = sum(difference.verdict is DifferenceVerdict.BEYOND for difference in judged)
-    names = dict.fromkeys(difference.measure.removesuffix(" force") for difference in judged)
-    forces = count_text(len(judged), f"{', '.join(names)} force")
     if beyond == 0:
-        return f"None of {forces} differs by more than noise and run-to-run scatter explain."
-    by_chance = FALSE_POSITIVE_RATE * len(judged)
-    expected = f"; of equal runs about {by_chance:.0f} would" if by_chance >= 1 else ""
-    differ = "differs" if beyond == 1 else "differ"
-    return f"{beyond} of {forces} {differ} by more than noise and run-to-run scatter explain{expected}."
-
-
-def _clearest_group(groups: Sequence[GroupDifference]) -> Iterator[str]:
-    if len(groups) > 1 and groups[0].verdict is DifferenceVerdict.BEYOND:
-        group = groups[0]
-        yield (
-            f"Clearest: {group.condition}, {group.measure} {group.a:.1f} against {group.b:.1f} mN, "
-            f"{_signed_difference(group.value, group.error)} mN (95 %){_percent(group.relative)}."
+        return (
+            f"A and B agree: none of {count_text(len(judged), 'force')} differs by more than noise and scatter explain."
         )
+    expected = FALSE_POSITIVE_RATE * len(judged)
+    by_chance = f"; about {expected:.0f} would by chance" if expected >= 1 else ""
+    return f"{beyond} of {len(judged)} {'differs' if beyond == 1 else 'differ'}{by_chance}."
 
 
-def _measure_sentence(name: str, groups: Sequence[GroupDifference]) -> str:
-    mean = sum(group.value for group in groups) / len(groups)
-    error = sqrt(sum(group.error**2 for group in groups)) / len(groups)
-    shares = [
-        group.relative for group in groups if group.relative is not None and abs(group.a) > NORMAL_95 * group.error
-    ]
-    percent = _percent(sum(shares) / len(shares) if shares else None)
-    beyond = [group for group in groups if group.verdict is DifferenceVerdict.BEYOND]
-    if not beyond:
+def _pattern(name: str, groups: Sequence[GroupDifference]) -> str:
+    """Return over which speeds or strains B is above A, below it, and as A."""
+    ordered = sorted(groups, key=lambda group: group.condition.varied)
+    sides = [(group.verdict is DifferenceVerdict.BEYOND) * (1 if group.value > 0 else -1) for group in ordered]
+    if not any(sides):
+        mean = sum(group.value for group in groups) / len(groups)
+        error = sqrt(sum(group.error**2 for group in groups)) / len(groups)
         if abs(mean) > NORMAL_95 * error:
             offset = f"{abs(mean):.1f} mN {'above' if mean > 0 else 'below'} A"
-            return f"{name}: no condition differs by itself, but over all of them B is {offset} on average{percent}."
+            return f"{name}: no condition differs by itself, but over all of them B is {offset} on average."
         average = f"{_signed_difference(mean, error)} mN (95 %)"
         return f"{name}: no difference beyond noise and scatter; on average {average}."
-    above = [group for group in beyond if group.value > 0]
-    below = [group for group in beyond if group.value < 0]
-    sizes = sorted(abs(group.value) for group in beyond)
-    if above and below:
-        return (
-            f"{name}: B is above A {_condition_range(above)}, by up to {max(group.value for group in above):.1f} mN, "
-            f"and below it {_condition_range(below)}, by up to {-min(group.value for group in below):.1f} mN."
-        )
-    where = f"in {len(beyond)} of {len(groups)} conditions" if len(groups) > 1 else _condition_range(beyond)
-    span = f"{sizes[-1]:.1f}" if len(sizes) == 1 else f"{sizes[0]:.1f} to {sizes[-1]:.1f}"
-    average = f"; {mean:+.1f} mN on average" if len(groups) > 1 else ""
-    return f"{name}: B is {'above' if above else 'below'} A {where}, by {span} mN{average}{percent}."
+    pairs = groupby(zip(sides, ordered, strict=True), itemgetter(0))
+    stretches = [(side, [group for _, group in part]) for side, part in pairs]
+    if len(stretches) > MAX_STRETCHES:
+        differing = [group for side, group in zip(sides, ordered, strict=True) if side]
+        signs = {"above": max(sides) > 0, "below": min(sides) < 0}
+        mixed = " or ".join(sign for sign, there in signs.items() if there)
+        return f"{name}: B is {mixed} A in {len(differing)} of {len(ordered)} conditions, {_largest(differing)}."
+    last = len(stretches) - 1
+    phrases = []
+    for place, (side, part) in enumerate(stretches):
+        where = _range(part, from_first=place == 0, to_last=place == last)
+        above = f"B is {'above' if side > 0 else 'below'} A {where}, {_largest(part)}"
+        phrases.append(above if side else f"{where} they agree")
+    return f"{name}: {'; '.join(phrases)}."
+
+
+def _largest(groups: Sequence[GroupDifference]) -> str:
+    largest = max(groups, key=lambda group: abs(group.value))
+    return f"by {'up to ' if len(groups) > 1 else ''}{abs(largest.value):.1f} mN{_percent(largest.relative)}"
+
+
+def _range(groups: Sequence[GroupDifference], *, from_first: bool, to_last: bool) -> str:
+    """Return the range of strains or speeds of conditions: up to 5 mm/s, from 10 mm/s on, from 0.5 to 2 mm/s."""
+    (low, unit), (high, _) = groups[0].condition.varied, groups[-1].condition.varied
+    if from_first != to_last:
+        return f"up to {high:.3g} {unit}" if from_first else f"from {low:.3g} {unit} on"
+    return f"at {low:.3g} {unit}" if low == high else f"from {low:.3g} to {high:.3g} {unit}"
 
 
 def _signed_difference(value: float, error: float) -> str:
     """Write a difference with its sign and half the width of its 95 % interval."""
     return f"{'+' if value > 0 else ''}{value_with_error(value, NORMAL_95 * error)}"
-
-
-def _condition_range(groups: Sequence[GroupDifference]) -> str:
-    """Range of strains or speeds of some conditions: at 0.5 to 2 mm/s."""
-    conditions = [group.condition for group in groups]
-    strains = [100 * condition.shear_strain for condition in conditions if condition.shear_strain is not None]
-    speeds = [condition.speed_mm_s for condition in conditions if condition.speed_mm_s is not None]
-    values, unit = (strains, "%") if strains else (speeds, "mm/s")
-    if not values:
-        return f"in {len(groups)}"
-    low, high = min(values), max(values)
-    return f"at {low:.3g} {unit}" if low == high else f"at {low:.3g} to {high:.3g} {unit}"
 
 
 def _motion_sentences(pairs: Sequence[RunPair]) -> Iterator[str]:
@@ -692,8 +699,8 @@ def _zero_sentence(comparison: Comparison) -> Iterator[str]:
     kinds = sorted({pair.condition.kind for pair in comparison.pairs} - ZERO_FORCE_AT_REST_KINDS)
     if kinds:
         yield (
-            f"Zeros of {' and '.join(kinds)} runs are not subtracted, for their rest is not free of force; "
-            f"{comparison.zero_mN:.1f} mN per run is allowed for them."
+            f"The forces of {join_names(kinds)} runs are compared as recorded, for the gut pulls already at rest: "
+            f"the sensor's zero may differ by {comparison.zero_mN:.1f} mN."
         )
 
 

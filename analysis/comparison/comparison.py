@@ -25,7 +25,7 @@ from dragrig.analysis import (
     smooth_channel,
 )
 from dragrig.config import AnalysisError
-from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray, Run, RunInfo, Trace
+from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray, Run, RunInfo, Trace, as_html
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -258,13 +258,30 @@ class RunCondition:
     travel_mm: float | None
     capsule: tuple[float | None, ...]
     measured: bool = False
+    strokes: str = ""
+    """Of a motion of several strokes, which has no speed and no steady force, as its protocol writes them."""
+
+    @property
+    def main_measures(self) -> tuple[str, ...]:
+        """Measures that decide the verdict on its runs."""
+        if self.strokes:
+            return ()
+        return (PEAK_FORCE, HOLD_FORCE) if self.kind == "relaxation" else (STEADY_FORCE,)
+
+    @property
+    def varied(self) -> tuple[float, str]:
+        """Its strain or its speed, with the unit."""
+        if self.shear_strain is not None:
+            return 100 * self.shear_strain, "%"
+        return self.speed_mm_s or 0.0, "mm/s"
 
     def __str__(self) -> str:
         """In words: drag at 5 mm/s, relaxation at 50 %."""
-        if self.shear_strain is not None:
-            return f"{self.kind} at {100 * self.shear_strain:.3g} %"
+        if self.shear_strain is None and self.speed_mm_s is None:
+            return self.kind
         back = " back" if (self.travel_mm or 0.0) < 0 else ""
-        return self.kind if self.speed_mm_s is None else f"{self.kind} at {self.speed_mm_s:.3g} mm/s{back}"
+        value, unit = self.varied
+        return f"{self.kind} at {value:.3g} {unit}{back}"
 
     def differs_from(self, condition: "RunCondition") -> tuple[str, ...]:
         """Return in words what differs between two conditions; empty where the runs may be compared."""
@@ -274,6 +291,7 @@ class RunCondition:
                 ("kind", self.kind, condition.kind),
                 ("signal", self.signal, condition.signal),
                 ("fixture", self.fixture, condition.fixture),
+                ("strokes", self.strokes, condition.strokes),
             )
             if own != others
         ]
@@ -298,7 +316,8 @@ def run_condition(run: Run) -> RunCondition:
     protocol = header.protocol
     speed = attribute_number(protocol, "speed_mm_s", "ramp_speed_mm_s")
     travel, strain = attribute_number(protocol, "travel_mm"), attribute_number(protocol, "shear_strain")
-    measured = strain is None and (speed is None or travel is None)
+    strokes = str(protocol.get("strokes", ""))
+    measured = strain is None and (speed is None or travel is None) and not strokes
     if measured:
         recorded_speed, recorded_travel = _recorded_motion(run)
         speed, travel = speed or recorded_speed, travel or recorded_travel
@@ -311,6 +330,7 @@ def run_condition(run: Run) -> RunCondition:
         travel_mm=travel,
         capsule=tuple(attribute_number(header.capsule, key) for key in CAPSULE_SIZES),
         measured=measured,
+        strokes=strokes,
     )
 
 
@@ -414,11 +434,6 @@ def judge_difference(value: float | None, noise: float | None, error: float | No
     return DifferenceVerdict.SCATTER if abs(value) <= NORMAL_95 * error else DifferenceVerdict.BEYOND
 
 
-def main_measures(kind: str) -> tuple[str, ...]:
-    """Measures that decide the verdict on a kind of run."""
-    return (PEAK_FORCE, HOLD_FORCE) if kind == "relaxation" else (STEADY_FORCE,)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedRun:
     """A run of one side: its attributes, and a function that reads its samples."""
@@ -500,7 +515,7 @@ class RunPair:
     @property
     def main(self) -> tuple[MeasureDifference, ...]:
         """Differences of the main measures of the pair's kind."""
-        wanted = main_measures(self.condition.kind)
+        wanted = self.condition.main_measures
         return tuple(difference for difference in self.differences if difference.measure in wanted)
 
     @property
@@ -555,7 +570,7 @@ class GroupDifference:
         return float("inf") if self.value else 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
     """All results of a comparison.
 
@@ -582,6 +597,11 @@ class Comparison:
     groups: tuple[GroupDifference, ...]
     remarks: tuple[str, ...] = ()
     sentences: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        return f"<comparison of {self.a.name} and {self.b.name}: {' '.join(self.sentences[1:2])}>"
+
+    _repr_html_ = as_html
 
     @property
     def backends(self) -> tuple[str, ...]:

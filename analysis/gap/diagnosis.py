@@ -6,10 +6,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from dragrig.analysis import EstimatedQuantity, Exclusion, join_names
+from dragrig.analysis import EstimatedQuantity, Exclusion, count_text, join_names
 from dragrig.analysis.gap.features import DecisionInputs
 from dragrig.config import ModelSettings, PlanStep
-from dragrig.rig import FloatArray
+from dragrig.rig import FloatArray, as_html
 from dragrig.sim_backend.effects import catalogue
 
 ALPHA = 0.05
@@ -502,7 +502,7 @@ class GapBudget:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Diagnosis:
     """Result of a diagnosis.
 
@@ -569,6 +569,12 @@ class Diagnosis:
     open_causes: OpenCauses | None = None
     only_condition: str = ""
     likeliest: "Diagnosis | None" = None
+
+    def __repr__(self) -> str:
+        verdict = NAMES_WITHOUT_EFFECT.get(self.verdict.value) or " and ".join(self.effects)
+        return f"<diagnosis of specimen {self.specimen}, {count_text(self.runs, 'run')}: {verdict}>"
+
+    _repr_html_ = as_html
 
 
 def left_open(diagnosis: Diagnosis, only_condition: str) -> Diagnosis:

@@ -131,8 +131,8 @@ def _prepared_run(path: Path, table: ForeignTable, settings: ImportSettings, spe
     if missing:
         stated = " ".join(f"--set {key}=…" for key in missing)
         raise ImportDataError(
-            f"{path}: a run of kind {header.kind} needs {', '.join(missing)}, which its positions do not show (no "
-            f"single move at one speed between standstills); state them, as in {stated}, or leave the kind out."
+            f"{path}: leave the kind out, or state {stated}: a run of kind {header.kind} needs {', '.join(missing)}, "
+            "which its positions do not show (no single move at one speed between standstills)."
         )
     return PreparedRun(header, measured.columns, events)
 

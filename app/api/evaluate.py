@@ -1,9 +1,10 @@
 """Load, filter, tabulate, compare, export and import runs, and tabulate what the friction model predicts."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import datetime, time
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from dragrig import analysis, present
 from dragrig.analysis import (
@@ -34,27 +35,34 @@ from dragrig.analysis import (
     table_row,
     write_export,
 )
+from dragrig.catalogue import ask_runs
 from dragrig.config import (
     AnalysisError,
     Capsule,
     EffectSettings,
     FrictionModelSettings,
+    RunFileError,
+    SettingsError,
     Specimen,
     Table,
+    data_root_of,
     find_settings,
     merge_tables,
     parse,
     read_toml,
+    refuse_unknown,
 )
 from dragrig.present import unused_path, write_text
-from dragrig.rig import Campaign, Run, read_campaign, read_info, read_run
-from dragrig.run_inputs import run_files
-from dragrig.setup import friction_model, with_effects
+from dragrig.rig import Campaign, Run, mark_bad, read_campaign, read_info, read_mark, read_run, unmark, write_note
+from dragrig.run_inputs import require_run_files, run_files
+from dragrig.run_listing import RunListing, RunQuery
+from dragrig.setup import friction_model, resolve_rig, with_effects
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
-
+AnswerT = TypeVar("AnswerT")
 ExportFormatName = Literal["csv", "parquet", "mat", "npz"]
 
 
@@ -64,7 +72,7 @@ def load(path: str | Path) -> Run:
     Raises
     ------
     RunFileError
-        When it is missing, foreign, damaged, or of a newer format.
+        When it is missing, a folder, foreign, damaged, or of a newer format.
 
     Examples
     --------
@@ -72,6 +80,8 @@ def load(path: str | Path) -> Run:
     >>> run = dragrig.load("20260504-091500-drag-000.h5")  # doctest: +SKIP
     >>> run.trace.force.mean(), run.info.header.protocol["speed_mm_s"]  # doctest: +SKIP
     """
+    if Path(path).is_dir():
+        raise RunFileError(f"{path}: is a folder; dragrig.campaign(…) reads its runs, dragrig.table(…) measures them.")
     return read_run(Path(path))
 
 
@@ -81,9 +91,173 @@ def campaign(folder: str | Path) -> Campaign:
     Raises
     ------
     RunFileError
-        When there is no such folder.
+        When there is no such folder, or it holds no runs.
     """
-    return read_campaign(Path(folder))
+    found = read_campaign(Path(folder))
+    if not (found.runs or found.unreadable or found.recordings):
+        require_run_files(found.folder)
+    return found
+
+
+def ask_lab(
+    folder: Path | None,
+    question: Callable[[RunListing], AnswerT],
+    *,
+    remark: Callable[[str], None] = print,
+    progress: Progress = no_progress,
+    rebuild: bool = False,
+) -> AnswerT:
+    """Answer a question about the runs of a folder that holds some, by default the lab's data root.
+
+    The arguments and errors are those of `ask_runs`; a folder without runs is a `RunFileError` too.
+    """
+    root = folder or data_root_of(Path.cwd()) or resolve_rig().data_root
+
+    def answer(listing: RunListing) -> AnswerT:
+        if not listing.folders():
+            raise RunFileError(f"{root}: holds no campaign; name the folder that does.")
+        return question(listing)
+
+    return ask_runs(root, answer, remark=remark, progress=progress, rebuild=rebuild)
+
+
+def find(
+    folder: str | Path | None = None,
+    *,
+    specimen: str = "",
+    kind: str = "",
+    operator: str = "",
+    since: str | datetime = "",
+    until: str | datetime = "",
+    bad: bool | None = None,
+) -> tuple[Path, ...]:
+    """Find runs in all campaigns in a folder and below it.
+
+    Parameters
+    ----------
+    folder
+        By default the lab's data root.
+    specimen, kind, operator
+        Name or id; kind of run, or `sentinel`; part of the name.
+    since, until
+        Begun at this time or later, and earlier: a moment, or `2026-05-04`, a day with all of its hours.
+    bad
+        Whether they are marked bad (default: either).
+
+    Returns
+    -------
+    The run files, which `load`, `table` and `mark` take.
+
+    Raises
+    ------
+    RunFileError
+        When there is no such folder, or it holds no campaign.
+    SettingsError
+        For a time that is none.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> [dragrig.load(file) for file in dragrig.find(specimen="P7", kind="drag")]  # doctest: +SKIP
+    """
+    query = run_query(specimen, kind, operator, since, until, bad)
+    found = ask_lab(None if folder is None else Path(folder), lambda listing: listing.found(query))
+    return tuple(parent / name for parent, names in found.items() for name in names)
+
+
+def run_query(
+    specimen: str, kind: str, operator: str, since: str | datetime, until: str | datetime, bad: bool | None
+) -> RunQuery:
+    """Return a query of times as typed, of which a day holds all of its hours; raises `SettingsError`."""
+    return RunQuery(specimen, kind, operator, _moment(since, time.min), _moment(until, time.max), bad)
+
+
+def _moment(text: str | datetime, of_day: time) -> datetime | None:
+    """Return a moment with its offset, of a date alone the given time; None for an empty text."""
+    if not text:
+        return None
+    try:
+        moment = text if isinstance(text, datetime) else datetime.fromisoformat(text)
+        if isinstance(text, str) and len(text) <= len("2026-05-04"):
+            moment = datetime.combine(moment, of_day)
+        return moment if moment.tzinfo is not None else moment.astimezone()
+    except (ValueError, OverflowError):  # also of a year for which the local offset is not known
+        raise SettingsError(f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15.") from None
+
+
+def mark(
+    runs: str | Path | Iterable[str | Path], *, bad: str | None = None, good: bool = False, note: str | None = None
+) -> tuple[Path, ...]:
+    """Mark runs as bad, remove the mark, or write a note on them, all beside their files.
+
+    Parameters
+    ----------
+    runs
+        Run files, patterns and campaigns' folders.
+    bad
+        Why the runs must not be used.
+    good
+        Whether the mark is removed.
+    note
+        In place of an earlier one; an empty one removes it.
+
+    Returns
+    -------
+    The run files.
+
+    Raises
+    ------
+    RunFileError
+        When one of them is no run; none is marked then.
+    SettingsError, OutputError
+        When nothing is said of the runs, or both good and bad; when the folder refuses.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.mark("runs/first/*-drag-003.h5", bad="capsule turned")  # doctest: +SKIP
+    """
+    if (good and bad is not None) or not (good or bad is not None or note is not None):
+        raise SettingsError("runs are marked either bad, with a reason, or good, or get a note; say which.")
+    paths = run_files([runs] if isinstance(runs, str | Path) else tuple(runs))
+    for path in paths:
+        read_info(path)  # nothing is marked unless all files are runs
+    for path in paths:
+        if bad is not None:
+            mark_bad(path, bad)
+        elif good:
+            unmark(path)
+        if note is not None:
+            write_note(path, note)
+    return paths
+
+
+def show(run: str | Path, *, filtered: bool = True, motor_force: bool = False) -> "Figure":
+    """Draw a run file, or for a campaign's folder an overview of its runs.
+
+    Parameters
+    ----------
+    filtered, motor_force
+        As of `Run.plot`.
+
+    Raises
+    ------
+    RunFileError
+        When there is no run to draw, or it cannot be read.
+
+    Examples
+    --------
+    >>> import dragrig
+    >>> dragrig.show("runs/first").savefig("first.pdf")  # doctest: +SKIP
+    """
+    path = Path(run)
+    if path.is_dir():
+        paths = run_files([path])
+        marked = [each for each in paths if read_mark(each) is not None]
+        return present.campaign_figure((read_run(each) for each in paths), path.resolve().name, marked)
+    mark = read_mark(path)
+    reason = None if mark is None else mark.reason
+    return present.run_figure(read_run(path), filtered=filtered, motor_force=motor_force, bad_reason=reason)
 
 
 def filter_settings(
@@ -163,7 +337,7 @@ def table(runs: str | Path | Iterable[Run] | Iterable[str | Path]) -> "pd.DataFr
     Raises
     ------
     RunFileError
-        When there is no such folder.
+        When there is no such folder, or it holds no runs.
 
     Examples
     --------
@@ -174,8 +348,10 @@ def table(runs: str | Path | Iterable[Run] | Iterable[str | Path]) -> "pd.DataFr
     given = (runs,) if isinstance(runs, str | Path) else tuple(runs)
     in_memory = tuple(table_row(run) for run in given if isinstance(run, Run))
     folders = tuple(Path(folder) for folder in given if not isinstance(folder, Run))
-    rows = (*in_memory, *(pooled_rows(folders) if folders else ()))
-    return as_frame(rows)
+    measured = pooled_rows(folders) if folders else ()
+    if folders and not measured:
+        require_run_files(folders[0])
+    return as_frame((*in_memory, *measured))
 
 
 def export(
@@ -336,7 +512,9 @@ def import_run(
     OutputError
         When the target exists or cannot be written.
     SettingsError
-        For a setting that is not allowed.
+        For a value that is not allowed.
+    TypeError
+        For a setting that is none.
 
     Examples
     --------
@@ -366,6 +544,7 @@ def import_runs(
 def _import_settings_of(
     target: Path, columns: Mapping[str, str] | None, settings: str | Path | None, options: dict[str, object]
 ) -> ImportSettings:
+    refuse_unknown(options, ImportSettings.model_fields.keys() - {"columns"})
     if target.is_dir():
         options.setdefault("order", next_run_order(target))
     return import_settings([f"{name}={source}" for name, source in (columns or {}).items()], options, settings)
@@ -416,7 +595,7 @@ def compare(
     Raises
     ------
     AnalysisError
-        When no run has a partner.
+        When no run has a partner, or both are the same campaign or run.
     RunFileError, SettingsError
         When a file, a folder or the model cannot be read.
 
@@ -432,6 +611,8 @@ def compare(
         raise AnalysisError("Effects belong to a model; name the model too.")
     if (b is None) == (model is None):
         raise AnalysisError("A comparison takes either a second campaign or a model.")
+    if isinstance(a, str | Path) and isinstance(b, str | Path) and Path(a).resolve() == Path(b).resolve():
+        raise AnalysisError(f"{a} and {b}: are the same; name another campaign or run to compare with.")
     first = _comparison_side(a, specimen, "A")
     if b is not None:
         return compare_sides(first, _comparison_side(b, specimen, "B"), progress)
@@ -472,13 +653,6 @@ def write_comparison(
         progress(done, total)
         yield save_figure_in(folder, f"{Path(pair.a.file).stem}", present.comparison_figure(pair, names), overwrite)
     progress(total, total)
-
-
-def comparison_folder(comparison: Comparison, a: str | Path) -> Path:
-    """Return the default folder of a comparison, beside the runs of A."""
-    beside = Path(a) if Path(a).is_dir() else Path(a).parent
-    b_name = comparison.b.name.removesuffix(".h5").replace(" ", "-")
-    return beside / f"compared-with-{b_name}"
 
 
 def _comparison_side(runs: Comparable, specimen: str | None, name: str) -> ComparedSide:

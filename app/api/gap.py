@@ -40,6 +40,7 @@ from dragrig.config import (
     SettingsError,
     absolute_if_file,
     find_table,
+    refuse_unknown,
     suggestion,
     to_toml,
 )
@@ -96,7 +97,7 @@ class DiagnosedFolder:
 
 
 class DiagnosisChoices(TypedDict, total=False):
-    """What campaigns are diagnosed against, as in `dragrig.diagnose`."""
+    """What campaigns are diagnosed against, as in `dragrig.gap_diagnose`."""
 
     nominal: str | Path | NominalModel
     without: Sequence[str]
@@ -117,6 +118,12 @@ class DiagnosisRequest:
     next_runs: ExperimentBudget | None = field(default_factory=ExperimentBudget)
     """Limits of the next runs to recommend; None recommends none."""
 
+    @classmethod
+    def of(cls, **choices: Unpack[DiagnosisChoices]) -> Self:
+        """Return the request of these choices; raises `TypeError` for any other."""
+        refuse_unknown(choices, DiagnosisChoices.__annotations__)
+        return cls(**choices)
+
     def options(self) -> "DiagnosisOptions":
         """Return the checked options; raises as `diagnosis_options`."""
         options = diagnosis_options(self.without, self.tolerance_mN, self.calibration)
@@ -126,18 +133,20 @@ class DiagnosisRequest:
         """Return the expected model; raises `SettingsError`."""
         return find_model(str(self.nominal)) if isinstance(self.nominal, str | Path) else self.nominal
 
-    def diagnose(self, campaign: str | Path | Iterable[Run], progress: Progress = no_progress) -> DiagnosedCampaign:
-        """Diagnose one campaign; raises as `dragrig.diagnose`."""
+    def diagnose(
+        self, campaign: str | Path | Campaign | Iterable[Run], progress: Progress = no_progress
+    ) -> DiagnosedCampaign:
+        """Diagnose one campaign; raises as `dragrig.gap_diagnose`."""
         from dragrig.analysis.gap.diagnose import diagnose as diagnose_selection
 
         # Before any run is read: a wrong option is told at once.
         model, options = self.model(), self.options()
-        named = isinstance(campaign, str | Path)
         reading, diagnosing = parts_of(progress, READING_COST, DIAGNOSIS_COST)
         runs = Path(campaign) if isinstance(campaign, str | Path) else campaign
         selection = choose_runs(runs, self.specimen, reading)
         result = diagnose_selection(selection, model, options, diagnosing)
-        return DiagnosedCampaign(result, selection, str(campaign) if named else "these runs")
+        folder = runs.folder if isinstance(runs, Campaign) else runs
+        return DiagnosedCampaign(result, selection, str(folder) if isinstance(folder, Path) else "these runs")
 
     def diagnose_on_cluster(self, campaign: Path, scheduler: str) -> DiagnosedCampaign:
         """Diagnose one campaign on a Dask cluster; raises `SettingsError` and `WorkerError` too."""
@@ -160,7 +169,7 @@ class DiagnosisRequest:
         scheduler: str | None = None,
         progress: Progress = no_progress,
     ) -> tuple[DiagnosedFolder, ...]:
-        """Diagnose campaigns in parallel; raises as `dragrig.diagnose_many`."""
+        """Diagnose campaigns in parallel; raises as `dragrig.gap_diagnose_many`."""
         self.options()
         tasks = [(str(campaign), Path(campaign).absolute()) for campaign in campaigns]
         return map_tasks(self.with_absolute_paths().diagnose_folder, tasks, workers, scheduler, progress)
@@ -183,7 +192,7 @@ class DiagnosisRequest:
         scheduler: str | None = None,
         progress: Progress = no_progress,
     ) -> "PooledDiagnosis":
-        """Diagnose campaigns of one rig together; raises as `dragrig.diagnose_together`."""
+        """Diagnose campaigns of one rig together; raises as `dragrig.gap_diagnose_together`."""
         from dragrig.analysis.gap import MIN_CAMPAIGNS, CampaignEvidence, diagnose_together
 
         if len(campaigns) < MIN_CAMPAIGNS:
@@ -214,7 +223,7 @@ class DiagnosisRequest:
         )
 
 
-def diagnose(
+def gap_diagnose(
     campaign: str | Path | Iterable[Run],
     *,
     nominal: str | Path | NominalModel = "capsule",
@@ -253,7 +262,7 @@ def diagnose(
     Examples
     --------
     >>> import dragrig
-    >>> diagnosis = dragrig.diagnose("runs/first")  # doctest: +SKIP
+    >>> diagnosis = dragrig.gap_diagnose("runs/first")  # doctest: +SKIP
     >>> diagnosis.verdict, diagnosis.effects, diagnosis.ranking[0].probability  # doctest: +SKIP
     >>> dragrig.simulate("drag", model=diagnosis.model)  # doctest: +SKIP
     """
@@ -261,7 +270,7 @@ def diagnose(
     return request.diagnose(campaign, progress).result
 
 
-def diagnose_many(
+def gap_diagnose_many(
     campaigns: Sequence[str | Path],
     *,
     workers: int | None = None,
@@ -269,7 +278,7 @@ def diagnose_many(
     progress: Progress = no_progress,
     **choices: Unpack[DiagnosisChoices],
 ) -> tuple[DiagnosedFolder, ...]:
-    """Diagnose campaigns in parallel, each as `dragrig.diagnose` does; one that fails does not stop the others.
+    """Diagnose campaigns in parallel, each as `dragrig.gap_diagnose` does; one that fails does not stop the others.
 
     Parameters
     ----------
@@ -280,7 +289,7 @@ def diagnose_many(
     scheduler
         Address of a Dask cluster to use in their place.
     choices
-        As of `diagnose`, for all: nominal, without, tolerance_mN, specimen, calibration.
+        As of `gap_diagnose`, for all: nominal, without, tolerance_mN, specimen, calibration.
 
     Returns
     -------
@@ -297,10 +306,10 @@ def diagnose_many(
     Examples
     --------
     >>> import dragrig
-    >>> folders = dragrig.diagnose_many(["runs/first", "runs/second"])  # doctest: +SKIP
+    >>> folders = dragrig.gap_diagnose_many(["runs/first", "runs/second"])  # doctest: +SKIP
     >>> [folder.result.verdict for folder in folders if folder.result]  # doctest: +SKIP
     """
-    return DiagnosisRequest(**choices).diagnose_many(campaigns, workers, scheduler, progress)
+    return DiagnosisRequest.of(**choices).diagnose_many(campaigns, workers, scheduler, progress)
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +351,7 @@ def look_into(campaign: tuple[str, Path]) -> FolderToPool:
     return FolderToPool(name, read_campaign(folder))
 
 
-def diagnose_together(
+def gap_diagnose_together(
     campaigns: Sequence[str | Path],
     *,
     workers: int | None = None,
@@ -364,7 +373,7 @@ def diagnose_together(
     scheduler
         Address of a Dask cluster to use in their place.
     choices
-        As of `diagnose`, for all: nominal, without, tolerance_mN, specimen, calibration.
+        As of `gap_diagnose`, for all: nominal, without, tolerance_mN, specimen, calibration.
 
     Raises
     ------
@@ -378,10 +387,10 @@ def diagnose_together(
     Examples
     --------
     >>> import dragrig
-    >>> pooled = dragrig.diagnose_together(["runs/monday", "runs/tuesday"])  # doctest: +SKIP
+    >>> pooled = dragrig.gap_diagnose_together(["runs/monday", "runs/tuesday"])  # doctest: +SKIP
     >>> [(effect.effect, effect.where, effect.probability) for effect in pooled.established]  # doctest: +SKIP
     """
-    return DiagnosisRequest(**choices).diagnose_together(campaigns, workers, scheduler, progress)
+    return DiagnosisRequest.of(**choices).diagnose_together(campaigns, workers, scheduler, progress)
 
 
 def _require_one_rig(campaigns: Sequence[FolderToPool]) -> None:
@@ -506,7 +515,7 @@ class RunsToIsolate:
     """Rig time, of a plan."""
 
 
-def isolability(
+def gap_isolability(
     plan_or_campaign: PlanLike,
     *,
     without: Sequence[str] = (),
@@ -536,7 +545,7 @@ def isolability(
     Examples
     --------
     >>> import dragrig
-    >>> result = dragrig.isolability("paper")  # doctest: +SKIP
+    >>> result = dragrig.gap_isolability("paper")  # doctest: +SKIP
     >>> result.pair("stribeck", "adhesion").sin2  # doctest: +SKIP
     """
     from dragrig.analysis.gap import isolate
@@ -558,7 +567,7 @@ def isolability(
 def runs_to_isolate(
     plan_or_campaign: PlanLike, progress: Progress = no_progress, **choices: Unpack[SetupChoices]
 ) -> RunsToIsolate:
-    """Return the runs of a campaign, or simulate those of a plan; raises as `isolability`."""
+    """Return the runs of a campaign, or simulate those of a plan; raises as `gap_isolability`."""
     choices["backend"] = "simulated"
     if isinstance(plan_or_campaign, str | Path) and Path(plan_or_campaign).is_dir():
         specimen = choices.get("specimen")
@@ -571,7 +580,7 @@ def runs_to_isolate(
     return RunsToIsolate(selection, CapsuleModel(setup.model), setup.plan.name, planned=True, duration_s=duration_s)
 
 
-def next_experiment(
+def gap_next(
     plan_or_campaign: PlanLike,
     *,
     between: tuple[str, str] | None = None,
@@ -610,7 +619,7 @@ def next_experiment(
     Examples
     --------
     >>> import dragrig
-    >>> experiment = dragrig.next_experiment("runs/first")  # doctest: +SKIP
+    >>> experiment = dragrig.gap_next("runs/first")  # doctest: +SKIP
     >>> experiment.reason, experiment.runs[0].settings  # doctest: +SKIP
     """
     from dragrig.analysis.gap import DiagnosisOptions, recommend_for_pair, require_hands

@@ -1,6 +1,6 @@
 """Check a plan or the rig, simulate a plan, run it, and resume an interrupted campaign."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from dragrig.rig import (
 from dragrig.setup import (
     CALIBRATED_QUANTITIES,
     HARDWARE_BACKEND,
+    AssignmentsLike,
     Pace,
     PlanLike,
     RigChoices,
@@ -47,10 +48,13 @@ def examine(**choices: Unpack[RigChoices]) -> Iterator[RigCheck]:
     ----------
     choices
         `rig`, `model`: a file or a shipped name each; `backend`: a name; `double`: whether to use its double;
-        `assignments`: changes as on the command line, `["rig.hardware.drive.port=COM3"]`.
+        `assignments`: changes, `{"rig.hardware.drive.port": "COM3"}` or, as on the command line,
+        `["rig.hardware.drive.port=COM3"]`.
 
     Raises
     ------
+    TypeError
+        For any other keyword.
     SettingsError
         For settings that cannot be used at all.
     DeviceError
@@ -91,11 +95,14 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
     choices
         `rig`, `specimen`, `model`, `capsule`: a file or a shipped name each, or the model itself; `backend`: a name;
         `double`: whether to use its double, in place of the hardware; `effects`: added to those of the model of the
-        simulated rig, `["stribeck:ratio=0.4,speed_mm_s=2"]`; `assignments`: changes as on the command line,
-        `["speed_mm_s=5", "rig.stage.highest_mm=120"]`.
+        simulated rig, `["stribeck:ratio=0.4,speed_mm_s=2"]`; keys of the plan's steps, `speed_mm_s=5` or
+        `speed_mm_s=[5, 10]`; `assignments`: changes of anything, `{"rig.stage.highest_mm": 120}` or, as on the command
+        line, `["rig.stage.highest_mm=120"]`.
 
     Raises
     ------
+    TypeError
+        For any other keyword.
     SettingsError, PlanError
         For settings that cannot be used at all.
 
@@ -165,7 +172,7 @@ def simulate(
     Examples
     --------
     >>> import dragrig
-    >>> drag, back = dragrig.simulate("drag", assignments=["speed_mm_s=10"])
+    >>> drag, back = dragrig.simulate("drag", speed_mm_s=10)
     >>> drag.trace.force.shape
     (8025,)
     >>> sticky, back = dragrig.simulate("drag", effects=["stribeck:ratio=0.4"])  # doctest: +SKIP
@@ -218,7 +225,7 @@ def run(
     pace
         Of a simulated rig: "fast" (default) or "real". Of a double: "real" (default), or this many times faster.
     person
-        Answers prompts and observes (default: every prompt counts as done).
+        Answers prompts and observes (default: every prompt counts as done; the session ends where one needs hands).
     mirror
         Folder, on another disk, for a second copy of each finished file, verified by reading it back. It never delays a
         run; `made.mirrored` lists what was copied and what was not.
@@ -263,7 +270,7 @@ def resume(
     note: str = "",
     pace: Pace | None = None,
     person: "SessionOperator | None" = None,
-    assignments: Sequence[str] = (),
+    assignments: AssignmentsLike = (),
     mirror: str | Path | None = None,
     tell: Callable[[str], None] | None = None,
     pause: Signal | None = None,
@@ -276,7 +283,7 @@ def resume(
     Parameters
     ----------
     assignments
-        Changes to the rig, as `["rig.guard.force_limit_mN=9000"]`; nothing else can be changed.
+        Changes to the rig, as `{"rig.guard.force_limit_mN": 9000}`; nothing else can be changed.
     mirror, tell, pause
         As of `run`; earlier runs are copied too.
 

@@ -49,7 +49,7 @@ from dragrig.config import (
 )
 from dragrig.parallel import map_tasks
 from dragrig.present import unused_path, write_text
-from dragrig.rig import Campaign, Run, session_record_of_run, software_version
+from dragrig.rig import Campaign, Run, as_html, session_record_of_run, software_version
 from dragrig.setup import friction_model
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ READING_COST, FITTING_COST = 1, 14
 """Relative times of reading a campaign's runs and of what is made of them."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class IdentifiedCampaign:
     """The numbers identified, the runs that were used, the model that was fitted, and the campaign."""
 
@@ -72,6 +72,17 @@ class IdentifiedCampaign:
     selection: RunSelection
     nominal: NominalModel
     source: str
+
+    def __repr__(self) -> str:
+        learnt = [] if self.result.joint is None else [each for each in self.result.joint.parameters if each.determined]
+        values = ", ".join(
+            f"{each.name} {each.value:.3g} ± {each.standard_error:.2g}{f' {each.unit}' * (each.unit != '1')}"
+            for each in learnt
+        )
+        return f"<identified {self.source}: {values or 'no parameter is determined'}>"
+
+    def _repr_html_(self) -> str:
+        return as_html(self.result)
 
     @property
     def parameters(self) -> "pd.DataFrame":
@@ -333,7 +344,7 @@ def identify_many(
     out
         Folder to use in their place; each campaign gets a folder of its own name in it.
     workers, scheduler
-        As in `dragrig.diagnose_many`.
+        As in `dragrig.gap_diagnose_many`.
 
     Returns
     -------

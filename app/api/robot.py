@@ -6,7 +6,7 @@ from pathlib import Path
 from dragrig.analysis import Progress, no_progress, parts_of
 from dragrig.analysis.gap import Diagnosis
 from dragrig.analysis.robot import RobotStudy, study_robot
-from dragrig.api.gap import diagnose
+from dragrig.api.gap import gap_diagnose
 from dragrig.config import (
     AnalysisError,
     EffectSettings,
@@ -88,7 +88,7 @@ def _diagnosed(
         if not model.effects:
             raise AnalysisError(f"{diagnosis}: has no effects to price; save a model by dragrig gap diagnose.")
         return model, {}
-    result = diagnosis if isinstance(diagnosis, Diagnosis) else diagnose(diagnosis, progress=progress)
+    result = diagnosis if isinstance(diagnosis, Diagnosis) else gap_diagnose(diagnosis, progress=progress)
     if not isinstance(result.model, FrictionModelSettings) or not result.model.effects:
         raise AnalysisError(
             f"{diagnosis if isinstance(diagnosis, str | Path) else result.specimen}: the diagnosis names no effect of "

@@ -89,7 +89,7 @@ class SettleHands:
     tell: Callable[[str], None] = ignore
 
 
-def settle(
+def gap_settle(
     plan: PlanLike,
     *,
     minutes: float = DEFAULT_SETTLE_MIN,
@@ -132,12 +132,12 @@ def settle(
     PlanError
         When the first runs take longer than all of the time.
     AbortedError, TrippedError, DeviceError
-        When a session ended early; `resume_settling` goes on.
+        When a session ended early; `gap_settle_resume` goes on.
 
     Examples
     --------
     >>> import dragrig
-    >>> settled = dragrig.settle("first", minutes=20)  # doctest: +SKIP
+    >>> settled = dragrig.gap_settle("first", minutes=20)  # doctest: +SKIP
     >>> settled.record.ending, settled.diagnosed.result.effects  # doctest: +SKIP
     """
     from dragrig.campaign_session import require_mirror_in_reach, require_no_runs
@@ -173,7 +173,7 @@ def settle(
         return settling.go_on(record, made)
 
 
-def resume_settling(
+def gap_settle_resume(
     campaign: str | Path,
     *,
     hands: SettleHands | None = None,

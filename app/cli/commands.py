@@ -4,117 +4,63 @@ from collections.abc import Mapping
 from glob import has_magic
 from importlib import import_module
 from os.path import lexists
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 
 from dragrig import __version__
 from dragrig.cli.console import echo
 
+Sections = Mapping[str, Mapping[str, tuple[str, str]]]
+"""Commands by section: name, module within `dragrig.cli`, and line in the overview, which must not load them.
 
-class CommandEntry(NamedTuple):
-    """A command: its `module:attribute` within `dragrig.cli`, and its line in the overview."""
-
-    location: str
-    summary: str
-
-
-Sections = Mapping[str, Mapping[str, CommandEntry]]
+A command `touch-off` is `touch_off_command` of its module.
+"""
 SECTIONS: Sections = {
     "Measure": {
-        "demo": CommandEntry(
-            "measure_commands:demo_command", "Run a short programme on the simulated rig: run files, CSV, figures."
-        ),
-        "init": CommandEntry(
-            "measure_commands:init_command", "Make a lab folder: rig settings, data root, calibration history."
-        ),
-        "check": CommandEntry("measure_commands:check_command", "Check a plan, or the rig's devices; nothing moves."),
-        "home": CommandEntry("stage_commands:home_command", "Find the stage's origin."),
-        "jog": CommandEntry("stage_commands:jog_command", "Move the stage by a distance."),
-        "touch-off": CommandEntry(
-            "stage_commands:touch_off_command", "Approach until the force changes; plans can start from there."
-        ),
-        "calibrate": CommandEntry(
-            "stage_commands:calibrate_group", "Calibrate force sensor or encoder; stored in the lab's history."
-        ),
-        "run": CommandEntry("measure_commands:run_command", "Carry out a plan and write one run file per run."),
-        "watch": CommandEntry(
-            "look_commands:watch_command", "Show the progress of a running campaign from another process."
-        ),
-        "recover": CommandEntry("measure_commands:recover_command", "Finish the run files of a crashed session."),
-        "gui": CommandEntry("measure_commands:gui_command", "Open the window: run plans, view runs, diagnose."),
+        "demo": ("measure_commands", "Run a short programme on the simulated rig: run files, CSV, figures."),
+        "init": ("measure_commands", "Make a lab folder: rig settings, data root, calibration history."),
+        "check": ("measure_commands", "Check a plan, or the rig's devices; nothing moves."),
+        "home": ("stage_commands", "Find the stage's origin."),
+        "jog": ("stage_commands", "Move the stage by a distance."),
+        "touch-off": ("stage_commands", "Approach until the force changes; plans can start from there."),
+        "calibrate": ("stage_commands", "Calibrate force sensor or encoder; stored in the lab's history."),
+        "run": ("measure_commands", "Carry out a plan and write one run file per run."),
+        "watch": ("look_commands", "Show the progress of a running campaign from another process."),
+        "recover": ("measure_commands", "Finish the run files of a crashed session."),
+        "gui": ("measure_commands", "Open the window: run plans, view runs, diagnose."),
     },
     "Evaluate": {
-        "list": CommandEntry("look_commands:list_command", "List the campaigns of a folder."),
-        "find": CommandEntry(
-            "look_commands:find_command", "Find runs by specimen, kind, operator, date and mark, in all campaigns."
-        ),
-        "info": CommandEntry("run_file_commands:info_command", "Show the contents of run files."),
-        "table": CommandEntry(
-            "look_commands:table_command", "Tabulate a campaign: a line per run, and means per speed."
-        ),
-        "compare": CommandEntry(
-            "look_commands:compare_command", "Compare two campaigns, two runs, or either with the friction model."
-        ),
-        "gap": CommandEntry(
-            "commands:gap_group", "Diagnose where and why measurements differ from the friction model."
-        ),
-        "report": CommandEntry("look_commands:report_command", "Write a report on a run or a campaign, one HTML file."),
-        "show": CommandEntry(
-            "look_commands:show_command", "Plot runs: force, raw and filtered, position and speed, with the phases."
-        ),
-        "model": CommandEntry(
-            "model_commands:model_command", "Print and plot the steady forces that the friction model predicts."
-        ),
-        "robot": CommandEntry(
-            "model_commands:robot_command",
-            "Simulate a capsule robot in the gut, choose its drive, price the gap in mm/s.",
-        ),
-        "paper": CommandEntry(
-            "model_commands:paper_command", "Simulate the paper's programme, identify it, and write a report."
-        ),
+        "list": ("look_commands", "List the campaigns of a folder."),
+        "find": ("look_commands", "Find runs by specimen, kind, operator, date and mark, in all campaigns."),
+        "info": ("run_file_commands", "Show the contents of run files."),
+        "table": ("look_commands", "Tabulate a campaign: a line per run, and means per speed."),
+        "compare": ("look_commands", "Compare two campaigns, two runs, or either with the friction model."),
+        "gap": ("commands", "Diagnose where and why measurements differ from the friction model."),
+        "report": ("look_commands", "Write a report on a run or a campaign, one HTML file."),
+        "show": ("look_commands", "Plot runs: force, raw and filtered, position and speed, with the phases."),
+        "model": ("model_commands", "Print and plot the steady forces that the friction model predicts."),
+        "robot": ("model_commands", "Simulate a capsule robot in the gut, choose its drive, price the gap in mm/s."),
+        "paper": ("model_commands", "Simulate the paper's programme, identify it, and write a report."),
     },
     "Process": {
-        "identify": CommandEntry(
-            "model_commands:identify_command", "Identify a specimen's parameters from its runs, with their uncertainty."
-        ),
-        "mark": CommandEntry(
-            "run_file_commands:mark_command", "Mark runs as bad, remove the mark, or write a note on them."
-        ),
-        "filter": CommandEntry(
-            "run_file_commands:filter_command",
-            "Smooth runs with a Savitzky–Golay filter, stored beside the raw trace.",
-        ),
-        "import": CommandEntry("run_file_commands:import_command", "Convert other measurements to run files."),
-        "export": CommandEntry("run_file_commands:export_command", "Write runs as CSV, Parquet, MAT or NPZ."),
+        "identify": ("model_commands", "Identify a specimen's parameters from its runs, with their uncertainty."),
+        "mark": ("run_file_commands", "Mark runs as bad, remove the mark, or write a note on them."),
+        "filter": ("run_file_commands", "Smooth runs with a Savitzky–Golay filter, stored beside the raw trace."),
+        "import": ("run_file_commands", "Convert other measurements to run files."),
+        "export": ("run_file_commands", "Write runs as CSV, Parquet, MAT or NPZ."),
     },
 }
-"""Commands by section; the overview must not load them."""
-
 GAP_SECTIONS: Sections = {
     "Commands": {
-        "diagnose": CommandEntry(
-            "gap_commands:diagnose_command",
-            "Diagnose where a campaign differs from the model, which effect causes it, and its size.",
-        ),
-        "evaluate": CommandEntry(
-            "gap_commands:evaluate_command", "Evaluate how far an amended model closes the gap on fresh runs."
-        ),
-        "next": CommandEntry(
-            "gap_commands:next_command", "Recommend the runs that best separate the remaining hypotheses."
-        ),
-        "settle": CommandEntry("gap_commands:settle_command", "Make runs until the gap is settled."),
-        "isolability": CommandEntry(
-            "gap_commands:isolability_command", "Show which effects a plan or a campaign can tell apart."
-        ),
-        "blind": CommandEntry("gap_commands:blind_command", "Test the diagnosis on campaigns with hidden effects."),
-        "calibrate": CommandEntry(
-            "gap_commands:gap_calibrate_command", "Calibrate the verdict on campaigns with hidden effects."
-        ),
-        "effects": CommandEntry(
-            "gap_commands:effects_command",
-            "List the effects: where each acts, its parameters, and the runs in which it is visible.",
-        ),
+        "diagnose": ("gap_commands", "Diagnose where a campaign differs from the model, and which effect causes it."),
+        "evaluate": ("gap_commands", "Evaluate how far an amended model closes the gap on fresh runs."),
+        "next": ("gap_commands", "Recommend the runs that best separate the remaining hypotheses."),
+        "settle": ("gap_commands", "Make runs until the gap is settled."),
+        "isolability": ("gap_commands", "Show which effects a plan or a campaign can tell apart."),
+        "blind": ("gap_commands", "Test the diagnosis on campaigns with hidden effects."),
+        "calibrate": ("gap_commands", "Calibrate the verdict on campaigns with hidden effects."),
+        "effects": ("gap_commands", "List the effects: where each acts, its parameters, and the runs that show it."),
     },
 }
 
@@ -167,10 +113,9 @@ class LazyGroup(click.Group):
         entry = next((commands[cmd_name] for commands in self._sections.values() if cmd_name in commands), None)
         if entry is None:
             return None
-        module, attribute = entry.location.split(":")
-        command: object = getattr(import_module(f"dragrig.cli.{module}"), attribute)
+        command: object = getattr(import_module(f"dragrig.cli.{entry[0]}"), f"{cmd_name.replace('-', '_')}_command")
         if not isinstance(command, click.Command):
-            raise TypeError(f"dragrig.cli.{entry.location} is not a click command")
+            raise TypeError(f"{cmd_name} of dragrig.cli.{entry[0]} is not a click command")
         return _typed_as_text(command)
 
     def resolve_command(
@@ -188,7 +133,7 @@ class LazyGroup(click.Group):
         del ctx
         for section, commands in self._sections.items():
             with formatter.section(section):
-                formatter.write_dl([(name, command.summary) for name, command in commands.items()])
+                formatter.write_dl([(name, summary) for name, (_, summary) in commands.items()])
 
 
 @click.group(
@@ -208,7 +153,7 @@ def dragrig_group(ctx: click.Context) -> None:
 
 @click.group("gap", cls=LazyGroup, sections=GAP_SECTIONS, invoke_without_command=True)
 @click.pass_context
-def gap_group(ctx: click.Context) -> None:
+def gap_command(ctx: click.Context) -> None:
     """Diagnose where and why measurements differ from the friction model."""
     if ctx.invoked_subcommand is None:
         echo(ctx.get_help())

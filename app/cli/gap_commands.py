@@ -21,6 +21,8 @@ from dragrig.cli.options import NUMBER
 
 if TYPE_CHECKING:
     from dragrig.api import DiagnosedFolder, DiagnosisRequest
+    from dragrig.rig import Campaign
+    from dragrig.setup import SetupChoices
 
 
 FILE = click.Path(path_type=Path)
@@ -36,7 +38,7 @@ figures beside it."""
 
 
 @click.command("diagnose")
-@click.argument("campaigns", metavar="CAMPAIGN…", type=FILE, nargs=-1, required=True)
+@options.campaigns
 @click.option(
     "--nominal",
     metavar="NAME|FILE",
@@ -59,6 +61,7 @@ figures beside it."""
 @options.quiet
 def diagnose_command(
     campaigns: tuple[Path, ...],
+    listing: "Campaign | None",
     nominal: str,
     without: tuple[str, ...],
     tolerance_mN: float | None,
@@ -75,9 +78,10 @@ def diagnose_command(
 ) -> None:
     """Diagnose where a campaign differs from the model, which effect causes it, and how far it closes the gap.
 
-    CAMPAIGN is a folder of run files; it need not be complete. For one campaign this prints the verdict (one effect,
-    several, no gap, or a gap that no effect of the catalogue explains), where the gap is, the ranking with
-    probabilities, how far the gap closes on held-out runs, and which questions these runs leave open. Several campaigns
+    CAMPAIGN is a folder of run files (default: the newest), or run files of one; it need not be complete. For one this
+    prints the verdict (one effect, several, no gap, or a gap that no effect of the catalogue explains), where the gap
+    is, the ranking with probabilities, how far the gap closes on held-out runs, and which questions these runs leave
+    open. Several campaigns
     are diagnosed in parallel and printed as a table, or with --json as one line each; with --together campaigns of one
     rig are one question: which effects are in all of them, in some, or in one. Runs marked bad, return strokes
     and runs that did not end as planned are left out. The exit code is 0 whatever the verdict; no model is written
@@ -103,8 +107,8 @@ def diagnose_command(
     if len(campaigns) > 1:
         options.require_single_campaign(len(campaigns), save_model=save_model, report=report, figures=figures)
         with ProgressMeter(f"diagnosing {len(campaigns)} campaigns") as meter:
-            folders = request.diagnose_many(campaigns, workers, scheduler, meter.at)
-        _print_diagnoses(folders, as_json=as_json)
+            several = request.diagnose_many(campaigns, workers, scheduler, meter.at)
+        _print_diagnoses(several, as_json=as_json)
         return
     [campaign] = campaigns
     for path in filter(None, (save_model, report)):
@@ -113,8 +117,8 @@ def diagnose_command(
         finding, reporting, drawing = parts_of(
             meter.at, DIAGNOSE_COST, PAGE_COST * (report is not None), FIGURES_COST * (figures is not None)
         )
-        if scheduler is None:
-            diagnosed = request.diagnose(campaign, finding)
+        if scheduler is None or listing is not None:
+            diagnosed = request.diagnose(listing or campaign, finding)
         else:
             diagnosed = request.diagnose_on_cluster(campaign, scheduler)
         diagnosis = diagnosed.result
@@ -236,7 +240,7 @@ def next_command(
     save_plan: Path | None,
     overwrite: bool,
     as_json: bool,
-    **settings: Unpack[options.SettingsOptions],
+    **settings: "Unpack[SetupChoices]",
 ) -> None:
     """Recommend the next runs: those that separate the leading hypotheses best per minute of rig time.
 
@@ -246,13 +250,13 @@ def next_command(
     helps or the rig time is used up. dragrig run carries out the plan of --save-plan.
     """
     from dragrig.analysis.gap import DEFAULT_HANDS_MIN
-    from dragrig.api import next_experiment, save_next_plan
+    from dragrig.api import gap_next, save_next_plan
     from dragrig.present import next_experiment_document, require_writable
 
     if save_plan is not None:
         require_writable(save_plan, overwrite=overwrite)
     with ProgressMeter("searching") as meter:
-        experiment = next_experiment(
+        experiment = gap_next(
             source,
             between=between,
             minutes=minutes,
@@ -300,7 +304,7 @@ def settle_command(
     report: Path | None,
     overwrite: bool,
     as_json: bool,
-    **settings: Unpack[options.SettingsOptions],
+    **settings: "Unpack[SetupChoices]",
 ) -> None:
     """Make runs until the gap is settled: the runs of PLAN first, then batches of those that tell most per minute.
 
@@ -312,8 +316,7 @@ def settle_command(
     Exit codes: 0 ended as it should, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """
     from dragrig.analysis.gap import DEFAULT_HANDS_MIN, DEFAULT_UNTIL, SettleRecord
-    from dragrig.api import DEFAULT_SETTLE_MIN, SettleHands, resume_settling
-    from dragrig.api import settle as settle_plan
+    from dragrig.api import DEFAULT_SETTLE_MIN, SettleHands, gap_settle, gap_settle_resume
     from dragrig.cli.operator import TerminalOperator
     from dragrig.present import require_writable, settlement_document, step_sentence
 
@@ -331,9 +334,9 @@ def settle_command(
     with TerminalOperator(yes=yes) as person:
         at_the_rig = SettleHands(operator, note, pace, person, mirror, print_warning)
         if resume is not None:
-            settled = resume_settling(resume, hands=at_the_rig, step=tell, minutes=minutes)
+            settled = gap_settle_resume(resume, hands=at_the_rig, step=tell, minutes=minutes)
         else:
-            settled = settle_plan(
+            settled = gap_settle(
                 plan or "",
                 minutes=DEFAULT_SETTLE_MIN if minutes is None else minutes,
                 until=DEFAULT_UNTIL if until is None else until,
@@ -366,7 +369,7 @@ def isolability_command(
     report: Path | None,
     overwrite: bool,
     as_json: bool,
-    **settings: Unpack[options.SettingsOptions],
+    **settings: "Unpack[SetupChoices]",
 ) -> None:
     """Determine which effects runs can tell apart, and the smallest detectable size of each.
 
@@ -376,14 +379,14 @@ def isolability_command(
     their distance in standard deviations of the noise, at their default sizes.
     """
     from dragrig.analysis import parts_of
-    from dragrig.api import isolability
+    from dragrig.api import gap_isolability
     from dragrig.present import isolability_document, require_writable
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
     with ProgressMeter("computing") as meter:
         isolating, reporting = parts_of(meter.at, ISOLATE_COST, PAGE_COST * (report is not None))
-        document = isolability_document(isolability(source, without=without, progress=isolating, **settings))
+        document = isolability_document(gap_isolability(source, without=without, progress=isolating, **settings))
         write_report(document, report, overwrite=overwrite, progress=reporting)
     print_document(document, as_json=as_json)
     if report is not None and not as_json:
@@ -498,7 +501,7 @@ FOLDER = click.Path(path_type=Path)
 )
 @options.as_json
 @options.overwrite
-def gap_calibrate_command(
+def calibrate_command(
     exams: tuple[Path, ...], save: Path | None, folds: int | None, as_json: bool, overwrite: bool
 ) -> None:
     """Learn the verdict's thresholds and weights from exams that dragrig gap blind --out wrote.

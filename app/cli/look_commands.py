@@ -3,15 +3,13 @@
 import os
 import sys
 from dataclasses import dataclass
-from itertools import chain
 from math import isfinite
 from mimetypes import guess_type
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from dragrig import present
 from dragrig.cli import options
 from dragrig.cli.console import (
     FileBatch,
@@ -27,12 +25,12 @@ from dragrig.cli.console import (
 from dragrig.present import duration_text, shortest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from datetime import datetime
+    from collections.abc import Callable, Mapping
 
     from matplotlib.figure import Figure
     from rich.table import Table
 
+    from dragrig.rig import Campaign
     from dragrig.run_listing import RunListing, RunQuery
     from dragrig.watch import CampaignState, CampaignWatch
 
@@ -40,22 +38,22 @@ AnswerT = TypeVar("AnswerT")
 
 
 @click.command("table")
-@click.argument("campaigns", nargs=-1, required=True, type=click.Path(path_type=Path))
+@options.campaigns
 @options.as_json
 @options.quiet
-def table_command(campaigns: tuple[Path, ...], as_json: bool) -> None:
-    """Tabulate CAMPAIGNS, folders of run files, pooled where they are several.
+def table_command(campaigns: tuple[Path, ...], listing: "Campaign | None", as_json: bool) -> None:
+    """Tabulate CAMPAIGNs: folders, pooled where they are several, or run files of one (default: the newest campaign).
 
     One line per run: kind, speed, steady force with its standard error, checks, and whether it is marked bad; then the
     mean steady force of each specimen's repeats, and over specimens where there are several, with 95 % intervals by
     Student's t, without bad and unfinished runs and sentinels. Specimens are told apart by their id.
     """
-    from dragrig.analysis import pooled_rows
+    from dragrig.analysis import pooled_rows, table_rows
     from dragrig.present import campaign_table_document
     from dragrig.run_inputs import require_run_files
 
     with ProgressMeter("measuring") as meter:
-        rows = pooled_rows(campaigns, meter.at)
+        rows = pooled_rows(campaigns, meter.at) if listing is None else table_rows(listing, meter.at)
     if not rows:
         require_run_files(campaigns[0])
     print_document(campaign_table_document(rows), as_json=as_json)
@@ -63,22 +61,10 @@ def table_command(campaigns: tuple[Path, ...], as_json: bool) -> None:
 
 def _ask_runs(folder: Path | None, question: "Callable[[RunListing], AnswerT]", *, rebuild: bool = False) -> "AnswerT":
     """Answer a question about the runs of a folder, by default the lab's data root, that holds some."""
-    from dragrig.catalogue import ask_runs
-    from dragrig.config import RunFileError, data_root_of
-
-    root = folder or data_root_of(Path.cwd())
-    if root is None:
-        from dragrig.setup import resolve_rig
-
-        root = resolve_rig().data_root
-
-    def answer(listing: "RunListing") -> "AnswerT":
-        if not listing.folders():
-            raise RunFileError(f"{root}: holds no campaign; name the folder that does.")
-        return question(listing)
+    from dragrig.api import ask_lab
 
     with ProgressMeter("reading run files") as meter:
-        return ask_runs(root, answer, remark=print_remark, progress=meter.at, rebuild=rebuild)
+        return ask_lab(folder, question, remark=print_remark, progress=meter.at, rebuild=rebuild)
 
 
 @click.command("list")
@@ -97,57 +83,37 @@ def list_command(folder: Path | None, rebuild: bool, as_json: bool) -> None:
     print_document(campaigns_list_document(campaigns), as_json=as_json)
 
 
-class _FindOptions(TypedDict):
-    """Options that are fields of a query of the same name."""
-
-    specimen: str
-    kind: str
-    operator: str
-
-
-def _parse_moment(context: click.Context, parameter: click.Parameter, text: str | None) -> "datetime | None":
-    from datetime import datetime, time
-
-    try:
-        moment = None if text is None else datetime.fromisoformat(text)
-        if moment is not None and text is not None and parameter.name == "until" and len(text) <= len("2026-05-04"):
-            moment = datetime.combine(moment, time.max)  # a day is over when it ends
-        return moment if moment is None or moment.tzinfo is not None else moment.astimezone()
-    except (ValueError, OverflowError):  # also of a year for which the local offset is not known
-        raise click.BadParameter(
-            f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15", context, parameter
-        ) from None
-
-
 @click.command("find")
 @click.argument("folder", required=False, type=click.Path(path_type=Path))
 @click.option("--specimen", metavar="NAME", default="", help="Name or id of the specimen.")
 @click.option("--kind", metavar="NAME", default="", help="Kind of run: drag, relaxation, …, or sentinel.")
 @click.option("--operator", metavar="NAME", default="", help="Part of the operator's name.")
-@click.option("--since", metavar="DATE", callback=_parse_moment, help="Begun at this time or later.")
-@click.option("--until", metavar="DATE", callback=_parse_moment, help="Begun at this time or earlier, or on this day.")
+@click.option("--since", metavar="DATE", default="", help="Begun at this time or later.")
+@click.option("--until", metavar="DATE", default="", help="Begun at this time or earlier, or on this day.")
 @click.option("--bad/--good", "marked", default=None, help="Marked bad, or not (default: either).")
 @click.option("--campaigns", is_flag=True, help="Print the folders of the campaigns that hold such runs instead.")
 @options.as_json
 @options.quiet
 def find_command(
     folder: Path | None,
-    since: "datetime | None",
-    until: "datetime | None",
+    specimen: str,
+    kind: str,
+    operator: str,
+    since: str,
+    until: str,
     marked: bool | None,
     campaigns: bool,
     as_json: bool,
-    **wanted: Unpack[_FindOptions],
 ) -> None:
     """Find runs in all campaigns in FOLDER and below it (default: the lab's data root).
 
     Prints the path of each run file: dragrig show $(dragrig find --specimen P7 --kind drag); or of each campaign:
     dragrig identify --together $(dragrig find --kind relaxation --campaigns).
     """
-    from dragrig.run_listing import RunQuery
+    from dragrig.api import run_query
 
-    query = RunQuery(since=since, until=until, marked=marked, **wanted)
-    found, kinds = _ask_runs(folder, lambda listing: _found_and_kinds(listing, query))
+    query = run_query(specimen, kind, operator, since, until, marked)
+    found, hint = _ask_runs(folder, lambda listing: _found_or_hint(listing, query))
     if as_json:
         paths = [join_path(str(parent), name) for parent, names in found.items() for name in names]
         print_json(list(map(str, found)) if campaigns else paths)
@@ -158,32 +124,26 @@ def find_command(
     elif count:
         shown = ((display_path(parent), names) for parent, names in found.items())
         echo("\n".join(join_path(parent, name) for parent, names in shown for name in names))
-    print_remark(f"{count} run{'' if count == 1 else 's'}{_unknown_kind_text(query.kind, kinds)}")
+    print_remark(f"{count} run{'' if count == 1 else 's'}{hint}")
 
 
-def _found_and_kinds(
-    listing: "RunListing", query: "RunQuery"
-) -> "tuple[Mapping[Path, tuple[str, ...]], Sequence[str]]":
-    """Return the runs found, and where there are none the kinds of run that there are."""
+def _found_or_hint(listing: "RunListing", query: "RunQuery") -> "tuple[Mapping[Path, tuple[str, ...]], str]":
+    """Return the runs found; where there are none, also what was asked for and no run has."""
+    from dragrig.config import suggestion
+
     found = listing.found(query)
-    return found, () if found or not query.kind else listing.kinds()
-
-
-def _unknown_kind_text(kind: str, kinds: "Sequence[str]") -> str:
-    if not kinds or kind in kinds:
-        return ""
-    from difflib import get_close_matches
-
-    nearest = get_close_matches(kind, kinds, n=1, cutoff=0.5)
-    question = f"did you mean {nearest[0]}? " if nearest else ""
-    return f": no run is of the kind {kind}; {question}{'There' if nearest else 'there'} are {', '.join(kinds)}."
+    specimens = sorted({name for campaign in listing.summaries() for name in campaign.specimens}) if not found else []
+    for name, value, known in (("kind", query.kind, listing.kinds), ("specimen", query.specimen, lambda: specimens)):
+        if not found and value and value.casefold() not in map(str.casefold, known()):
+            return found, f": no run is of the {name} {value}; {suggestion(value, known())}"
+    return found, ""
 
 
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 @click.command("show")
-@options.inputs
+@options.inputs_or_newest
 @click.option(
     "--out",
     "-o",
@@ -202,30 +162,32 @@ def show_command(
 ) -> None:
     """Draw runs: force, raw and filtered, position and speed, with the phases. Prints the paths of the pictures.
 
-    RUN is a run file, a pattern or a campaign's folder; a folder gets an overview of the campaign too. An existing
-    name gets a number, unless it was given with --out: then it is refused. With --column, pictures are as journals take
-    them: 85 mm (single), 180 mm (double) or so many mm wide, without a title, letters of 6 to 7 pt, PNG with 600 dpi.
-    Panels side by side take 180 mm where less than 120 mm are asked for.
+    RUN is a run file, a pattern, as runs/first/*.h5, or a campaign's folder, of which an overview is drawn (default:
+    the newest campaign). An existing name gets a number, unless it was given with --out: then it is refused. With
+    --column, pictures are as journals take them: 85 mm (single), 180 mm (double) or so many mm wide, without a title,
+    letters of 6 to 7 pt, PNG with 600 dpi. Panels side by side take 180 mm where less than 120 mm are asked for.
     """
+    from dragrig.api import show
+    from dragrig.rig import run_name
     from dragrig.run_inputs import run_files
 
-    paths = run_files(inputs)
-    campaigns = [Path(name) for name in inputs if Path(name).is_dir()]
-    target = _picture_target(out, len(paths) + len(campaigns), overwrite)
-    runs, overviews = FileBatch(paths, "drawing runs"), FileBatch(campaigns, "drawing the campaign")
-    pictures = chain(
-        runs.process(lambda path, _: _draw_run(path, target, filtered=not raw_only, motor_force=motor_force)),
-        overviews.process(lambda folder, _: _draw_campaign(folder, target)),
-    )
+    folders = [Path(name) for name in inputs if Path(name).is_dir()]
+    files = [name for name in inputs if not Path(name).is_dir()]
+    target = _picture_target(out, len(folders) + len(paths := run_files(files)), overwrite)
+
+    def draw(path: Path, _: object) -> Path:
+        figure = show(path, filtered=not raw_only, motor_force=motor_force)
+        return target.save(figure, path.resolve().name if path.is_dir() else run_name(path), path)
+
+    batch = FileBatch((*paths, *folders), "drawing")
     # All are drawn before any is printed: a reader such as head ends the command.
-    drawn = [{"source": source, "picture": picture} for source, picture in pictures]
+    drawn = [{"source": source, "picture": picture} for source, picture in batch.process(draw)]
     if as_json:
         print_json(drawn)
     else:
         for line in drawn:
             echo(display_path(line["picture"]))
-    runs.close()
-    overviews.close()
+    batch.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,11 +198,12 @@ class _PictureTarget:
     folder: Path | None
     overwrite: bool
 
-    def save(self, figure: "Figure", name: str, beside: Path) -> Path:
+    def save(self, figure: "Figure", name: str, source: Path) -> Path:
         from dragrig.present import save_figure, save_figure_in
 
         if self.file is not None:
             return save_figure(figure, self.file, overwrite=self.overwrite)
+        beside = source if source.is_dir() else source.parent
         # Measured data are often read-only.
         here = beside if os.access(beside, os.W_OK) else Path()
         return save_figure_in(self.folder or here, name, figure, overwrite=self.overwrite)
@@ -259,28 +222,8 @@ def _picture_target(out: Path | None, pictures: int, overwrite: bool) -> _Pictur
     return _PictureTarget(out, None, overwrite)
 
 
-def _draw_run(path: Path, target: _PictureTarget, *, filtered: bool, motor_force: bool) -> Path:
-    from dragrig.rig import read_mark, read_run, run_name
-
-    mark = read_mark(path)
-    reason = None if mark is None else mark.reason
-    figure = present.run_figure(read_run(path), filtered=filtered, motor_force=motor_force, bad_reason=reason)
-    return target.save(figure, run_name(path), path.parent)
-
-
-def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
-    from dragrig.rig import read_mark, read_run
-    from dragrig.run_inputs import run_files
-
-    paths = run_files([folder])
-    bad = [path for path in paths if read_mark(path) is not None]
-    name = folder.resolve().name
-    figure = present.campaign_figure((read_run(path) for path in paths), name, bad)
-    return target.save(figure, name, folder)
-
-
 @click.command("report")
-@click.argument("source", metavar="RUN|CAMPAIGN", type=click.Path(path_type=Path))
+@options.inputs_or_newest
 @click.option(
     "--out",
     "-o",
@@ -291,8 +234,8 @@ def _draw_campaign(folder: Path, target: _PictureTarget) -> Path:
 @options.overwrite
 @options.as_json
 @options.quiet
-def report_command(source: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
-    """Write a report on a run file or a campaign's folder, one HTML file that can be mailed.
+def report_command(inputs: tuple[str, ...], out: Path | None, overwrite: bool, as_json: bool) -> None:
+    """Write a report on RUN, a run file or a campaign's folder (default: the newest), one HTML file to be mailed.
 
     For a run: force, position and speed, measures with their errors, checks, events and all settings. For a campaign:
     steady force against speed, relaxations, a table and a figure of every run, sessions, and the runs left out with the
@@ -300,6 +243,9 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
     """
     from dragrig.api import report
 
+    if len(inputs) > 1:
+        raise click.UsageError("a report is on one run or one campaign; name one", click.get_current_context())
+    source = Path(inputs[0])
     with ProgressMeter("measuring and drawing") as meter:
         written = report(source, out, overwrite=overwrite, workers=None, progress=meter.at)
     if as_json:
@@ -314,7 +260,7 @@ def report_command(source: Path, out: Path | None, overwrite: bool, as_json: boo
 @click.option("--model", metavar="F|NAME", help="Compare A with this friction model in place of B.")
 @options.effects("Add an effect to that model, as listed by dragrig gap effects; repeatable.")
 @click.option("--specimen", metavar="NAME", help="Specimen, where a folder holds several (default: all).")
-@options.out("Folder for pictures and table (default: a new one beside A's runs; with --json: none).")
+@options.out("Folder for a table, an overview, and a picture of each pair.")
 @options.report
 @options.picture_form
 @options.overwrite
@@ -335,13 +281,13 @@ def compare_command(
 
     A and B are campaign folders or run files. Runs under the same conditions are paired and aligned on the start of
     their motion. Prints the measures side by side (differences are B − A; ± is the 95 % interval for equal runs, from
-    noise, run-to-run scatter and unknown zeros), the largest differences first, and a summary; writes a table as CSV,
-    an overview, and a picture of each pair. The exit code is 0 even where they differ.
+    noise, run-to-run scatter and unknown zeros), the largest differences first; the report has all pairs. The exit code
+    is 0 even where they differ.
     """
     if (b is None) == (model is None):
         raise click.UsageError("name either a second campaign or run, or a --model", click.get_current_context())
-    from dragrig.api import compare, comparison_folder, write_comparison
-    from dragrig.present import comparison_document, comparison_json, require_writable, unused_path
+    from dragrig.api import compare, write_comparison
+    from dragrig.present import comparison_document, comparison_json, require_writable
 
     if report is not None:
         require_writable(report, overwrite=overwrite)
@@ -349,23 +295,18 @@ def compare_command(
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
     document = comparison_document(comparison)
     write_report(document, report, overwrite=overwrite)
-    if as_json and out is None:
-        print_document(document, as_json=True)
-        return
-    default = comparison_folder(comparison, a)
-    # Measured data are often read-only.
-    writable = default if os.access(default.parent, os.W_OK) else Path(default.name)
-    folder = out or unused_path(writable)
-    with ProgressMeter("drawing") as meter:
-        written = list(write_comparison(comparison, folder, overwrite=overwrite, progress=meter.at))
+    written: list[Path] = []
+    if out is not None:
+        with ProgressMeter("drawing") as meter:
+            written = list(write_comparison(comparison, out, overwrite=overwrite, progress=meter.at))
     if as_json:
-        print_json({**comparison_json(comparison), "files": written})
+        print_json({**comparison_json(comparison), **({"files": written} if written else {})})
         return
     print_document(document, as_json=False)
-    echo(f"\noverview  {display_path(written[0])}\ntable     {display_path(written[1])}")
-    if report is not None:
-        echo(f"report    {display_path(report)}")
-    echo(f"pictures  {len(written) - 2} in {display_path(folder)}")
+    for path in (*written[:2], *filter(None, (report,))):
+        echo(display_path(path))
+    if written[2:]:
+        echo(f"{len(written) - 2} pictures of pairs in {display_path(written[0].parent)}")
 
 
 DEFAULT_PORT = 8765

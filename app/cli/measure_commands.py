@@ -28,6 +28,7 @@ from dragrig.cli.console import (
 if TYPE_CHECKING:
     from dragrig.campaign_session import Made
     from dragrig.rig import RecoveredRecording
+    from dragrig.setup import RigChoices, SetupChoices
 
 
 @click.command("init")
@@ -60,7 +61,7 @@ def check_command(
     operator: str,
     out: Path | None,
     as_json: bool,
-    **settings: Unpack[options.SettingsOptions],
+    **settings: "Unpack[SetupChoices]",
 ) -> None:
     """Check PLAN, a file or a shipped name; without PLAN, check the rig. Nothing moves without --live.
 
@@ -94,7 +95,7 @@ def check_command(
         ctx.exit(BAD_INPUT)
 
 
-def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path | None, *, as_json: bool) -> None:
+def _check_rig(ctx: click.Context, settings: "SetupChoices", out: Path | None, *, as_json: bool) -> None:
     choices = _rig_choices(ctx, settings, out)
     from dragrig.api import examine
     from dragrig.config import DeviceError
@@ -109,7 +110,7 @@ def _check_rig(ctx: click.Context, settings: options.SettingsOptions, out: Path 
 def _look_at_rig(
     ctx: click.Context,
     plan: str | None,
-    settings: options.SettingsOptions,
+    settings: "SetupChoices",
     out: Path | None,
     operator: str,
     *,
@@ -134,7 +135,7 @@ def _look_at_rig(
         ctx.exit(DeviceError.exit_code)
 
 
-def _rig_choices(ctx: click.Context, settings: options.SettingsOptions, out: Path | None) -> options.RigOptions:
+def _rig_choices(ctx: click.Context, settings: "SetupChoices", out: Path | None) -> "RigChoices":
     plan_options = {
         "specimen": settings["specimen"],
         "effect": settings["effects"],
@@ -187,7 +188,7 @@ def run_command(
     plot: bool,
     yes: bool,
     as_json: bool,
-    **settings: Unpack[options.SettingsOptions],
+    **settings: "Unpack[SetupChoices]",
 ) -> None:
     """Carry out PLAN, a file or a shipped name, and write one run file per run.
 
@@ -229,7 +230,7 @@ def run_command(
 
 
 def _require_plan_or_campaign(
-    plan: str | None, campaign: Path | None, settings: options.SettingsOptions, out: Path | None, append: Path | None
+    plan: str | None, campaign: Path | None, settings: "SetupChoices", out: Path | None, append: Path | None
 ) -> None:
     context = click.get_current_context()
     if append is not None and out is not None:
@@ -378,7 +379,14 @@ def _refuse_without(libraries: Sequence[str]) -> NoReturn:
 @options.pace
 @click.pass_context
 def gui_command(
-    ctx: click.Context, lab: Path | None, pace: options.Pace | None, **choices: Unpack[options.RigOptions]
+    ctx: click.Context,
+    lab: Path | None,
+    pace: options.Pace | None,
+    rig: str | None,
+    model: str | None,
+    backend: str | None,
+    double: bool,
+    assignments: tuple[str, ...],
 ) -> None:
     """Open the window: run plans, view runs, diagnose campaigns.
 
@@ -392,8 +400,7 @@ def gui_command(
     if lab is not None and not (lab / RIG_FILE).is_file():
         raise SettingsError(f"{lab}: is no lab folder, it holds no {RIG_FILE}; make one with dragrig init {lab}.")
     rig_file = rig_file_of(lab or Path.cwd())
-    rig = Path(choices["rig"]) if choices["rig"] is not None else rig_file
-    selection = RigSelection(rig, choices["model"], choices["backend"], choices["double"], choices["assignments"], pace)
+    selection = RigSelection(Path(rig) if rig is not None else rig_file, model, backend, double, assignments, pace)
     if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
         raise SettingsError(
             "gui: there is no screen here, neither DISPLAY nor WAYLAND_DISPLAY is set; sit at the machine itself, or "

@@ -22,6 +22,7 @@ from dragrig.config import AnalysisError, SettingsError
 if TYPE_CHECKING:
     from dragrig.api import IdentifiedFolder, PaperViscous, PaperWall
     from dragrig.config import FrictionModelSettings, RobotDrive
+    from dragrig.rig import Campaign
 
 
 IDENTIFY_COST, PAGE_COST = 7, 10
@@ -260,7 +261,7 @@ def paper_command(
 
 
 @click.command("identify")
-@click.argument("campaigns", metavar="CAMPAIGN…", type=click.Path(path_type=Path), nargs=-1, required=True)
+@options.campaigns
 @click.option(
     "--nominal",
     metavar="NAME|FILE",
@@ -293,6 +294,7 @@ def paper_command(
 @options.quiet
 def identify_command(
     campaigns: tuple[Path, ...],
+    listing: "Campaign | None",
     nominal: str,
     model: str,
     wall: Literal["scaled", "fitted"],
@@ -308,8 +310,9 @@ def identify_command(
 ) -> None:
     """Identify a specimen from its runs: the friction model's parameters with their uncertainty.
 
-    CAMPAIGN is a folder of run files. Prints which parameters the runs determine and which they do not; writes the
-    model, which dragrig run loads with --model, and pictures. Runs marked bad, return strokes and runs that did not end
+    CAMPAIGN is a folder of run files (default: the newest), or run files of one. Prints which parameters the runs
+    determine and which they do not; writes the model, which dragrig run loads with --model, and pictures. Runs marked
+    bad, return strokes and runs that did not end
     as planned are left out. The exit code is 0 even where runs are missing, and 2 where the fit did not converge; no
     model is written then, nor where the runs determine none of its parameters.
 
@@ -339,7 +342,7 @@ def identify_command(
     if len(campaigns) > 1:
         options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
         with ProgressMeter(f"identifying {len(campaigns)} campaigns") as meter:
-            folders = identify_many(
+            several = identify_many(
                 campaigns,
                 **choices,
                 write=out is not None or not as_json,
@@ -349,7 +352,7 @@ def identify_command(
                 scheduler=scheduler,
                 progress=meter.at,
             )
-        _print_identifications(folders, as_json=as_json)
+        _print_identifications(several, as_json=as_json)
         return
     [campaign] = campaigns
     _require_no_cluster(scheduler)
@@ -358,7 +361,7 @@ def identify_command(
         fitting, reporting, drawing = parts_of(
             meter.at, IDENTIFY_COST, PAGE_COST * (report is not None), PAGE_COST * draws
         )
-        identified = identify(campaign, **choices, progress=fitting)
+        identified = identify(listing or campaign, **choices, progress=fitting)
         result = identified.result
         # Written before anything is printed: a reader such as head ends the command.
         document = identification_document(result)

@@ -5,15 +5,31 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, ParamSpec, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Literal, ParamSpec, TypeVar, cast
 
 import click
 
-from dragrig.cli.console import QUIET, echo, print_json, print_remark
+from dragrig.cli.console import QUIET, display_path, echo, print_json, print_remark
 
 if TYPE_CHECKING:
     from dragrig.api import MoveResult
     from dragrig.rig import TravelEnd
+    from dragrig.setup import RigChoices
+
+    class StageOptions(RigChoices):
+        """The arguments that `rig_session` adds."""
+
+        pace: "Pace | None"
+
+    class OperatorOptions(StageOptions):
+        """The arguments of `rig_session`, and `--operator`."""
+
+        operator: str
+
+    class CalibrationOptions(OperatorOptions):
+        """The arguments of `rig_session` and `session_notes`."""
+
+        note: str
 
 
 P = ParamSpec("P")
@@ -129,42 +145,6 @@ _SET_RIG_OPTION = click.option(
 )
 
 
-class RigOptions(TypedDict):
-    """The arguments that `rig` adds, as `dragrig.setup.RigChoices`, which `dragrig --help` must not load."""
-
-    rig: str | None
-    model: str | None
-    backend: str | None
-    double: bool
-    assignments: tuple[str, ...]
-
-
-class StageOptions(RigOptions):
-    """The arguments that `rig_session` adds to those of `rig`."""
-
-    pace: Pace | None
-
-
-class OperatorOptions(StageOptions):
-    """The arguments of `rig_session`, and `--operator`."""
-
-    operator: str
-
-
-class CalibrationOptions(OperatorOptions):
-    """The arguments of `rig_session` and `session_notes`."""
-
-    note: str
-
-
-class SettingsOptions(RigOptions):
-    """The arguments that `settings` adds, as `dragrig.setup.SetupChoices`."""
-
-    specimen: str | None
-    capsule: str | None
-    effects: tuple[str, ...]
-
-
 def settings(function: Callable[P, R]) -> Callable[P, R]:
     """Add the settings of a plan: rig, specimen, model, effects, capsule, backend, double and `--set`."""
     for option in reversed(_SETTINGS_OPTIONS):
@@ -209,6 +189,38 @@ def session_notes(place: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return click.option("--operator", metavar="NAME", default="", help=operator)(function)
 
     return decorate
+
+
+def inputs_or_newest(function: Callable[P, R]) -> Callable[P, R]:
+    """Add the argument `inputs`: run files, patterns and folders; without any the newest campaign."""
+    return _or_newest("inputs", "[RUN…]", function)
+
+
+def campaigns(function: Callable[P, R]) -> Callable[P, R]:
+    """Add `campaigns`, folders, and `listing`, the runs that are named of one; by default the newest campaign."""
+
+    @wraps(function)
+    def of_named(*arguments: P.args, **settings: P.kwargs) -> R:
+        from dragrig.run_inputs import named_campaigns
+
+        settings["campaigns"], settings["listing"] = named_campaigns(cast("tuple[str, ...]", settings["campaigns"]))
+        return function(*arguments, **settings)
+
+    return _or_newest("campaigns", "[CAMPAIGN…]", of_named)
+
+
+def _or_newest(name: str, metavar: str, function: Callable[P, R]) -> Callable[P, R]:
+    @wraps(function)
+    def with_default(*arguments: P.args, **settings: P.kwargs) -> R:
+        if not settings[name]:
+            from dragrig.run_inputs import newest_campaign
+
+            folder = display_path(newest_campaign())
+            print_remark(f"{folder} is the newest campaign:")
+            settings[name] = (folder,)
+        return function(*arguments, **settings)
+
+    return click.argument(name, metavar=metavar, nargs=-1)(with_default)
 
 
 def workers(tasks: str) -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 @click.command("info")
-@options.inputs
+@options.inputs_or_newest
 @click.option("--verify", is_flag=True, help="Read every sample and compare it with the checksum in the file.")
 @options.as_json
 @options.quiet
 @click.pass_context
 def info_command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_json: bool) -> None:
-    """Print what run files contain. RUN is a run file, a pattern or a campaign's folder.
+    """Print what run files contain. RUN is a run file, a pattern or a campaign's folder (default: the newest).
 
     With --verify the exit code is 2 when the samples of a file are not those that were recorded.
     """
@@ -76,21 +76,9 @@ def mark_command(inputs: tuple[str, ...], bad: str | None, good: bool, note: str
     RUN is a run file, a pattern or a campaign's folder. Mark and note are stored beside the run file, which is not
     changed; filter, export, table and all later steps leave marked runs out or report them.
     """
-    if (good and bad is not None) or not (good or bad is not None or note is not None):
-        raise click.UsageError("Give either --bad REASON or --good, or --note TEXT", click.get_current_context())
-    from dragrig.rig import mark_bad, read_info, unmark, write_note
-    from dragrig.run_inputs import run_files
+    from dragrig.api import mark as mark_runs
 
-    paths = run_files(inputs)
-    for path in paths:
-        read_info(path)  # nothing is marked unless all files are runs
-    for path in paths:
-        if bad is not None:
-            mark_bad(path, bad)
-        elif good:
-            unmark(path)
-        if note is not None:
-            write_note(path, note)
+    paths = mark_runs(inputs, bad=bad, good=good, note=note)
     if as_json:
         print_json([{"file": path, "bad": bad, "noted": note} for path in paths])
         return

@@ -12,7 +12,7 @@ from dragrig.cli.options import NUMBER
 @click.command("home")
 @options.override_limit
 @options.rig_session
-def home_command(override: str | None, yes: bool, as_json: bool, **rig: Unpack[options.StageOptions]) -> None:
+def home_command(override: str | None, yes: bool, as_json: bool, **rig: "Unpack[options.StageOptions]") -> None:
     """Find the stage's origin; announces the motion and asks first. Prints the stage's position."""
     from dragrig.api import home
     from dragrig.cli.operator import TerminalOperator
@@ -33,7 +33,7 @@ def jog_command(
     override: str | None,
     yes: bool,
     as_json: bool,
-    **rig: Unpack[options.StageOptions],
+    **rig: "Unpack[options.StageOptions]",
 ) -> None:
     """Move the stage by MM, as 5 or -2.5; announces the motion and asks first. Prints the stage's position.
 
@@ -76,7 +76,7 @@ def touch_off_command(
     back_mm: float,
     yes: bool,
     as_json: bool,
-    **session: Unpack[options.OperatorOptions],
+    **session: "Unpack[options.OperatorOptions]",
 ) -> None:
     """Approach slowly until the force has changed from its value at rest; announces the motion and asks first.
 
@@ -99,13 +99,13 @@ def touch_off_command(
 
 @click.group("calibrate", invoke_without_command=True)
 @click.pass_context
-def calibrate_group(ctx: click.Context) -> None:
+def calibrate_command(ctx: click.Context) -> None:
     """Calibrate force sensor or encoder; the result is added to the lab's history and applies from then on."""
     if ctx.invoked_subcommand is None:
         echo(ctx.get_help())
 
 
-@calibrate_group.command("force")
+@calibrate_command.command("force")
 @click.option(
     "--weights",
     metavar="G,G,…",
@@ -125,7 +125,7 @@ def calibrate_force_command(
     seconds: float,
     yes: bool,
     as_json: bool,
-    **session: Unpack[options.CalibrationOptions],
+    **session: "Unpack[options.CalibrationOptions]",
 ) -> None:
     """Calibrate the force sensor with known weights: asks for each, reads it, fits a line by least squares.
 
@@ -142,7 +142,7 @@ def calibrate_force_command(
     print_document(document, as_json=as_json)
 
 
-@calibrate_group.command("encoder")
+@calibrate_command.command("encoder")
 @click.option("--travel", "travel_mm", metavar="MM", type=NUMBER, required=True, help="Travel, signed.")
 @click.option(
     "--measured",
@@ -169,7 +169,7 @@ def calibrate_encoder_command(
     seconds: float,
     yes: bool,
     as_json: bool,
-    **session: Unpack[options.CalibrationOptions],
+    **session: "Unpack[options.CalibrationOptions]",
 ) -> None:
     """Calibrate the encoder over a known travel: the stage goes there and back; a line is fitted to the counts.
 

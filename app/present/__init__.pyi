@@ -1,5 +1,6 @@
 from .campaign import CampaignReportData as CampaignReportData
 from .campaign import campaign_document as campaign_document
+from .campaign import campaign_runs_document as campaign_runs_document
 from .campaign import campaign_table_document as campaign_table_document
 from .campaign import campaigns_list_document as campaigns_list_document
 from .campaign import examine_campaign as examine_campaign
@@ -105,6 +106,7 @@ from .files import write_picture as write_picture
 from .files import write_text as write_text
 from .files import write_texts as write_texts
 from .friction_model import model_document as model_document
+from .html_page import notebook_html as notebook_html
 from .html_page import render_page as render_page
 from .html_page import render_template as render_template
 from .identification import identification_document as identification_document

@@ -247,6 +247,21 @@ def campaign_table_document(rows: Sequence[TableRow]) -> Document:
     )
 
 
+def campaign_runs_document(campaign: Campaign) -> Document:
+    """List the runs of a campaign, as far as their files state them."""
+    marks = {path: mark.reason for path, mark in campaign.marks.items()}
+    table = Table.of(
+        "runs",
+        "",
+        campaign.runs,
+        Field("run", "run", lambda run: run.path.name),
+        Field("what", "what", run_title),
+        Field("began", "began", lambda run: f"{run.header.start_time:%Y-%m-%d %H:%M:%S}"),
+        Field("status", "status", lambda run: run_problem(run, marks.get(run.path)) or run.status.value),
+    )
+    return Document(title=repr(campaign).strip("<>"), sections=(Section("runs", "", (table,)),))
+
+
 def campaigns_list_document(campaigns: "Sequence[CampaignSummary]") -> Document:
     """Lay out the campaigns of a folder, a line each."""
     table = Table.of(

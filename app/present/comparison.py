@@ -33,8 +33,8 @@ from dragrig.present import (
     to_json_object,
 )
 
-MAX_UNPAIRED = 12
-"""Runs without a partner that a terminal lists."""
+MAX_BRIEF = 12
+"""Conditions, pairs, and runs without a partner that a terminal lists; the page has all."""
 ONE_DECIMAL = decimals(1)
 
 
@@ -131,6 +131,7 @@ def _group_table(groups: Iterable[GroupDifference]) -> Table:
         Field("errors", "standard errors", lambda group: group.times_error, shortest(2)),
         Field("verdict", "", lambda group: group.verdict.value),
         Field("rms_mN", "rms, mN", lambda group: group.rms_mN, ONE_DECIMAL),
+        brief_rows=MAX_BRIEF,
     )
 
 
@@ -150,7 +151,9 @@ def _pair_table(pairs: Iterable[RunPair]) -> Table:
         Column("at_s", "at, s", decimals(2)),
         Column("phase", "phase"),
     )
-    return Table("pairs-table", "", columns, tuple(row for pair in pairs for row in _pair_rows(pair)))
+    return Table(
+        "pairs-table", "", columns, tuple(row for pair in pairs for row in _pair_rows(pair)), brief_rows=MAX_BRIEF
+    )
 
 
 def _pair_rows(pair: RunPair) -> Iterator[tuple[Cell, ...]]:
@@ -187,4 +190,4 @@ def _exclusions(name: str, excluded_a: Iterable[Exclusion], excluded_b: Iterable
         for side, exclusions in (("A", excluded_a), ("B", excluded_b))
         for exclusion in listed_exclusions(tuple(exclusions))
     )
-    return Table(name, "", columns, rows, brief_rows=MAX_UNPAIRED)
+    return Table(name, "", columns, rows, brief_rows=MAX_BRIEF)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
+from typing import TYPE_CHECKING, cast
 from xml.etree import ElementTree as ET
 from zlib import crc32
 
@@ -13,9 +14,13 @@ import numpy.typing as npt
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from dragrig.analysis import printable
+from dragrig import present
+from dragrig.analysis import Comparison, Identification, printable
 from dragrig.present import Document, figure_form, svg_text
-from dragrig.rig import software_version
+from dragrig.rig import AnyFloatArray, Campaign, Run, software_version
+
+if TYPE_CHECKING:
+    from dragrig.analysis.gap import Diagnosis
 
 _NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±′]) (?=[\d−-])|(?<=\w) (?=[=<±] )")
 _APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")
@@ -36,6 +41,34 @@ def render_page(document: Document) -> str:
             "drawings": {name: _markup(figure.element) for name, figure in figures.items()},
             "glyphs": _markup("".join(glyphs.values())),
         },
+    )
+
+
+def notebook_html(result: object) -> str:
+    """Return a run, a campaign or a result as notebooks show it: its headline, a run's force, and its first table."""
+    match result:
+        case Run():
+            document, force = present.run_document(result), result.trace.force
+        case Campaign():
+            document, force = present.campaign_runs_document(result), np.zeros(0)
+        case Comparison():
+            document, force = present.comparison_document(result), np.zeros(0)
+        case Identification():
+            document, force = present.identification_document(result), np.zeros(0)
+        case _:
+            document, force = present.diagnosis_document(cast("Diagnosis", result)), np.zeros(0)
+    table, points = next(document.tables(), None), _points(force) if force.size else ""
+    return render_template("notebook.html", {"document": document, "table": table, "points": points})
+
+
+def _points(force: AnyFloatArray) -> str:
+    """Return a force over time as points of a line, 400 wide and 40 high."""
+    few = np.asarray(force[:: max(1, force.size // 400)], dtype=np.float64)
+    low, span = float(np.nanmin(few)), float(np.ptp(few[np.isfinite(few)])) or 1.0
+    return " ".join(
+        f"{400 * place / few.size:.0f},{39 - 38 * (value - low) / span:.1f}"
+        for place, value in enumerate(few.tolist())
+        if np.isfinite(value)
     )
 
 

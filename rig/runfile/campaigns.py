@@ -2,6 +2,7 @@
 
 import errno
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -30,7 +31,7 @@ from dragrig.config import (
 )
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.filesystem import remove_file, replace_text
-from dragrig.rig.runfile.model import RunInfo
+from dragrig.rig.runfile.model import RunInfo, as_html
 from dragrig.rig.runfile.reader import read_info
 
 RECORD_PATTERN = "session-*.toml"
@@ -107,7 +108,7 @@ def read_note(path: Path) -> str:
         raise RunFileError(f"{target}: cannot be read as text ({error}); write the note anew or remove it") from error
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Campaign:
     """The runs of a folder, in the order in which each specimen lived through them.
 
@@ -128,6 +129,14 @@ class Campaign:
     marks: Mapping[Path, RunMark]
     unreadable: tuple[tuple[Path, RunFileError], ...] = ()
     recordings: tuple[Path, ...] = ()
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(run.kind for run in self.runs).items())
+        specimens = " and ".join(sorted({specimen_key(run) for run in self.runs}))
+        bad = f"{len(self.marks)} marked bad" if self.marks else ""
+        return f"<campaign {self.folder}: {'; '.join(filter(None, (kinds, specimens, bad))) or 'no runs'}>"
+
+    _repr_html_ = as_html
 
     @property
     def good(self) -> tuple[RunInfo, ...]:

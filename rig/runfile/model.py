@@ -1,13 +1,22 @@
 """What a run file holds, as values. Units: mm, s, mN; names as in the file."""
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
+
+import numpy as np
 
 from dragrig.rig import AnyFloatArray, FloatArray, Phase, PhaseArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 Attribute = str | float | int | bool
 """What an attribute of the file can be; NumPy scalars become these on reading."""
@@ -82,7 +91,14 @@ class RunEnding:
     checks: Mapping[str, Attribute] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
+def as_html(result: object) -> str:
+    """Return a result as notebooks show it; how is told by an entry point of the group `dragrig.views`."""
+    (entry,) = entry_points(group="dragrig.views", name="html")
+    show: Callable[[object], str] = entry.load()
+    return show(result)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
 class RunInfo:
     """A run file without its samples."""
 
@@ -105,6 +121,13 @@ class RunInfo:
     def is_sentinel(self) -> bool:
         """Whether it was made to see how far the specimen has drifted."""
         return self.header.entry.get("role") == "sentinel"
+
+    def __repr__(self) -> str:
+        protocol = self.header.protocol
+        main = ", ".join(f"{key}={protocol[key]}" for key in ("speed_mm_s", "shear_strain") if key in protocol)
+        specimen, begun = self.header.specimen.get("name", ""), f"{self.header.start_time:%Y-%m-%d %H:%M:%S}"
+        duration = f"{self.samples / self.header.sample_rate_hz:g} s"
+        return f"<run {', '.join(filter(None, (self.kind, main, str(specimen), begun, duration, self.status.value)))}>"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +167,7 @@ class FilteredTrace:
     units: Mapping[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Run:
     """A run file, read whole."""
 
@@ -152,3 +175,71 @@ class Run:
     trace: Trace
     events: tuple[RunEvent, ...] = ()
     filtered: FilteredTrace | None = None
+
+    def __repr__(self) -> str:
+        return repr(self.info)
+
+    _repr_html_ = as_html
+
+    def plot(self, *, filtered: bool = True, motor_force: bool = False) -> "Figure":
+        """Draw force, position and speed with the phases, as `dragrig show` does.
+
+        Parameters
+        ----------
+        filtered
+            Whether the filtered force is drawn over the raw one.
+        motor_force
+            Whether the motor's force is added, where it was recorded.
+        """
+        (entry,) = entry_points(group="dragrig.views", name="run_figure")
+        if "ipykernel" in sys.modules:  # a notebook shows figures once the backend that draws them is loaded
+            import matplotlib.pyplot as plt
+
+            plt.switch_backend(plt.rcParams["backend"])
+        draw: Callable[..., Figure] = entry.load()
+        return draw(self, filtered=filtered, motor_force=motor_force)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """Return the samples as a table by time, names with their units: force_mN, position_mm, …, and the phase."""
+        import pandas as pd
+
+        columns = {f"{name}_{units.replace('/', '_')}": values for name, (values, units) in self._columns().items()}
+        phases = pd.Categorical(_NAMES[self.trace.phase], categories=list(PHASE_NAMES))
+        return pd.DataFrame({**columns, "phase": phases}, index=pd.Index(self.trace.time, name="time_s"))
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Return the samples as a dataset over time, units in `attrs`, the phase a coordinate, with what is known.
+
+        Raises
+        ------
+        ImportError
+            Where xarray is not installed.
+        """
+        try:
+            import xarray as xr
+        except ImportError as error:
+            raise ImportError("xarray is not installed here: pip install xarray.") from error
+
+        header = self.info.header
+        columns = self._columns().items()
+        groups = {"protocol": header.protocol, "capsule": header.capsule, "specimen": header.specimen}
+        known = {f"{group}_{key}": value for group, values in groups.items() for key, value in values.items()}
+        return xr.Dataset(
+            {name: ("time", values, {"units": units} if units else {}) for name, (values, units) in columns},
+            {"time": ("time", self.trace.time, {"units": "s"}), "phase": ("time", _NAMES[self.trace.phase])},
+            {**known, "run_id": header.run_id, "kind": self.info.kind, "start_time": header.start_time.isoformat()},
+        )
+
+    def _columns(self) -> dict[str, tuple[AnyFloatArray, str]]:
+        """Return every quantity with its unit, the filtered ones as `force_filtered`."""
+        trace, filtered = self.trace, self.filtered
+        columns = {name: (values, trace.units.get(name, "")) for name, values in trace.channels.items()}
+        columns["command"] = (trace.command, "mm")
+        if filtered is not None and filtered.time.shape == trace.time.shape:
+            columns |= {
+                f"{name}_filtered": (values, filtered.units.get(name, "")) for name, values in filtered.channels.items()
+            }
+        return columns
+
+
+_NAMES = np.array(PHASE_NAMES)

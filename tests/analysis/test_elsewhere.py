@@ -27,7 +27,7 @@ UNCOMPENSATED_S, COMPENSATED_S = 1.9, 11.8
 
 def step(folder: Path, name: str, resample_hz: float) -> Diagnosis:
     dragrig.import_run(DATA / "velocity-steps" / f"{name}.txt", folder, SLIP, resample_hz=resample_hz, specimen=name)
-    return dragrig.diagnose(folder, nominal=TREND)
+    return dragrig.gap_diagnose(folder, nominal=TREND)
 
 
 def turning(folder: Path, from_s: float, **given: object) -> Path:
@@ -90,7 +90,7 @@ OF_DRIVES = {"cogging", "velocity_ripple", "mains_hum", "payload_inertia", "serv
 def test_a_motors_cogging_is_found_with_72_to_a_turn(tmp_path: Path, without: tuple[str, ...]) -> None:
     amplitudes = {}
     for name, from_s in (("uncompensated", UNCOMPENSATED_S), ("compensated", COMPENSATED_S)):
-        diagnosis = dragrig.diagnose(turning(tmp_path / name, from_s), nominal="drive", without=without)
+        diagnosis = dragrig.gap_diagnose(turning(tmp_path / name, from_s), nominal="drive", without=without)
         # A single speed does not show a cause: there the likeliest is told to programs alone.
         told = diagnosis.likeliest or diagnosis
         assert told.effects == ("cogging",), told.ranking

@@ -85,7 +85,9 @@ def recording(seed: int = 0, speed_mm_s: float = 10.0, seconds: float = 6.0) -> 
 def diagnosed(folder: Path, nominal: str | Path, *, trying: Collection[str] = tuple(catalogue())) -> Diagnosis:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        return dragrig.diagnose(folder, nominal=nominal, without=[name for name in catalogue() if name not in trying])
+        return dragrig.gap_diagnose(
+            folder, nominal=nominal, without=[name for name in catalogue() if name not in trying]
+        )
 
 
 SOME = ("force_drift", "stribeck", "direction_asymmetry")

@@ -412,10 +412,10 @@ def test_an_unknown_kind_names_those_that_there_are(root: Path, capsys: pytest.C
     assert main(["find", str(root), "--kind", "drga"]) == 0
     printed = capsys.readouterr()
     assert printed.out == ""
-    assert printed.err == (
-        "0 runs: no run is of the kind drga; did you mean drag? There are blank, coulomb, drag, relaxation.\n"
-    )
-    assert main(["find", str(root), "--kind", "drag", "--specimen", "nobody"]) == 0
+    assert printed.err == "0 runs: no run is of the kind drga; did you mean drag?\n"
+    assert main(["find", str(root), "--kind", "drag", "--specimen", "Jejunmu"]) == 0
+    assert capsys.readouterr().err == "0 runs: no run is of the specimen Jejunmu; did you mean jejunum?\n"
+    assert main(["find", str(root), "--specimen", "JEJUNUM", "--kind", "relaxation", "--until", "2000-01-01"]) == 0
     assert capsys.readouterr().err == "0 runs\n"
 
 

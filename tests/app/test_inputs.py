@@ -1,11 +1,17 @@
 """What names on a command line stand for."""
 
+import json
+import os
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
+import dragrig
+from dragrig.cli import main
 from dragrig.config.errors import RunFileError
-from dragrig.run_inputs import run_files
+from dragrig.run_inputs import newest_campaign, run_files
+from dragrig.setup import create_lab
 
 
 @pytest.fixture
@@ -58,3 +64,46 @@ def test_a_folder_with_only_a_recording_points_to_its_recovery(tmp_path: Path) -
     (tmp_path / "20260301-090000-drag-000.recording.h5").touch()
     with pytest.raises(RunFileError, match=r"dragrig recover"):
         run_files([tmp_path])
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a lab, which is the working folder, with an older and a newer campaign of two short runs each."""
+    create_lab(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for name, time_s in (("older", 1_000_000), ("newer", 2_000_000)):
+        for run in dragrig.simulate("drag", travel_mm=10, hold_s=0.5, out=tmp_path / "runs" / name):
+            os.utime(run.info.path, (time_s, time_s))
+    return tmp_path
+
+
+@pytest.mark.parametrize("command", ["table", "info", "report", "show", "identify", "gap diagnose"])
+def test_a_command_without_a_folder_takes_the_newest_campaign_and_says_so(
+    lab: Path, capfd: pytest.CaptureFixture[str], command: str
+) -> None:
+    with suppress(SystemExit):
+        main([*command.split(), "--json"])
+    printed = capfd.readouterr()
+    assert f"{Path('runs', 'newer')} is the newest campaign:" in printed.err
+    assert "older" not in printed.out
+
+
+def test_a_lab_without_runs_is_told_instead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RunFileError, match="there is no campaign in it yet"):
+        newest_campaign()
+
+
+def test_run_files_of_one_campaign_are_the_runs_of_it_that_count(lab: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    drag, back = sorted(map(str, (lab / "runs" / "older").glob("*.h5")))
+    assert main(["table", drag, back, "--json"]) == 0
+    assert len(json.loads(capfd.readouterr().out)["runs"]) == 2
+    assert main(["table", drag, "--json"]) == 0
+    (row,) = json.loads(capfd.readouterr().out)["runs"]
+    assert row["file"] == Path(drag).name
+    assert main(["identify", drag, back, "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["used"] == [Path(drag).name]
+    other = next(map(str, (lab / "runs" / "newer").glob("*.h5")))
+    for command in ("table", "identify"):
+        assert main([command, drag, other]) == 2
+        assert "run files may be named of one campaign alone" in capfd.readouterr().err

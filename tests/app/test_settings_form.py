@@ -67,7 +67,7 @@ def test_a_mistake_is_told_of_the_field_that_it_is_in(rig: Path) -> None:
     assert place == "guard.force_limit_mN"
     assert problem.startswith("force limit (Guard) must be below range (Force sensor), or no force")
     assert "ai0 to ai7" in told(form, hardware__card__force__channel="ai99")["hardware.card.force.channel"]
-    assert "at least 1 character" in told(form, name="")["rig.name"]
+    assert "must not be empty" in told(form, name="")["rig.name"]
     assert list(told(form, hardware__card__inputs='{name = "T", channel = "ai1", unit = "C"}')) == [
         "hardware.card.inputs"
     ]

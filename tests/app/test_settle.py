@@ -84,7 +84,7 @@ def test_a_batch_is_made_in_its_campaign_and_its_diagnosis_ends_the_loop(tmp_pat
 def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path, shared_folder: Path) -> None:
     lab = Path(shutil.copytree(begun_loop(shared_folder).parent, tmp_path / "lab"))
     mirror = lab / "mirror"
-    settled = dragrig.resume_settling(lab / "c", hands=SettleHands(mirror=mirror))
+    settled = dragrig.gap_settle_resume(lab / "c", hands=SettleHands(mirror=mirror))
     record = read_settle_record(settled.folder)
     assert record == settled.record
     assert len(record.batches) == len(record.steps) > 1
@@ -125,7 +125,7 @@ def test_a_killed_loop_goes_on_where_it_was(tmp_path: Path, shared_folder: Path)
     before = read_settle_record(folder)
     assert before.ending is None
     assert len(before.batches) == 2
-    gone_on = dragrig.resume_settling(folder)
+    gone_on = dragrig.gap_settle_resume(folder)
     record = gone_on.record
     assert record.batches[: len(before.batches)] == before.batches
     assert record.steps[: len(before.steps)] == before.steps
@@ -200,13 +200,13 @@ def test_a_loop_that_never_begins_leaves_nothing_in_campaign_or_mirror(
     for made in (folder, mirror):
         made.mkdir()
     with session_lock(folder), pytest.raises(OutputError, match="another session"):
-        dragrig.settle(FIRST, minutes=MINUTES, out=folder, hands=SettleHands(mirror=mirror))
+        dragrig.gap_settle(FIRST, minutes=MINUTES, out=folder, hands=SettleHands(mirror=mirror))
     assert not (folder / SETTLE_FILE).exists()
     assert list(mirror.iterdir()) == []
     told: list[str] = []
     hands = SettleHands(mirror=tmp_path / "none", tell=told.append)
     with pytest.raises(OutputError, match="there is no such folder; make it"):
-        dragrig.settle(FIRST, minutes=MINUTES, out=tmp_path / "d", hands=hands)
+        dragrig.gap_settle(FIRST, minutes=MINUTES, out=tmp_path / "d", hands=hands)
     assert not (tmp_path / "d").exists()
     assert told == []
 
@@ -243,29 +243,29 @@ def test_hands_are_asked_for_only_where_something_else_must_be_mounted() -> None
 def test_what_cannot_be_settled_is_refused_before_anything_moves(tmp_path: Path) -> None:
     folder = tmp_path / "none"
     with pytest.raises(PlanError, match="more than --minutes 1"):
-        dragrig.settle(FIRST, minutes=1.0, out=folder)
+        dragrig.gap_settle(FIRST, minutes=1.0, out=folder)
     with pytest.raises(SettingsError, match=r"--until 1\.2"):
-        dragrig.settle(FIRST, until=1.2, out=folder)
+        dragrig.gap_settle(FIRST, until=1.2, out=folder)
     with pytest.raises(SettingsError, match="--minutes"):
-        dragrig.settle(FIRST, minutes=float("nan"), out=folder)
+        dragrig.gap_settle(FIRST, minutes=float("nan"), out=folder)
     for hands_min in (-1.0, float("nan"), float("inf")):
         with pytest.raises(SettingsError, match="--hands"):
-            dragrig.settle(FIRST, hands_min=hands_min, out=folder)
+            dragrig.gap_settle(FIRST, hands_min=hands_min, out=folder)
         with pytest.raises(SettingsError, match="--hands"):
-            dragrig.next_experiment("drag", hands_min=hands_min)
+            dragrig.gap_next("drag", hands_min=hands_min)
     assert not folder.exists()
     made = tmp_path / "made"
     dragrig.simulate(Plan.model_validate({"name": "short", "steps": [DRAG]}), out=made)
     (made / SETTLE_FILE).write_text("decided", "utf-8")
     with pytest.raises(OutputError):
-        dragrig.settle(FIRST, minutes=MINUTES, out=made)
+        dragrig.gap_settle(FIRST, minutes=MINUTES, out=made)
     assert (made / SETTLE_FILE).read_text("utf-8") == "decided"
     tmp_path.joinpath("plain").mkdir()
     with pytest.raises(RunFileError, match=SETTLE_FILE):
-        dragrig.resume_settling(tmp_path / "plain")
+        dragrig.gap_settle_resume(tmp_path / "plain")
     (tmp_path / "plain" / SETTLE_FILE).write_text("{}", "utf-8")
     with pytest.raises(RunFileError, match="cannot be read"):
-        dragrig.resume_settling(tmp_path / "plain")
+        dragrig.gap_settle_resume(tmp_path / "plain")
 
 
 PATIENT = (

@@ -36,6 +36,56 @@ def test_what_ships_is_valid(kind: str, name: str) -> None:
         assert build_programme(settings, Specimen(name="s"), 40.0, name).runs
 
 
+STEP = "name = 'p'\n[[steps]]\nkind = 'drag'\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "is empty; it needs name and steps."),
+        ("# to do\n\n", "is empty; it needs name and steps."),
+        ("kind = drag  # the first\n", 'line 1, kind = drag: text has quotes; write kind = "drag".'),
+        (f"{STEP}speed_mm_s = 5,5\n", "line 4, speed_mm_s = 5,5: decimals have a point; write speed_mm_s = 5.5."),
+        (f"{STEP}speed_mm_s = 1, 5\n", "line 4, speed_mm_s = 1, 5: a list has brackets; write speed_mm_s = [1, 5]."),
+        (f"{STEP}speed_mm_s = 20 mm/s\n", "a number has no unit; write speed_mm_s = 20."),
+        ("name = 'p'\n[[steps]\nkind = 'drag'\n", "line 2, [[steps]: the brackets do not match; write [[steps]]."),
+        ("name = 'p'\n[steps]\nkind = 'drag'\n", "steps must be a list: begin each entry with [[steps]]."),
+        (
+            f"{STEP}speed_mm_s = [1,\n5\nwait_s = 3\n",
+            "line 6, wait_s = 3: what was opened above is not closed; end it with ].",
+        ),
+        (
+            f"{STEP}speed_mm_s = [1, 5\nwait_s = 3\n",
+            "line 4, speed_mm_s = [1, 5: the list is not closed; end it with ].",
+        ),
+        (f"{STEP}note = 'a\nwait_s = 3\n", "line 4, note = 'a: the quotes are not closed; end the text with '."),
+        (f"{STEP}kind = 'blank'\n", "line 4, kind = 'blank': is there already; leave one of the two out."),
+        (f"{STEP}wait_s: 3\n", "line 4, wait_s: 3: a key and its value have = between them; write wait_s = 3."),
+        (f"{STEP}wait_s =\n", "wait_s has no value; give it one, or leave the line out."),
+        (f'{STEP}capsule = "C:\\x.toml"\n', "a text with \\ has single quotes; write capsule = 'C:\\x.toml'."),
+        (f"{STEP}speed_mm_s = '20 mm/s'\n", "speed_mm_s = '20 mm/s': is not a number; write 20 alone."),
+        (f"{STEP}speed_mm_s = '5,5'\n", "is no number with a decimal point; write 5.5."),
+        (f"{STEP}speed_mm_s = 0\n", "speed_mm_s = 0: must be at least 0.0001."),
+        (f"{STEP}speed_mm_s = 5\nrepeats = 2.5\n", "steps[0].repeats = 2.5: must be a whole number."),
+        (f"{STEP}speed_mm_s = 5\nway_back = 'drive'\n", "is not one of driven, by_hand, stay; did you mean driven?"),
+        (f"{STEP}speed_mm_s = 5\nprompt_each = 'often'\n", "steps[0].prompt_each = 'often': must be true or false."),
+        (
+            STEP.replace("'p'", "'my plan'"),
+            "name = 'my plan': a name has letters, digits, . _ and - alone; write my-plan.",
+        ),
+        ("name = 'p'\nsteps = []\n", "steps = []: must have 1 or more entries, and has 0."),
+    ],
+)
+def test_a_mistake_in_a_file_is_told_with_its_line_and_how_it_is_written(
+    tmp_path: Path, text: str, sentence: str
+) -> None:
+    (tmp_path / "own.toml").write_text(text, "utf-8")
+    with pytest.raises((SettingsError, PlanError)) as caught:
+        use("plan", tmp_path / "own.toml")
+    assert str(caught.value).startswith(str(tmp_path / "own.toml"))
+    assert sentence in str(caught.value)
+
+
 _PIECES = st.sampled_from(
     ["nan", "-inf", "1e999", "''", '"', "[", "]", "{", "}", "=", ".", "\n", "# ", "[[steps]]", "true", "-1", "0", "mm",
      "speed_mm_s", "kind", "99999999999999999999999", "2024-01-01", "\x00", "\ufeff", "µ", "[1,[2]]", "{a=1}"]

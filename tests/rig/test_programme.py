@@ -1,5 +1,6 @@
 """Plans become runs: orders, ways back, prompts, and what is refused."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -239,3 +240,17 @@ def test_the_size_counts_the_channels_that_the_rig_records(tmp_path: Path) -> No
     samples = sum(run.profile.samples(RigSettings().sampling.rate_hz) for run in programme.runs)
     assert sizes[0] == sizes[1]
     assert sizes[2] - sizes[1] == 3 * 4 * samples
+
+
+def test_a_session_of_days_says_how_many_and_until_when_and_what_is_in_reserve(tmp_path: Path) -> None:
+    long = RigSettings().model_copy(
+        update={"recording": RigSettings().recording.model_copy(update={"reserve_mb": 1e9})}
+    )
+    step = {"kind": "drag", "speed_mm_s": 10, "repeats": 10, "wait_s": 86_400}
+    report = preflight(made(step), long, LIMITS, tmp_path, "p.toml")
+    days = next(remark for remark in report.remarks if "days" in remark)
+    assert re.fullmatch(r"the session takes 10\.0 days, until \d{4}-\d\d-\d\d \d\d:\d\d", days)
+    (finding,) = report.findings
+    assert "1e+09 MB of it in reserve (recording.reserve_mb)" in finding
+    short = preflight(made({**step, "repeats": 1, "wait_s": 60}), RigSettings(), LIMITS, tmp_path, "p.toml")
+    assert not any("days" in remark for remark in short.remarks)

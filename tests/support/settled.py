@@ -70,7 +70,7 @@ def begun_loop(shared: Path) -> Path:
                     raise StoppedError
 
             try:
-                dragrig.settle(
+                dragrig.gap_settle(
                     FIRST, minutes=MINUTES, hands_min=HANDS_MIN, out=lab / "c", step=stop_when_decided,
                     hands=SettleHands(mirror=lab / "mirror"), effects=[EFFECT], rig=lab / "rig.toml",
                 )  # fmt: skip

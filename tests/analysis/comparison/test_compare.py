@@ -3,9 +3,9 @@
 import json
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from uuid import uuid4
 
@@ -35,6 +35,7 @@ from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, RunFileError
 from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
 from dragrig.rig import mark_bad
+from dragrig.rig.protocols.motion import MotionProtocol
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run, RunStatus
 from places import CAMPAIGN, copied_runs
@@ -132,7 +133,7 @@ def test_equal_specimens_do_not_differ_and_more_friction_shows_where_there_is_fr
     assert [group.times_error for group in comparison.groups] == sorted(
         (group.times_error for group in comparison.groups), reverse=True
     )
-    assert any("coulomb, steady force: B is above A" in sentence for sentence in comparison.sentences)
+    assert any("Coulomb, steady force: B is above A" in sentence for sentence in comparison.sentences)
 
 
 def test_runs_are_aligned_on_their_motion_and_the_faster_one_is_interpolated() -> None:
@@ -233,8 +234,10 @@ def test_missing_numbers_leave_out_what_needs_them_and_nothing_else() -> None:
 
 
 def test_the_same_campaign_twice_and_several_specimens_are_said(tmp_path: Path) -> None:
-    few = copied_runs(tmp_path / "few", "005-blank.h5", "010-drag.h5", "014-drag.h5")
-    comparison = dragrig.compare(few, few)
+    few, copy = (copied_runs(tmp_path / name, "005-blank.h5", "010-drag.h5", "014-drag.h5") for name in ("few", "copy"))
+    with pytest.raises(AnalysisError, match="are the same; name another"):
+        dragrig.compare(few, few / ".." / "few")
+    comparison = dragrig.compare(few, copy)
     assert any("compared with itself" in remark for remark in comparison.remarks)
     assert not beyond(comparison)
     assert all(group.value == 0 for group in comparison.groups)
@@ -243,6 +246,47 @@ def test_the_same_campaign_twice_and_several_specimens_are_said(tmp_path: Path) 
     assert [pair.a.info.header.specimen["name"] for pair in mixed.pairs] == ["other"]
     assert any("A holds runs of several specimens: jejunum, other" in remark for remark in mixed.remarks)
     assert any("different specimens" in remark for remark in dragrig.compare(run, second).remarks)
+
+
+@pytest.mark.parametrize(
+    ("factors", "headline"),
+    [
+        (
+            {2: 1.5, 5: 1.4},
+            r"Drag, steady force: B is above A up to 5 mm/s, by up to [\d.]+ mN \(\+\d+ %\); from 10 mm/s on they agr",
+        ),
+        (
+            {20: 0.5},
+            r"Drag, steady force: up to 10 mm/s they agree; B is below A from 20 mm/s on, by [\d.]+ mN \(-\d+ %\)\.",
+        ),
+        ({2: 1.5, 5: 1.5, 10: 1.5, 20: 1.5}, r"Drag, steady force: B is above A from 2 to 20 mm/s, by up to "),
+        ({2: 1.5, 10: 0.5}, r"Drag, steady force: B is above or below A in 2 of 4 conditions, by up to "),
+    ],
+)
+def test_the_headline_is_where_the_sides_differ_and_how_many_would_by_chance(
+    factors: Mapping[float, float], headline: str
+) -> None:
+    runs = [drag(f"speed_mm_s={speed}") for speed in (2, 5, 10, 20)]
+    speeds = {run.info.header.run_id: run.info.header.protocol["speed_mm_s"] for run in runs}
+    changed = [with_force(run, partial(np.multiply, factors.get(speeds[run.info.header.run_id], 1.0))) for run in runs]
+    comparison = dragrig.compare(runs, changed)
+    assert re.match(headline, comparison.sentences[1])
+    assert comparison.sentences[1].endswith(f"({len(factors)} of 4 differ{'s' * (len(factors) == 1)}.)")
+    assert dragrig.compare(runs, runs[:]).sentences[1].startswith("A and B agree: none of 4 forces differs")
+
+
+def test_motions_of_several_strokes_have_no_steady_force_and_are_paired_by_their_strokes() -> None:
+    there_and_back = ({"travel_mm": 10, "speed_mm_s": 10}, {"travel_mm": -10, "speed_mm_s": 10})
+    run, same, other = (
+        dragrig.simulate(MotionProtocol(strokes=strokes))[0]
+        for strokes in (there_and_back, there_and_back, there_and_back[:1])
+    )
+    comparison = dragrig.compare(run, same)
+    assert [str(pair.condition) for pair in comparison.pairs] == ["motion"]
+    assert comparison.groups == ()
+    assert comparison.pairs[0].phases
+    with pytest.raises(AnalysisError, match="strokes"):
+        dragrig.compare(run, other)
 
 
 def test_an_altered_copy_and_opposite_directions_are_said() -> None:
@@ -301,17 +345,19 @@ def test_the_command_prints_writes_changes_no_run_and_ends_well_when_they_differ
     copied_runs(tmp_path / "a", "005-blank.h5", "010-drag.h5")
     copied_runs(tmp_path / "b", "005-blank.h5", "010-drag.h5", "014-drag.h5")
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.h5")}
-    (tmp_path / "a" / "compared-with-b").mkdir()
+    files = set(tmp_path.rglob("*"))
     assert main(["compare", "a", "b"]) == 0
+    assert set(tmp_path.rglob("*")) == files  # nobody asked for pictures
     out = capsys.readouterr().out
     assert re.search(r"B +014-drag\.h5 +A has no drag at 60 mm/s like it", out)
     assert "2 pairs of runs, A from a, B from b; without a partner: 1 of B." in out
-    folder = tmp_path / "a" / "compared-with-b-2"
+    folder = tmp_path / "c"
+    assert main(["compare", "a", "b", "--out", "c"]) == 0
+    assert "2 pictures of pairs in c" in capsys.readouterr().out
     written = {path.name for path in folder.iterdir()}
     assert written == {"005-blank.png", "010-drag.png", "comparison.csv", "overview.png"}
     frame = pd.read_csv(folder / "comparison.csv")
     assert list(frame.columns) == list(comparison_frame(dragrig.compare("a", "b")).columns)
-    assert list((tmp_path / "a" / "compared-with-b").iterdir()) == []
     assert main(["compare", "a/010-drag.h5", "--model", "table1", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["pairs"][0]["verdict"] == "differs"

@@ -55,7 +55,7 @@ def test_its_coulomb_runs_tell_friction_from_tack_better_than_those_of_paper() -
         return plan.model_copy(update={"steps": (*(step for step in plan.steps if step.kind == "coulomb"), drags)})
 
     apart = {
-        name: dragrig.isolability(beside_drags(name), without=others).pair(*pair) for name in ("paper", "diagnose")
+        name: dragrig.gap_isolability(beside_drags(name), without=others).pair(*pair) for name in ("paper", "diagnose")
     }
     assert apart["paper"] is not None
     assert apart["diagnose"] is not None

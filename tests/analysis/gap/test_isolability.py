@@ -30,11 +30,11 @@ def plan(*steps: dict[str, object]) -> Plan:
 
 @pytest.fixture(scope="module")
 def drags() -> Isolability:
-    return dragrig.isolability(plan(DRAGS), without=WITHOUT_OTHERS)
+    return dragrig.gap_isolability(plan(DRAGS), without=WITHOUT_OTHERS)
 
 
 def test_runs_show_what_acts_in_them_and_nothing_else(drags: Isolability) -> None:
-    blanks = dragrig.isolability(plan({"kind": "blank", "speed_mm_s": [5.0, 40.0], "travel_mm": 20.0}))
+    blanks = dragrig.gap_isolability(plan({"kind": "blank", "speed_mm_s": [5.0, 40.0], "travel_mm": 20.0}))
     shown = {visibility.effect for visibility in blanks.effects if visibility.smallest is not None}
     assert {"payload_inertia", "arm_compliance", "force_drift", "mains_hum", "servo_lag"} <= shown
     assert {"stribeck", "folds", "extra_relaxation", "wall_lift_off"} <= set(blanks.invisible)
@@ -45,7 +45,7 @@ def test_runs_show_what_acts_in_them_and_nothing_else(drags: Isolability) -> Non
 
 def test_coulomb_runs_set_friction_apart_from_tack(drags: Isolability) -> None:
     # Tack needs the closed gut; what changes the friction coefficient shows in the open one too.
-    both = dragrig.isolability(
+    both = dragrig.gap_isolability(
         plan(DRAGS, {"kind": "coulomb", "speed_mm_s": [1.0, 4.0, 30.0], "travel_mm": 20.0}), without=WITHOUT_OTHERS
     )
     alone, beside = drags.pair("stribeck", "adhesion"), both.pair("stribeck", "adhesion")
@@ -57,7 +57,7 @@ def test_coulomb_runs_set_friction_apart_from_tack(drags: Isolability) -> None:
 
 
 def test_more_runs_show_smaller_effects(drags: Isolability) -> None:
-    twice = dragrig.isolability(plan({**DRAGS, "repeats": 2}), without=WITHOUT_OTHERS)
+    twice = dragrig.gap_isolability(plan({**DRAGS, "repeats": 2}), without=WITHOUT_OTHERS)
     before, after = (
         {visibility.effect: visibility for visibility in isolability.visible_in("force")}
         for isolability in (drags, twice)

@@ -20,7 +20,7 @@ from dragrig.analysis.gap.features import (
 )
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN, DETECTABLE_D_PRIME
 from dragrig.analysis.gap.training import TrainingCase, calibrate, cross_validate, fit_presence, fit_weights
-from dragrig.cli.commands import gap_group
+from dragrig.cli.commands import gap_command
 from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.sim_backend.effects import catalogue
 
@@ -160,12 +160,12 @@ def test_more_parts_than_campaigns_are_told_in_one_sentence(tmp_path: Path) -> N
 
 def test_the_command_prints_how_often_what_was_learnt_is_right(tmp_path: Path) -> None:
     folder = str(exam(tmp_path / "learnt", lessons(6)))
-    result = CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3"])
+    result = CliRunner().invoke(gap_command, ["calibrate", folder, "--folds", "3"])
     assert result.exit_code == 0
     assert "How often verdicts learnt from the other campaigns are right" in result.output
-    printed = json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--folds", "3", "--json"]).output)
+    printed = json.loads(CliRunner().invoke(gap_command, ["calibrate", folder, "--folds", "3", "--json"]).output)
     assert printed["cross_validated"][0]["name"] == "full size, right name"
-    assert "cross_validated" not in json.loads(CliRunner().invoke(gap_group, ["calibrate", folder, "--json"]).output)
+    assert "cross_validated" not in json.loads(CliRunner().invoke(gap_command, ["calibrate", folder, "--json"]).output)
 
 
 def test_a_folder_without_an_exam_is_told_in_one_sentence(tmp_path: Path) -> None:
@@ -192,7 +192,7 @@ def test_a_calibration_of_ones_own_decides(tmp_path: Path, diagnosed: DiagnosedC
     stribeck = diagnosed["stribeck"]
     assert stribeck.diagnosis.effects == ("stribeck",)
     others = sorted(catalogue().keys() - {"stribeck"})
-    assert dragrig.diagnose(stribeck.runs, without=others, calibration=file).effects == ()
+    assert dragrig.gap_diagnose(stribeck.runs, without=others, calibration=file).effects == ()
 
 
 @pytest.mark.parametrize(("text", "answer"), [(None, "cannot be read"), ("{}", "is not what dragrig gap calibrate")])
@@ -201,4 +201,4 @@ def test_a_calibration_that_is_none_is_told_in_one_sentence(tmp_path: Path, text
     if text is not None:
         file.write_text(text, "utf-8")
     with pytest.raises(SettingsError, match=answer):
-        dragrig.diagnose(tmp_path, calibration=file)
+        dragrig.gap_diagnose(tmp_path, calibration=file)

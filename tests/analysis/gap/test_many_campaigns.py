@@ -110,7 +110,7 @@ def test_a_calibration_that_is_named_is_used_for_all(three: Path, capsys: pytest
 
 def test_python_gives_the_same(three: Path) -> None:
     heard: list[tuple[int, int]] = []
-    diagnose_many = dragrig.diagnose_many(
+    diagnose_many = dragrig.gap_diagnose_many(
         ["first", three / "empty"], workers=1, progress=lambda *now: heard.append(now), without=WITHOUT
     )
     assert diagnose_many[0].result is not None

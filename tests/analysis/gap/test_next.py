@@ -48,7 +48,7 @@ def coarse_grid() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def next_experiment(coarse_grid: None) -> NextExperiment:
-    next_experiment = dragrig.next_experiment(plan(DRAGS), between=BETWEEN, minutes=5.0)
+    next_experiment = dragrig.gap_next(plan(DRAGS), between=BETWEEN, minutes=5.0)
     assert next_experiment is not None
     return next_experiment
 
@@ -59,10 +59,10 @@ def test_what_is_recommended_keeps_its_promise(next_experiment: NextExperiment) 
     assert next_experiment.open_bits is not None
     told = sum(run.gain_bits or 0.0 for run in next_experiment.runs)
     assert 0.4 * next_experiment.open_bits < told < next_experiment.open_bits
-    before = dragrig.isolability(plan(DRAGS), without=OTHERS).pair(*BETWEEN)
+    before = dragrig.gap_isolability(plan(DRAGS), without=OTHERS).pair(*BETWEEN)
     more = plan_of_next_runs(next_experiment)
     both = Plan(name="both", steps=(*plan(DRAGS).steps, *more.steps))
-    after = dragrig.isolability(both, without=OTHERS).pair(*BETWEEN)
+    after = dragrig.gap_isolability(both, without=OTHERS).pair(*BETWEEN)
     assert before is not None
     assert after is not None
     assert after.sin2 > 2 * before.sin2
@@ -72,7 +72,7 @@ def test_what_is_recommended_keeps_its_promise(next_experiment: NextExperiment) 
 def test_no_run_is_advised_where_nothing_is_open(coarse_grid: None) -> None:
     relaxations = {"kind": "relaxation", "shear_strain": [0.5, 1.0, 2.0], "hold_s": 20.0}
     both = plan(relaxations, DRAGS)
-    assert dragrig.next_experiment(both, between=("folds", "hyperelastic_wall"), minutes=5.0) is None
+    assert dragrig.gap_next(both, between=("folds", "hyperelastic_wall"), minutes=5.0) is None
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_time_that_is_left_is_spent_where_the_answer_is_in_doubt(few_runs: Path)
     first, second, *_ = diagnose(choose_runs(few_runs), MODEL, UNADVISED).ranking
     assert first.probability < 0.9
     assert "unknown" in {first.hypothesis, second.hypothesis}
-    next_experiment = dragrig.next_experiment(few_runs, minutes=5.0)
+    next_experiment = dragrig.gap_next(few_runs, minutes=5.0)
     assert next_experiment is not None
     assert next_experiment.minutes > 2.5
     gains = [run.gain_bits or 0.0 for run in next_experiment.runs]

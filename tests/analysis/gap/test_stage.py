@@ -123,7 +123,7 @@ def own(tmp_path: Path) -> Path:
 
 def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
     without = set(UNLIKELY) - {"channel_latency"} - NOT_OF_A_STAGE
-    diagnosis = dragrig.diagnose(blanks, nominal="drive", without=without)
+    diagnosis = dragrig.gap_diagnose(blanks, nominal="drive", without=without)
     assert diagnosis.verdict is Verdict.NO_GAP
     assert {"direction_asymmetry", "stribeck", "channel_latency"} <= hypotheses(diagnosis)
     assert not hypotheses(diagnosis) & NOT_OF_A_STAGE
@@ -140,7 +140,7 @@ def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
 def test_friction_that_differs_with_direction_is_named_with_its_size(
     asymmetry: float, without: tuple[str, ...], blanks: list[Run]
 ) -> None:
-    diagnosis = dragrig.diagnose(asymmetric(blanks, asymmetry), nominal="drive", without=without)
+    diagnosis = dragrig.gap_diagnose(asymmetric(blanks, asymmetry), nominal="drive", without=without)
     assert diagnosis.verdict is Verdict.EFFECT
     assert diagnosis.effects == ("direction_asymmetry",)
     assert diagnosis.confusable_with == ()
@@ -159,7 +159,7 @@ def test_friction_that_differs_with_direction_is_named_with_its_size(
 
 def test_runs_of_one_direction_say_that_they_cannot_tell(blanks: list[Run]) -> None:
     forwards = [run for run in asymmetric(blanks, 0.1) if run.trace.position[-1] > run.trace.position[0]]
-    diagnosis = dragrig.diagnose(forwards, nominal="drive", without=UNLIKELY)
+    diagnosis = dragrig.gap_diagnose(forwards, nominal="drive", without=UNLIKELY)
     assert "direction_asymmetry" not in diagnosis.effects
     assert any("one way" in name for name in diagnosis.limitations)
 
@@ -177,7 +177,7 @@ def test_turning_round_within_a_run_is_no_effect(asymmetry: float, effects: tupl
     step = f'[[steps]]\nkind = "motion"\nfixture = "none"\nrepeats = 2\nstrokes = [{", ".join(strokes)}]\n'
     plan.write_text(f'name = "turns"\n{step}')
     runs = dragrig.simulate(str(plan), assignments=["rig.simulated.seed=3", RATE])
-    diagnosis = dragrig.diagnose(asymmetric(runs, asymmetry), nominal="drive", without=UNLIKELY)
+    diagnosis = dragrig.gap_diagnose(asymmetric(runs, asymmetry), nominal="drive", without=UNLIKELY)
     assert diagnosis.effects == effects
     assert (diagnosis.verdict is Verdict.NO_GAP) is (not effects)
 
@@ -194,7 +194,7 @@ def test_strokes_of_a_noisy_record_are_repeats(tmp_path: Path) -> None:
     np.savetxt(record, np.c_[time, force, position], "%.4f", ",", header="t [s],F [N],x [mm]", comments="")
     settings = ImportSettings(columns=parse_map(["time=t", "motor_force=F", "position=x"]), split_at="reversals")
     runs = [read_run(run.path) for run in import_runs(record, tmp_path, settings)]
-    diagnosis = dragrig.diagnose(runs, nominal="drive", without=all_but("force_drift"))
+    diagnosis = dragrig.gap_diagnose(runs, nominal="drive", without=all_but("force_drift"))
     assert len(diagnosis.held_out) == 4
     assert not any("repeated" in limitation for limitation in diagnosis.limitations)
     assert "at 6.3 mm/s: 100 %" in document_text(diagnosis_document(diagnosis))
@@ -233,11 +233,11 @@ def test_runs_without_motor_force_are_told_in_one_sentence(blanks: list[Run]) ->
         channels = {name: values for name, values in run.trace.channels.items() if name != SIGNALS[1]}
         bare.append(replace(run, trace=replace(run.trace, channels=channels)))
     with pytest.raises(AnalysisError, match=r"drive predicts nothing of these runs \(blank\), which recorded force"):
-        dragrig.diagnose(bare, nominal="drive")
+        dragrig.gap_diagnose(bare, nominal="drive")
 
 
 def test_a_model_of_ones_own_is_tried_with_effects_of_the_sensor(own: Path, blanks: list[Run]) -> None:
-    foreign = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own, without=UNLIKELY)
+    foreign = dragrig.gap_diagnose(asymmetric(blanks, 0.1), nominal=own, without=UNLIKELY)
     assert foreign.verdict is Verdict.UNKNOWN
     assert foreign.unknown is not None
     assert "motor force of blank runs" in foreign.unknown.location
@@ -257,12 +257,12 @@ MODEL"""
 @pytest.mark.parametrize("friction", [thorough("\nMODEL"), FRICTION], ids=["not declared", "declared"])
 def test_a_stage_as_a_model_of_ones_own_has_it_has_no_gap(friction: str, own: Path, blanks: list[Run]) -> None:
     own.write_text(OWN.replace("\nMODEL", friction), "utf-8")
-    assert dragrig.diagnose(blanks, nominal=own, without=UNLIKELY).verdict is Verdict.NO_GAP
+    assert dragrig.gap_diagnose(blanks, nominal=own, without=UNLIKELY).verdict is Verdict.NO_GAP
 
 
 def test_a_model_that_declares_its_friction_is_tried_with_effects_of_friction(own: Path, blanks: list[Run]) -> None:
     own.write_text(OWN.replace("\nMODEL", FRICTION), "utf-8")
-    diagnosis = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own, without=UNLIKELY)
+    diagnosis = dragrig.gap_diagnose(asymmetric(blanks, 0.1), nominal=own, without=UNLIKELY)
     assert diagnosis.effects == ("direction_asymmetry",)
     assert "stribeck" in hypotheses(diagnosis)
     assert any("declares no relaxation" in name for name in diagnosis.limitations)
@@ -271,7 +271,7 @@ def test_a_model_that_declares_its_friction_is_tried_with_effects_of_friction(ow
 def test_a_part_of_a_force_that_does_not_exist_is_told_in_one_sentence(own: Path, blanks: list[Run]) -> None:
     own.write_text(OWN.replace("\nMODEL", FRICTION.replace("dry_friction", "dry")), "utf-8")
     with pytest.raises(AnalysisError, match="declares a part 'dry' of its force; known are dry_friction"):
-        dragrig.diagnose(blanks, nominal=own)
+        dragrig.gap_diagnose(blanks, nominal=own)
 
 
 @pytest.mark.parametrize(
@@ -287,11 +287,11 @@ def test_a_model_that_is_no_use_is_told_in_one_sentence(
     heavy = "heavy = lambda mass_g: float('nan') if mass_g > 1100 else 1e-3 * mass_g\n"
     own.write_text(heavy + OWN.replace(before, after), "utf-8")
     with pytest.raises(AnalysisError, match=text):
-        dragrig.diagnose(blanks, nominal=own)
+        dragrig.gap_diagnose(blanks, nominal=own)
 
 
 def test_a_capsules_campaign_may_be_of_blank_runs_alone(blanks: list[Run]) -> None:
-    diagnosis = dragrig.diagnose(blanks, without=all_but("force_drift", "payload_inertia", "peristalsis"))
+    diagnosis = dragrig.gap_diagnose(blanks, without=all_but("force_drift", "payload_inertia", "peristalsis"))
     assert diagnosis.verdict is Verdict.NO_GAP
     assert "peristalsis" not in hypotheses(diagnosis)
 
@@ -312,7 +312,7 @@ def test_an_amended_model_of_any_nominal_model_keeps_its_promise_or_not(
     of_ones_own: bool, own: Path, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run]
 ) -> None:
     own.write_text(OWN.replace("\nMODEL", FRICTION), "utf-8")
-    diagnosis = dragrig.diagnose(asymmetric(blanks, 0.1), nominal=own if of_ones_own else "drive", without=UNLIKELY)
+    diagnosis = dragrig.gap_diagnose(asymmetric(blanks, 0.1), nominal=own if of_ones_own else "drive", without=UNLIKELY)
     file = save_amended_model(diagnosis, tmp_path / "amended.toml")
     assert file is not None
     verdict, size = judged(file, asymmetric(fresh_blanks, 0.1))
@@ -323,14 +323,14 @@ def test_an_amended_model_of_any_nominal_model_keeps_its_promise_or_not(
     forwards = [run for run in fresh_blanks if run.trace.position[-1] > run.trace.position[0]]
     assert judged(file, forwards)[0] == "NO_POWER"
     # As a nominal model it expects what was found.
-    again = dragrig.diagnose(asymmetric(fresh_blanks, 0.1), nominal=file, without=UNLIKELY)
+    again = dragrig.gap_diagnose(asymmetric(fresh_blanks, 0.1), nominal=file, without=UNLIKELY)
     assert again.verdict is Verdict.NO_GAP
 
 
 def test_an_amended_own_model_says_what_it_serves_and_finds_its_file_beside_it(
     own: Path, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    diagnosis = dragrig.diagnose(drifting(blanks), nominal=own, without=all_but("force_drift"))
+    diagnosis = dragrig.gap_diagnose(drifting(blanks), nominal=own, without=all_but("force_drift"))
     assert diagnosis.effects == ("force_drift",)
     (tmp_path / "moved").mkdir()
     file = save_amended_model(diagnosis, tmp_path / "moved" / "amended.toml")
@@ -350,7 +350,7 @@ def test_an_amended_own_model_says_what_it_serves_and_finds_its_file_beside_it(
 def test_a_model_that_cannot_be_found_again_is_not_written(own: Path, blanks: list[Run]) -> None:
     model = find_model(str(own))
     assert isinstance(model, CheckedModel)
-    diagnosis = dragrig.diagnose(drifting(blanks), nominal=model.own, without=all_but("force_drift"))
+    diagnosis = dragrig.gap_diagnose(drifting(blanks), nominal=model.own, without=all_but("force_drift"))
     assert diagnosis.effects == ("force_drift",)
     assert diagnosis.model is None
     assert any("No amended model is written" in text for text in diagnosis.limitations)
@@ -384,7 +384,7 @@ def test_cogging_is_named_with_its_pitch_and_found_again(
     blanks: list[Run],
     fresh_blanks: list[Run],
 ) -> None:
-    diagnosis = dragrig.diagnose(cogging(blanks, amplitude_mN, pitch_mm), nominal="drive", without=without)
+    diagnosis = dragrig.gap_diagnose(cogging(blanks, amplitude_mN, pitch_mm), nominal="drive", without=without)
     assert diagnosis.effects == ("cogging",)
     amplitude, pitch, _ = diagnosis.ranking[0].parameters
     assert amplitude.value == pytest.approx(amplitude_mN, rel=0.05)
@@ -397,7 +397,7 @@ def test_cogging_is_named_with_its_pitch_and_found_again(
 
 @pytest.mark.thorough
 def test_cogging_and_friction_that_differs_with_direction_are_both_named(blanks: list[Run]) -> None:
-    diagnosis = dragrig.diagnose(asymmetric(cogging(blanks, 30.0, 12.0), 0.1), nominal="drive")
+    diagnosis = dragrig.gap_diagnose(asymmetric(cogging(blanks, 30.0, 12.0), 0.1), nominal="drive")
     assert set(diagnosis.effects) == {"cogging", "direction_asymmetry"}
 
 
@@ -416,7 +416,7 @@ def strokes_there_and_back(folder: Path, effects: list[str], speeds_mm_s: tuple[
 def test_backlash_is_named_with_its_play_and_found_again(play_mm: float, taken_up: float, tmp_path: Path) -> None:
     backlash = [f"backlash:play_mm={play_mm},taken_up={taken_up}"]
     runs = strokes_there_and_back(tmp_path, backlash, (5, 40), seed=3)
-    diagnosis = dragrig.diagnose(runs, nominal="drive", without=UNLIKELY)
+    diagnosis = dragrig.gap_diagnose(runs, nominal="drive", without=UNLIKELY)
     assert diagnosis.effects == ("backlash",)
     play, share = diagnosis.ranking[0].parameters
     assert play.value == pytest.approx(play_mm, abs=0.001)
@@ -436,7 +436,7 @@ def test_backlash_is_named_with_its_play_and_found_again(play_mm: float, taken_u
 @pytest.mark.thorough
 @pytest.mark.parametrize("other", ["servo_lag:lag_s=0.01", "velocity_ripple:amplitude_mm=0.03", "encoder_scale"])
 def test_what_is_no_backlash_is_not_called_so(other: str, tmp_path: Path) -> None:
-    diagnosis = dragrig.diagnose(strokes_there_and_back(tmp_path, [other], (5, 40), seed=3), nominal="drive")
+    diagnosis = dragrig.gap_diagnose(strokes_there_and_back(tmp_path, [other], (5, 40), seed=3), nominal="drive")
     assert diagnosis.effects == (other.partition(":")[0],)
     assert next(entry.probability for entry in diagnosis.ranking if entry.hypothesis == "backlash") < 0.01
 

@@ -289,7 +289,7 @@ def test_the_same_run_in_two_folders_counts_once(tmp_path: Path) -> None:
     shutil.copytree(CAMPAIGN, tmp_path / "copy")
     folders: Sequence[Path] = [tmp_path / "first", tmp_path / "copy"]
     with pytest.raises(AnalysisError, match=r"left out: all runs of .*copy are in .*first too, and a run counts once"):
-        dragrig.diagnose_together(folders, workers=1)
+        dragrig.gap_diagnose_together(folders, workers=1)
     selection = choose_runs(tmp_path / "copy")
     [first, *others] = selection.experiments
     kept = without_runs(selection, {first.run.info.header.run_id: "first"})

@@ -4,6 +4,8 @@ import doctest
 import json
 import subprocess
 import sys
+from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -14,9 +16,12 @@ from matplotlib.figure import Figure
 import dragrig
 from dragrig.api import evaluate as evaluating
 from dragrig.api import measure as measuring
-from dragrig.config.errors import AnalysisError, OutputError, PlanError
+from dragrig.config.errors import AnalysisError, DragrigError, OutputError, PlanError, RunFileError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
+from dragrig.config.plan import PlanStep
+from dragrig.rig.protocols import protocol_kinds
 from dragrig.rig.protocols.drag import DragProtocol
+from dragrig.setup import StepChoices, create_lab
 from places import ROOT
 
 pytestmark = pytest.mark.usefixtures("finished_here")
@@ -111,6 +116,127 @@ def test_invalid_arguments_are_errors_with_a_message(run: dragrig.Run, tmp_path:
     dragrig.simulate(DRAG, out=tmp_path / "c")
     with pytest.raises(OutputError, match="holds runs already"):
         dragrig.simulate(DRAG, out=tmp_path / "c")
+
+
+@pytest.mark.parametrize(
+    ("call", "nearest"),
+    [
+        (lambda: dragrig.simulate("drag", speed=10), "speed_mm_s"),
+        (lambda: dragrig.check("drag", asignments=["wait_s=1"]), "assignments"),
+        (lambda: dragrig.run("drag", modell="paper"), "model"),
+        (lambda: dragrig.examine(bakend="simulated"), "backend"),
+        (lambda: dragrig.jog(5.0, dobule=True), "double"),
+        (lambda: dragrig.gap_next("drag", speed_mm=10), "speed_mm_s"),
+        (lambda: dragrig.gap_diagnose_many([], nominl="capsule"), "nominal"),
+        (lambda: dragrig.import_run("a.csv", "b.h5", decimals=","), "decimal"),
+    ],
+)
+def test_a_misspelt_keyword_is_a_type_error_that_names_the_right_one(
+    call: Callable[[], object], nearest: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TypeError, match=rf"is not an argument; did you mean {nearest}\?"):
+        call()
+
+
+def test_keys_of_steps_are_keywords_and_assignments_may_be_a_dict(run: dragrig.Run) -> None:
+    (by_keyword,) = dragrig.simulate("drag", speed_mm_s=np.float64(10), travel_mm=15, hold_s=0.5, way_back="stay")
+    assert by_keyword.info.header.protocol == run.info.header.protocol
+    by_dict = {"speed_mm_s": np.array([10.0, 5.0]), "rig.stage.highest_mm": 61}
+    checked = dragrig.check("drag", assignments=by_dict, travel_mm=15, repeats=2)
+    drags = [preview.run.protocol for preview in checked.previews if isinstance(preview.run.protocol, DragProtocol)]
+    assert [(drag.speed_mm_s, drag.travel_mm) for drag in drags] == [(10, 15), (5, 15)] * 2
+    assert checked.findings == ()
+
+
+def test_the_typed_keys_of_steps_are_those_of_the_shipped_kinds() -> None:
+    keys = set().union(*(kind.model_fields for kind in protocol_kinds().values())) | set(PlanStep.model_fields)
+    assert set(StepChoices.__annotations__) == keys - {"kind", "parameters", "capsule", "note"}
+
+
+@pytest.mark.parametrize("changes", [{"speed_mm_s": "x"}, ["speed_mm_s"], ["rig.stage.x=1"], ["speed_mm=1"]])
+def test_messages_of_the_python_api_name_no_option_of_the_command_line(changes: object) -> None:
+    with pytest.raises(DragrigError) as caught:
+        dragrig.check("drag", assignments=changes)  # type: ignore[arg-type]
+    assert "--" not in str(caught.value)
+    assert "speed_mm" in str(caught.value) or "rig.stage.x" in str(caught.value)
+
+
+def test_a_folder_in_the_place_of_a_run_or_of_campaigns_in_that_of_one_is_told(tmp_path: Path) -> None:
+    dragrig.simulate(DRAG, out=tmp_path / "runs" / "first")
+    with pytest.raises(RunFileError, match=r"is a folder; dragrig\.campaign"):
+        dragrig.load(tmp_path / "runs" / "first")
+    for read in (dragrig.table, dragrig.campaign):
+        with pytest.raises(RunFileError, match=r"did you mean .*first\?"):
+            read(tmp_path / "runs")
+
+
+def test_a_former_name_still_works_and_says_what_it_is_called_now() -> None:
+    with pytest.warns(DeprecationWarning, match=r"dragrig\.next_experiment is called dragrig\.gap_next now"):
+        former = getattr(dragrig, "next_experiment")  # noqa: B009  # mypy knows that there is no such name
+    assert former is dragrig.gap_next
+
+
+def test_simulated_runs_end_now_and_none_before_its_specimen_was_taken() -> None:
+    began = datetime.now().astimezone()
+    runs = dragrig.simulate("drag", speed_mm_s=[5, 10], wait_s=3600)
+    ends = [run.info.end_time for run in runs]
+    assert all(end is not None and end <= datetime.now().astimezone() for end in ends)
+    assert runs[0].info.header.start_time < began - timedelta(hours=1)
+    excised = began - timedelta(minutes=5)
+    (run, *_) = dragrig.simulate("drag", wait_s=3600, assignments={"specimen.excised_at": excised.isoformat()})
+    assert run.info.header.start_time > excised
+
+
+def test_a_run_shows_itself_in_a_line_and_in_a_notebook_with_its_force(run: dragrig.Run, tmp_path: Path) -> None:
+    assert repr(run).startswith("<run drag, speed_mm_s=10.0, jejunum, ")
+    html = run._repr_html_()
+    assert "steady force" in html
+    assert html.count("<polyline") == 1
+    dragrig.simulate(DRAG, out=tmp_path / "c")
+    campaign = dragrig.campaign(tmp_path / "c")
+    assert repr(campaign) == f"<campaign {tmp_path / 'c'}: 1 drag; jejunum>"
+    assert campaign.runs[0].path.name in campaign._repr_html_()
+    compared = dragrig.compare(run, tmp_path / "c")
+    assert repr(compared).startswith("<comparison of A and c: ")
+    assert all(len(repr(value)) < 400 for value in (run, campaign, compared))
+
+
+def test_a_run_becomes_a_table_and_a_dataset_with_units_and_phases(run: dragrig.Run) -> None:
+    frame = run.to_pandas()
+    assert frame.index.name == "time_s"
+    assert list(frame.columns) == ["force_mN", "position_mm", "motor_force_mN", "command_mm", "phase"]
+    assert frame.loc[frame["phase"] == "steady", "position_mm"].between(0, 15).all()
+    dataset = dragrig.filter(run).to_xarray()
+    assert dataset["force"].attrs == dataset["force_filtered"].attrs == {"units": "mN"}
+    assert dataset["time"].attrs == {"units": "s"}
+    steady = dataset["force"].where(dataset["phase"] == "steady", drop=True)
+    assert float(steady.mean()) == pytest.approx(float(frame.loc[frame["phase"] == "steady", "force_mN"].mean()), 1e-4)
+    assert dataset.attrs["protocol_speed_mm_s"] == 10
+
+
+def test_without_xarray_one_sentence_says_how_to_get_it(run: dragrig.Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(ImportError, match="pip install xarray"):
+        run.to_xarray()
+
+
+def test_runs_are_found_marked_and_drawn_as_by_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    create_lab(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (made,) = dragrig.simulate(DRAG, out="runs/first")
+    (found,) = dragrig.find(specimen="Jejunum", kind="drag", since="2020-01-01")
+    assert found.samefile(made.info.path)
+    assert dragrig.find(until="2020-01-01") == ()
+    assert dragrig.mark(found, bad="capsule turned") == (found,)
+    assert dragrig.find(bad=True) == (found,)
+    assert isinstance(dragrig.show(found), Figure)
+    assert isinstance(dragrig.show("runs/first"), Figure)
+    assert isinstance(made.plot(), Figure)
+    with pytest.raises(SettingsError, match="say which"):
+        dragrig.mark(found)
+    with pytest.raises(SettingsError, match="write it as 2026-05-04"):
+        dragrig.find(since="4.5.2026")
 
 
 def notebook_cells() -> list[str]:

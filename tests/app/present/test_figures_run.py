@@ -428,9 +428,11 @@ def test_show_says_where_each_picture_is_and_writes_over_none(tmp_path: Path) ->
     assert run.read_bytes() == before
 
 
-def test_show_draws_a_folder_and_its_overview(tmp_path: Path) -> None:
+def test_show_draws_the_overview_of_a_folder_and_the_runs_that_are_named(tmp_path: Path) -> None:
     folder = copied_runs(tmp_path / "camp", "005-blank.h5")
-    answer = json.loads(invoke(str(folder), "--json", "--out", str(tmp_path / "out")))
+    (overview,) = json.loads(invoke(str(folder), "--json", "--out", str(tmp_path / "alone")))
+    assert Path(overview["picture"]).name == "camp.png"
+    answer = json.loads(invoke(str(folder), str(folder / "*.h5"), "--json", "--out", str(tmp_path / "out")))
     assert [Path(row["source"]).name for row in answer] == ["005-blank.h5", "camp"]
     assert all(Path(row["picture"]).read_bytes().startswith(b"\x89PNG") for row in answer)
     assert {path.name for path in folder.iterdir()} == {"005-blank.h5"}
@@ -464,7 +466,7 @@ def test_a_damaged_run_does_not_keep_the_others_from_being_drawn(
 ) -> None:
     whole = Path(shutil.copy(CAMPAIGN / "005-blank.h5", tmp_path / "2.h5"))
     (tmp_path / "1.h5").write_bytes(whole.read_bytes()[:9000])
-    assert main(["show", str(tmp_path)]) == 2
+    assert main(["show", str(tmp_path / "*.h5")]) == 2
     assert (tmp_path / "2.png").is_file()
     output = capsys.readouterr()
     assert "2.png" in output.out
