@@ -94,7 +94,7 @@ def test_what_cannot_be_is_refused_in_one_sentence_before_anything_moves(typed: 
 def test_effects_are_not_for_the_real_rig(double: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "drag", "--backend", "hardware", *double, "--effect", "stribeck"]) == 2
     errors = capsys.readouterr().err
-    assert errors.startswith("dragrig: --effect: effects act in the simulated rig")
+    assert errors.startswith("dragrig: effects act in the simulated rig")
     assert errors.count("\n") == 1
 
 

@@ -190,6 +190,20 @@ def test_stiffening_of_all_branches_alike_is_what_the_friction_model_says_of_it(
     )
 
 
+@pytest.mark.parametrize("run", [sliding(moves((TRAVEL, 10.0))), sticking(moves((2.5, 20.0), hold=20.0), 1.0)])
+def test_moduli_that_grow_alone_quicken_the_relaxation_as_elements_of_such_moduli_do(run: Acquisition) -> None:
+    motion, time = ProfileMotion.of(run.profile), np.arange(0.0, run.profile.duration_s, 0.01)
+    stiffer = FrictionModelSettings(e1_scale=1.5, e2_scale=1.5, e3_scale=1.5)
+    scene, expected = (gut_run_state(run, settings, motion, time) for settings in (FrictionModelSettings(), stiffer))
+    values = {"stiffening": 0.5, "power": 0.0, "slow_share": 1.0}
+    force = added("hyperelastic_wall", scene, quickening=1.0, **values)
+    moving = np.abs(scene.velocity_mm_s) > 1.0
+    tolerance_mN = 0.01 * expected.nominal.max()
+    assert force[moving] == pytest.approx((expected.nominal - scene.nominal)[moving], abs=tolerance_mN)
+    slower = added("hyperelastic_wall", scene, **values)
+    assert np.abs(slower - force)[moving].max() > 5 * tolerance_mN
+
+
 def test_the_further_branch_still_relaxes_when_the_nominal_ones_have() -> None:
     scene = relaxation(1.0)
     force = added("extra_relaxation", scene, time_s=8.0, share=0.5)
