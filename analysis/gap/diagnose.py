@@ -226,7 +226,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         model=amended_model(study, fit, position, lines, classification, search, reduction, selection),
         traces=traces,
         limitations=(*study.limitations(), *next_runs.limitations),
-        remarks=selection.remarks,
+        remarks=(*selection.remarks, *_yielding_remarks(position.yields_mm)),
         calibration=CALIBRATION_NOTE,
         decision_inputs=weighed.inputs,
         next_experiment=next_runs.experiment,
@@ -234,6 +234,11 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         open_causes=next_runs.open_causes,
     )
     return left_open(diagnosis, study.only_condition) if study.only_condition else diagnosis
+
+
+def _yielding_remarks(yields_mm: float) -> Iterator[str]:
+    if yields_mm:
+        yield f"the stage gives way to the force by up to {1e3 * yields_mm:.2g} µm; its motion is recorded: no gap"
 
 
 def _budget(weighed: WeighedCauses) -> GapBudget:

@@ -40,10 +40,10 @@ EXAM_SHARES: _Shares = MappingProxyType(
 """Share of each kind of case; single effects cycle through the whole catalogue of the plant."""
 CONDITION_SHARES: _Shares = MappingProxyType(
     {
-        "full": 0.22,
-        "third": 0.08,
+        "full": 0.18,
+        "third": 0.07,
         "tenth": 0.05,
-        "none": 0.04,
+        "none": 0.03,
         "outside": 0.08,
         "pair": 0.10,
         "rough": 0.03,
@@ -57,7 +57,9 @@ CONDITION_SHARES: _Shares = MappingProxyType(
         "model off": 0.05,
         "model off none": 0.04,
         "noise": 0.04,
-        "noise none": 0.07,
+        "noise none": 0.05,
+        "motion": 0.05,
+        "motion none": 0.03,
     }
 )
 """The same with circumstances; a kind with `none` has nothing hidden, under the same condition."""
@@ -78,12 +80,13 @@ MIXES: Mapping[str, _Shares] = MappingProxyType(
     }
 )
 """An exam has campaigns as rigs may have them; to learn from, there are more hard cases, and under conditions a third
-is incomplete, of another programme, noise or specimen, or has a nominal model that is off."""
+is incomplete, of another programme, noise, motion or specimen, or has a nominal model that is off."""
 CONDITIONS_OF: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "incomplete": ("drags only", "three speeds", "no relaxations", "one run", "no blanks"),
         "programme": ("other programme", "other capsule", "other programme", "250 Hz", "1000 Hz"),
         "exchanged": ("exchanged, not recorded", "exchanged"),
+        "motion": ("jerk-limited", "position loop", "position loop"),
         "model off": tuple(f"{what} {part} % off" for part in (10, 5, 20) for what in ("parameters", "laws", "both")),
         "noise": (
             *("1/f noise", "jitter", "hum", "12 bits", "impulses", "100 Hz", "dropouts"),

@@ -14,7 +14,7 @@ import numpy as np
 
 from dragrig.sim_backend.blind.effects import CATALOGUE, DRAWN, OUTSIDE
 from dragrig.sim_backend.blind.effects.hidden_effect import HiddenEffect, OneOf
-from dragrig.sim_backend.blind.run_plans import CapsuleDummy, RunList, RunPlan, draw_programme, in_session
+from dragrig.sim_backend.blind.run_plans import CapsuleDummy, RunList, RunPlan, StageLoop, draw_programme, in_session
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +155,8 @@ class Setting:
     capsule: CapsuleDummy = field(default_factory=CapsuleDummy)
     exchange_recorded: bool = True
     """Whether the files say which specimen a run was made on, where it was exchanged."""
+    stage: StageLoop | None = None
+    """None where the stage goes exactly where it is commanded."""
 
 
 def _only(setting: Setting, _: np.random.Generator, *, kinds: frozenset[str]) -> Setting:
@@ -241,6 +243,20 @@ def _nominal_off(setting: Setting, random: np.random.Generator, *, by: float, wh
     return replace(setting, errors=errors)
 
 
+def _jerk_limited(setting: Setting, random: np.random.Generator) -> Setting:
+    return replace(setting, errors=replace(setting.errors, blunt_s=0.005 * 12.0 ** float(random.random())))
+
+
+def _position_loop(setting: Setting, random: np.random.Generator) -> Setting:
+    stage = StageLoop(
+        natural_hz=20.0 * 10.0 ** float(random.random()),
+        damping=float(random.uniform(0.5, 1.0)),
+        mass_kg=float(random.uniform(0.5, 3.0)),
+        scale_error_mm=5e-5 * 10.0 ** float(random.random()),
+    )
+    return replace(_jerk_limited(setting, random), stage=stage)
+
+
 _Change = Callable[[Setting, np.random.Generator], Setting]
 
 
@@ -293,6 +309,8 @@ CONDITIONS: Mapping[str, _Change] = MappingProxyType(
     {
         **PROGRAMME_CONDITIONS,
         "other capsule": _other_capsule,
+        "jerk-limited": _jerk_limited,
+        "position loop": _position_loop,
         **{
             f"{what} {part} % off": partial(_nominal_off, by=part / 100, what=what)
             for what in ("parameters", "laws", "both")
@@ -332,6 +350,7 @@ class BlindCampaign:
     second: HiddenSpecimen | None = None
     """The specimen that took the first one's place midway; None where it was not exchanged."""
     exchange_recorded: bool = True
+    stage: StageLoop | None = None
 
     def specimen_of(self, run: RunPlan) -> HiddenSpecimen:
         """Return the specimen that a run is made on."""
@@ -404,6 +423,7 @@ def draw_campaign(
         capsule=setting.capsule,
         second=second,
         exchange_recorded=setting.exchange_recorded,
+        stage=setting.stage,
     )
 
 

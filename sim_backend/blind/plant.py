@@ -206,8 +206,8 @@ _KNOT_STEP_MM = 0.06
 """Travel between knots; contact forces are evaluated at the knots and interpolated linearly."""
 
 
-def sliding_force(gut: GutContact, run: RunConditions, *, closed: bool) -> Floats:
-    """Return the force on the capsule at every sample [mN], shape `(N,)`.
+def sliding_force(gut: GutContact, run: RunConditions, *, closed: bool) -> tuple[Floats, Floats]:
+    """Return the force on the capsule and Coulomb friction before its sign at every sample [mN], shape `(N,)` each.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def sliding_force(gut: GutContact, run: RunConditions, *, closed: bool) -> Float
     total = elastic + viscous + coulomb
     for effect in gut.effects:
         total = total + effect.pull(forces, run)
-    return total
+    return total, mu * (1 + change) * normal
 
 
 def viscous_law(speed: Floats) -> Floats:
@@ -349,13 +349,17 @@ def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantR
     ageing = prod(effect.stiffness(plan) for effect in effects)
     specimen = campaign.specimen_of(plan)
     gut = GutContact(specimen, variation, errors, effects, ageing, campaign.capsule)
-    force = np.zeros_like(motion.t)
-    if plan.kind == "relaxation":
-        force = relaxation_force(gut, run)
-    elif plan.kind != "blank":
-        force = sliding_force(gut, run, closed=plan.kind == "drag")
+    force, friction = _true_force(gut, run)
+    if campaign.stage is not None:
+        slip_mm_s, commanded = SIGN_CHANGE_MM_S * errors.slip_speed, motion
+        # The way by which the stage gives way changes the force by a few per cent, which it hardly feels again.
+        for _ in range(2):
+            smooth = force - friction * np.tanh(motion.v / slip_mm_s)
+            motion = campaign.stage.followed(commanded, plan.bounds_s, smooth, friction, slip_mm_s)
+            run = RunConditions(plan, seed, command, motion)
+            force, friction = _true_force(gut, run)
     force = specimen.gain * force
-    position = motion.p
+    position = motion.p if campaign.stage is None else campaign.stage.recorded(motion.p)
     for effect in effects:
         position = effect.position(position, force, run)
     force = _sensor_force(force, effects, run, range(CONVERTER_RANK))
@@ -377,6 +381,18 @@ def _simulate_run(campaign: BlindCampaign, index: int, *, noisy: bool) -> PlantR
     nominal = command.p if true_time is time else planned_motion(plan, time, errors.blunt_s).p
     record = PlantRecord(plan, time, force, position, nominal, sample_phases(plan, time))
     return with_dropouts(record, campaign.noise, run) if noisy and campaign.noise.dropouts_per_s else record
+
+
+def _true_force(gut: GutContact, run: RunConditions) -> tuple[Floats, Floats]:
+    """Return the force of a run, and Coulomb friction before its sign [mN]."""
+    zeros = np.zeros_like(run.motion.t)
+    match run.plan.kind:
+        case "relaxation":
+            return relaxation_force(gut, run), zeros
+        case "blank":
+            return zeros, zeros
+        case kind:
+            return sliding_force(gut, run, closed=kind == "drag")
 
 
 noise_free_run = partial(_simulate_run, noisy=False)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import ceil, sqrt, tanh
 
 import numpy as np
 import numpy.typing as npt
@@ -236,3 +236,76 @@ def sample_phases(run: RunPlan, t: Floats) -> npt.NDArray[np.uint8]:
 def _zero_rounding(values: Floats) -> Floats:
     """Remove the rounding errors at standstill that sums of pieces leave."""
     return np.where(np.abs(values) < 1e-9, 0.0, values)
+
+
+SCALE_PERIOD_MM = 0.020
+"""Period of the encoder's scale."""
+_BEFORE_S, _AFTER_S = 0.02, 0.25
+"""The stage's own motion is followed from so long before to so long after each change of the commanded acceleration;
+between, it is at rest against the slowly varying force."""
+
+
+@dataclass(frozen=True, slots=True)
+class StageLoop:
+    """A stage under a position loop, which gives way to the force on it.
+
+    `natural_hz`, `damping`, `mass_kg`: of stage and loop. `scale_error_mm`: amplitude of the encoder's error within a
+    period of its scale.
+    """
+
+    natural_hz: float
+    damping: float
+    mass_kg: float
+    scale_error_mm: float
+
+    def recorded(self, position: Floats) -> Floats:
+        """Return the position that the encoder counts."""
+        return position + self.scale_error_mm * np.sin(2 * np.pi * position / SCALE_PERIOD_MM)
+
+    def followed(
+        self, command: SampledMotion, changes_s: Sequence[float], smooth: Floats, friction: Floats, slip_mm_s: float
+    ) -> SampledMotion:
+        """Return the stage's motion.
+
+        Parameters
+        ----------
+        changes_s
+            When the commanded acceleration changes.
+        smooth, friction
+            Force [mN] that does not follow the velocity at once, and friction, which does: over `slip_mm_s`; `(N,)`.
+        """
+        t, stiffness = command.t, self.mass_kg * (2 * np.pi * self.natural_hz) ** 2
+        grip = np.tanh(command.v / slip_mm_s)
+        away = -(smooth + friction * grip) / stiffness
+        rate = np.gradient(away, t)
+        near = np.any([(t > change - _BEFORE_S) & (t < change + _AFTER_S) for change in changes_s], axis=0)
+        edges = np.flatnonzero(np.diff(near, prepend=False, append=False)).reshape(-1, 2).tolist()
+        for first, last in edges:
+            part = slice(first, last)
+            away[part], rate[part] = self._transient(
+                t[part], command.v[part], smooth[part], friction[part], slip_mm_s, float(away[first])
+            )
+        v = command.v + rate
+        return SampledMotion(t, command.p + away, v, np.gradient(v, t))
+
+    def _transient(
+        self, t: Floats, commanded: Floats, smooth: Floats, friction: Floats, slip_mm_s: float, away: float
+    ) -> tuple[Floats, Floats]:
+        """Integrate the deviation [mm] and its rate, friction implicitly, from a deviation at rest."""
+        omega, most = 2 * np.pi * self.natural_hz, float(friction.max(initial=1e-9))
+        # In such a step friction changes the velocity by less than its own width, so that the iteration contracts.
+        interval = float(t[1] - t[0])
+        finer = ceil(interval / min(0.2 / omega, self.mass_kg * slip_mm_s / most))
+        h = interval / finer
+        times = t[0] + h * np.arange((t.size - 1) * finer + 1)
+        values = [np.interp(times, t, column).tolist() for column in (commanded, smooth, friction)]
+        k, rate, found = 1 + 2 * self.damping * omega * h, 0.0, [(away, 0.0)]
+        for v, load, grip in zip(*(column[1:] for column in values), strict=True):
+            driven = rate - h * (omega**2 * away + load / self.mass_kg)
+            beta = h * grip / self.mass_kg
+            for _ in range(6):
+                rate -= (k * rate - driven + beta * tanh((v + rate) / slip_mm_s)) / (k + beta / slip_mm_s)
+            away += h * rate
+            found.append((away, rate))
+        result = np.array(found)[::finer]
+        return result[:, 0], result[:, 1]
