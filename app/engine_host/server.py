@@ -78,7 +78,7 @@ from dragrig.engine_host.messages import (
     WatchRig,
 )
 from dragrig.hosted_session import SessionOptions, idle_reader
-from dragrig.present import encoder_calibration_document, force_calibration_document
+from dragrig.present import sensor_calibration_document
 from dragrig.rig import (
     HOMING,
     LIMIT_SWITCH_CAUSES,
@@ -584,14 +584,14 @@ class EngineHost:
                 force = calibrate_force(weights_g, repeats=repeats, duration_s=duration_s, operator=name, note=note,
                                         store=False, pace=self._rig.pace, person=person, begun=begun,
                                         **choices)  # fmt: skip
-                record = force_calibration_document(force.entry, force.points, force.line, force.notes, stored=False)
+                record = sensor_calibration_document(force.entry, force.points, force.line, force.notes, stored=False)
                 return CalibrationMeasured(force.entry, record)
             case CalibrateEncoder(travel_mm, measured_mm, repeats, speed_mm_s, by_hand, duration_s, name, note):
                 travel = calibrate_encoder(travel_mm, measured_mm=measured_mm, repeats=repeats, speed_mm_s=speed_mm_s,
                                            by_hand=by_hand, duration_s=duration_s, operator=name, note=note,
                                            store=False, pace=self._rig.pace, person=person, begun=begun,
                                            **choices)  # fmt: skip
-                record = encoder_calibration_document(
+                record = sensor_calibration_document(
                     travel.entry, travel.points, travel.line, travel.notes, stored=False
                 )
                 return CalibrationMeasured(travel.entry, record)

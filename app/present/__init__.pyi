@@ -136,6 +136,7 @@ from .numbers import p_value_text as p_value_text
 from .numbers import percent as percent
 from .numbers import percent_difference as percent_difference
 from .numbers import probability_text as probability_text
+from .numbers import quantity_json as quantity_json
 from .numbers import round_to_sum as round_to_sum
 from .numbers import run_problem as run_problem
 from .numbers import run_subtitle as run_subtitle
@@ -154,10 +155,9 @@ from .population import population_document as population_document
 from .population import population_figure as population_figure
 from .population import population_json as population_json
 from .rig_results import commissioning_document as commissioning_document
-from .rig_results import encoder_calibration_document as encoder_calibration_document
-from .rig_results import force_calibration_document as force_calibration_document
 from .rig_results import preflight_document as preflight_document
 from .rig_results import rig_check_document as rig_check_document
+from .rig_results import sensor_calibration_document as sensor_calibration_document
 from .robot import robot_document as robot_document
 from .run import InspectedFile as InspectedFile
 from .run import files_document as files_document

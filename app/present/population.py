@@ -39,6 +39,7 @@ from dragrig.present import (
     left_out_section,
     new_figure,
     p_value_text,
+    quantity_json,
     to_json_object,
     unit_text,
 )
@@ -238,7 +239,7 @@ def _specimen_row(value: SpecimenValue, unit: str) -> tuple[Cell, ...]:
 def _value_cell(quantity: EstimatedQuantity | None) -> FormattedNumber:
     if quantity is None:
         return FormattedNumber(None, UNKNOWN)
-    return FormattedNumber(quantity.value, value_with_error(quantity.value, quantity.standard_error))
+    return FormattedNumber.with_error(quantity.value, quantity.standard_error)
 
 
 def _figure(population: Population) -> Figure:
@@ -336,8 +337,8 @@ def _parameter_json(parameter: PopulationParameter) -> Iterator[tuple[str, objec
     yield "meaning", parameter.meaning
     yield "of_rig", parameter.of_rig
     yield "determined", known
-    yield "mean", _quantity_json(parameter.mean) if known else None
-    yield "spread", _quantity_json(parameter.spread) if known and parameter.spread is not None else None
+    yield "mean", quantity_json(parameter.mean) if known else None
+    yield "spread", quantity_json(parameter.spread) if known and parameter.spread is not None else None
     yield "spread_p", parameter.spread_p if known else None
     yield "spreads", parameter.spreads
     yield "next_specimen_95", parameter.next_specimen if known else None
@@ -346,13 +347,9 @@ def _parameter_json(parameter: PopulationParameter) -> Iterator[tuple[str, objec
         [
             {
                 "specimen": value.specimen,
-                "own": None if value.own is None else _quantity_json(value.own),
-                "pooled": _quantity_json(value.pooled),
+                "own": None if value.own is None else quantity_json(value.own),
+                "pooled": quantity_json(value.pooled),
             }
             for value in parameter.specimens
         ],
     )
-
-
-def _quantity_json(quantity: EstimatedQuantity) -> Mapping[str, object]:
-    return {"value": quantity.value, "standard_error": quantity.standard_error, "interval_95": quantity.interval}
