@@ -149,7 +149,7 @@ def _specimens_table(population: Population, parameters: Sequence[PopulationPara
         Field("parameter", "parameter", lambda entry: entry.name),
         Field("first", population.specimens[0], lambda entry: own(entry, population.specimens[0])),
         Field("second", population.specimens[1], lambda entry: own(entry, population.specimens[1])),
-        Field("p", "difference", lambda entry: "" if entry.spread_p is None else p_value_text(entry.spread_p)),
+        Field("p", "difference", _p_text),
         Field("unit", "unit", lambda entry: unit_text(entry.unit)),
         Field("meaning", "meaning", lambda entry: entry.meaning),
     )
@@ -198,13 +198,13 @@ def _rig_table(parameters: Sequence[PopulationParameter]) -> Table:
         Field("parameter", "parameter", lambda entry: entry.name),
         Field("value", "value", lambda entry: _value_cell(entry.mean if entry.determined else None)),
         Field("interval_95", "95 % interval", lambda entry: interval_text(entry.mean) if entry.determined else ""),
-        Field("same_p", "same in all campaigns", _same_text),
+        Field("same_p", "same in all campaigns", _p_text),
         Field("unit", "unit", lambda entry: unit_text(entry.unit)),
         Field("meaning", "meaning", lambda entry: entry.meaning),
     )
 
 
-def _same_text(parameter: PopulationParameter) -> str:
+def _p_text(parameter: PopulationParameter) -> str:
     return "" if parameter.spread_p is None else p_value_text(parameter.spread_p)
 
 
