@@ -71,7 +71,6 @@ from dragrig.engine_host.messages import (
     SilenceLimits,
     StageHomes,
     StageMoved,
-    StartSession,
     StopHost,
     StoreCalibration,
     TouchOffStage,
@@ -443,8 +442,8 @@ class EngineHost:
         match request:
             case WatchRig(on):
                 self._idle.on = on
-            case StartSession(job):
-                self._start(job)
+            case SessionJob():
+                self._start(request)
             case ExamineRig():
                 self._sender.say(self._examine())
             case ResetGuard():
