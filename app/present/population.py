@@ -13,7 +13,6 @@ from dragrig.analysis import (
     EstimatedQuantity,
     Population,
     PopulationParameter,
-    SpecimenValue,
     count_text,
     range_text,
     significant_text,
@@ -25,7 +24,6 @@ from dragrig.present import (
     GREY,
     SMALL_PT,
     Cell,
-    Column,
     Document,
     Field,
     Figure,
@@ -209,30 +207,16 @@ def _p_text(parameter: PopulationParameter) -> str:
 
 
 def _specimen_table(parameter: PopulationParameter) -> Table:
-    return Table(
+    return Table.of(
         f"specimens-{parameter.name}",
         f"{parameter.name}: by the specimen's own runs, and with what the other specimens add",
-        (
-            Column("specimen", "specimen"),
-            Column("own", "own runs"),
-            Column("own_95", "95 % interval"),
-            Column("pooled", "with the others"),
-            Column("pooled_95", "95 % interval"),
-            Column("unit", "unit"),
-        ),
-        tuple(_specimen_row(value, parameter.unit) for value in parameter.specimens),
-    )
-
-
-def _specimen_row(value: SpecimenValue, unit: str) -> tuple[Cell, ...]:
-    own = "" if value.own is None else interval_text(value.own)
-    return (
-        value.specimen,
-        _value_cell(value.own),
-        own,
-        _value_cell(value.pooled),
-        interval_text(value.pooled),
-        unit_text(unit),
+        parameter.specimens,
+        Field("specimen", "specimen", lambda value: value.specimen),
+        Field("own", "own runs", lambda value: _value_cell(value.own)),
+        Field("own_95", "95 % interval", lambda value: "" if value.own is None else interval_text(value.own)),
+        Field("pooled", "with the others", lambda value: _value_cell(value.pooled)),
+        Field("pooled_95", "95 % interval", lambda value: interval_text(value.pooled)),
+        Field("unit", "unit", lambda _: unit_text(parameter.unit)),
     )
 
 
