@@ -460,12 +460,10 @@ def export_campaign(
     style: CsvStyle | None = None,
     *,
     overwrite: bool = False,
-    with_bad: bool = False,
-    progress: Progress = no_progress,
 ) -> CampaignExport:
     """Export every run of a campaign into a folder, one file each.
 
-    Runs marked as bad are excluded unless `with_bad`; so are files that cannot be read.
+    Runs marked as bad are excluded; so are files that cannot be read.
 
     Raises
     ------
@@ -477,7 +475,7 @@ def export_campaign(
     from dragrig.rig import read_campaign
 
     campaign = read_campaign(folder)
-    bad = {} if with_bad else {path: f"marked as bad: {mark.reason}" for path, mark in campaign.marks.items()}
+    bad = {path: f"marked as bad: {mark.reason}" for path, mark in campaign.marks.items()}
     wanted = [info.path for info in campaign.runs if info.path not in bad]
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -487,13 +485,11 @@ def export_campaign(
         _require_free(_target_file(path, target, export_format), overwrite=overwrite)
     written: list[Path] = []
     left_out = [*bad.items(), *((path, str(error)) for path, error in campaign.unreadable)]
-    for done, path in enumerate(wanted):
-        progress(done, len(wanted))
+    for path in wanted:
         try:
             written.append(export_run(path, target, export_format, style, overwrite=overwrite))
         except RunFileError as error:
             left_out.append((path, str(error)))
-    progress(len(wanted), len(wanted))
     return CampaignExport(tuple(written), tuple(left_out))
 
 

@@ -39,7 +39,7 @@ from .campaign_session import Made as Made
 from .exam.blind_exam import gap_blind as gap_blind
 from .exam.learning import gap_calibrate as gap_calibrate
 from .exam.learning import gap_cross_validate as gap_cross_validate
-from .rig.runfile import Campaign as Campaign
+from .rig.runfile.campaigns import Campaign as Campaign
 from .rig.runfile.model import Run as Run
 
 __version__: str

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from functools import partial
 from itertools import count
 from math import inf
 from pathlib import Path
@@ -112,14 +113,16 @@ def start_campaign(setup: Setup, out: Path | None, options: SessionOptions, pers
     if out is not None:
         require_no_runs(out)
         with ExitStack() as lock:
-            return _run_campaign(setup, replace(options, folder=out), person, _folder_maker(out, lock, new=False))
+            make_folder = partial(_make_folder, out, lock, new=False)
+            return _run_campaign(setup, replace(options, folder=out), person, make_folder)
     now = options.origin or datetime.now().astimezone()
     name = f"{now:%Y%m%d-%H%M%S}-{setup.plan.name}"
     folders = (setup.data_root / (name if number == 1 else f"{name}-{number}") for number in count(1))
     # Two sessions may start within one second: nothing has moved yet, and the later one takes the next name.
     for folder in (folder for folder in folders if not folder.exists()):
         with ExitStack() as lock, suppress(_FolderTakenError):
-            return _run_campaign(setup, replace(options, folder=folder), person, _folder_maker(folder, lock, new=True))
+            make_folder = partial(_make_folder, folder, lock, new=True)
+            return _run_campaign(setup, replace(options, folder=folder), person, make_folder)
     raise AssertionError("unreachable")
 
 
@@ -373,21 +376,17 @@ def rig_time_s(folder: Path) -> float:
     return total_s
 
 
-def _folder_maker(folder: Path, lock: ExitStack, *, new: bool) -> Callable[[], None]:
-    """Return a function that makes a campaign's folder and locks it for this session."""
-
-    def make() -> None:
-        try:
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            folder.mkdir(exist_ok=not new)
-        except FileExistsError:
-            if new:
-                raise _FolderTakenError(f"{folder}: exists already.") from None
-            raise
-        lock.enter_context(session_lock(folder))
-        require_no_runs(folder)
-
-    return make
+def _make_folder(folder: Path, lock: ExitStack, *, new: bool) -> None:
+    """Make a campaign's folder and lock it for this session."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(exist_ok=not new)
+    except FileExistsError:
+        if new:
+            raise _FolderTakenError(f"{folder}: exists already.") from None
+        raise
+    lock.enter_context(session_lock(folder))
+    require_no_runs(folder)
 
 
 def require_no_runs(folder: Path) -> None:
@@ -418,7 +417,7 @@ def _run_campaign(
             publisher.prepares()
         mirror = None if options.mirror is None else _open_mirror(options.mirror, folder, options.tell, before)
         copied = mirror.submit if mirror is not None else None
-        session = run_session(setup, _store_opener(folder, make_folder, copied), options, publisher)
+        session = run_session(setup, partial(_open_store, folder, make_folder, copied), options, publisher)
         status, reason = session.status.value, session.reason
     except DragrigError as error:
         reason = reason_of(error)
@@ -461,21 +460,18 @@ def _close_mirror(mirror: Mirror, folder: Path) -> MirrorReport:
     return mirror.close()
 
 
-def _store_opener(
-    folder: Path, make_folder: Callable[[], None], finished: Callable[[Path], None] | None
-) -> Callable[[SessionRecord], FolderStore]:
-    def open_store(record: SessionRecord) -> FolderStore:
-        try:
-            make_folder()
-            write_session_record(record, folder)
-        except OSError as error:
-            raise OutputError(
-                f"{folder}: no runs can be written here ({error.strerror}); name another folder with --out."
-            ) from error
-        recording = record.rig.recording
-        return FolderStore(folder, flush_s=recording.flush_s, reserve_mb=recording.reserve_mb, on_finished=finished)
-
-    return open_store
+def _open_store(
+    folder: Path, make_folder: Callable[[], None], finished: Callable[[Path], None] | None, record: SessionRecord
+) -> FolderStore:
+    try:
+        make_folder()
+        write_session_record(record, folder)
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: no runs can be written here ({error.strerror}); name another folder with --out."
+        ) from error
+    recording = record.rig.recording
+    return FolderStore(folder, flush_s=recording.flush_s, reserve_mb=recording.reserve_mb, on_finished=finished)
 
 
 def _setup_from_record(record: SessionRecord, folder: Path) -> Setup:

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from PySide6.QtCore import QSettings, QTimer
 
 import dragrig
-from dragrig.engine_host import RigSelection, SessionJob, StartSession
+from dragrig.engine_host import RigSelection, SessionJob
 from dragrig.rig.runfile import finish
 from dragrig.setup import create_lab
 from dragrig.views import FORMATS
@@ -149,7 +149,7 @@ def main() -> int:
         window.reset.click()
         watch.until(lambda: window.guard.text() == "guard: armed")
         # Slow enough to last until the end.
-        window.engine.ask(StartSession(SessionJob(1, plan(0.05, 60.0), pace="real", out=Path(place) / "moving")))
+        window.engine.ask(SessionJob(1, plan(0.05, 60.0), pace="real", out=Path(place) / "moving"))
         watch.until(lambda: window.run.live.run is not None)
         for part in (look, conclude, plan_more):
             part(watch, window, lab)

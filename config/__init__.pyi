@@ -79,7 +79,6 @@ from .settings import refuse_unknown as refuse_unknown
 from .settings import shipped_files as shipped_files
 from .settings import suggestion as suggestion
 from .settings import to_toml as to_toml
-from .specimen import SPECIMEN_FACTS as SPECIMEN_FACTS
 from .specimen import UNSTATED as UNSTATED
 from .specimen import Capsule as Capsule
 from .specimen import Fixture as Fixture

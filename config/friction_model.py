@@ -6,30 +6,18 @@ A model that was identified or diagnosed carries a summary of where its values c
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, ModelWrapValidatorHandler, model_serializer, model_validator
+from pydantic import Field, model_serializer, model_validator
 
 from dragrig.config.errors import SettingsError
-from dragrig.config.settings import Settings, parse
+from dragrig.config.settings import GatheredSettings, Settings, parse
 from dragrig.config.typed_numbers import read_number
 
 
-class EffectSettings(Settings):
+class EffectSettings(GatheredSettings):
     """An effect that is switched on, with its parameters; those not listed have their default values."""
 
     id: str = Field(min_length=1)
     parameters: Mapping[str, float] = {}
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _gather_parameters(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        if not isinstance(data, Mapping):
-            return handler(data)
-        effect = {key: value for key, value in data.items() if key in cls.model_fields}
-        parameters = effect.get("parameters", {})
-        if len(effect) < len(data) and isinstance(parameters, Mapping):
-            beside = {key: value for key, value in data.items() if key not in effect}
-            return handler({**effect, "parameters": {**parameters, **beside}})
-        return handler(data)
 
     @model_serializer
     def _beside_the_id(self) -> dict[str, str | float]:

@@ -7,11 +7,10 @@ protocol takes one number, a list of numbers makes one run of each.
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Self
 
-from pydantic import Field, ModelWrapValidatorHandler, model_validator
+from pydantic import Field
 
-from dragrig.config.settings import Settings
+from dragrig.config.settings import GatheredSettings, Settings
 from dragrig.config.specimen import Fixture
 
 DEFAULT_DRIFT_PERCENT = 10.0
@@ -38,7 +37,7 @@ class ReturnMode(StrEnum):
     """Not at all: the next run begins at the end of this one."""
 
 
-class PlannedKind(Settings):
+class PlannedKind(GatheredSettings):
     """A kind of run in a plan, with its parameters and what is mounted for it."""
 
     kind: str = Field(min_length=1)
@@ -49,17 +48,6 @@ class PlannedKind(Settings):
     """Name of a capsule, or its file (default: the protocol's capsule)."""
     fixture: Fixture | None = None
     """What holds the gut (default: the protocol's fixture)."""
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _gather_parameters(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        if not isinstance(data, Mapping):
-            return handler(data)
-        own = {key: value for key, value in data.items() if key in cls.model_fields}
-        parameters = own.get("parameters", {})
-        if len(own) < len(data) and isinstance(parameters, Mapping):
-            own["parameters"] = {**parameters, **{key: value for key, value in data.items() if key not in own}}
-        return handler(own)
 
 
 class PlanStep(PlannedKind):

@@ -16,9 +16,9 @@ from importlib.resources.abc import Traversable
 from itertools import pairwise
 from pathlib import Path
 from types import UnionType
-from typing import TypeVar, Union, get_args, get_origin
+from typing import Self, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
 from dragrig.config.errors import NO_TEXT, SettingsError
@@ -101,6 +101,21 @@ class Settings(BaseModel):
             if len(value) > _MAX_TEXT_CHARACTERS:
                 raise ValueError(f"must not be longer than {_MAX_TEXT_CHARACTERS} characters")
         return value
+
+
+class GatheredSettings(Settings):
+    """Settings whose further keys are gathered in their `parameters`."""
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _gather_parameters(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        if not isinstance(data, Mapping):
+            return handler(data)
+        own = {key: value for key, value in data.items() if key in cls.model_fields}
+        parameters = own.get("parameters", {})
+        if len(own) < len(data) and isinstance(parameters, Mapping):
+            own["parameters"] = {**parameters, **{key: value for key, value in data.items() if key not in own}}
+        return handler(own)
 
 
 def field_descriptions(model: type[BaseModel]) -> dict[str, str]:

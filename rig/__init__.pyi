@@ -106,9 +106,7 @@ from .runfile.campaigns import unmark as unmark
 from .runfile.campaigns import write_note as write_note
 from .runfile.campaigns import write_session_record as write_session_record
 from .runfile.filesystem import file_lock as file_lock
-from .runfile.filesystem import move_into_place as move_into_place
 from .runfile.filesystem import remove_file as remove_file
-from .runfile.filesystem import remove_quietly as remove_quietly
 from .runfile.filesystem import rename_into_place as rename_into_place
 from .runfile.filesystem import replace_text as replace_text
 from .runfile.filesystem import written_atomically as written_atomically

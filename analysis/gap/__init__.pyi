@@ -54,7 +54,6 @@ from .settling import SettleStep as SettleStep
 from .settling import batch_budget as batch_budget
 from .settling import ending_of as ending_of
 from .settling import settle_step as settle_step
-from .settling import surest_causes as surest_causes
 from .settling import verdict_probability as verdict_probability
 from .together import MIN_CAMPAIGNS as MIN_CAMPAIGNS
 from .together import CampaignEvidence as CampaignEvidence

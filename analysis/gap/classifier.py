@@ -273,12 +273,12 @@ def _classification(named: Mapping[tuple[str, ...], float], unknown: float, no_g
     effects = max(named, key=lambda names: named[names], default=())
     if not effects or named[effects] < max(unknown, no_gap):
         verdict = Verdict.NO_GAP if no_gap >= unknown else Verdict.UNKNOWN
-        return Classification(verdict, (), probabilities, (), residual_unknown=False)
+        return Classification(verdict, (), probabilities, ())
     threshold = CONFUSABLE_RATIO * named[effects]
     rivals = [names for names, value in named.items() if value > threshold and not set(effects) <= set(names)]
     confusable = tuple(dict.fromkeys(name for names in rivals for name in names if name not in effects))
     verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
-    return Classification(verdict, effects, probabilities, confusable, residual_unknown=False)
+    return Classification(verdict, effects, probabilities, confusable)
 
 
 def _prefer_subset(named: Mapping[tuple[str, ...], float]) -> Mapping[tuple[str, ...], float]:
@@ -411,7 +411,6 @@ def restate(classification: Classification, probabilities: Mapping[str, float]) 
         effects=effects,
         probabilities=restated,
         confusable_with=tuple(name for name in classification.confusable_with if effects and name not in effects),
-        residual_unknown=False,
     )
 
 

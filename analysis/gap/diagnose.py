@@ -190,10 +190,10 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
     where = attribute_to_effects(where, blocks, _named_force(study, fit, weighed.hum))
     files = tuple(run.file for run in study.runs)
     budget = _budget(weighed)
-    if classification.effects:
-        unexplained_position = position.has_position_error and not weighed.in_position & set(classification.effects)
-        left_over = unexplained_position or budget.leaves_more_than(RESIDUAL_SHARE, options.tolerance_mN)
-        classification = replace(classification, residual_unknown=left_over)
+    unexplained_position = position.has_position_error and not weighed.in_position & set(classification.effects)
+    residual_unknown = bool(classification.effects) and (
+        unexplained_position or budget.leaves_more_than(RESIDUAL_SHARE, options.tolerance_mN)
+    )
     next_runs = Recommendation()
     if options.next_runs is not None:
         next_runs = recommend_next_run(study, search, position, classification, options.next_runs)
@@ -209,15 +209,17 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         effects=classification.effects,
         ranking=tuple(_ranked_hypotheses(search, position, lines, classification)),
         confusable_with=classification.confusable_with,
-        residual_unknown=classification.residual_unknown,
+        residual_unknown=residual_unknown,
         detection_limit_mN=detection_limit(study, search.nominal),
         tolerance_mN=options.tolerance_mN,
         where=where,
         shrink=reduction,
-        unknown=describe_unexplained_gap(
+        unknown=None
+        if classification.verdict is not Verdict.UNKNOWN and not residual_unknown
+        else describe_unexplained_gap(
             where,
             blocks,
-            classification,
+            classification.verdict,
             weighed.unnamed_line,
             weighed.bursts,
             weighed.inputs,

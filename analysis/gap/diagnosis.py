@@ -271,7 +271,6 @@ class Classification:
     effects: tuple[str, ...]
     probabilities: Mapping[str, float]
     confusable_with: tuple[str, ...]
-    residual_unknown: bool
 
     def marginal(self, effect: str) -> float:
         """Return the probability of all hypotheses with an effect."""

@@ -128,13 +128,13 @@ def _own_factors(residual: FloatArray, whitening: Whitening) -> FloatArray:
     return np.asarray(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(residual)))
 
 
-def reduction_over_runs(gaps: Sequence[RunGap], seed: int = 0) -> GapReduction:
+def reduction_over_runs(gaps: Sequence[RunGap]) -> GapReduction:
     """Return how far the gap closes, with a bootstrap interval over whole runs."""
     rows = np.array([gap.sums for gap in gaps])
     closed = _closed_share(rows.sum(axis=0))
     interval = None
     if closed is not None and len(gaps) > 2:
-        samples = np.random.default_rng(seed).integers(len(gaps), size=(BOOTSTRAP_SAMPLES, len(gaps)))
+        samples = np.random.default_rng(0).integers(len(gaps), size=(BOOTSTRAP_SAMPLES, len(gaps)))
         resampled = [
             value for value in (_closed_share(rows[index].sum(axis=0), 1.0) for index in samples) if value is not None
         ]

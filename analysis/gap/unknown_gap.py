@@ -9,7 +9,6 @@ import numpy as np
 from dragrig.analysis import ForceBurst, capitalise, percent_text
 from dragrig.analysis.gap.diagnosis import (
     AxisLocation,
-    Classification,
     GapLocation,
     UnexplainedGap,
     Verdict,
@@ -560,14 +559,14 @@ NOT_LOCALISABLE = "It shows in many runs together, and in no place of them alone
 def describe_unexplained_gap(
     where: GapLocation,
     blocks: Sequence[ResidualBlocks],
-    classification: Classification,
+    verdict: Verdict,
     line: SpectralLine | None,
     bursts: Sequence[ForceBurst],
     inputs: DecisionInputs,
     *,
     single_condition: bool = False,
-) -> UnexplainedGap | None:
-    """Return location, dependence and law of an unexplained gap; None if all is explained.
+) -> UnexplainedGap:
+    """Return location, dependence and law of an unexplained gap.
 
     Parameters
     ----------
@@ -578,8 +577,6 @@ def describe_unexplained_gap(
     single_condition
         Whether all runs are of one condition, which shows a form and no cause that it resembles.
     """
-    if classification.verdict is not Verdict.UNKNOWN and not classification.residual_unknown:
-        return None
     if line is not None:
         return UnexplainedGap(*line_texts(line, blocks[0].channel))
     localisable = any(where.location("channel").shares.values())
@@ -595,7 +592,7 @@ def describe_unexplained_gap(
         return UnexplainedGap(NOT_LOCALISABLE, nonparametric_law_text(inputs))
     region = gap_region(where, blocks)
     law = fit_gap_law(region)
-    entirely_unknown = classification.verdict is Verdict.UNKNOWN and not inputs.has_position_error
+    entirely_unknown = verdict is Verdict.UNKNOWN and not inputs.has_position_error
     sentences = [dependence_text(where, region)]
     if entirely_unknown and not single_condition:
         sentences += [nonparametric_law_text(inputs), resemblance_text(inputs)]

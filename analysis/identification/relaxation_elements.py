@@ -377,9 +377,7 @@ class RelaxationResiduals:
     """
 
 
-def relaxation_residuals(
-    fit: RelaxationFit, experiment: Experiment, noise: NoiseModel, points: int = 400
-) -> RelaxationResiduals:
+def relaxation_residuals(fit: RelaxationFit, experiment: Experiment, noise: NoiseModel) -> RelaxationResiduals:
     """Evaluate a fit beside its run; raises `AnalysisError` where it has no elements."""
     record = ShearRecord.of(experiment, noise)
     moduli, times, spring, zero = _branch_values(fit)
@@ -387,7 +385,7 @@ def relaxation_residuals(
     predicted = zero + spring * record.spring() + moduli @ record.branches(times)
     whitened = record.rows((blocks.mean - predicted)[None])[0, :-1]
     start = record.ramp_s[0]
-    time = start + np.geomspace(record.step_s, blocks.end_s[-1] - start, points)
+    time = start + np.geomspace(record.step_s, blocks.end_s[-1] - start, 400)
     force = zero + record.forces_at(times, moduli, spring, time)
     return RelaxationResiduals(record.ramp_s, blocks.middle_s, whitened, time, force)
 

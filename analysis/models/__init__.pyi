@@ -1,11 +1,9 @@
 from .catalogue import find_model as find_model
 from .experiment import Experiment as Experiment
 from .nominal_model import ChannelModel as ChannelModel
-from .nominal_model import ForcePart as ForcePart
 from .nominal_model import MotionState as MotionState
 from .nominal_model import NominalModel as NominalModel
 from .nominal_model import Parameter as Parameter
-from .nominal_model import ParameterCombination as ParameterCombination
 from .nominal_model import Prediction as Prediction
 from .nominal_model import Predictor as Predictor
 from .nominal_model import Variation as Variation

@@ -55,7 +55,7 @@ def model_names() -> tuple[str, ...]:
     return tuple(sorted(entry_points(group=ENTRY_POINT_GROUP).names))
 
 
-def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
+def find_model(name_or_file: str) -> NominalModel:
     """Find a nominal model.
 
     Parameters
@@ -63,8 +63,6 @@ def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
     name_or_file
         Name of an installed model, path of a Python file with a `MODEL`, or of a model as TOML: a friction model,
         which becomes the capsule model's nominal settings, or what a diagnosis made of another model.
-    beside
-        Folder to which a relative path refers, besides the working folder.
 
     Returns
     -------
@@ -77,13 +75,11 @@ def find_model(name_or_file: str, beside: Path | None = None) -> NominalModel:
     """
     path = Path(name_or_file)
     if path.suffix in {".py", ".toml"} or len(path.parts) > 1:
-        candidates = (path, *([beside / path] if beside else []))
-        file = next((candidate for candidate in candidates if candidate.is_file()), None)
-        if file is None:
+        if not path.is_file():
             raise SettingsError(f"{name_or_file}: there is no such file; check the path of the model.")
-        if file.suffix == ".toml":
-            return nominal_model(parse_model_settings(read_toml(file), str(file)))
-        return CheckedModel.of(_load_file(file.resolve()), str(file), file.resolve())
+        if path.suffix == ".toml":
+            return nominal_model(parse_model_settings(read_toml(path), str(path)))
+        return CheckedModel.of(_load_file(path.resolve()), str(path), path.resolve())
     entry = next(iter(entry_points(group=ENTRY_POINT_GROUP, name=name_or_file)), None)
     if entry is None:
         raise SettingsError(

@@ -26,6 +26,7 @@ from .measure import check_setup as check_setup
 from .measure import examine as examine
 from .measure import resume as resume
 from .measure import run as run
+from .model_fit import FitChoices as FitChoices
 from .model_fit import IdentifiedFolder as IdentifiedFolder
 from .model_fit import identified_folder as identified_folder
 from .model_fit import identify as identify

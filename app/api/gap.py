@@ -3,7 +3,7 @@
 Amended model and report are written on the way; a plan or a campaign also says beforehand which effects it can isolate.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
@@ -46,7 +46,7 @@ from dragrig.config import (
 )
 from dragrig.parallel import map_tasks, open_executor, parallel_map, parallel_map_with_progress
 from dragrig.present import write_text
-from dragrig.rig import Campaign, Run, read_campaign
+from dragrig.rig import Campaign, Run, RunInfo, read_campaign
 from dragrig.setup import PlanLike, Setup, SetupChoices, resolve
 
 if TYPE_CHECKING:
@@ -198,10 +198,11 @@ class DiagnosisRequest:
         if len(campaigns) < MIN_CAMPAIGNS:
             raise AnalysisError("--together: takes two campaigns or more; name another, or leave --together out.")
         self.options()
-        tasks = [(str(campaign), Path(campaign).absolute()) for campaign in campaigns]
+        folders = [Path(campaign).absolute() for campaign in campaigns]
         looking, diagnosing, pooling = parts_of(progress, LOOKING_COST, DIAGNOSING_COST, POOLING_COST)
-        with open_executor(workers, scheduler, tasks=len(tasks)) as executor:
-            found = parallel_map_with_progress(executor, look_into, tasks, looking)
+        with open_executor(workers, scheduler, tasks=len(folders)) as executor:
+            listings = parallel_map_with_progress(executor, read_campaign, folders, looking)
+            found = [FolderToPool(str(name), listing) for name, listing in zip(campaigns, listings, strict=True)]
             _require_one_rig(found)
             counted, remarks = _counted_once(found)
             if len(counted) < MIN_CAMPAIGNS:
@@ -328,28 +329,6 @@ class FolderToPool:
     listing: Campaign
     counted_elsewhere: Mapping[str, str] = field(default_factory=dict)
 
-    @property
-    def runs(self) -> frozenset[str]:
-        """Ids of its good runs."""
-        return frozenset(run.header.run_id for run in self.listing.good)
-
-    @property
-    def sensors(self) -> frozenset[str]:
-        """Serial numbers of their force sensors, where stated."""
-        serials = {str(run.header.entry.get("sensor_serial", "")) for run in self.listing.good}
-        return frozenset(serials - {"", UNSTATED})
-
-    @property
-    def backends(self) -> frozenset[str]:
-        """Where they come from."""
-        return frozenset(run.header.backend for run in self.listing.good)
-
-
-def look_into(campaign: tuple[str, Path]) -> FolderToPool:
-    """Read what the runs of a campaign, its name and its folder, state of themselves."""
-    name, folder = campaign
-    return FolderToPool(name, read_campaign(folder))
-
 
 def gap_diagnose_together(
     campaigns: Sequence[str | Path],
@@ -395,17 +374,14 @@ def gap_diagnose_together(
 
 def _require_one_rig(campaigns: Sequence[FolderToPool]) -> None:
     """Raise `AnalysisError` where campaigns are of different force sensors or backends."""
-    for what, values in (
-        ("force sensors", [campaign.sensors for campaign in campaigns]),
-        ("backends", [campaign.backends for campaign in campaigns]),
-    ):
-        several = sorted(frozenset().union(*values))
-        if len(several) > 1:
-            names = ", ".join(
-                f"{campaign.name} ({' and '.join(sorted(value))})"
-                for campaign, value in zip(campaigns, values, strict=True)
-                if value
-            )
+    stated: Mapping[str, Callable[[RunInfo], str]] = {
+        "force sensors": lambda run: str(run.header.entry.get("sensor_serial", "")),
+        "backends": lambda run: run.header.backend,
+    }
+    for what, state in stated.items():
+        values = {each.name: {*map(state, each.listing.good)} - {"", UNSTATED} for each in campaigns}
+        if len(frozenset().union(*values.values())) > 1:
+            names = ", ".join(f"{name} ({' and '.join(sorted(value))})" for name, value in values.items() if value)
             raise AnalysisError(
                 f"these campaigns are not of one rig: they name different {what}: {names}; pool those of one."
             )
@@ -416,10 +392,11 @@ def _counted_once(campaigns: Sequence[FolderToPool]) -> tuple[list[FolderToPool]
     seen: dict[str, str] = {}
     counted, remarks = list[FolderToPool](), list[str]()
     for campaign in campaigns:
-        again = {run: seen[run] for run in campaign.runs if run in seen}
-        seen |= dict.fromkeys(campaign.runs - again.keys(), campaign.name)
+        runs = {run.header.run_id for run in campaign.listing.good}
+        again = {run: seen[run] for run in runs if run in seen}
+        seen |= dict.fromkeys(runs - again.keys(), campaign.name)
         where = ", ".join(dict.fromkeys(again.values()))
-        if again and len(again) == len(campaign.runs):
+        if again and len(again) == len(runs):
             remarks.append(f"left out: all runs of {campaign.name} are in {where} too, and a run counts once")
             continue
         if again:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 from dragrig import present
 from dragrig.analysis import (
@@ -58,6 +58,15 @@ if TYPE_CHECKING:
 
 
 WallChoice = Literal["scaled", "fitted"]
+
+
+class FitChoices(TypedDict):
+    """What campaigns are identified against, as in `dragrig.identify`."""
+
+    nominal: str
+    model: str
+    wall: WallChoice
+    specimen: str | None
 
 
 READING_COST, FITTING_COST = 1, 14
@@ -361,26 +370,22 @@ def identify_many(
     folders = [Path(campaign).absolute() for campaign in campaigns]
     outputs = _output_folders(folders, out) if write else [None] * len(folders)
     nominal_name, model_name = absolute_if_file(str(nominal)), absolute_if_file(str(model))
-    request = _IdentificationRequest(nominal_name, model_name, wall, specimen, overwrite)
+    choices: FitChoices = {"nominal": nominal_name, "model": model_name, "wall": wall, "specimen": specimen}
+    request = _IdentificationRequest(choices, overwrite)
     tasks = list(zip(map(str, campaigns), folders, outputs, strict=True))
     return map_tasks(request.identify_folder, tasks, workers, scheduler, progress)
 
 
 @dataclass(frozen=True, slots=True)
 class _IdentificationRequest:
-    nominal: str
-    model: str
-    wall: WallChoice
-    specimen: str | None
-    overwrite: bool
+    choices: FitChoices
+    overwrite: bool = False
 
     def identify_folder(self, campaign: tuple[str, Path, Path | None]) -> IdentifiedFolder:
         """Identify one of many campaigns (name, folder, output folder); an error becomes part of the result."""
         name, folder, output = campaign
         try:
-            identified = identify(
-                folder, nominal=self.nominal, model=self.model, wall=self.wall, specimen=self.specimen
-            )
+            identified = identify(folder, **self.choices)
             files: tuple[Path, ...] = ()
             why_not = identified.why_no_model or ""
             if output is not None:
@@ -397,9 +402,7 @@ class _PooledIdentification(_IdentificationRequest):
         name, pooled = task
         campaign = pooled.campaign
         try:
-            identified = identify(
-                campaign, nominal=self.nominal, model=self.model, wall=self.wall, specimen=self.specimen
-            )
+            identified = identify(campaign, **self.choices)
         except DragrigError as error:
             return Exclusion(name, reason_of(error).removeprefix(f"{campaign.folder}: "))
         infos = [experiment.run.info for experiment in identified.selection.experiments]
@@ -460,15 +463,14 @@ def identify_together(
     """
     names = {Path(campaign).resolve(): str(campaign) for campaign in reversed(campaigns)}
     pooled = pool_campaigns([Path(campaign).absolute() for campaign in campaigns])
-    request = _PooledIdentification(
-        absolute_if_file(str(nominal)), absolute_if_file(str(model)), wall, specimen, overwrite=False
-    )
+    nominal_name, model_name = absolute_if_file(str(nominal)), absolute_if_file(str(model))
+    request = _PooledIdentification({"nominal": nominal_name, "model": model_name, "wall": wall, "specimen": specimen})
     tasks = [(names[each.campaign.folder.resolve()], each) for each in pooled]
     fits = map_tasks(request.fit, tasks, workers, scheduler, progress)
     identified = [fit for fit in fits if isinstance(fit, SpecimenFit)]
     left_out = [fit for fit in fits if isinstance(fit, Exclusion)]
     copies = [replace(copy, item=f"{name}/{copy.item}") for name, each in tasks for copy in each.copies]
-    parameters = _nominal_model(request.nominal, request.model).parameters
+    parameters = _nominal_model(nominal_name, model_name).parameters
     return pool_specimens(identified, parameters, (*left_out, *copies))
 
 

@@ -66,8 +66,8 @@ class Settlement:
     made: "Made | None" = None
 
 
-class RunOptions(TypedDict):
-    """How runs are made, as arguments of `dragrig.run`."""
+class SettleHands(TypedDict, total=False):
+    """Who is at the rig, and how its runs are made; arguments of `dragrig.run`; only `tell` hears of warnings."""
 
     operator: str
     note: str
@@ -75,18 +75,6 @@ class RunOptions(TypedDict):
     person: "SessionOperator | None"
     mirror: str | Path | None
     tell: Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class SettleHands:
-    """Who is at the rig, and how its runs are made; the arguments of `dragrig.run`."""
-
-    operator: str = ""
-    note: str = ""
-    pace: "Pace | None" = None
-    person: "SessionOperator | None" = None
-    mirror: str | Path | None = None
-    tell: Callable[[str], None] = ignore
 
 
 def gap_settle(
@@ -157,8 +145,8 @@ def gap_settle(
     if out is not None:
         # Before anything is written: the decisions of an earlier loop stand there.
         require_no_runs(Path(out))
-    if hands is not None and hands.mirror is not None:
-        require_mirror_in_reach(Path(hands.mirror))
+    if hands is not None and (mirror := hands.get("mirror")) is not None:
+        require_mirror_in_reach(Path(mirror))
     now = datetime.now().astimezone()
     folder = setup.data_root / f"{now:%Y%m%d-%H%M%S}-settle-{setup.plan.name}" if out is None else Path(out)
     first = Batch(plan=setup.plan, minutes=first_min, reason="the first runs")
@@ -168,7 +156,7 @@ def gap_settle(
     with _settling(folder, hands or SettleHands(), step or ignore) as settling:
         with _no_trace_if_nothing_began(folder):
             settling.keep(record)
-            made = run(plan, out=folder, **settling.how, **choices)
+            made = run(plan, out=folder, **settling.hands, **choices)
         made.session.require()
         return settling.go_on(record, made)
 
@@ -372,8 +360,9 @@ def _no_trace_if_nothing_began(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _settling(folder: Path, hands: SettleHands, step: Callable[[SettleRecord], None]) -> Iterator["_Settling"]:
-    with mirrored_decisions(folder, hands.mirror, hands.tell) as write:
-        yield _Settling(folder, hands, step, write)
+    chosen: SettleHands = {"tell": ignore, **hands}
+    with mirrored_decisions(folder, chosen.get("mirror"), chosen["tell"]) as write:
+        yield _Settling(folder, chosen, step, write)
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,19 +374,6 @@ class _Settling:
     step: Callable[[SettleRecord], None]
     write: Callable[[SettleRecord], None]
 
-    @property
-    def how(self) -> "RunOptions":
-        """How runs are made, as arguments of `dragrig.run`."""
-        hands = self.hands
-        return {
-            "operator": hands.operator,
-            "note": hands.note,
-            "pace": hands.pace,
-            "person": hands.person,
-            "mirror": hands.mirror,
-            "tell": hands.tell,
-        }
-
     def keep(self, record: SettleRecord) -> None:
         """Write what was decided, and tell of it."""
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -407,9 +383,9 @@ class _Settling:
     def made_last_batch(self, record: SettleRecord) -> "Made":
         """Make the runs of the last batch that are missing."""
         if has_begun(self.folder, record):
-            made = resume(self.folder, **self.how)
+            made = resume(self.folder, **self.hands)
         else:
-            made = run(record.batches[-1].plan, append=self.folder, **self.how)
+            made = run(record.batches[-1].plan, append=self.folder, **self.hands)
         made.session.require()
         return made
 

@@ -332,7 +332,9 @@ def settle_command(
         print_remark(step_sentence(record))
 
     with TerminalOperator(yes=yes) as person:
-        at_the_rig = SettleHands(operator, note, pace, person, mirror, print_warning)
+        at_the_rig = SettleHands(
+            operator=operator, note=note, pace=pace, person=person, mirror=mirror, tell=print_warning
+        )
         if resume is not None:
             settled = gap_settle_resume(resume, hands=at_the_rig, step=tell, minutes=minutes)
         else:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -20,7 +20,7 @@ from dragrig.cli.options import NUMBER
 from dragrig.config import AnalysisError, SettingsError
 
 if TYPE_CHECKING:
-    from dragrig.api import IdentifiedFolder, PaperViscous, PaperWall
+    from dragrig.api import FitChoices, IdentifiedFolder, PaperViscous, PaperWall
     from dragrig.config import FrictionModelSettings, RobotDrive
     from dragrig.rig import Campaign
 
@@ -334,7 +334,7 @@ def identify_command(
     worker_count(workers, scheduler)
     if report is not None:
         require_writable(report, overwrite=overwrite)
-    choices: _FitChoices = {"nominal": nominal, "model": model, "wall": wall, "specimen": specimen}
+    choices: FitChoices = {"nominal": nominal, "model": model, "wall": wall, "specimen": specimen}
     if together:
         _require_no_model(save_model, out)
         _identify_together(campaigns, choices, workers, scheduler, report, overwrite=overwrite, as_json=as_json)
@@ -395,16 +395,9 @@ def _require_no_model(save_model: Path | None, out: Path | None) -> None:
         raise SettingsError(f"{' '.join(named)}: a population has no model of its own to write; leave it out.")
 
 
-class _FitChoices(TypedDict):
-    nominal: str
-    model: str
-    wall: Literal["scaled", "fitted"]
-    specimen: str | None
-
-
 def _identify_together(
     campaigns: tuple[Path, ...],
-    choices: _FitChoices,
+    choices: "FitChoices",
     workers: int | None,
     scheduler: str | None,
     report: Path | None,

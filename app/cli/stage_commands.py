@@ -134,11 +134,11 @@ def calibrate_force_command(
     """
     from dragrig.api import calibrate_force
     from dragrig.cli.operator import TerminalOperator
-    from dragrig.present import force_calibration_document
+    from dragrig.present import sensor_calibration_document
 
     with TerminalOperator(yes=yes) as person:
         calibration = calibrate_force(weights, repeats=repeats, duration_s=seconds, person=person, **session)
-    document = force_calibration_document(calibration.entry, calibration.points, calibration.line, calibration.notes)
+    document = sensor_calibration_document(calibration.entry, calibration.points, calibration.line, calibration.notes)
     print_document(document, as_json=as_json)
 
 
@@ -177,7 +177,7 @@ def calibrate_encoder_command(
     """
     from dragrig.api import calibrate_encoder
     from dragrig.cli.operator import TerminalOperator
-    from dragrig.present import encoder_calibration_document
+    from dragrig.present import sensor_calibration_document
 
     with TerminalOperator(yes=yes) as person:
         calibration = calibrate_encoder(
@@ -190,5 +190,5 @@ def calibrate_encoder_command(
             person=person,
             **session,
         )
-    document = encoder_calibration_document(calibration.entry, calibration.points, calibration.line, calibration.notes)
+    document = sensor_calibration_document(calibration.entry, calibration.points, calibration.line, calibration.notes)
     print_document(document, as_json=as_json)

@@ -44,7 +44,6 @@ from .messages import SessionWaiting as SessionWaiting
 from .messages import SilenceLimits as SilenceLimits
 from .messages import StageHomes as StageHomes
 from .messages import StageMoved as StageMoved
-from .messages import StartSession as StartSession
 from .messages import StoreCalibration as StoreCalibration
 from .messages import TouchOffStage as TouchOffStage
 from .messages import TravelEnd as TravelEnd

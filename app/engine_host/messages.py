@@ -103,13 +103,6 @@ class SessionJob:
 
 
 @dataclass(frozen=True, slots=True)
-class StartSession:
-    """Carry out a session."""
-
-    job: SessionJob
-
-
-@dataclass(frozen=True, slots=True)
 class AbortSession:
     """Stop the stage now and end the session in good order."""
 
@@ -230,7 +223,7 @@ class StopHost:
 
 
 Request: TypeAlias = (
-    StartSession
+    SessionJob
     | AbortSession
     | PauseSession
     | PromptReply

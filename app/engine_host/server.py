@@ -71,14 +71,13 @@ from dragrig.engine_host.messages import (
     SilenceLimits,
     StageHomes,
     StageMoved,
-    StartSession,
     StopHost,
     StoreCalibration,
     TouchOffStage,
     WatchRig,
 )
 from dragrig.hosted_session import SessionOptions, idle_reader
-from dragrig.present import encoder_calibration_document, force_calibration_document
+from dragrig.present import sensor_calibration_document
 from dragrig.rig import (
     HOMING,
     LIMIT_SWITCH_CAUSES,
@@ -443,8 +442,8 @@ class EngineHost:
         match request:
             case WatchRig(on):
                 self._idle.on = on
-            case StartSession(job):
-                self._start(job)
+            case SessionJob():
+                self._start(request)
             case ExamineRig():
                 self._sender.say(self._examine())
             case ResetGuard():
@@ -584,14 +583,14 @@ class EngineHost:
                 force = calibrate_force(weights_g, repeats=repeats, duration_s=duration_s, operator=name, note=note,
                                         store=False, pace=self._rig.pace, person=person, begun=begun,
                                         **choices)  # fmt: skip
-                record = force_calibration_document(force.entry, force.points, force.line, force.notes, stored=False)
+                record = sensor_calibration_document(force.entry, force.points, force.line, force.notes, stored=False)
                 return CalibrationMeasured(force.entry, record)
             case CalibrateEncoder(travel_mm, measured_mm, repeats, speed_mm_s, by_hand, duration_s, name, note):
                 travel = calibrate_encoder(travel_mm, measured_mm=measured_mm, repeats=repeats, speed_mm_s=speed_mm_s,
                                            by_hand=by_hand, duration_s=duration_s, operator=name, note=note,
                                            store=False, pace=self._rig.pace, person=person, begun=begun,
                                            **choices)  # fmt: skip
-                record = encoder_calibration_document(
+                record = sensor_calibration_document(
                     travel.entry, travel.points, travel.line, travel.notes, stored=False
                 )
                 return CalibrationMeasured(travel.entry, record)

@@ -1,4 +1,3 @@
-from .campaign import CampaignReportData as CampaignReportData
 from .campaign import campaign_document as campaign_document
 from .campaign import campaign_runs_document as campaign_runs_document
 from .campaign import campaign_table_document as campaign_table_document
@@ -67,7 +66,6 @@ from .drawing import figure_style as figure_style
 from .drawing import fit_y_range as fit_y_range
 from .drawing import label_curves as label_curves
 from .drawing import label_times as label_times
-from .drawing import lay_out as lay_out
 from .drawing import layout_of as layout_of
 from .drawing import new_figure as new_figure
 from .drawing import panel_size_in as panel_size_in
@@ -75,7 +73,6 @@ from .drawing import sequential_colours as sequential_colours
 from .drawing import set_log_x as set_log_x
 from .drawing import set_time_range as set_time_range
 from .drawing import shortened_to_width as shortened_to_width
-from .drawing import spread_labels as spread_labels
 from .drawing import text_width_in as text_width_in
 from .drawing import write_legend as write_legend
 from .evaluation import evaluation_document as evaluation_document
@@ -136,6 +133,7 @@ from .numbers import p_value_text as p_value_text
 from .numbers import percent as percent
 from .numbers import percent_difference as percent_difference
 from .numbers import probability_text as probability_text
+from .numbers import quantity_json as quantity_json
 from .numbers import round_to_sum as round_to_sum
 from .numbers import run_problem as run_problem
 from .numbers import run_subtitle as run_subtitle
@@ -152,18 +150,15 @@ from .paper import paper_document as paper_document
 from .paper import paper_tables as paper_tables
 from .population import population_document as population_document
 from .population import population_figure as population_figure
-from .population import population_json as population_json
 from .rig_results import commissioning_document as commissioning_document
-from .rig_results import encoder_calibration_document as encoder_calibration_document
-from .rig_results import force_calibration_document as force_calibration_document
 from .rig_results import preflight_document as preflight_document
 from .rig_results import rig_check_document as rig_check_document
+from .rig_results import sensor_calibration_document as sensor_calibration_document
 from .robot import robot_document as robot_document
 from .run import InspectedFile as InspectedFile
 from .run import files_document as files_document
 from .run import run_document as run_document
 from .run_figures import run_figure as run_figure
-from .settle import probabilities_figure as probabilities_figure
 from .settle import settlement_document as settlement_document
 from .settle import step_sentence as step_sentence
 from .together import pooled_document as pooled_document

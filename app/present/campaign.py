@@ -500,7 +500,7 @@ def steady_force_answer(rows: Sequence[TableRow]) -> str:
     subject = f"The steady {_KIND_NAMES.get(slow.kind, slow.kind)} force above that at rest"
     force_slow, force_fast = (value_with_error(end.steady_above_rest_mN, end.half_width_95_mN) for end in (slow, fast))
     at_slow, at_fast = (f"{shortest(3)(end.speed_mm_s)} mm/s" for end in (slow, fast))
-    counts = sorted({_size_of(end) for end in (slow, fast)})
+    counts = sorted({end.runs if isinstance(end, SpeedMean) else end.specimens for end in (slow, fast)})
     n = f"n = {' and '.join(map(str, counts))} {'specimens' if isinstance(slow, SpecimensMean) else 'runs'}"
     if slow.half_width_95_mN is None or fast.half_width_95_mN is None:
         between = "" if slow is fast else f" and {force_fast} mN at {at_fast}"
@@ -511,11 +511,6 @@ def steady_force_answer(rows: Sequence[TableRow]) -> str:
     clear = abs(change) > hypot(slow.half_width_95_mN, fast.half_width_95_mN)
     verb = ("rises" if change > 0 else "falls") if clear else "does not change clearly with speed,"
     return f"{subject} {verb} from {force_slow} mN at {at_slow} to {force_fast} mN at {at_fast} (± 95 %, {n})."
-
-
-def _size_of(mean: SpeedMean | SpecimensMean) -> int:
-    """Return the number of values of a mean: runs on one specimen, or specimens."""
-    return mean.runs if isinstance(mean, SpeedMean) else mean.specimens
 
 
 _KIND_NAMES = {"coulomb": "Coulomb"}

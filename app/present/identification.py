@@ -48,6 +48,7 @@ from dragrig.present import (
     listed_exclusions,
     p_value_text,
     percent,
+    quantity_json,
     shortest,
     to_json_object,
     unit_text,
@@ -551,7 +552,7 @@ def _relaxation_fit_json(fit: RelaxationFit) -> Mapping[str, object]:
 
 
 def _quantities_json(quantities: Iterable[EstimatedQuantity]) -> Mapping[str, object]:
-    return {_key_with_unit(quantity): _value_json(quantity) for quantity in quantities}
+    return {_key_with_unit(quantity): quantity_json(quantity) for quantity in quantities}
 
 
 def _parameter_json(parameter: ParameterEstimate, fit: JointFit) -> Mapping[str, object]:
@@ -569,11 +570,7 @@ def _parameter_json(parameter: ParameterEstimate, fit: JointFit) -> Mapping[str,
 
 
 def _estimate_json(estimate: Estimate) -> Mapping[str, object]:
-    return {**_value_json(estimate), "reason": estimate.reason}
-
-
-def _value_json(number: Estimate | EstimatedQuantity) -> Mapping[str, object]:
-    return {"value": number.value, "standard_error": number.standard_error, "interval_95": number.interval}
+    return {**quantity_json(estimate), "reason": estimate.reason}
 
 
 def _matrix_json(matrix: FloatArray | None, names: Iterable[str]) -> Mapping[str, object] | None:

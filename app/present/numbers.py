@@ -184,6 +184,11 @@ def exclusions_json(left_out: "Iterable[Exclusion]") -> list[dict[str, object]]:
     return [{"what": exclusion.item, "reason": exclusion.reason} for exclusion in left_out]
 
 
+def quantity_json(quantity: "Estimate | EstimatedQuantity") -> dict[str, object]:
+    """Return a number with its error and interval."""
+    return {"value": quantity.value, "standard_error": quantity.standard_error, "interval_95": quantity.interval}
+
+
 _KIND_TITLES = {
     "drag": "Drag",
     "coulomb": "Coulomb friction",

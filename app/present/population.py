@@ -13,7 +13,6 @@ from dragrig.analysis import (
     EstimatedQuantity,
     Population,
     PopulationParameter,
-    SpecimenValue,
     count_text,
     range_text,
     significant_text,
@@ -25,7 +24,6 @@ from dragrig.present import (
     GREY,
     SMALL_PT,
     Cell,
-    Column,
     Document,
     Field,
     Figure,
@@ -39,6 +37,7 @@ from dragrig.present import (
     left_out_section,
     new_figure,
     p_value_text,
+    quantity_json,
     to_json_object,
     unit_text,
 )
@@ -148,7 +147,7 @@ def _specimens_table(population: Population, parameters: Sequence[PopulationPara
         Field("parameter", "parameter", lambda entry: entry.name),
         Field("first", population.specimens[0], lambda entry: own(entry, population.specimens[0])),
         Field("second", population.specimens[1], lambda entry: own(entry, population.specimens[1])),
-        Field("p", "difference", lambda entry: "" if entry.spread_p is None else p_value_text(entry.spread_p)),
+        Field("p", "difference", _p_text),
         Field("unit", "unit", lambda entry: unit_text(entry.unit)),
         Field("meaning", "meaning", lambda entry: entry.meaning),
     )
@@ -197,48 +196,34 @@ def _rig_table(parameters: Sequence[PopulationParameter]) -> Table:
         Field("parameter", "parameter", lambda entry: entry.name),
         Field("value", "value", lambda entry: _value_cell(entry.mean if entry.determined else None)),
         Field("interval_95", "95 % interval", lambda entry: interval_text(entry.mean) if entry.determined else ""),
-        Field("same_p", "same in all campaigns", _same_text),
+        Field("same_p", "same in all campaigns", _p_text),
         Field("unit", "unit", lambda entry: unit_text(entry.unit)),
         Field("meaning", "meaning", lambda entry: entry.meaning),
     )
 
 
-def _same_text(parameter: PopulationParameter) -> str:
+def _p_text(parameter: PopulationParameter) -> str:
     return "" if parameter.spread_p is None else p_value_text(parameter.spread_p)
 
 
 def _specimen_table(parameter: PopulationParameter) -> Table:
-    return Table(
+    return Table.of(
         f"specimens-{parameter.name}",
         f"{parameter.name}: by the specimen's own runs, and with what the other specimens add",
-        (
-            Column("specimen", "specimen"),
-            Column("own", "own runs"),
-            Column("own_95", "95 % interval"),
-            Column("pooled", "with the others"),
-            Column("pooled_95", "95 % interval"),
-            Column("unit", "unit"),
-        ),
-        tuple(_specimen_row(value, parameter.unit) for value in parameter.specimens),
-    )
-
-
-def _specimen_row(value: SpecimenValue, unit: str) -> tuple[Cell, ...]:
-    own = "" if value.own is None else interval_text(value.own)
-    return (
-        value.specimen,
-        _value_cell(value.own),
-        own,
-        _value_cell(value.pooled),
-        interval_text(value.pooled),
-        unit_text(unit),
+        parameter.specimens,
+        Field("specimen", "specimen", lambda value: value.specimen),
+        Field("own", "own runs", lambda value: _value_cell(value.own)),
+        Field("own_95", "95 % interval", lambda value: "" if value.own is None else interval_text(value.own)),
+        Field("pooled", "with the others", lambda value: _value_cell(value.pooled)),
+        Field("pooled_95", "95 % interval", lambda value: interval_text(value.pooled)),
+        Field("unit", "unit", lambda _: unit_text(parameter.unit)),
     )
 
 
 def _value_cell(quantity: EstimatedQuantity | None) -> FormattedNumber:
     if quantity is None:
         return FormattedNumber(None, UNKNOWN)
-    return FormattedNumber(quantity.value, value_with_error(quantity.value, quantity.standard_error))
+    return FormattedNumber.with_error(quantity.value, quantity.standard_error)
 
 
 def _figure(population: Population) -> Figure:
@@ -336,8 +321,8 @@ def _parameter_json(parameter: PopulationParameter) -> Iterator[tuple[str, objec
     yield "meaning", parameter.meaning
     yield "of_rig", parameter.of_rig
     yield "determined", known
-    yield "mean", _quantity_json(parameter.mean) if known else None
-    yield "spread", _quantity_json(parameter.spread) if known and parameter.spread is not None else None
+    yield "mean", quantity_json(parameter.mean) if known else None
+    yield "spread", quantity_json(parameter.spread) if known and parameter.spread is not None else None
     yield "spread_p", parameter.spread_p if known else None
     yield "spreads", parameter.spreads
     yield "next_specimen_95", parameter.next_specimen if known else None
@@ -346,13 +331,9 @@ def _parameter_json(parameter: PopulationParameter) -> Iterator[tuple[str, objec
         [
             {
                 "specimen": value.specimen,
-                "own": None if value.own is None else _quantity_json(value.own),
-                "pooled": _quantity_json(value.pooled),
+                "own": None if value.own is None else quantity_json(value.own),
+                "pooled": quantity_json(value.pooled),
             }
             for value in parameter.specimens
         ],
     )
-
-
-def _quantity_json(quantity: EstimatedQuantity) -> Mapping[str, object]:
-    return {"value": quantity.value, "standard_error": quantity.standard_error, "interval_95": quantity.interval}

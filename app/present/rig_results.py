@@ -1,7 +1,7 @@
 """The check of a plan, the check of a rig and the points of a calibration, laid out for a reader."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from dragrig.analysis import value_with_error
 from dragrig.present import (
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from dragrig.config import Calibration, CommissionedSignal, CommissioningRecord
     from dragrig.rig import CalibrationLine, LoadReading, Preflight, RigCheck, RunPreview, TravelReading
 
-PointT = TypeVar("PointT")
 _MAX_PREVIEWS = 200
 """Runs of a plan that a terminal lists; the paper's whole programme has 58."""
 
@@ -105,22 +104,24 @@ def _checks_section(item: str, checks: "Sequence[RigCheck | CommissionedSignal]"
     return Section(f"{item}s", "", (table,))
 
 
-def force_calibration_document(
+def sensor_calibration_document(
     entry: "Calibration",
-    points: "Sequence[LoadReading]",
+    points: "Sequence[LoadReading | TravelReading]",
     line: "CalibrationLine",
     notes: Sequence[str],
     *,
     stored: bool = True,
 ) -> Document:
-    """Lay out the points of a force calibration, whether it is in the lab's history already or not."""
-    gain, zero = value_with_error(line.gain, line.gain_error), value_with_error(line.zero, line.zero_error)
-    summary = f"Gain {gain} mN/V, zero {zero} mN, residual {line.residual:.2f} mN (± is one standard error)"
-    return _calibration_document(
-        summary,
-        entry,
-        points,
-        (
+    """Lay out the points of a force or encoder calibration, whether it is in the lab's history already or not."""
+    from dragrig.rig import LoadReading, TravelReading
+
+    if entry.quantity == "force":
+        gain, zero = value_with_error(line.gain, line.gain_error), value_with_error(line.zero, line.zero_error)
+        summary = f"Gain {gain} mN/V, zero {zero} mN, residual {line.residual:.2f} mN (± is one standard error)"
+        table = Table.of(
+            "points",
+            "",
+            [point for point in points if isinstance(point, LoadReading)],
             Field("weight_g", "weight, g", lambda point: point.weight_g, shortest()),
             Field("load_mN", "load, mN", lambda point: point.load_mN, decimals(2)),
             Field("reading_V", "reading, V", lambda point: point.reading.force_V, decimals(5)),
@@ -131,28 +132,14 @@ def force_calibration_document(
                 lambda point: point.load_mN - line.at(point.reading.force_V),
                 decimals(2, signed=True),
             ),
-        ),
-        notes,
-        stored=stored,
-    )
-
-
-def encoder_calibration_document(
-    entry: "Calibration",
-    points: "Sequence[TravelReading]",
-    line: "CalibrationLine",
-    notes: Sequence[str],
-    *,
-    stored: bool = True,
-) -> Document:
-    """Lay out the points of an encoder calibration, otherwise as `force_calibration_document`."""
-    count = value_with_error(1e3 * line.gain, 1e3 * line.gain_error)
-    summary = f"A count is {count} µm, residual {1e3 * line.residual:.2g} µm (± is one standard error)"
-    return _calibration_document(
-        summary,
-        entry,
-        points,
-        (
+        )
+    else:
+        count = value_with_error(1e3 * line.gain, 1e3 * line.gain_error)
+        summary = f"A count is {count} µm, residual {1e3 * line.residual:.2g} µm (± is one standard error)"
+        table = Table.of(
+            "points",
+            "",
+            [point for point in points if isinstance(point, TravelReading)],
             Field("travel_mm", "travel, mm", lambda point: point.travel_mm, shortest()),
             Field("counts", "counts", lambda point: point.counts, decimals(0)),
             Field(
@@ -161,24 +148,10 @@ def encoder_calibration_document(
                 lambda point: 1e3 * (point.travel_mm - line.at(point.counts)),
                 decimals(1, signed=True),
             ),
-        ),
-        notes,
-        stored=stored,
-    )
-
-
-def _calibration_document(
-    summary: str,
-    entry: "Calibration",
-    points: Sequence[PointT],
-    fields: tuple[Field[PointT], ...],
-    notes: Sequence[str],
-    *,
-    stored: bool,
-) -> Document:
+        )
     return Document(
         title=f"{summary}; stored as {entry.id}" if stored else summary,
-        sections=(Section("points", "", (Table.of("points", "", points, *fields), Items(tuple(notes), remarks=True))),),
+        sections=(Section("points", "", (table, Items(tuple(notes), remarks=True))),),
         data=to_json_object({"entry": entry.model_dump(), "points": points, "notes": notes}),
     )
 

@@ -51,7 +51,6 @@ from dragrig.engine_host import (
     SessionWaiting,
     StageHomes,
     StageMoved,
-    StartSession,
     TouchOffStage,
     TravelEnd,
     WatchRig,
@@ -686,7 +685,7 @@ class RunPage(QWidget):
             return
         entry.stage = QueueState.RUNNING
         self.settled.emit(Topic.SESSION)
-        self._engine.ask(StartSession(entry.job))
+        self._engine.ask(entry.job)
         self.tabs.setCurrentWidget(self.live)
         self.live.begin_session(f"{entry.title}: preparing …")
         self._show_state()

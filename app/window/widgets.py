@@ -643,15 +643,12 @@ class DocumentView(QWidget):
             if page not in pages.values():
                 page.deleteLater()
         for section in document.content:
-            self.tabs.addTab(_section_area(section), _plain(section.heading or "Result"))
+            area = scrolling(column(*_widgets(section.content), 1, margin=10))
+            self.tabs.addTab(area, _plain(section.heading or "Result"))
         for title, page in pages.items():
             self.tabs.addTab(page, title)
         # A single section without a heading says nothing that the answer does not.
         self.tabs.tabBar().setVisible(self.tabs.count() > 1 or any(section.heading for section in document.content))
-
-
-def _section_area(section: Section) -> QScrollArea:
-    return scrolling(column(*_widgets(section.content), 1, margin=10))
 
 
 def _widgets(blocks: tuple[Block, ...]) -> Iterator[QWidget]:

@@ -1,4 +1,3 @@
-from .campaigns import Campaign as Campaign
 from .campaigns import SessionRecord as SessionRecord
 from .campaigns import read_campaign as read_campaign
 from .campaigns import read_mark as read_mark

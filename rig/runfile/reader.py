@@ -523,13 +523,11 @@ def open_run(path: Path) -> Iterator[h5py.File]:
             else:
                 file = h5py.File(path, "r", locking="best-effort")
             stack.enter_context(file)
-            with as_run_file_error(path):
-                if (excess := find_excess(file)) is not None:
-                    raise LayoutError(excess)
+            if (excess := find_excess(file)) is not None:
+                raise LayoutError(excess)
             refuse_foreign_storage(file)
-            with as_run_file_error(path):
-                if (offset := find_oversized_text(file, path)) is not None:
-                    raise LayoutError(f"its text is damaged at byte {offset}")
+            if (offset := find_oversized_text(file, path)) is not None:
+                raise LayoutError(f"its text is damaged at byte {offset}")
         yield file
 
 

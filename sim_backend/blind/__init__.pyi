@@ -6,7 +6,6 @@ from .blind_campaign import parallel_session as parallel_session
 from .blind_campaign import true_answer as true_answer
 from .blind_campaign import without_effects as without_effects
 from .effect_sizes import effect_signatures as effect_signatures
-from .effect_sizes import effect_size as effect_size
 from .effect_sizes import hidden_shares as hidden_shares
 from .effects import CATALOGUE as CATALOGUE
 from .effects import IN_DRAGS as IN_DRAGS

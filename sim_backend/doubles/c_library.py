@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from ctypes import POINTER, c_char_p, c_double, c_int32, c_uint32, c_uint64, c_void_p
 from dataclasses import dataclass
+from functools import partial
 from itertools import compress
 from typing import Protocol, TypeAlias, TypeVar
 
@@ -68,7 +69,7 @@ class _Library(ctypes.CDLL):
         }
         # The callbacks live as long as the library: a pointer to a collected one would crash the process.
         self._callbacks = {
-            f"DAQmx{name}": ctypes.CFUNCTYPE(c_int32, *types)(self._with_status(call))
+            f"DAQmx{name}": ctypes.CFUNCTYPE(c_int32, *types)(partial(self._status, call))
             for name, (types, call) in functions.items()
         }
 
@@ -78,20 +79,16 @@ class _Library(ctypes.CDLL):
             raise AttributeError(name_or_ordinal)
         return self._FuncPtr(ctypes.cast(callback, c_void_p).value or 0)
 
-    def _with_status(self, call: Callable[..., int | None]) -> Callable[..., int]:
-        """Return `call` with its errors as status codes."""
-
-        def answer(*arguments: object) -> int:
-            try:
-                return call(*arguments) or 0
-            except CardError as error:
-                self._last_error.message = error.message
-                return error.code
-            except Exception as error:  # noqa: BLE001 - nothing can be raised through C, and silence would hide it
-                self._last_error.message = f"The double of NI-DAQmx failed: {type(error).__name__}: {error}"
-                return _INTERNAL_ERROR
-
-        return answer
+    def _status(self, call: Callable[..., int | None], *arguments: object) -> int:
+        """Return what a call gives, and its errors as status codes."""
+        try:
+            return call(*arguments) or 0
+        except CardError as error:
+            self._last_error.message = error.message
+            return error.code
+        except Exception as error:  # noqa: BLE001 - nothing can be raised through C, and silence would hide it
+            self._last_error.message = f"The double of NI-DAQmx failed: {type(error).__name__}: {error}"
+            return _INTERNAL_ERROR
 
     def _copy_last_error(self, place: int, size: int) -> None:
         text = getattr(self._last_error, "message", "").encode(ENCODING)[: size - 1] + b"\0"

@@ -216,7 +216,7 @@ def test_a_campaign_is_exported_whole_without_its_bad_runs(tmp_path: Path) -> No
     assert "005-blank.h5" in reasons
     with pytest.raises(OutputError, match="exists already"):
         export_campaign(campaign, out, ExportFormat.PARQUET)
-    assert len(export_campaign(campaign, out, ExportFormat.PARQUET, overwrite=True, with_bad=True).written) == 7
+    assert len(export_campaign(campaign, out, ExportFormat.PARQUET, overwrite=True).written) == 6
 
 
 def test_places_that_cannot_be_are_said(filtered: Path, tmp_path: Path) -> None:

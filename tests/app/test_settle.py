@@ -36,7 +36,7 @@ from dragrig.api.settle import write_settle_record
 from dragrig.cli import main
 from dragrig.config import Plan, PlanStep, Specimen, to_toml
 from dragrig.config.errors import OutputError, PlanError, RunFileError, SettingsError
-from dragrig.engine_host import RigSelection, SessionFinished, SessionJob, StartSession
+from dragrig.engine_host import RigSelection, SessionFinished, SessionJob
 from dragrig.present import settlement_document
 from dragrig.present.terminal import document_text
 from dragrig.rig import mark_bad
@@ -317,7 +317,7 @@ def test_no_other_backend_goes_on_with_a_campaign(on_the_double: Path) -> None:
                 SessionJob(2, Plan.model_validate({"name": "more", "steps": [DRAG]}), append=on_the_double),
             ),
         ):
-            host.client.ask(StartSession(job))
+            host.client.ask(job)
             ended = host.until(SessionFinished)
             assert isinstance(ended, SessionFinished)
             assert ended.status is None

@@ -20,7 +20,6 @@ from dragrig.engine_host.messages import (
     SessionFinished,
     SessionJob,
     SilenceLimits,
-    StartSession,
 )
 from dragrig.rig.operator import Answer
 from loaded_processes import loaded_processes
@@ -110,7 +109,7 @@ def hold_the_interpreter(duration_s: float) -> None:
 def killed_client(folder: Path, connection: "Connection[int, int]") -> None:
     """Be the client that is killed: say the host's process once its run of a minute moves, and wait."""
     with loaded_processes(), listening() as listener:
-        listener.client.ask(StartSession(SessionJob(1, plan(10.0 / 60.0, 10.0), pace="real", out=folder)))
+        listener.client.ask(SessionJob(1, plan(10.0 / 60.0, 10.0), pace="real", out=folder))
         listener.until_samples(400)
         connection.send(listener.client.pid)
         listener.until(SessionFinished)

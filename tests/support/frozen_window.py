@@ -16,7 +16,7 @@ require_qt()
 
 from PySide6.QtCore import QSettings, QTimer
 
-from dragrig.engine_host.messages import RigSelection, SessionFinished, SessionJob, SilenceLimits, StartSession
+from dragrig.engine_host.messages import RigSelection, SessionFinished, SessionJob, SilenceLimits
 from dragrig.window.main_window import MainWindow, qt_application
 from dragrig.window.widgets import StoredSettings
 
@@ -40,7 +40,7 @@ def main(lab: Path, folder: Path) -> None:
             window.reset.click()
         if window.guard.text() == "guard: armed":
             beginning.stop()
-            window.engine.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=folder)))
+            window.engine.ask(SessionJob(1, plan(0.5, 20.0), pace="real", out=folder))
             print(window.engine.pid, flush=True)
 
     beginning = QTimer()

@@ -271,7 +271,7 @@ def test_likely_explanations_drop_what_may_not_be_there() -> None:
     assert set(nothing) <= {key for key in expected if set(key) <= set(CHOSEN)} | {CHOSEN[:1]}
 
 
-CLASSIFIED = Classification(Verdict.EFFECT, ("stribeck",), {"stribeck": 0.9, "no_gap": 0.1}, (), False)
+CLASSIFIED = Classification(Verdict.EFFECT, ("stribeck",), {"stribeck": 0.9, "no_gap": 0.1}, ())
 
 
 def test_the_budget_joins_lines_and_position_to_the_force() -> None:

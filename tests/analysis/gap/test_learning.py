@@ -89,7 +89,7 @@ def test_explaining_less_never_makes_an_effect_the_likelier_one() -> None:
 
 def test_what_is_learnt_beside_a_competition_that_knows_is_to_follow_it() -> None:
     made = lessons(7)
-    doubtful = [Classification(Verdict.UNKNOWN, (), {UNKNOWN: 1.0}, (), residual_unknown=False)] * len(made)
+    doubtful = [Classification(Verdict.UNKNOWN, (), {UNKNOWN: 1.0}, ())] * len(made)
 
     def weight(present: float, absent: float) -> float:
         judged = []

@@ -11,7 +11,7 @@ from diagnosed import UNADVISED, DiagnosedCampaigns
 from dragrig.analysis.gap.classifier import classify
 from dragrig.analysis.gap.design import Design, RunDesign, Study, linearise
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.diagnosis import Classification, Verdict
+from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
 from dragrig.analysis.gap.forward_selection import fit_nonparametric_laws
@@ -146,9 +146,7 @@ def test_what_a_gap_may_be_a_function_of_is_said_beside_the_effect_most_like_it(
 def test_a_gap_that_only_many_runs_together_show_has_no_place(diagnosed: DiagnosedCampaigns) -> None:
     quiet = diagnosed["nothing"].diagnosis.where
     assert not any(quiet.location("channel").shares.values())
-    classification = Classification(Verdict.UNKNOWN, (), {}, (), residual_unknown=False)
-    gap = describe_unexplained_gap(quiet, (), classification, None, (), case("folds", 19_000.0, "speed", NOISE))
-    assert gap is not None
+    gap = describe_unexplained_gap(quiet, (), Verdict.UNKNOWN, None, (), case("folds", 19_000.0, "speed", NOISE))
     assert gap.location == NOT_LOCALISABLE
     assert gap.dependence.startswith("By itself, a force that depends on the speed")
 

@@ -174,7 +174,7 @@ def test_something_is_left_where_the_rest_is_surely_there_large_and_matters(
 
 def classified(**probabilities: float) -> Classification:
     named = {name.replace("__", "+"): value for name, value in probabilities.items()}
-    return Classification(Verdict.UNKNOWN, (), named, (), residual_unknown=False)
+    return Classification(Verdict.UNKNOWN, (), named, ())
 
 
 def test_effects_present_above_one_half_are_named_together() -> None:

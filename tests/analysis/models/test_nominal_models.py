@@ -172,7 +172,7 @@ def test_models_are_found_by_name() -> None:
 def test_a_friction_model_as_toml_is_the_capsule_model_that_counts_from_it(tmp_path: Path) -> None:
     file = tmp_path / "soft.toml"
     file.write_text("name = 'soft'\nstiffness_scale = 0.8\n")
-    model = find_model("soft.toml", beside=tmp_path)
+    model = find_model(str(file))
     assert isinstance(model, CapsuleModel)
     assert model.settings.stiffness_scale == 0.8
     file.write_text("stifness_scale = 0.8\n")

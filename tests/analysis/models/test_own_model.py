@@ -215,8 +215,8 @@ def test_an_installed_model_is_found_by_name(tmp_path: Path, monkeypatch: pytest
     del sys.modules["plate_of_mylab"]
 
 
-def test_a_way_to_the_file_may_count_from_a_folder(tmp_path: Path) -> None:
+def test_a_file_is_found_by_its_path_and_one_that_is_missing_is_said(tmp_path: Path) -> None:
     own_file(tmp_path, code_on_the_page())
-    assert find_model("plate.py", beside=tmp_path).name == "plate"
+    assert find_model(str(tmp_path / "plate.py")).name == "plate"
     with pytest.raises(SettingsError, match="no such file"):
-        find_model("plates.py", beside=tmp_path)
+        find_model(str(tmp_path / "plates.py"))

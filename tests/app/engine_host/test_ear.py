@@ -14,7 +14,6 @@ from dragrig.engine_host.messages import (
     ResetGuard,
     SessionJob,
     SilenceLimits,
-    StartSession,
 )
 from dragrig.engine_host.server import RequestReceiver
 from dragrig.rig.operator import Answer
@@ -61,7 +60,7 @@ def test_an_abort_applies_to_earlier_requests_with_its_first_reason(
     pair: tuple[Client, RequestReceiver],
 ) -> None:
     client, ear = pair
-    first, second = StartSession(SessionJob(1, "drag")), StartSession(SessionJob(2, "drag"))
+    first, second = SessionJob(1, "drag"), SessionJob(2, "drag")
     for request in (first, AbortSession("Escape"), AbortSession("again"), second, ExamineRig()):
         client.send(request)
     stopped: queue.SimpleQueue[tuple[int, str]] = queue.SimpleQueue()
@@ -91,7 +90,7 @@ def impatient() -> Iterator[tuple[Client, RequestReceiver]]:
 
 def test_silence_while_anything_moves_aborts_it_and_the_host_goes_on(impatient: tuple[Client, RequestReceiver]) -> None:
     client, ear = impatient
-    first, second = StartSession(SessionJob(1, "drag")), StartSession(SessionJob(2, "drag"))
+    first, second = SessionJob(1, "drag"), SessionJob(2, "drag")
     client.send(first)
     assert ear.next() == first
     stopped: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -108,7 +107,7 @@ def test_silence_where_the_stage_stands_aborts_nothing_until_it_would_move(
     impatient: tuple[Client, RequestReceiver],
 ) -> None:
     client, ear = impatient
-    client.send(StartSession(SessionJob(1, "drag")))
+    client.send(SessionJob(1, "drag"))
     ear.next()
     stopped: queue.SimpleQueue[str] = queue.SimpleQueue()
     ear.stops(stopped.put)

@@ -26,7 +26,6 @@ from dragrig.engine_host.messages import (
     SessionStarted,
     SessionWaiting,
     SilenceLimits,
-    StartSession,
     WatchRig,
 )
 from dragrig.rig import mark_bad
@@ -76,7 +75,7 @@ def require_standing(run: Run) -> None:
 
 
 def test_a_client_blocked_for_seconds_loses_no_sample(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(StartSession(SessionJob(1, plan(10.0 / 3.0, 10.0), pace="real", out=tmp_path / "c")))
+    heard.client.ask(SessionJob(1, plan(10.0 / 3.0, 10.0), pace="real", out=tmp_path / "c"))
     heard.until_samples(400)
     begun_s = time.monotonic()
     hold_the_interpreter(2.5)
@@ -109,7 +108,7 @@ def test_killing_the_client_stops_the_stage_and_finishes_the_run(tmp_path: Path)
 def test_a_silent_client_counts_as_dead(tmp_path: Path) -> None:
     with listening(silence=SilenceLimits(PATIENCE_S, 3.0)) as heard:
         host = psutil.Process(heard.client.pid)
-        heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+        heard.client.ask(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c"))
         heard.until_samples(100)
         host.wait()
     run = only_run(tmp_path / "c")
@@ -122,7 +121,7 @@ def test_a_silent_client_counts_as_dead(tmp_path: Path) -> None:
 def test_a_hold_within_a_run_is_no_motion_that_silence_would_end(tmp_path: Path) -> None:
     with listening(silence=SilenceLimits(2.0, PATIENCE_S)) as heard:
         held = plan(20.0, 10.0, hold_s=5.0)
-        heard.client.ask(StartSession(SessionJob(1, held, pace="real", out=tmp_path / "c")))
+        heard.client.ask(SessionJob(1, held, pace="real", out=tmp_path / "c"))
         heard.until_samples(1000)
         time.sleep(3.0)
         ended = heard.until(SessionFinished)
@@ -131,7 +130,7 @@ def test_a_hold_within_a_run_is_no_motion_that_silence_would_end(tmp_path: Path)
 
 
 def test_a_session_reports_its_runs_and_its_end(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(StartSession(SessionJob(7, plan(runs=2, prompt="Put it in", wait_s=3.0), out=tmp_path / "c")))
+    heard.client.ask(SessionJob(7, plan(runs=2, prompt="Put it in", wait_s=3.0), out=tmp_path / "c"))
     ended = heard.until(SessionFinished)
     assert ended == SessionFinished(7, RunStatus.COMPLETE, "", tmp_path / "c")
     arguments = [entry for entry in heard.heard if isinstance(entry, PromptShown)]
@@ -144,10 +143,10 @@ def test_a_session_reports_its_runs_and_its_end(tmp_path: Path, heard: Listener)
 
 def test_a_resumed_campaign_reports_repeated_runs(tmp_path: Path, heard: Listener) -> None:
     short = plan(runs=3)
-    heard.client.ask(StartSession(SessionJob(1, short, out=tmp_path / "c")))
+    heard.client.ask(SessionJob(1, short, out=tmp_path / "c"))
     heard.until(SessionFinished)
     mark_bad(read_campaign(tmp_path / "c").runs[0].path, "capsule slipped off")
-    heard.client.ask(StartSession(SessionJob(2, short, resume=tmp_path / "c")))
+    heard.client.ask(SessionJob(2, short, resume=tmp_path / "c"))
     assert heard.until(SessionFinished) == SessionFinished(2, RunStatus.COMPLETE, "", tmp_path / "c")
     [answer] = [entry for entry in heard.heard if isinstance(entry, SessionStarted) and entry.job == 2]
     made = [entry.run for entry in heard.heard if isinstance(entry, RunStarted)][3:]
@@ -156,7 +155,7 @@ def test_a_resumed_campaign_reports_repeated_runs(tmp_path: Path, heard: Listene
 
 
 def test_an_abort_stops_the_stage_at_once_with_its_reason(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+    heard.client.ask(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c"))
     heard.until(RunStarted)
     shown = heard.until_samples(600)
     heard.client.ask(AbortSession("Escape at the window"))
@@ -169,10 +168,10 @@ def test_an_abort_stops_the_stage_at_once_with_its_reason(tmp_path: Path, heard:
 
 
 def test_an_abort_before_the_first_motion_takes_effect(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c")))
+    heard.client.ask(SessionJob(1, plan(0.5, 20.0), pace="real", out=tmp_path / "c"))
     heard.client.ask(AbortSession("too early"))
     ended = heard.until(SessionFinished)
-    heard.client.ask(StartSession(SessionJob(2, plan(), out=tmp_path / "d")))
+    heard.client.ask(SessionJob(2, plan(), out=tmp_path / "d"))
     later = heard.until(SessionFinished)
     assert isinstance(ended, SessionFinished)
     assert isinstance(later, SessionFinished)
@@ -182,7 +181,7 @@ def test_an_abort_before_the_first_motion_takes_effect(tmp_path: Path, heard: Li
 
 def test_an_abort_at_a_prompt_ends_the_session(tmp_path: Path, heard: Listener) -> None:
     heard.answer = None
-    heard.client.ask(StartSession(SessionJob(1, plan(prompt="Put it in"), out=tmp_path / "c")))
+    heard.client.ask(SessionJob(1, plan(prompt="Put it in"), out=tmp_path / "c"))
     heard.until(PromptShown)
     heard.client.ask(AbortSession("never mind"))
     ended = heard.until(SessionFinished)
@@ -192,7 +191,7 @@ def test_an_abort_at_a_prompt_ends_the_session(tmp_path: Path, heard: Listener) 
 
 def test_a_prompt_gets_the_clients_answer(tmp_path: Path, heard: Listener) -> None:
     heard.answer = Answer.SKIP
-    heard.client.ask(StartSession(SessionJob(1, plan(prompt="Put it in"), out=tmp_path / "c")))
+    heard.client.ask(SessionJob(1, plan(prompt="Put it in"), out=tmp_path / "c"))
     ended = heard.until(SessionFinished)
     heard.client.ask(PromptReply(99, Answer.DONE))
     assert isinstance(ended, SessionFinished)
@@ -203,10 +202,10 @@ def test_a_prompt_gets_the_clients_answer(tmp_path: Path, heard: Listener) -> No
 def test_a_trip_latches_until_it_is_reset(tmp_path: Path) -> None:
     rig = RigSelection(backend="simulated", assignments=("rig.guard.force_limit_mN=20",))
     with listening(rig) as heard:
-        heard.client.ask(StartSession(SessionJob(1, plan(), out=tmp_path / "c")))
+        heard.client.ask(SessionJob(1, plan(), out=tmp_path / "c"))
         ended = heard.until(SessionFinished)
         latched = heard.until(GuardState)
-        heard.client.ask(StartSession(SessionJob(2, plan(), out=tmp_path / "d")))
+        heard.client.ask(SessionJob(2, plan(), out=tmp_path / "d"))
         refused = heard.until(SessionFinished)
         heard.client.ask(ResetGuard())
         assert heard.until(GuardState) == GuardState("")
@@ -221,7 +220,7 @@ def test_a_trip_latches_until_it_is_reset(tmp_path: Path) -> None:
 
 
 def test_a_plan_beyond_the_limits_is_refused(tmp_path: Path, heard: Listener) -> None:
-    heard.client.ask(StartSession(SessionJob(1, plan(travel_mm=900.0), out=tmp_path / "c")))
+    heard.client.ask(SessionJob(1, plan(travel_mm=900.0), out=tmp_path / "c"))
     ended = heard.until(SessionFinished)
     assert isinstance(ended, SessionFinished)
     assert ended.status is None
@@ -245,7 +244,7 @@ def test_force_and_position_are_read_between_sessions_and_at_prompts(heard: List
     assert idle.question == 0
     assert idle.reading.force_mN is not None
     heard.answer = None
-    heard.client.ask(StartSession(SessionJob(1, plan(prompt="Mount the specimen"), out=tmp_path / "runs")))
+    heard.client.ask(SessionJob(1, plan(prompt="Mount the specimen"), out=tmp_path / "runs"))
     asked = heard.until(PromptShown)
     heard.client.ask(WatchRig(on=False))  # as of the times between sessions
     at_prompt = heard.until(RigIdle)
@@ -270,7 +269,7 @@ def test_looking_takes_no_time_where_time_is_simulated(heard: Listener, tmp_path
     files = []
     for number, looks in enumerate((1, 5)):
         heard.answer, folder = None, tmp_path / str(number)
-        heard.client.ask(StartSession(SessionJob(number, plan(prompt="Mount the specimen"), out=folder)))
+        heard.client.ask(SessionJob(number, plan(prompt="Mount the specimen"), out=folder))
         asked = heard.until(PromptShown)
         assert isinstance(asked, PromptShown)
         for _ in range(looks):

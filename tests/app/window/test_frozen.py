@@ -24,7 +24,7 @@ from PySide6.QtWidgets import QDialog
 from pytestqt.qtbot import QtBot
 
 from dragrig.config import RunFileError
-from dragrig.engine_host.messages import SessionJob, SilenceLimits, StartSession
+from dragrig.engine_host.messages import SessionJob, SilenceLimits
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import RunStatus
@@ -76,7 +76,7 @@ def test_a_window_that_does_not_respond_has_the_stage_stopped_and_a_dialog_that_
     try:
         press(window.reset)
         qtbot.waitUntil(lambda: window.guard.text() == "guard: armed", timeout=WAIT_MS)
-        window.engine.ask(StartSession(SessionJob(1, plan(0.5, 20.0), pace="real", out=folder)))
+        window.engine.ask(SessionJob(1, plan(0.5, 20.0), pace="real", out=folder))
         qtbot.waitUntil(lambda: moved_s(folder) > 0.3, timeout=WAIT_MS)
         dialog, shown_s = QDialog(window), moved_s(folder)
         waited = QTimer(dialog, interval=200)
