@@ -127,7 +127,7 @@ def _repack(recording: Path, target: Path) -> None:
 def _is_whole(target: Path) -> bool:
     """Tell whether a run file's samples have the checksum that it states; raises `RunFileError`."""
     with open_run(target) as file, as_run_file_error(target):
-        return trace_sha256(file[schema.TRACE]) == read_info(target).raw_sha256
+        return trace_sha256(file[schema.TRACE]) == info_of(file, layout_of(file), target).raw_sha256
 
 
 def _expect_read_back(target: Path, recording: Path) -> None:

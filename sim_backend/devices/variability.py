@@ -7,6 +7,7 @@ import math
 import zlib
 from collections.abc import Callable
 from enum import IntEnum
+from itertools import accumulate
 
 import numpy as np
 
@@ -45,24 +46,22 @@ class SlowNoise:
         Standard deviation, and the time over which the correlation falls to 1/e.
     """
 
-    def __init__(
-        self, random: np.random.Generator, deviation: float, correlation_s: float, sample_rate_hz: float
-    ) -> None:
-        from scipy.signal import lfilter
-
-        step = 1.0 / (sample_rate_hz * correlation_s)
+    def __init__(self, random: np.random.Generator, deviation: float, correlation_s: float, rate_hz: float) -> None:
+        step = 1.0 / (rate_hz * correlation_s)
         self._random = random
-        self._filter = lfilter
         self._decay = math.exp(-step)
         self._innovation_sd = deviation * math.sqrt(-math.expm1(-2.0 * step))
-        self._state = np.array([self._decay * deviation * float(random.standard_normal())])
+        self._left = self._decay * deviation * float(random.standard_normal())
 
     def draw(self, samples: int) -> FloatArray:
-        """Return the next samples, shape `(samples,)`."""
-        innovations = self._random.standard_normal(samples)
-        innovations *= self._innovation_sd
-        values, self._state = self._filter([1.0], [1.0, -self._decay], innovations, zi=self._state)
-        return np.asarray(values)
+        """Return the next samples, at least one, shape `(samples,)`."""
+        innovations = self._random.standard_normal(samples) * self._innovation_sd
+        innovations[0] += self._left
+        # Filtered here: to load a library's filter takes longer than a short run.
+        filtered = accumulate(innovations.tolist(), lambda last, fresh: self._decay * last + fresh)
+        values = np.fromiter(filtered, np.float64, samples)
+        self._left = self._decay * values.item(-1)
+        return values
 
 
 class BufferedNoise:

@@ -12,6 +12,7 @@ from dragrig.cli import main
 from dragrig.config.errors import RunFileError
 from dragrig.run_inputs import newest_campaign, run_files
 from dragrig.setup import create_lab
+from property_tests import thorough
 
 
 @pytest.fixture
@@ -66,18 +67,25 @@ def test_a_folder_with_only_a_recording_points_to_its_recovery(tmp_path: Path) -
         run_files([tmp_path])
 
 
-@pytest.fixture
-def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a lab, which is the working folder, with an older and a newer campaign of two short runs each."""
-    create_lab(tmp_path)
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(scope="module")
+def two_campaigns(tmp_path_factory: pytest.TempPathFactory, finished_here: None) -> Path:
+    """Return a lab with an older and a newer campaign of two short runs each, for the module's tests to read."""
+    folder = tmp_path_factory.mktemp("lab")
+    create_lab(folder)
     for name, time_s in (("older", 1_000_000), ("newer", 2_000_000)):
-        for run in dragrig.simulate("drag", travel_mm=10, hold_s=0.5, out=tmp_path / "runs" / name):
+        for run in dragrig.simulate("drag", travel_mm=10, hold_s=0.5, out=folder / "runs" / name):
             os.utime(run.info.path, (time_s, time_s))
-    return tmp_path
+    return folder
 
 
-@pytest.mark.parametrize("command", ["table", "info", "report", "show", "identify", "gap diagnose"])
+@pytest.fixture
+def lab(two_campaigns: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return it as the working folder."""
+    monkeypatch.chdir(two_campaigns)
+    return two_campaigns
+
+
+@pytest.mark.parametrize("command", ["table", "info", thorough("report"), "show", "identify", thorough("gap diagnose")])
 def test_a_command_without_a_folder_takes_the_newest_campaign_and_says_so(
     lab: Path, capfd: pytest.CaptureFixture[str], command: str
 ) -> None:

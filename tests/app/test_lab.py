@@ -18,6 +18,8 @@ from dragrig.rig.runfile.schema import note_path
 from dragrig.settings_form import rig_settings_form
 from dragrig.setup import create_lab
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+
 
 def entry(name: str, quantity: str = "force") -> Calibration:
     return Calibration(id=name, made_at=datetime(2024, 5, 1, tzinfo=UTC), quantity=quantity, gain=1000.0)

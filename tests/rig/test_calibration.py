@@ -17,6 +17,8 @@ from dragrig.rig.calibration import fit_encoder, fit_force, latest_calibration, 
 from dragrig.rig.runfile import read_campaign
 from dragrig.setup import create_lab
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+
 # Volts on the sensor's input, one after the other, whatever hangs on it.
 CODE = (
     add_ons.CODE

@@ -20,6 +20,8 @@ from dragrig.rig.runfile.model import RunStatus
 from dragrig.rig.sentinel import Drift, SteadyForce
 from dragrig.run_listing import RunQuery
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+
 DRAG: dict[str, object] = {"kind": "drag", "speed_mm_s": 20.0, "travel_mm": 20.0, "hold_s": 0.5, "wait_s": 1}
 WATCH: dict[str, object] = {**DRAG, "speed_mm_s": 10.0}
 ALWAYS_DRIFTED = 1e-6

@@ -15,6 +15,8 @@ ENGINE = (
     "dragrig.rig.protocols.relaxation",
     "dragrig.rig.protocols.coulomb",
     "dragrig.rig.protocols.blank",
+    "dragrig.rig.protocols.motion",
+    "filelock",
     "dragrig.analysis.measures",
 )
 

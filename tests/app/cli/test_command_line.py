@@ -18,6 +18,7 @@ from dragrig.cli import main
 from dragrig.cli.commands import SECTIONS, dragrig_group
 from dragrig.cli.console import echo, legible, run_command_line
 from dragrig.present.numbers import to_json_value
+from property_tests import thorough
 
 ALONE = "Without a plan the rig itself is checked, so"
 HEAVY = ("scipy", "h5py", "matplotlib", "pandas", "pydantic", "numpy", "rich", "pyarrow", "nptdms")
@@ -153,11 +154,11 @@ def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("encoding", "shown"),
     [
-        ("utf-8", "−1 μm ≥ 2σ × 3 … ε₀ → Σ ² é 漢"),
+        thorough("utf-8", "−1 μm ≥ 2σ × 3 … ε₀ → Σ ² é 漢"),
         ("cp1252", "-1 µm >= 2sigma × 3 … epsilon0 -> Sigma ² é ?"),
-        ("cp850", "-1 µm >= 2sigma × 3 ... epsilon0 -> Sigma ² é ?"),
+        thorough("cp850", "-1 µm >= 2sigma × 3 ... epsilon0 -> Sigma ² é ?"),
         ("cp437", "-1 µm ≥ 2σ x 3 ... ε0 -> Σ ² é ?"),
-        ("ascii", "-1 um >= 2sigma x 3 ... epsilon0 -> Sigma 2 ? ?"),
+        thorough("ascii", "-1 um >= 2sigma x 3 ... epsilon0 -> Sigma 2 ? ?"),
     ],
 )
 def test_what_a_console_lacks_is_said_with_what_it_has(encoding: str, shown: str, tmp_path: Path) -> None:

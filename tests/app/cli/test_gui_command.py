@@ -30,32 +30,38 @@ def test_a_folder_without_a_lab_is_refused(tmp_path: Path, capsys: pytest.Captur
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a screen is named by the environment on Linux alone")
-def test_without_a_screen_the_error_says_so(tmp_path: Path) -> None:
-    screens = {"DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"}
-    bare = {name: value for name, value in os.environ.items() if name not in screens}
-    command = [sys.executable, "-m", "dragrig", "gui"]
-    done = subprocess.run(command, cwd=tmp_path, env=bare, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "there is no screen here" in done.stderr
+def test_without_a_screen_the_error_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    assert main(["gui"]) == 2
+    assert "there is no screen here" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system brings Qt's libraries on Linux alone")
-def test_libraries_that_qt_lacks_are_named_with_the_command_before_it_aborts(tmp_path: Path) -> None:
+def test_libraries_that_qt_lacks_are_named_with_the_command_before_it_aborts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     require_qt()
+    # Where it is not refused, nothing aborts here: it would take the other tests with it.
+    monkeypatch.setattr("dragrig.window.main_window.show_window", lambda *_: 0)
+    monkeypatch.chdir(tmp_path)
     finder = tmp_path / "ldd"  # what it says where they lack
     lines = (
         "libxcb.so.1 => /lib/libxcb.so.1 (0x7f)\\nlibxcb-cursor.so.0 => not found\\nlibxkbcommon-x11.so.0 => not found"
     )
     finder.write_text(f'#!/bin/sh\nprintf "{lines}\\n"\n', "utf-8")
     finder.chmod(0o755)
-    screens = {"WAYLAND_DISPLAY", "QT_QPA_PLATFORM"}
-    bare = {name: value for name, value in os.environ.items() if name not in screens}
-    terms = {**bare, "DISPLAY": ":4711", "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
-    command = [sys.executable, "-m", "dragrig", "gui"]
-    done = subprocess.run(command, cwd=tmp_path, env=terms, capture_output=True, text=True, check=False)
-    assert done.returncode == 2, done.stderr
-    assert "not here (libxcb-cursor.so.0, libxkbcommon-x11.so.0)" in done.stderr.replace("\n", " ")
-    assert "apt-get install libxcb-cursor0 libxkbcommon-x11-0 (" in " ".join(done.stderr.split())
+    for name in ("WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", ":4711")
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    assert main(["gui"]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "not here (libxcb-cursor.so.0, libxkbcommon-x11.so.0)" in told
+    assert "apt-get install libxcb-cursor0 libxkbcommon-x11-0 (" in told
 
 
 def test_an_unsupported_pace_is_refused(

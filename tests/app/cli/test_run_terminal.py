@@ -13,7 +13,7 @@ from driving import until
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")
 PLAN = ("drag", "--pace", "real", "--yes", "--set", "travel_mm=10", "--set", "speed_mm_s=[5.0, 25.0]",
-        "--set", "hold_s=0.5", "--set", "wait_s=0", "--set", "way_back=stay")  # fmt: skip
+        "--set", "rest_s=0.2", "--set", "hold_s=0.5", "--set", "wait_s=0", "--set", "way_back=stay")  # fmt: skip
 
 
 class Terminal:

@@ -120,10 +120,10 @@ def test_a_silent_client_counts_as_dead(tmp_path: Path) -> None:
 
 def test_a_hold_within_a_run_is_no_motion_that_silence_would_end(tmp_path: Path) -> None:
     with listening(silence=SilenceLimits(2.0, PATIENCE_S)) as heard:
-        held = plan(20.0, 10.0, hold_s=5.0)
+        held = plan(20.0, 10.0, hold_s=3.5)
         heard.client.ask(SessionJob(1, held, pace="real", out=tmp_path / "c"))
         heard.until_samples(1000)
-        time.sleep(3.0)
+        time.sleep(2.5)
         ended = heard.until(SessionFinished)
     assert isinstance(ended, SessionFinished)
     assert (ended.status, ended.reason) == (RunStatus.COMPLETE, "")

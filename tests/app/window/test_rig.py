@@ -44,7 +44,7 @@ def hardware(request):
 """A rig whose stage stands on its upper limit switch whenever it is opened."""
 PATIENT = ("rig.guard.stale_data_s=5", "rig.guard.following_error_mm=100", "rig.guard.encoder_silent_mm=100",
            "rig.hardware.card.buffer_s=20", "rig.hardware.hang_s=5", "rig.hardware.drive.reply_s=2",
-           "rig.hardware.drive.silence_s=5")  # fmt: skip
+           "rig.hardware.drive.silence_s=5", "rig.hardware.drive.homing_speed_mm_s=50")  # fmt: skip
 """A rig that waits as long as may be set, for a busy machine is no fault."""
 
 
@@ -236,7 +236,8 @@ def test_settings_are_saved_and_the_engine_starts_again_once_nothing_runs(
     settings.editor.put("highest_mm", "120")
     assert settings.changes.text() == "Changed: Stage: Highest 120 (was 150)."
 
-    for key, text in {"speed_mm_s": "20", "travel_mm": "10", "way_back": "stay", "prompt": "Mount it"}.items():
+    swift = {"speed_mm_s": "20", "travel_mm": "10", "rest_s": "0.2", "hold_s": "0.2", "wait_s": "0"}
+    for key, text in {**swift, "way_back": "stay", "prompt": "Mount it"}.items():
         run.new.editor.put(key, text)
     run.new.update_preview()
     press(run.new.queue)

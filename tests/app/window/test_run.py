@@ -196,7 +196,7 @@ def test_a_run_is_stopped_from_every_page(how: str, window: MainWindow, until: U
 
 
 def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow, until: Until) -> None:
-    fill(window, speed_mm_s="4")
+    fill(window, speed_mm_s="8")
     window.run.new.pace.setCurrentText("as fast as the real rig")
     cover = QWidget()
     press(window.run.new.start)

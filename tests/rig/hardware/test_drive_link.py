@@ -224,7 +224,7 @@ def test_a_drive_that_goes_on_sending_unasked_is_told() -> None:
         ({"reply_s": 0.15}, "nothing came.*station"),
         thorough({"reply_s": 0.15, **MODBUS}, "nothing came.*station"),
         # Here the drive on the cable answers at once for the station.
-        ({"reply_s": 1.0, "silence_s": 2.5, **COPLEY}, "station, which did not answer.*baud"),
+        ({"reply_s": 0.5, "silence_s": 1.25, **COPLEY}, "station, which did not answer.*baud"),
     ],
 )
 def test_a_wrong_station_is_not_taken_for_the_drive(spoken: dict[str, object], message: str) -> None:

@@ -34,6 +34,8 @@ from rig_faults import (
     sentence,
 )
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+
 
 def test_a_card_unplugged_in_motion_leaves_the_stage_stopped_by_serial(faulty_rig: Bench) -> None:
     running = begin(faulty_rig)

@@ -28,6 +28,8 @@ from rig_faults import (
     sentence,
 )
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+
 
 @pytest.mark.parametrize(
     ("fault", "faults", "halt", "assignments", "then"),

@@ -12,6 +12,7 @@ import pytest
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import CardSettings, DriveSettings, HardwareSettings
 from dragrig.rig.hardware.backend import HeldError, RigLock, hold_file, lock_name, port_name
+from property_tests import thorough
 
 FILE_HOLDER = """
 import pathlib, sys
@@ -135,7 +136,7 @@ def test_the_name_of_a_windows_port_is_text_and_asks_no_file_beside_the_program(
     assert names == {"COM3"}
 
 
-@pytest.mark.parametrize("name", ["Dev1-com3", f"socket_{'h' * 80}_4001"])
+@pytest.mark.parametrize("name", [thorough("Dev1-com3"), f"socket_{'h' * 80}_4001"])
 def test_a_lock_of_a_file_says_which_process_holds_it_and_is_free_once_that_is_killed(
     name: str, tmp_path: Path
 ) -> None:

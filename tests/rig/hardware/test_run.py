@@ -21,6 +21,8 @@ from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import Run, RunStatus
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 
+pytestmark = pytest.mark.usefixtures("finished_here")
+
 PLAN = """
 name = "short"
 
@@ -28,16 +30,18 @@ name = "short"
 kind = "relaxation"
 shear_strain = 0.5
 ramp_speed_mm_s = 10.0
-hold_s = 1.0
-rest_s = 0.5
+hold_s = 0.5
+wait_s = 2.0
+rest_s = 0.3
 prompt = "Fit a specimen"
 
 [[steps]]
 kind = "drag"
 speed_mm_s = 10.0
 travel_mm = 10.0
-hold_s = 1.0
-rest_s = 0.5
+hold_s = 0.5
+wait_s = 2.0
+rest_s = 0.3
 prompt = "Lay the gut on the foam"
 """
 SWIFT = (
