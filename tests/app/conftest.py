@@ -1,10 +1,10 @@
 """Run files finished without a second process, for the tests that make runs."""
 
-import multiprocessing.spawn  # noqa: F401  # it keeps the interpreter that it finds
-import sys
 from collections.abc import Iterator
 
 import pytest
+
+import finishing
 
 
 @pytest.fixture(scope="module")
@@ -13,6 +13,5 @@ def finished_here() -> Iterator[None]:
 
     To start that takes longer than a quick session itself.
     """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "executable", "no interpreter")
+    with finishing.finished_here():
         yield
