@@ -196,7 +196,10 @@ def test_strokes_of_a_noisy_record_are_repeats(tmp_path: Path) -> None:
     assert "at 6.3 mm/s: 100 %" in document_text(diagnosis_document(diagnosis))
 
 
-def test_the_command_tells_of_files_and_writes_no_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("reported", [False, thorough(True)], ids=["no page", "page"])
+def test_the_command_tells_of_files_and_writes_no_model(
+    reported: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with finished_here():
         there_and_back(tmp_path, out=tmp_path / "runs", speeds_mm_s=(15, 60))
     capsys.readouterr()
@@ -209,8 +212,7 @@ def test_the_command_tells_of_files_and_writes_no_model(tmp_path: Path, capsys: 
         "drive",
         "--save-model",
         str(model),
-        "--report",
-        str(page),
+        *(("--report", str(page)) if reported else ()),
         *(word for name in UNLIKELY for word in ("--without", name)),
     ]
     assert main([*arguments, "--json"]) == 0
@@ -221,7 +223,7 @@ def test_the_command_tells_of_files_and_writes_no_model(tmp_path: Path, capsys: 
     assert sum(hypothesis["probability"] for hypothesis in document["ranking"]) == pytest.approx(1.0)
     assert "is not written" in output.err
     assert not model.exists()
-    assert page.is_file()
+    assert page.is_file() is reported
 
 
 def test_runs_without_motor_force_are_told_in_one_sentence(blanks: list[Run]) -> None:

@@ -142,7 +142,7 @@ ENCODERS = {
 
 
 @pytest.mark.parametrize(
-    "encoder", [name if name in {"3 µm", "dither", "10 µm counts"} else thorough(name) for name in ENCODERS]
+    "encoder", [name if name in {"dither", "10 µm counts"} else thorough(name) for name in ENCODERS]
 )
 def test_a_stage_with_a_coarse_or_noisy_encoder_still_obeys(
     stribeck: RunSelection, tmp_path: Path, encoder: str
