@@ -127,7 +127,7 @@ def stribeck(diagnosed: DiagnosedCampaigns) -> RunSelection:
 
 @pytest.fixture(scope="module")
 def lagging(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return hidden(tmp_path_factory.mktemp("lag"), 14, "servo_lag", every=2)
+    return hidden(tmp_path_factory.mktemp("lag"), 14, "servo_lag", every=4)
 
 
 ENCODERS = {
