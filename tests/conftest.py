@@ -29,6 +29,7 @@ if sys.dont_write_bytecode:
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ.setdefault("PYTEST_QT_API", "pyside6")
 
+import finishing
 from disks import is_root, mounted
 from places import ROOT
 from windows import lacking
@@ -118,6 +119,13 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if hasattr(session.config, "workerinput"):
         # A rig freezes all objects for its time: what it lets go of afterwards would be looked through at the next.
         gc.unfreeze = lambda: None  # type: ignore[assignment]
+
+
+@pytest.fixture(scope="module")
+def finished_here() -> Iterator[None]:
+    """Have this process finish its run files: to start another takes longer than a quick session itself."""
+    with finishing.finished_here():
+        yield
 
 
 @pytest.fixture(scope="session")

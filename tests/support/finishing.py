@@ -1,13 +1,14 @@
-"""Run files finished without a second process, for the tests that make runs."""
+"""Run files finished without a second process, for tests that make runs."""
 
 import multiprocessing.spawn  # noqa: F401  # it keeps the interpreter that it finds
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
 
-@pytest.fixture(scope="module")
+@contextmanager
 def finished_here() -> Iterator[None]:
     """Have this process finish its run files, as it does wherever the finisher's cannot be started.
 

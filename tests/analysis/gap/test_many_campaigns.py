@@ -20,7 +20,7 @@ OF_ONE_EFFECT = [word for name in WITHOUT for word in ("--without", name)]
 def three(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a folder with two campaigns of few runs, the second without a relaxation, and one empty folder."""
     for name, runs in (
-        ("first", ("001-relaxation", "008-coulomb", "010-drag")),
+        ("first", ("001-relaxation", "010-drag")),
         ("second", ("008-coulomb", "014-drag")),
     ):
         (tmp_path / name).mkdir()

@@ -212,7 +212,7 @@ def causes(selection: RunSelection) -> set[str]:
 
 @pytest.fixture(scope="module")
 def ageing(tmp_path_factory: pytest.TempPathFactory) -> RunSelection:
-    return hidden(tmp_path_factory.mktemp("ageing"), 20, "tissue_ageing", every=4)
+    return hidden(tmp_path_factory.mktemp("ageing"), 20, "tissue_ageing", every=7)
 
 
 def test_without_a_clock_nothing_of_the_session_competes(ageing: RunSelection) -> None:

@@ -24,6 +24,7 @@ from dragrig.rig.profile import FloatArray
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import SIGNALS
 from dragrig.sim_backend.effects import catalogue
+from finishing import finished_here
 from property_tests import thorough
 
 COULOMB_MN, VISCOUS_MN_S_MM = 300.0, 4.0
@@ -59,7 +60,7 @@ MODEL = Sledge()
 
 
 def there_and_back(
-    folder: Path, out: Path | None = None, speeds_mm_s: tuple[int, ...] = (5, 15, 30, 60), seed: int = 11
+    folder: Path, *, out: Path | None = None, speeds_mm_s: tuple[int, ...] = (5, 15, 30, 60), seed: int = 11
 ) -> list[Run]:
     plan = folder / "stage.toml"
     speeds = list(speeds_mm_s)
@@ -98,14 +99,9 @@ def hypotheses(diagnosis: Diagnosis) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def stage(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder for the run files of a stage as the model has it."""
-    return tmp_path_factory.mktemp("stage")
-
-
-@pytest.fixture(scope="module")
-def blanks(stage: Path) -> list[Run]:
-    return there_and_back(stage, stage / "runs")
+def blanks(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+    """Return the runs of a stage as the model has it."""
+    return there_and_back(tmp_path_factory.mktemp("stage"))
 
 
 @pytest.fixture(scope="module")
@@ -200,20 +196,23 @@ def test_strokes_of_a_noisy_record_are_repeats(tmp_path: Path) -> None:
     assert "at 6.3 mm/s: 100 %" in document_text(diagnosis_document(diagnosis))
 
 
+@pytest.mark.parametrize("reported", [False, thorough(True)], ids=["no page", "page"])
 def test_the_command_tells_of_files_and_writes_no_model(
-    blanks: list[Run], stage: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    reported: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    with finished_here():
+        there_and_back(tmp_path, out=tmp_path / "runs", speeds_mm_s=(15, 60))
+    capsys.readouterr()
     model, page = tmp_path / "model.toml", tmp_path / "page.html"
     arguments = [
         "gap",
         "diagnose",
-        str(stage / "runs"),
+        str(tmp_path / "runs"),
         "--nominal",
         "drive",
         "--save-model",
         str(model),
-        "--report",
-        str(page),
+        *(("--report", str(page)) if reported else ()),
         *(word for name in UNLIKELY for word in ("--without", name)),
     ]
     assert main([*arguments, "--json"]) == 0
@@ -224,7 +223,7 @@ def test_the_command_tells_of_files_and_writes_no_model(
     assert sum(hypothesis["probability"] for hypothesis in document["ranking"]) == pytest.approx(1.0)
     assert "is not written" in output.err
     assert not model.exists()
-    assert page.is_file()
+    assert page.is_file() is reported
 
 
 def test_runs_without_motor_force_are_told_in_one_sentence(blanks: list[Run]) -> None:

@@ -35,6 +35,7 @@ from dragrig.config import AnalysisError, Plan
 from dragrig.present import pooled_document
 from dragrig.rig import mark_bad
 from dragrig.sim_backend.effects import catalogue
+from finishing import finished_here
 from hidden import hidden
 from places import CAMPAIGN, copied_runs
 from property_tests import examples
@@ -359,7 +360,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Lab:
     Somebody copied a run of the first campaign into the second.
     """
     folder = tmp_path_factory.mktemp("lab")
-    with chdir(folder), redirect_stdout(StringIO()) as told:
+    with chdir(folder), finished_here(), redirect_stdout(StringIO()) as told:
         make_campaign(folder / "first", 2, 20.0, 5.0, 60.0)
         make_campaign(folder / "second", 2, 30.0, 4.0, 50.0)
         shutil.copy(next((folder / "first").glob("*relaxation*")), folder / "second" / "again.h5")

@@ -45,7 +45,7 @@ class Known:
 def campaigns() -> tuple[Known, ...]:
     result = []
     for seed in SEEDS:
-        drawn = [f"rig.simulated.seed={seed}", "rig.simulated.variation.specimen=true", "rig.sampling.rate_hz=250"]
+        drawn = [f"rig.simulated.seed={seed}", "rig.simulated.variation.specimen=true", "rig.sampling.rate_hz=100"]
         fit = fit_jointly(select_loaded_runs(dragrig.simulate(PLAN, assignments=drawn)), MODEL)
         result.append(Known(seed, draw_specimen_model(MODEL.settings, seed), fit))
     return tuple(result)

@@ -61,6 +61,7 @@ from dragrig.present.paper import PaperReportData, paper_document, paper_tables
 from dragrig.rig import mark_bad
 from dragrig.rig.runfile import read_campaign
 from dragrig.rig.runfile.model import RunStatus
+from finishing import finished_here
 from places import CAMPAIGN
 from property_tests import thorough
 
@@ -240,7 +241,8 @@ def made(request: pytest.FixtureRequest, shared_folder: Path) -> Made:
                 plan.write_text(SHORT_PLAN, "utf-8")
                 patch.setattr(reproducing, "PAPER_PLAN", str(plan))
             arguments = ["paper", "--out", str(folder), "--seed", "1", "--json", "--quiet"]
-            done = CliRunner().invoke(dragrig_group, arguments, standalone_mode=False)
+            with finished_here():
+                done = CliRunner().invoke(dragrig_group, arguments, standalone_mode=False)
             assert done.exception is None, done.exception
             with_suffix.write_text(done.stdout, "utf-8")
     runs = WHOLE_RUNS if request.param == "whole" else {**WHOLE_RUNS, "drag": len(SPEEDS), "return": 7}

@@ -17,6 +17,7 @@ from dragrig.config.settings import parse, read_settings_file, to_toml
 from dragrig.rig.runfile import read_campaign, read_run
 from dragrig.rig.runfile.model import Run
 from dragrig.sim_backend.effects.base import EffectChain, active_effects, catalogue
+from finishing import finished_here
 
 SILENT = tuple(f"rig.simulated.noise.{name}_mN=0" for name in ("white", "slow", "zero"))
 SAME = ("rig.simulated.variation.run_stiffness=0", "rig.simulated.variation.run_friction=0")
@@ -164,11 +165,12 @@ def test_effects_go_by_the_clock_that_the_files_tell_through_tares_and_after_a_r
     hum = EffectSettings(id="mains_hum", parameters={"frequency_hz": frequency, "amplitude_mN": 50.0})
     quick = (*SILENT, *SAME, "travel_mm=5", "hold_s=1", "tare_s=0.5", "repeats=2", "wait_s=17.3")
     folder = tmp_path / "c"
-    dragrig.simulate("blank", out=folder, effects=[hum], assignments=quick)
-    made_before = read_campaign(folder).runs
-    for info in made_before[-2:]:  # the last run and its way back
-        info.path.unlink()
-    assert len(dragrig.resume(folder).session.runs) == 2
+    with finished_here():
+        dragrig.simulate("blank", out=folder, effects=[hum], assignments=quick)
+        made_before = read_campaign(folder).runs
+        for info in made_before[-2:]:  # the last run and its way back
+            info.path.unlink()
+        assert len(dragrig.resume(folder).session.runs) == 2
     again = [read_run(info.path) for info in read_campaign(folder).runs]
     assert len(again) == len(made_before)
     first = min(run.info.header.start_time for run in again)
@@ -186,7 +188,8 @@ def test_run_writes_files_with_effects_and_a_run_file_repeats_them(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     words = [f"--set={assignment}" for assignment in (*QUICK, "speed_mm_s=2")]
-    assert main(["run", "drag", "--yes", "--json", "--out", "a", "--effect", "stribeck:ratio=0.8", *words]) == 0
+    with finished_here():
+        assert main(["run", "drag", "--yes", "--json", "--out", "a", "--effect", "stribeck:ratio=0.8", *words]) == 0
     runs = json.loads(capsys.readouterr().out)["runs"]
     first = read_run(Path(runs[0]["file"]))
     assert 'id = "stribeck", ratio = 0.8' in first.info.header.settings_toml
