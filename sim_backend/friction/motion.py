@@ -455,6 +455,7 @@ def commanded_motion(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> Recor
     tolerance = max(MIN_CHORD_MM_S, FLOAT32_ROUNDING * float(np.abs(position).max()) / step)
     chord[np.abs(chord) < tolerance] = 0.0
     knots = np.concatenate(([0], np.flatnonzero(np.abs(np.diff(chord)) > tolerance) + 1, [chord.size]))
+    knots = np.concatenate([[0], *(_gradual_knots(chord, *span, tolerance) for span in pairwise(knots.tolist()))])
     time, knot_mm = grid[knots], position[knots] - position[0]
     duration = np.diff(time)
     mean = np.diff(knot_mm) / duration
@@ -466,6 +467,18 @@ def commanded_motion(time_s: npt.ArrayLike, position_mm: npt.ArrayLike) -> Recor
     limit = 2 * np.abs(mean) / duration
     acceleration = np.clip(acceleration, -limit, limit)
     return RecordedMotion.from_pieces(ProfileMotion.of_means(time, knot_mm[:-1], mean, acceleration))
+
+
+def _gradual_knots(chord_mm_s: FloatArray, begin: int, end: int, tolerance_mm_s: float) -> list[int]:
+    """Return where a velocity that changes by less than the tolerance a sample has changed by more, and the end."""
+    knots: list[int] = []
+    if np.ptp(chord_mm_s[begin:end]) > 2 * tolerance_mm_s:
+        level = chord_mm_s[begin]
+        for index, velocity in enumerate(chord_mm_s[begin:end].tolist(), begin):
+            if abs(velocity - level) >= tolerance_mm_s:
+                knots.append(index)
+                level = velocity
+    return [*knots, end]
 
 
 MAX_KNOTS = 4000

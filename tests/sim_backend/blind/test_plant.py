@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from dragrig.rig.runfile.reader import read_run
 from dragrig.sim_backend.blind import (
@@ -24,7 +25,7 @@ from dragrig.sim_backend.blind import (
 )
 from dragrig.sim_backend.blind.blind_campaign import HiddenSpecimen, NoiseLevels, NominalErrors, RunVariation
 from dragrig.sim_backend.blind.plant import PlantRecord, noise_free_run, recorded_run
-from dragrig.sim_backend.blind.run_plans import RunPlan
+from dragrig.sim_backend.blind.run_plans import RunPlan, StageLoop, planned_motion
 from places import REFERENCE, ROOT
 from property_tests import thorough
 
@@ -239,3 +240,32 @@ def test_a_wall_that_comes_back_late_is_still_off_after_the_stop() -> None:
     assert moving < 0
     assert 0.1 * moving > after > moving
     assert abs(later) < 0.05 * abs(after)
+
+
+@pytest.mark.parametrize("natural_hz", [20.0, 150.0])
+def test_a_stage_under_a_loop_moves_as_its_equation_of_motion_says(natural_hz: float) -> None:
+    loop, run, slip = StageLoop(natural_hz, 0.7, 1.5, 0.0), stroke("coulomb", 5.0), 0.05
+    t = np.arange(run.samples) / 1000.0
+    command = planned_motion(run, t, 0.02)
+    smooth, friction = np.full_like(t, 30.0), np.full_like(t, 80.0)
+    motion = loop.followed(command, run.bounds_s, smooth, friction, slip)
+    omega = 2 * np.pi * natural_hz
+
+    def rates(now: float, state: np.ndarray) -> tuple[float, float]:
+        away, rate = state
+        load = 30.0 + 80.0 * np.tanh((np.interp(now, t, command.v) + rate) / slip)
+        return rate, -(omega**2) * away - 2 * 0.7 * omega * rate - load / 1.5
+
+    first, last = np.searchsorted(t, [run.bounds_s[0] - 0.01, run.bounds_s[0] + 0.2])
+    away = motion.p - command.p
+    done = solve_ivp(rates, (t[first], t[last]), (away[first], 0.0), "LSODA", t[first:last], rtol=1e-8, atol=1e-10)
+    at_rest = 110.0 / (1.5 * omega**2)
+    assert away[first:last] == pytest.approx(done.y[0], abs=0.05 * at_rest)
+    assert away[last] == pytest.approx(-at_rest, rel=0.01)
+    assert motion.v == pytest.approx(np.gradient(motion.p, t), abs=0.02 * 5.0)
+
+
+def test_the_encoder_of_a_loop_errs_within_the_period_of_its_scale() -> None:
+    loop = StageLoop(50.0, 0.7, 1.0, 2e-4)
+    position = np.array([0.0, 0.005, 0.010, 0.015, 0.020, 1.005])
+    assert loop.recorded(position) - position == pytest.approx([0.0, 2e-4, 0.0, -2e-4, 0.0, 2e-4], abs=1e-9)

@@ -13,7 +13,7 @@ from dragrig.rig.profile import FloatArray, MotionProfile
 from dragrig.sim_backend.friction import RecordedMotion, prepare
 from dragrig.sim_backend.friction.contact import COUNTED_RULE, FINE_RULE
 from dragrig.sim_backend.friction.friction_force import SlidingForce
-from dragrig.sim_backend.friction.motion import measured_motion
+from dragrig.sim_backend.friction.motion import commanded_motion, measured_motion
 from friction_cases import moves, sliding, sticking
 from property_tests import examples
 
@@ -185,3 +185,15 @@ def test_the_shortest_ways_back_cost_hardly_more_than_none() -> None:
     friction = prepare(sliding(profile), MODEL, RecordedMotion.computed(time, ringing)).friction
     assert isinstance(friction, SlidingForce)
     assert len(friction.intervals) < 200
+
+
+@pytest.mark.parametrize("rate", [200.0, 1000.0, 5000.0])
+def test_a_command_that_starts_and_stops_gradually_comes_to_rest(rate: float) -> None:
+    time = np.arange(round(22 * rate)) / rate
+    # 0.5 mm/s with changes of velocity over 60 ms each: less than float32 resolves from sample to sample.
+    velocity = 0.5 * np.clip(np.minimum(time - 1.0, 21.0 - time) / 0.06, 0.0, 1.0)
+    position = (np.concatenate(([0.0], np.cumsum(velocity)[:-1])) / rate).astype(np.float32)
+    motion = commanded_motion(time, position)
+    assert motion.signs.tolist()[0] == motion.signs.tolist()[-1] == 0
+    assert motion.velocity(time) == pytest.approx(velocity, abs=0.05)
+    assert motion.position(time) == pytest.approx(position - position[0], abs=1e-3)
