@@ -19,7 +19,7 @@ from dragrig.present import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.config import Calibration, CommissionedSignal, CommissioningRecord
+    from dragrig.config import Calibration, CommissioningRecord
     from dragrig.rig import CalibrationLine, LoadReading, Preflight, RigCheck, RunPreview, TravelReading
 
 _MAX_PREVIEWS = 200
@@ -89,7 +89,7 @@ def commissioning_document(record: "CommissioningRecord") -> Document:
     )
 
 
-def _checks_section(item: str, checks: "Sequence[RigCheck | CommissionedSignal]") -> Section:
+def _checks_section(item: str, checks: "Sequence[RigCheck]") -> Section:
     table = Table.of(
         f"{item}s",
         "",
