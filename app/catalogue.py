@@ -12,7 +12,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from operator import itemgetter
@@ -35,7 +35,7 @@ from dragrig.run_listing import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.rig import Campaign, RunInfo, RunMark
+    from dragrig.rig import Campaign, RunHeader, RunInfo, RunMark
 
 SUFFIX = ".catalogue.sqlite"
 """Of a catalogue's name, after that of the data root."""
@@ -542,31 +542,23 @@ def _typed(value: object, kind: type[TypeT]) -> TypeT:
     return value
 
 
-def _encoded_run(run: "RunInfo") -> dict[str, object]:
-    header = run.header
-    return {
-        "format_version": run.format_version,
-        "status": run.status.value,
-        "samples": run.samples,
-        "reason": run.reason,
-        "end_time": None if run.end_time is None else run.end_time.isoformat(),
-        "checks": dict(run.checks),
-        "raw_sha256": run.raw_sha256,
-        "header": {
-            "run_id": header.run_id,
-            "start_time": header.start_time.isoformat(),
-            "order": header.order,
-            "backend": header.backend,
-            "kind": header.kind,
-            "sample_rate_hz": header.sample_rate_hz,
-            "channels": [(channel.name, channel.units, channel.dtype) for channel in header.channels],
-            "entry": dict(header.entry),
-            "protocol": dict(header.protocol),
-            "capsule": dict(header.capsule),
-            "specimen": dict(header.specimen),
-            "settings_toml": header.settings_toml,
-        },
-    }
+def _encoded_run(stated: "RunInfo | RunHeader") -> dict[str, object]:
+    """Return what a run states, but for its path: fields by their names, those of the header in an object of it."""
+    return {item.name: _encoded(getattr(stated, item.name)) for item in fields(stated) if item.name != "path"}
+
+
+def _encoded(value: object) -> object:
+    from dragrig.rig import RunHeader
+
+    match value:
+        case RunHeader():
+            return _encoded_run(value)
+        case datetime():
+            return value.isoformat()
+        case tuple():
+            return [astuple(channel) for channel in value]
+        case _:
+            return dict(value) if isinstance(value, Mapping) else value
 
 
 def _decoded_run(path: Path, encoded: "dict[str, Any]") -> "RunInfo":

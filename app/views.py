@@ -28,7 +28,7 @@ from dragrig.analysis import (
     table_row,
 )
 from dragrig.analysis.gap import Diagnosis, SettleRecord
-from dragrig.api import ExportFormatName, check, check_setup
+from dragrig.api import ExportFormatName, check, check_setup, mark
 from dragrig.api import export as export_runs
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
@@ -63,7 +63,6 @@ from dragrig.rig import (
     RunProtocol,
     SessionRecord,
     latest_session_record,
-    mark_bad,
     protocol_kinds,
     read_campaign,
     read_info,
@@ -73,8 +72,6 @@ from dragrig.rig import (
     recover,
     session_record_of_run,
     specimen_key,
-    unmark,
-    write_note,
 )
 from dragrig.setup import resolve_pace, resolve_rig
 
@@ -645,7 +642,7 @@ def shown_campaign(folder: Path) -> ShownCampaign:
     """Read the runs' settings of a campaign; raises `RunFileError`."""
     campaign = ask_runs(folder, lambda listing: listing.campaign())
     runs = tuple(
-        _shown_run(info, mark.reason if (mark := campaign.marks.get(info.path)) else "") for info in campaign.runs
+        _shown_run(info, bad.reason if (bad := campaign.marks.get(info.path)) else "") for info in campaign.runs
     )
     problems = tuple(str(error) for _, error in campaign.unreadable)
     return ShownCampaign(folder, runs, problems, campaign.recordings)
@@ -745,25 +742,18 @@ def export_shown_runs(paths: Sequence[Path], folder: Path, kind: ExportFormatNam
 
 def mark_runs(paths: Sequence[Path], reason: str | None) -> tuple[Path, ...]:
     """Mark runs as bad for a reason, or with None remove their marks; raises `OutputError`."""
-    for path in paths:
-        if reason is None:
-            unmark(path)
-        else:
-            mark_bad(path, reason)
-    return tuple(paths)
+    return mark(paths, bad=reason, good=reason is None)
 
 
 def note_runs(paths: Sequence[Path], text: str) -> tuple[Path, ...]:
     """Write a note on runs, or with an empty one remove theirs; raises `OutputError`."""
-    for path in paths:
-        write_note(path, text)
-    return tuple(paths)
+    return mark(paths, note=text)
 
 
 def _steady_row(path: Path) -> TableRow:
     try:
-        mark = read_mark(path)
-        return table_row(read_run(path), mark.reason if mark else None)
+        bad = read_mark(path)
+        return table_row(read_run(path), bad.reason if bad else None)
     except RunFileError as error:
         return TableRow(path.name, status="unreadable", remark=str(error))
 

@@ -25,7 +25,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import Calibration, CommissionedSignal, CommissioningRecord, RigSettings
+from dragrig.config.rig import Calibration, CommissioningRecord, RigSettings
 from dragrig.config.specimen import Capsule, Fixture, Specimen
 from dragrig.rig.commissioning import wiring_key
 from dragrig.rig.devices import Acquisition, BackendRequest, Contact, stage_limits
@@ -222,13 +222,7 @@ FROM_MM = 10.0
 def look(double: DoubleBackend, rig: RigSettings) -> CommissioningRecord:
     """Return what a person's look would record of the stops, tried at a standstill and in motion."""
     found = (*double.try_stops(in_motion=False), *double.try_stops(in_motion=True))
-    signals = [
-        CommissionedSignal(name=check.name, passed=check.passed, detail=check.detail, after_s=check.after_s)
-        for check in found
-    ]
-    return CommissioningRecord(
-        made_at=datetime.now(UTC), made_on="bench", wiring=wiring_key(rig), signals=tuple(signals)
-    )
+    return CommissioningRecord(made_at=datetime.now(UTC), made_on="bench", wiring=wiring_key(rig), signals=tuple(found))
 
 
 def way_after(double: DoubleBackend, failure: Failure, wait_s: float) -> tuple[float, float]:

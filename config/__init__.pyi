@@ -42,7 +42,6 @@ from .plan import SentinelSettings as SentinelSettings
 from .rig import AnalogInputSettings as AnalogInputSettings
 from .rig import Calibration as Calibration
 from .rig import CardSettings as CardSettings
-from .rig import CommissionedSignal as CommissionedSignal
 from .rig import CommissioningRecord as CommissioningRecord
 from .rig import ContactPoint as ContactPoint
 from .rig import DriveSettings as DriveSettings
@@ -53,6 +52,7 @@ from .rig import GuardSettings as GuardSettings
 from .rig import HardwareSettings as HardwareSettings
 from .rig import MotorSettings as MotorSettings
 from .rig import NoiseSettings as NoiseSettings
+from .rig import RigCheck as RigCheck
 from .rig import RigSettings as RigSettings
 from .rig import StageSettings as StageSettings
 from .rig import VariationSettings as VariationSettings

@@ -7,6 +7,7 @@ drive is reached; terminals of the PCI-6229 are named without the device (NI 622
 
 import re
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -514,14 +515,17 @@ class ContactPoint(Settings):
     operator: str = ""
 
 
-class CommissionedSignal(Settings):
-    """What the look at a rig found of a signal."""
+@dataclass(frozen=True, slots=True)
+class RigCheck:
+    """Result of one check of the rig."""
 
     name: str
+    """What was checked: a device, a signal, a limit, a calibration."""
     passed: bool
     detail: str
-    after_s: float = Field(default=0.0, ge=0)
-    """Time that the drive took to go off when this signal was taken away from it; 0 where that was not tried."""
+    """What was found, and what to do where the check failed."""
+    after_s: Annotated[float, Field(ge=0)] = 0.0
+    """Time that the drive took to go off when this signal was taken away from it; 0 for any other check."""
 
 
 class CommissioningRecord(Settings):
@@ -535,7 +539,7 @@ class CommissioningRecord(Settings):
     operator: str = ""
     skipped: bool = False
     """Whether a person chose to measure without a look, or in spite of what it found."""
-    signals: tuple[CommissionedSignal, ...] = ()
+    signals: tuple[RigCheck, ...] = ()
 
     @property
     def passed(self) -> bool:

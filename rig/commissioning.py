@@ -19,11 +19,12 @@ from typing import Protocol, TypeAlias, runtime_checkable
 from dragrig.config import (
     COMMISSIONING_FILE,
     CommissioningRecord,
+    RigCheck,
     RigSettings,
     read_settings_file,
     to_toml,
 )
-from dragrig.rig.devices import RigCheck, SupportsBenchActions
+from dragrig.rig.devices import SupportsBenchActions
 from dragrig.rig.operator import Answer, Prompt, ignore
 from dragrig.rig.runfile import replace_text
 from dragrig.rig.stops import StopName

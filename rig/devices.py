@@ -22,6 +22,7 @@ from dragrig.config import (
     DeviceError,
     Fixture,
     FrictionModelSettings,
+    RigCheck,
     RigSettings,
     Specimen,
     StageSettings,
@@ -29,6 +30,8 @@ from dragrig.config import (
 )
 from dragrig.rig.profile import AnyFloatArray, MotionExtremes, MotionProfile
 from dragrig.rig.runfile import RecordedChannel
+
+__all__ = ["RigCheck"]  # stored in a record of the lab, for those who know backends alone
 
 MAX_BLOCK_S = 0.05
 """Longest block, so that the guard never sees older data than this."""
@@ -311,19 +314,6 @@ class Sampler(Protocol):
 
         Raises `DeviceError` while an acquisition is armed, and when the device fails.
         """
-
-
-@dataclass(frozen=True, slots=True)
-class RigCheck:
-    """Result of one check of the rig."""
-
-    name: str
-    """What was checked: a device, a limit, a calibration."""
-    passed: bool
-    detail: str
-    """What was found, and what to do where the check failed."""
-    after_s: float = 0.0
-    """Time that the drive took to go off when this signal was taken away from it; 0 for any other check."""
 
 
 @runtime_checkable

@@ -21,6 +21,7 @@ from dragrig.config import (
     PlannedKind,
     PlanStep,
     ReturnMode,
+    RigCheck,
     RigSettings,
     RunOrder,
     SentinelSettings,
@@ -31,7 +32,6 @@ from dragrig.config import (
 from dragrig.rig.devices import (
     MAX_BLOCK_S,
     Contact,
-    RigCheck,
     StageLimits,
     limit_violations,
 )

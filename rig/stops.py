@@ -12,8 +12,8 @@ from math import floor, inf, isfinite, sqrt
 
 import numpy as np
 
-from dragrig.config import CommissioningRecord, RigSettings
-from dragrig.rig.devices import STANDSTILL_SPEED_MM_S, RigCheck, StageLimits
+from dragrig.config import CommissioningRecord, RigCheck, RigSettings
+from dragrig.rig.devices import STANDSTILL_SPEED_MM_S, StageLimits
 from dragrig.rig.profile import MotionExtremes, MotionProfile
 
 RELAY_BEATS = 3

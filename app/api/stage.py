@@ -1,8 +1,7 @@
 """Move the stage by hand (home, jog, touch off), look at the rig's wiring, and calibrate force sensor and encoder."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from datetime import datetime
+from dataclasses import asdict, dataclass, replace
 from math import isfinite
 from pathlib import Path
 from threading import Event as Signal
@@ -11,7 +10,6 @@ from typing import Generic, TypeAlias, TypeVar, Unpack
 from dragrig.config import (
     AbortedError,
     Calibration,
-    CommissionedSignal,
     CommissioningRecord,
     ContactPoint,
     DeviceError,
@@ -223,25 +221,20 @@ def commission(
                 raise AbortedError("the look at the rig was ended; nothing is stored.")
             return answer
 
-        def work() -> tuple[RigCheck, ...]:
+        def work() -> list[RigCheck]:
             findings = []
             for finding in look_at_rig(backend, setup.rig, confirm):
                 found(finding)
                 findings.append(finding)
-            return tuple(findings)
+            return findings
 
-        findings = run_on_worker(work, lambda _reason: ended.set(), operator_here)
+        signals = run_on_worker(work, lambda _reason: ended.set(), operator_here)
         record = CommissioningRecord(
             made_at=backend.clock.now(),
             made_on=setup.made_on,
             wiring=wiring_key(setup.rig),
             operator=operator,
-            signals=tuple(
-                CommissionedSignal(
-                    name=finding.name, passed=finding.passed, detail=finding.detail, after_s=round(finding.after_s, 3)
-                )
-                for finding in findings
-            ),
+            signals=tuple(replace(signal, after_s=round(signal.after_s, 3)) for signal in signals),
         )
     write_commissioning(folder, record)
     return record
@@ -351,10 +344,10 @@ def calibrate_force(
                 f"the residual of {line.residual:.1f} mN is larger than the sensor's accuracy of "
                 f"{rig.force_sensor.accuracy_mN:g} mN"
             )
-        now = bench.backend.clock.now()
-        entry = _calibration_entry("force", line, now, setup, rig.force_sensor.serial, operator, (note, *notes))
         noises_V = [point.reading.force_noise_V for point in points if isfinite(point.reading.force_noise_V)]
-        entry = entry.model_copy(update={"noise_uV": round(1e6 * min(noises_V, default=0.0), 3)})
+        entry = _calibration_entry("force", line, bench, operator, (note, *notes)).model_copy(
+            update={"sensor_serial": rig.force_sensor.serial, "noise_uV": round(1e6 * min(noises_V, default=0.0), 3)}
+        )
         if store:
             append_calibration(folder, entry)
         return SensorCalibration(entry, line, points, tuple(notes))
@@ -425,8 +418,7 @@ def calibrate_encoder(
             points = tuple(measure_driven_travel(bench.manual, count_mm, travel_mm, speed_mm_s, measured_mm, repeats))
         line = fit_encoder([point.travel_mm for point in points], [point.counts for point in points])
         notes = _encoder_notes(line, setup, known_travel=by_hand or bool(measured_mm))
-        now = bench.backend.clock.now()
-        entry = _calibration_entry("encoder", line, now, setup, "", operator, (note, *notes))
+        entry = _calibration_entry("encoder", line, bench, operator, (note, *notes))
         if store:
             append_calibration(folder, entry)
         return SensorCalibration(entry, line, points, notes)
@@ -470,26 +462,15 @@ def _require_repeats(repeats: int, duration_s: float) -> None:
 
 
 def _calibration_entry(
-    quantity: str,
-    line: CalibrationLine,
-    now: datetime,
-    setup: RigSetup,
-    serial: str,
-    operator: str,
-    notes: Sequence[str],
+    quantity: str, line: CalibrationLine, bench: OpenRig, operator: str, notes: Sequence[str]
 ) -> Calibration:
+    now = bench.backend.clock.now()
     return Calibration(
         id=f"{quantity}-{now:%Y%m%d-%H%M%S}-{now.microsecond // 1000:03d}",
         made_at=now,
-        made_on=setup.made_on,
+        made_on=bench.setup.made_on,
         quantity=quantity,
-        sensor_serial=serial,
-        gain=line.gain,
-        gain_error=line.gain_error,
-        zero=line.zero,
-        zero_error=line.zero_error,
-        residual=line.residual,
-        points=line.points,
         operator=operator,
         note="; ".join(filter(None, notes)),
+        **asdict(line),
     )

@@ -86,6 +86,13 @@ def write_report(
         write_text(render_page(drawn(document, progress or no_progress)), path, overwrite=overwrite)
 
 
+def print_written(*, as_json: bool, **files: Path | None) -> None:
+    """Print where files were written, below a result that is not printed as JSON."""
+    for name, path in files.items():
+        if path is not None and not as_json:
+            echo(f"{name:8}{display_path(path)}")
+
+
 def print_remark(text: str) -> None:
     """Print a remark on standard error, unless --quiet."""
     if not is_quiet():

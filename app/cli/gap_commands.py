@@ -15,6 +15,7 @@ from dragrig.cli.console import (
     print_json,
     print_remark,
     print_warning,
+    print_written,
     write_report,
 )
 from dragrig.cli.options import NUMBER
@@ -49,7 +50,7 @@ figures beside it."""
 @click.option("--tolerance", "tolerance_mN", metavar="MN", type=NUMBER, help="Smaller gaps [mN] are ignored.")
 @options.measured_specimen
 @click.option("--calibration", metavar="FILE", help="File from gap calibrate --save (default: the shipped one).")
-@click.option("--save-model", metavar="FILE", type=FILE, help="Write the model with the effect added to this file.")
+@options.written_file("--save-model", "FILE", "Write the model with the effect added to this file.")
 @options.report
 @options.figures
 @click.option(
@@ -90,11 +91,7 @@ def diagnose_command(
     from dragrig.analysis import parts_of
     from dragrig.api import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
-    from dragrig.present import (
-        diagnosis_document,
-        require_writable,
-        save_figures,
-    )
+    from dragrig.present import diagnosis_document, save_figures
 
     worker_count(workers, scheduler)
     request = DiagnosisRequest(nominal, without, tolerance_mN, specimen, calibration)
@@ -111,8 +108,6 @@ def diagnose_command(
         _print_diagnoses(several, as_json=as_json)
         return
     [campaign] = campaigns
-    for path in filter(None, (save_model, report)):
-        require_writable(path, overwrite=overwrite)
     with ProgressMeter("diagnosing") as meter:
         finding, reporting, drawing = parts_of(
             meter.at, DIAGNOSE_COST, PAGE_COST * (report is not None), FIGURES_COST * (figures is not None)
@@ -134,9 +129,7 @@ def diagnose_command(
     if save_model is not None and model is None:
         print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
     print_document(document, as_json=as_json)
-    for name, file in (("model", model), ("report", report)):
-        if file is not None and not as_json:
-            echo(f"{name:8}{display_path(file)}")
+    print_written(as_json=as_json, model=model, report=report)
     for path in drawn if not as_json else ():
         echo(f"figure  {display_path(path)}")
 
@@ -154,18 +147,15 @@ def _diagnose_together(
 ) -> None:
     """Diagnose campaigns of one rig together and print what they share."""
     from dragrig.analysis import parts_of
-    from dragrig.present import pooled_document, require_writable, save_figures
+    from dragrig.present import pooled_document, save_figures
 
-    if report is not None:
-        require_writable(report, overwrite=overwrite)
     with ProgressMeter(f"diagnosing {len(campaigns)} campaigns together") as meter:
         finding, reporting = parts_of(meter.at, DIAGNOSE_COST * len(campaigns), PAGE_COST * (report is not None))
         document = pooled_document(request.diagnose_together(campaigns, workers, scheduler, finding))
         write_report(document, report, overwrite=overwrite, progress=reporting)
         drawn = () if figures is None else tuple(save_figures(document, figures, overwrite=overwrite))
     print_document(document, as_json=as_json)
-    if report is not None and not as_json:
-        echo(f"report  {display_path(report)}")
+    print_written(as_json=as_json, report=report)
     for path in drawn if not as_json else ():
         echo(f"figure  {display_path(path)}")
 
@@ -208,16 +198,13 @@ def evaluate_command(
     """
     from dragrig.analysis.gap import PromiseVerdict
     from dragrig.api import gap_evaluate
-    from dragrig.present import evaluation_document, require_writable
+    from dragrig.present import evaluation_document
 
-    if report is not None:
-        require_writable(report, overwrite=overwrite)
     evaluation = gap_evaluate(model, campaign, specimen=specimen)
     document = evaluation_document(evaluation)
     write_report(document, report, overwrite=overwrite)
     print_document(document, as_json=as_json)
-    if report is not None and not as_json:
-        echo(f"report  {display_path(report)}")
+    print_written(as_json=as_json, report=report)
     if evaluation.verdict is PromiseVerdict.NOT_KEPT:
         click.get_current_context().exit(1)
 
@@ -227,7 +214,7 @@ def evaluate_command(
 @click.option("--between", nargs=2, metavar="EFFECT EFFECT", help="Two effects to separate, at their default sizes.")
 @click.option("--minutes", metavar="MIN", type=NUMBER, default=20.0, show_default=True, help="Rig time available.")
 @HANDS
-@click.option("--save-plan", metavar="FILE.toml", type=FILE, help="Write the runs as a plan to this file.")
+@options.written_file("--save-plan", "FILE.toml", "Write the runs as a plan to this file.")
 @options.settings
 @options.overwrite
 @options.as_json
@@ -251,10 +238,8 @@ def next_command(
     """
     from dragrig.analysis.gap import DEFAULT_HANDS_MIN
     from dragrig.api import gap_next, save_next_plan
-    from dragrig.present import next_experiment_document, require_writable
+    from dragrig.present import next_experiment_document
 
-    if save_plan is not None:
-        require_writable(save_plan, overwrite=overwrite)
     with ProgressMeter("searching") as meter:
         experiment = gap_next(
             source,
@@ -269,8 +254,8 @@ def next_command(
     print_document(next_experiment_document(experiment), as_json=as_json)
     if save_plan is not None and experiment is None:
         print_remark(f"{display_path(save_plan)} is not written: there is no run to recommend")
-    elif save_plan is not None and not as_json:
-        echo(f"plan    {display_path(save_plan)}")
+    else:
+        print_written(as_json=as_json, plan=save_plan)
 
 
 @click.command("settle")
@@ -318,15 +303,13 @@ def settle_command(
     from dragrig.analysis.gap import DEFAULT_HANDS_MIN, DEFAULT_UNTIL, SettleRecord
     from dragrig.api import DEFAULT_SETTLE_MIN, SettleHands, gap_settle, gap_settle_resume
     from dragrig.cli.operator import TerminalOperator
-    from dragrig.present import require_writable, settlement_document, step_sentence
+    from dragrig.present import settlement_document, step_sentence
 
     context = click.get_current_context()
     if (plan is None) == (resume is None):
         raise click.UsageError("Name a plan, or a campaign to go on with after --resume, and not both", context)
     if resume is not None and (any(value is not None for value in (until, hands, out)) or any(settings.values())):
         raise click.UsageError("--resume goes on as it began: only --minutes may be changed", context)
-    if report is not None:
-        require_writable(report, overwrite=overwrite)
 
     def tell(record: SettleRecord) -> None:
         print_remark(step_sentence(record))
@@ -351,10 +334,7 @@ def settle_command(
     document = settlement_document(settled.record, settled.diagnosed.result, source=str(settled.folder))
     write_report(document, report, overwrite=overwrite)
     print_document(document, as_json=as_json)
-    if not as_json:
-        echo(f"folder  {display_path(settled.folder)}")
-        if report is not None:
-            echo(f"report  {display_path(report)}")
+    print_written(as_json=as_json, folder=settled.folder, report=report)
 
 
 @click.command("isolability")
@@ -382,17 +362,14 @@ def isolability_command(
     """
     from dragrig.analysis import parts_of
     from dragrig.api import gap_isolability
-    from dragrig.present import isolability_document, require_writable
+    from dragrig.present import isolability_document
 
-    if report is not None:
-        require_writable(report, overwrite=overwrite)
     with ProgressMeter("computing") as meter:
         isolating, reporting = parts_of(meter.at, ISOLATE_COST, PAGE_COST * (report is not None))
         document = isolability_document(gap_isolability(source, without=without, progress=isolating, **settings))
         write_report(document, report, overwrite=overwrite, progress=reporting)
     print_document(document, as_json=as_json)
-    if report is not None and not as_json:
-        echo(f"report  {display_path(report)}")
+    print_written(as_json=as_json, report=report)
 
 
 @click.command("effects")
@@ -460,10 +437,8 @@ def blind_command(
     """
     from dragrig.config import AnalysisError
     from dragrig.exam import gap_blind, save_exam_report
-    from dragrig.present import exam_document, require_writable
+    from dragrig.present import exam_document
 
-    if report is not None:
-        require_writable(report, overwrite=overwrite)
     with ProgressMeter(f"examining {cases} campaigns") as meter:
         exam = gap_blind(
             cases,
@@ -482,19 +457,15 @@ def blind_command(
         print_json(exam.document())
     else:
         print_document(exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256), as_json=False)
-    if report is not None and not as_json:
-        echo(f"report  {display_path(report)}")
+    print_written(as_json=as_json, report=report)
     if exam.failed:
         name, reason = next(iter(exam.failed.items()))
         raise AnalysisError(f"{len(exam.failed)} of {cases} campaigns were not diagnosed; of {name}: {reason}.")
 
 
-FOLDER = click.Path(path_type=Path)
-
-
 @click.command("calibrate")
-@click.argument("exams", metavar="EXAM…", type=FOLDER, nargs=-1, required=True)
-@click.option("--save", metavar="FILE", type=FOLDER, help="File for dragrig gap diagnose --calibration.")
+@click.argument("exams", metavar="EXAM…", type=FILE, nargs=-1, required=True)
+@click.option("--save", metavar="FILE", type=FILE, help="File for dragrig gap diagnose --calibration.")
 @click.option(
     "--folds",
     metavar="K",

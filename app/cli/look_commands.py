@@ -287,10 +287,8 @@ def compare_command(
     if (b is None) == (model is None):
         raise click.UsageError("name either a second campaign or run, or a --model", click.get_current_context())
     from dragrig.api import compare, write_comparison
-    from dragrig.present import comparison_document, comparison_json, require_writable
+    from dragrig.present import comparison_document, comparison_json
 
-    if report is not None:
-        require_writable(report, overwrite=overwrite)
     with ProgressMeter("comparing") as meter:
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
     document = comparison_document(comparison)

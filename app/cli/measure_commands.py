@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, Unpack
+from typing import TYPE_CHECKING, NoReturn, Unpack, cast
 
 import click
 
@@ -136,21 +136,11 @@ def _look_at_rig(
 
 
 def _rig_choices(ctx: click.Context, settings: "SetupChoices", out: Path | None) -> "RigChoices":
-    plan_options = {
-        "specimen": settings["specimen"],
-        "effect": settings["effects"],
-        "capsule": settings["capsule"],
-        "out": out,
-    }
-    if unused := [name for name, value in plan_options.items() if value]:
+    plan_settings = {name: settings[name] for name in ("specimen", "effects", "capsule")}
+    given = {name.removesuffix("s"): value for name, value in plan_settings.items()} | {"out": out}
+    if unused := [name for name, value in given.items() if value]:
         raise click.UsageError(f"Without a plan the rig itself is checked, so leave out --{' --'.join(unused)}", ctx)
-    return {
-        "rig": settings["rig"],
-        "model": settings["model"],
-        "backend": settings["backend"],
-        "double": settings["double"],
-        "assignments": settings["assignments"],
-    }
+    return cast("RigChoices", {name: value for name, value in settings.items() if name not in plan_settings})
 
 
 @click.command("run")

@@ -154,13 +154,11 @@ def robot_command(
     price of an effect is the speed that it takes.
     """
     from dragrig.api import robot as study
-    from dragrig.present import require_writable, robot_document, save_figures
+    from dragrig.present import robot_document, save_figures
 
     drive = _robot_drive(slow, fast, stroke, pause)
     if drive is not None and assumptions:
         raise SettingsError("--assumptions seeks the drives anew; leave out --slow, --fast, --stroke and --pause.")
-    if report is not None:
-        require_writable(report, overwrite=overwrite)
     with ProgressMeter("walking") as meter:
         document = robot_document(
             study(
@@ -329,11 +327,9 @@ def identify_command(
         write_identified_files,
     )
     from dragrig.parallel import worker_count
-    from dragrig.present import identification_document, identification_json, require_writable
+    from dragrig.present import identification_document, identification_json
 
     worker_count(workers, scheduler)
-    if report is not None:
-        require_writable(report, overwrite=overwrite)
     choices: FitChoices = {"nominal": nominal, "model": model, "wall": wall, "specimen": specimen}
     if together:
         _require_no_model(save_model, out)

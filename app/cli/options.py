@@ -81,9 +81,23 @@ as_json = click.option("--json", "as_json", is_flag=True, help="Print the result
 """Adds `--json`, as the argument `as_json`."""
 inputs = click.argument("inputs", metavar="RUN…", nargs=-1, required=True)
 """Adds the argument `inputs`: run files, patterns and folders."""
-report = click.option(
-    "--report", metavar="FILE.html", type=click.Path(path_type=Path), help="Write the report to this file."
-)
+
+
+def _require_writable(context: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:
+    del parameter
+    if value is not None:
+        from dragrig.present import require_writable
+
+        require_writable(value, overwrite=bool(context.params.get("overwrite")))
+    return value
+
+
+def written_file(option: str, metavar: str, text: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Add the name of a file to write, refused before any work where it cannot be written; beside `overwrite`."""
+    return click.option(option, metavar=metavar, type=click.Path(path_type=Path), callback=_require_writable, help=text)
+
+
+report = written_file("--report", "FILE.html", "Write the report to this file.")
 without = click.option(
     "--without", metavar="EFFECT", multiple=True, help="Leave an effect out of the catalogue; repeatable."
 )
@@ -91,7 +105,7 @@ measured_specimen = click.option(
     "--specimen", metavar="NAME", help="Name or id, where there are several (default: the most measured)."
 )
 """Adds `--specimen`, as the argument `specimen`: one of those whose runs are examined."""
-overwrite = click.option("--overwrite", is_flag=True, help="Replace existing files.")
+overwrite = click.option("--overwrite", is_flag=True, is_eager=True, help="Replace existing files.")
 yes = click.option(
     "--yes", "-y", is_flag=True, help="Answer every prompt that needs no hands or eyes at the rig with done."
 )

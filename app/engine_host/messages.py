@@ -4,7 +4,7 @@ import ctypes
 from dataclasses import dataclass, field
 from multiprocessing.context import SpawnContext
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -66,14 +66,7 @@ class RigSelection:
 
     def choices(self) -> RigChoices:
         """Return the keyword arguments of `dragrig.examine`."""
-        return {
-            "rig": self.rig,
-            "model": self.model,
-            "backend": self.backend,
-            "double": self.double,
-            "assignments": self.assignments,
-            "memory": self.memory,
-        }
+        return cast("RigChoices", {name: getattr(self, name) for name in RigChoices.__annotations__})
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,6 +121,7 @@ from .model_figures import forces_figure as forces_figure
 from .model_figures import skew_figure as skew_figure
 from .model_figures import wall_figure as wall_figure
 from .numbers import NumberFormat as NumberFormat
+from .numbers import attributes_json as attributes_json
 from .numbers import decimals as decimals
 from .numbers import duration_text as duration_text
 from .numbers import estimate_text as estimate_text

@@ -25,6 +25,7 @@ from dragrig.present import (
     Items,
     Section,
     Table,
+    attributes_json,
     decimals,
     exclusions_json,
     listed_exclusions,
@@ -82,19 +83,14 @@ def comparison_json(comparison: Comparison) -> Mapping[str, object]:
                     "condition": str(pair.condition),
                     "a_file": pair.a.file,
                     "b_file": pair.b.file,
-                    "shift_s": pair.shift_s,
-                    "verdict": pair.verdict,
-                    "phases": pair.phases,
-                    "motion": pair.motion,
-                    "remarks": pair.remarks,
+                    **attributes_json(pair, "shift_s", "verdict", "phases", "motion", "remarks"),
                 }
                 for pair in comparison.pairs
             ],
             "conditions": [
                 {
                     "condition": str(group.condition),
-                    "measure": group.measure,
-                    "pairs": group.pairs,
+                    **attributes_json(group, "measure", "pairs"),
                     "a_mN": group.a,
                     "b_mN": group.b,
                     "b_minus_a_mN": group.value,

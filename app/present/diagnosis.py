@@ -33,6 +33,7 @@ from dragrig.present import (
     Table,
     Text,
     TextKind,
+    attributes_json,
     decimals,
     exclusions_json,
     interval_text,
@@ -517,9 +518,7 @@ def diagnosis_json(
             "format": FORMAT,
             "version": VERSION,
             "campaign": {
-                "specimen": diagnosis.specimen,
-                "nominal": diagnosis.nominal,
-                "runs": diagnosis.runs,
+                **attributes_json(diagnosis, "specimen", "nominal", "runs"),
                 "used_for_fit": [ids.get(file, file) for file in diagnosis.used_for_fit],
                 "held_out": [ids.get(file, file) for file in diagnosis.held_out],
                 "left_out": exclusions_json(diagnosis.left_out),
@@ -530,8 +529,7 @@ def diagnosis_json(
             "likeliest": None if likeliest is None else {name: likeliest[name] for name in SCORED},
             "effects": diagnosis.effects,
             "ranking": _ranking_json(diagnosis.ranking),
-            "confusable_with": diagnosis.confusable_with,
-            "residual_unknown": diagnosis.residual_unknown,
+            **attributes_json(diagnosis, "confusable_with", "residual_unknown"),
             "presence": presence_json(diagnosis.budget),
             "budget": budget_json(diagnosis, ids),
             "unknown": None
@@ -549,8 +547,7 @@ def diagnosis_json(
             "model": model,
             "next_experiment": _next_run_json(diagnosis.next_experiment),
             "cannot_answer": diagnosis.limitations,
-            "remarks": diagnosis.remarks,
-            "calibration": diagnosis.calibration,
+            **attributes_json(diagnosis, "remarks", "calibration"),
             "evidence": None if diagnosis.decision_inputs is None else diagnosis.decision_inputs.document(),
             "timings_s": diagnosis.timings_s,
         }
@@ -616,11 +613,8 @@ def _planned_run_json(run: NextRun) -> Mapping[str, object]:
     return {
         "protocol": run.step.kind,
         **run.settings,
-        "wait_s": run.step.wait_s,
-        "repeats": run.step.repeats,
-        "minutes": run.minutes,
-        "gain_bits": run.gain_bits,
-        "about": run.about,
+        **attributes_json(run.step, "wait_s", "repeats"),
+        **attributes_json(run, "minutes", "gain_bits", "about"),
     }
 
 
@@ -634,13 +628,8 @@ def shrink_json(shrink: GapReduction) -> Mapping[str, object]:
         }
 
     return {
-        "gap_before_mN": shrink.gap_before_mN,
-        "gap_after_mN": shrink.gap_after_mN,
-        "noise_floor_mN": shrink.noise_floor_mN,
-        "position_um": shrink.position_um,
-        "closed": shrink.closed,
-        "closed_95ci": shrink.closed_95ci,
-        "boundary_mm_s": shrink.boundary_mm_s,
+        **attributes_json(shrink, "gap_before_mN", "gap_after_mN", "noise_floor_mN", "position_um"),
+        **attributes_json(shrink, "closed", "closed_95ci", "boundary_mm_s"),
         "r2_eq15": sides(shrink.r2_eq15),
         "r2_corr": sides(shrink.r2_corr),
         "runs": shrink.runs,

@@ -17,6 +17,7 @@ from dragrig.present import (
     Table,
     Text,
     TextKind,
+    attributes_json,
     decimals,
     shortest,
     to_json_object,
@@ -316,13 +317,9 @@ def score_json(score: ExamScore) -> Mapping[str, object]:
             "not_right": [
                 {
                     "case": case.name,
-                    "truth": case.answer.truth,
-                    "form": case.answer.form,
-                    "size": case.answer.size,
+                    **attributes_json(case.answer, "truth", "form", "size"),
                     "d_prime": case.d_prime,
-                    "verdict": case.diagnosis.verdict,
-                    "effects": case.diagnosis.effects,
-                    "probability": case.diagnosis.probability,
+                    **attributes_json(case.diagnosis, "verdict", "effects", "probability"),
                 }
                 for case in score.missed
             ],
@@ -334,10 +331,7 @@ def rate_json(rate: Rate) -> Mapping[str, object]:
     """Return a rate as JSON; its share and interval are null where there are no cases."""
     return to_json_object(
         {
-            "name": rate.name,
-            "held": rate.held,
-            "count": rate.count,
-            "share": rate.share,
+            **attributes_json(rate, "name", "held", "count", "share"),
             "interval_95": [rate.low, rate.high] if rate.count else None,
         }
     )

@@ -41,6 +41,7 @@ from dragrig.present import (
     Section,
     Table,
     Text,
+    attributes_json,
     decimals,
     estimate_text,
     exclusions_json,
@@ -473,13 +474,7 @@ def identification_json(identification: Identification) -> Mapping[str, object]:
 
 def _joint_fit_json(fit: JointFit) -> Mapping[str, object]:
     return {
-        "nominal": fit.nominal,
-        "converged": fit.converged,
-        "steps": fit.steps,
-        "chi2": fit.chi2,
-        "degrees": fit.degrees,
-        "p_value": fit.p_value,
-        "holds": fit.holds,
+        **attributes_json(fit, "nominal", "converged", "steps", "chi2", "degrees", "p_value", "holds"),
         "parameters": {_key_with_unit(parameter): _parameter_json(parameter, fit) for parameter in fit.parameters},
         "combinations": {_key_with_unit(product): _parameter_json(product, fit) for product in fit.combinations},
         "correlation": _matrix_json(fit.correlation, [parameter.name for parameter in fit.parameters]),
@@ -513,9 +508,7 @@ def _drag_json(drag: DragResult) -> Mapping[str, object]:
         if law is None
         else {
             **_quantities_json((law.intercept, law.slope)),
-            "correlation": law.correlation,
-            "r2": law.r2,
-            "lack_of_fit_p": law.lack_of_fit_p,
+            **attributes_json(law, "correlation", "r2", "lack_of_fit_p"),
         },
         "boundary": None if boundary is None else _fields_json(boundary, interval="interval_95_mm_s"),
         "determination": [_fields_json(band, correlation="correlation2") for band in drag.determination],
@@ -543,9 +536,7 @@ def _relaxation_fit_json(fit: RelaxationFit) -> Mapping[str, object]:
         "times": _quantities_json(fit.times),
         "correlation": _matrix_json(fit.correlation, [element.name for element in fit.elements]),
         "zero_mN": _estimate_json(fit.zero),
-        "chi2": fit.chi2,
-        "degrees": fit.degrees,
-        "converged": fit.converged,
+        **attributes_json(fit, "chi2", "degrees", "converged"),
         "five_elements": None if test is None else _fields_json(test, suffices="suffice"),
         "remark": fit.remark,
     }
@@ -564,8 +555,7 @@ def _parameter_json(parameter: ParameterEstimate, fit: JointFit) -> Mapping[str,
         "standard_error": parameter.standard_error if known and fit.converged else None,
         "interval_95": parameter.interval if known and fit.converged else None,
         "prior_95": parameter.prior,
-        "learnt": parameter.learnt,
-        "meaning": parameter.meaning,
+        **attributes_json(parameter, "learnt", "meaning"),
     }
 
 

@@ -23,6 +23,7 @@ from dragrig.present import (
     Table,
     Text,
     TextKind,
+    attributes_json,
     decimals,
     shortest,
     significant,
@@ -80,10 +81,7 @@ def isolability_document(isolability: Isolability) -> Document:
             {
                 "format": FORMAT,
                 "version": VERSION,
-                "source": isolability.source,
-                "planned": isolability.planned,
-                "runs": isolability.runs,
-                "duration_s": isolability.duration_s,
+                **attributes_json(isolability, "source", "planned", "runs", "duration_s"),
                 "in_words": isolability_sentences(isolability),
                 "seen_from_d_prime": DETECTABLE_D_PRIME,
                 "close_below_sin2": CONFUSED_SIN2,
@@ -91,17 +89,13 @@ def isolability_document(isolability: Isolability) -> Document:
                 "effects": [
                     {
                         "id": effect.effect,
-                        "channel": effect.channel,
-                        "usual": effect.usual,
-                        "unit": effect.unit,
-                        "d_prime": effect.d_prime,
+                        **attributes_json(effect, "channel", "usual", "unit", "d_prime"),
                         "least_seen": effect.smallest,
                         "least_seen_mN": effect.smallest_mN,
                     }
                     for effect in isolability.effects
                 ],
-                "pairs": isolability.pairs,
-                "remarks": isolability.remarks,
+                **attributes_json(isolability, "pairs", "remarks"),
             }
         ),
     )
@@ -157,8 +151,7 @@ def effects_document(effects: Sequence[Effect]) -> Document:
     )
     data = [
         {
-            "id": effect.id,
-            "name": effect.name,
+            **attributes_json(effect, "id", "name"),
             "place": effect.location,
             "domain": effect.coordinate,
             "summary": effect.summary,
@@ -180,13 +173,9 @@ def effects_document(effects: Sequence[Effect]) -> Document:
 
 def _parameter_json(parameter: EffectParameter) -> Mapping[str, object]:
     return {
-        "name": parameter.name,
-        "unit": parameter.unit,
-        "role": parameter.role,
+        **attributes_json(parameter, "name", "unit", "role"),
         "usual": parameter.default,
-        "low": parameter.low,
-        "high": parameter.high,
-        "meaning": parameter.meaning,
+        **attributes_json(parameter, "low", "high", "meaning"),
         "tried": parameter.grid,
         "possible": parameter.bounds,
     }

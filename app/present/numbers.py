@@ -157,6 +157,11 @@ def to_json_value(value: object) -> object:
             return value.isoformat() if isinstance(value, date) else str(value)
 
 
+def attributes_json(value: object, *names: str) -> dict[str, object]:
+    """Return attributes of a value under their own names, which are then those of a JSON object too."""
+    return {name: getattr(value, name) for name in names}
+
+
 def grouped_files(files: Sequence[str]) -> str:
     """Name the first of some files, and how many more there are."""
     return files[0] if len(files) == 1 else f"{files[0]} and {len(files) - 1} more"

@@ -31,6 +31,7 @@ from dragrig.present import (
     Items,
     Section,
     Table,
+    attributes_json,
     exclusions_json,
     figure_style,
     interval_text,
@@ -305,9 +306,7 @@ def population_json(population: Population) -> Mapping[str, object]:
     """Return a population as JSON, without any NaN or infinity."""
     return to_json_object(
         {
-            "nominal": population.nominal,
-            "campaigns": population.campaigns,
-            "specimens": population.specimens,
+            **attributes_json(population, "nominal", "campaigns", "specimens"),
             "parameters": {parameter.name: dict(_parameter_json(parameter)) for parameter in population.parameters},
             "left_out": exclusions_json(population.left_out),
             "remarks": population.remarks,
@@ -317,10 +316,7 @@ def population_json(population: Population) -> Mapping[str, object]:
 
 def _parameter_json(parameter: PopulationParameter) -> Iterator[tuple[str, object]]:
     known = parameter.determined
-    yield "unit", parameter.unit
-    yield "meaning", parameter.meaning
-    yield "of_rig", parameter.of_rig
-    yield "determined", known
+    yield from attributes_json(parameter, "unit", "meaning", "of_rig", "determined").items()
     yield "mean", quantity_json(parameter.mean) if known else None
     yield "spread", quantity_json(parameter.spread) if known and parameter.spread is not None else None
     yield "spread_p", parameter.spread_p if known else None

@@ -10,6 +10,7 @@ from dragrig.present import (
     Items,
     Section,
     Table,
+    attributes_json,
     decimals,
     duration_text,
     shortest,
@@ -18,7 +19,7 @@ from dragrig.present import (
 )
 
 if TYPE_CHECKING:
-    from dragrig.config import Calibration, CommissionedSignal, CommissioningRecord
+    from dragrig.config import Calibration, CommissioningRecord
     from dragrig.rig import CalibrationLine, LoadReading, Preflight, RigCheck, RunPreview, TravelReading
 
 _MAX_PREVIEWS = 200
@@ -60,11 +61,7 @@ def preflight_document(preflight: "Preflight") -> Document:
         data=to_json_object(
             {
                 "runs": [_preview_json(preview) for preview in preflight.previews],
-                "duration_s": preflight.duration_s,
-                "size_bytes": preflight.size_bytes,
-                "free_bytes": preflight.free_bytes,
-                "findings": preflight.findings,
-                "remarks": preflight.remarks,
+                **attributes_json(preflight, "duration_s", "size_bytes", "free_bytes", "findings", "remarks"),
             }
         ),
     )
@@ -92,7 +89,7 @@ def commissioning_document(record: "CommissioningRecord") -> Document:
     )
 
 
-def _checks_section(item: str, checks: "Sequence[RigCheck | CommissionedSignal]") -> Section:
+def _checks_section(item: str, checks: "Sequence[RigCheck]") -> Section:
     table = Table.of(
         f"{item}s",
         "",
@@ -164,12 +161,8 @@ def _preview_json(preview: "RunPreview") -> dict[str, object]:
         "parameters": run.protocol.attributes(),
         "capsule": run.capsule.name,
         "fixture": run.fixture,
-        "lowest_mm": preview.lowest_mm,
-        "highest_mm": preview.highest_mm,
-        "speed_mm_s": preview.speed_mm_s,
-        "accel_mm_s2": preview.accel_mm_s2,
-        "wait_s": run.wait_s,
-        "duration_s": run.duration_s,
+        **attributes_json(preview, "lowest_mm", "highest_mm", "speed_mm_s", "accel_mm_s2"),
+        **attributes_json(run, "wait_s", "duration_s"),
         "size_bytes": preview.size_bytes,
         "prompt": run.prompt,
     }

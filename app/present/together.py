@@ -15,6 +15,7 @@ from dragrig.present import (
     Table,
     Text,
     TextKind,
+    attributes_json,
     exclusions_json,
     probability_text,
     shortest,
@@ -226,13 +227,9 @@ def pooled_json(pooled: PooledDiagnosis) -> Mapping[str, object]:
             "version": VERSION,
             "campaigns": [
                 {
-                    "source": campaign.source,
-                    "specimen": campaign.specimen,
-                    "runs": campaign.runs,
-                    "nominal": campaign.nominal,
+                    **attributes_json(campaign, "source", "specimen", "runs", "nominal"),
                     "verdict": campaign.verdict.value,
-                    "effects": campaign.effects,
-                    "probability": campaign.probability,
+                    **attributes_json(campaign, "effects", "probability"),
                     "left_out": exclusions_json(campaign.left_out),
                     "remarks": campaign.remarks,
                 }
@@ -261,12 +258,9 @@ def _effect_json(effect: PooledEffect, pooled: PooledDiagnosis) -> Mapping[str, 
         "size": None
         if size is None
         else {
-            "parameter": size.parameter,
-            "unit": size.unit,
-            "mean": size.mean,
+            **attributes_json(size, "parameter", "unit", "mean"),
             "sd": size.standard_error,
-            "interval_95": size.interval_95,
-            "spread": size.spread,
+            **attributes_json(size, "interval_95", "spread"),
             "campaigns": [None if own is None else {"value": own[0], "sd": own[1]} for own in size.campaigns],
         },
         "summary": catalogue()[effect.effect].summary if effect.effect in catalogue() else "",

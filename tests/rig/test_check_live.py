@@ -15,7 +15,7 @@ from dragrig import api
 from dragrig.cli import main
 from dragrig.config.errors import AbortedError, PlanError, TrippedError
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import CommissionedSignal, CommissioningRecord, RigSettings
+from dragrig.config.rig import CommissioningRecord, RigCheck, RigSettings
 from dragrig.rig.commissioning import (
     PUSH_MM,
     LiveView,
@@ -29,7 +29,7 @@ from dragrig.rig.commissioning import (
     wiring_key,
     write_commissioning,
 )
-from dragrig.rig.devices import BackendRequest, RigCheck
+from dragrig.rig.devices import BackendRequest
 from dragrig.rig.guard import Guard
 from dragrig.rig.hardware.backend import HardwareBackend
 from dragrig.rig.operator import Answer, NullOperator, Prompt, reset_guard
@@ -268,7 +268,7 @@ def found_lacking(rig: str, *names: str) -> CommissioningRecord:
         made_at=datetime.now().astimezone(),
         made_on="hardware",
         wiring=wiring_key(resolve_rig(rig=rig).rig),
-        signals=tuple(CommissionedSignal(name=name, passed=False, detail="does not work") for name in names),
+        signals=tuple(RigCheck(name=name, passed=False, detail="does not work") for name in names),
     )
 
 

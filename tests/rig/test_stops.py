@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dragrig.config.friction_model import FrictionModelSettings
-from dragrig.config.rig import CommissionedSignal, CommissioningRecord, RigSettings
+from dragrig.config.rig import CommissioningRecord, RigCheck, RigSettings
 from dragrig.rig.commissioning import MOTION_PROMPT, STANDSTILL_PROMPT, look_at_rig
-from dragrig.rig.devices import BackendRequest, RigCheck, StageLimits
+from dragrig.rig.devices import BackendRequest, StageLimits
 from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.stops import HAND_S, RELEASE_S, RunOn, Stops, assess_stops, check_stops
 from dragrig.sim_backend.doubles.backend import DoubleBackend
@@ -35,8 +35,7 @@ def rig_of(silence_s: float = 0.5, mode: str = "position", **lines: object) -> R
 def record(**seen_s: float) -> CommissioningRecord:
     """What a look found: the time of each stop, 0 for one that was not tried, negative for one that is missing."""
     signals = [
-        CommissionedSignal(name=name, passed=took_s >= 0, detail="", after_s=max(took_s, 0.0))
-        for name, took_s in seen_s.items()
+        RigCheck(name=name, passed=took_s >= 0, detail="", after_s=max(took_s, 0.0)) for name, took_s in seen_s.items()
     ]
     return CommissioningRecord(
         made_at=datetime(2026, 1, 1, tzinfo=UTC), made_on="hardware", wiring="", signals=tuple(signals)
