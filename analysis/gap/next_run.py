@@ -426,9 +426,14 @@ def search_new_motions(
     reason = ""
     minutes = 0.0
     while len(selected) < budget.runs:
+        # Of each the difference to the most similar motion so far, in each aspect.
         distances = [
-            (_distance_to_nearest(motion_features(observation), covered), candidate, observation)
-            for candidate, observation in observed
+            (
+                min(np.abs(motion_features(run) - np.array(covered)), key=lambda apart: float(apart.max())),
+                candidate,
+                run,
+            )
+            for candidate, run in observed
         ]
         candidates = [
             item
@@ -459,11 +464,6 @@ def motion_features(run: PositionErrors) -> FloatArray:
     )
     directions = 2.0 if run.velocity_mm_s.min() < 0 < run.velocity_mm_s.max() else 1.0
     return np.log(np.maximum((top, acceleration, np.ptp(command), directions), 1e-6))
-
-
-def _distance_to_nearest(motion: FloatArray, covered: Sequence[FloatArray]) -> FloatArray:
-    """Return the difference to the most similar motion, in each aspect."""
-    return min((np.abs(motion - distance) for distance in covered), key=lambda distance: float(distance.max()))
 
 
 def _coverage_reason(candidate: CandidateRun, distance: FloatArray, tried: int) -> str:
