@@ -337,22 +337,15 @@ def _sign_text(region: GapRegion) -> str:
 
 
 def _transient_text(region: GapRegion) -> str:
-    means = [
-        f"{mean:+.2g} {region.unit} while {name}".replace("-", "−")
-        for phase, name in ((Phase.ACCELERATE, "accelerating"), (Phase.DECELERATE, "braking"))
-        if (mean := _mean_residual(region, phase)) is not None
-    ]
-    return f"On average it is {' and '.join(means)}." if means else ""
-
-
-def _mean_residual(region: GapRegion, phase: Phase) -> float | None:
-    """Return the mean residual of a phase over runs."""
-    means = [
-        float(np.average(blocks.residual[mask], weights=blocks.weight[mask]))
-        for blocks in region.blocks
-        if (mask := blocks.phase == phase).any()
-    ]
-    return region.unit_factor * float(np.mean(means)) if means else None
+    """Say the mean residuals over runs in both phases in which the velocity changes."""
+    texts = []
+    for phase, name in ((Phase.ACCELERATE, "accelerating"), (Phase.DECELERATE, "braking")):
+        masked = [(blocks, mask) for blocks in region.blocks if (mask := blocks.phase == phase).any()]
+        means = [np.average(blocks.residual[mask], weights=blocks.weight[mask]) for blocks, mask in masked]
+        if means:
+            mean = region.unit_factor * float(np.mean(means))
+            texts.append(f"{mean:+.2g} {region.unit} while {name}".replace("-", "−"))
+    return f"On average it is {' and '.join(texts)}." if texts else ""
 
 
 def _periodic_text(region: GapRegion) -> str:
