@@ -593,18 +593,17 @@ def _with_flicker(
         return noise
     found = search.optimum(tried[int(np.argmin(likelihoods))], np.array([-0.4, 0.6, 0.6, 0.15]), 200)
     if repeats:
-        found = min((found, *search.rivals), key=lambda rival: search.likelihood(rival) - _handicap(rival))
+        # Noise without 1/f noise is ahead where both are as likely.
+        found = min(
+            (found, *search.rivals),
+            key=lambda rival: search.likelihood(rival) - MIN_FLICKER_GAIN * (rival.flicker == 0),
+        )
         # What repeats differ by may be what they do, as a specimen that ages; the rests know no such noise.
         if search.at_rest(found) - search.at_rest(at_rest) > MAX_POOLING_LOSS:
             return _with_flicker(noise, groups, ())
     if without - search.likelihood(found) < MIN_FLICKER_GAIN:
         return noise
     return found if found.hum > 0 else replace(found, hum=noise.hum)
-
-
-def _handicap(noise: NoiseModel) -> float:
-    """Return what noise without 1/f noise is ahead by where both are as likely."""
-    return MIN_FLICKER_GAIN if noise.flicker == 0 else 0.0
 
 
 def _coarser(layout: _BlockLayout, means: FloatArray) -> tuple[_BlockLayout, FloatArray]:

@@ -28,11 +28,8 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(_written_out(letter) if _is_hidden(letter) else letter for letter in text)
-
-
-def _is_hidden(letter: str) -> bool:
-    return unicodedata.category(letter) in _HIDDEN_CATEGORIES and letter not in _HARMLESS
+    hidden = (letter for letter in set(text) - _HARMLESS if unicodedata.category(letter) in _HIDDEN_CATEGORIES)
+    return text.translate({ord(letter): _written_out(letter) for letter in hidden})
 
 
 def _written_out(letter: str) -> str:

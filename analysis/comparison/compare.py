@@ -585,12 +585,16 @@ def comparison_sentences(comparison: Comparison) -> tuple[str, ...]:
     by_measure: dict[tuple[str, str], list[GroupDifference]] = {}
     for group in comparison.groups:
         by_measure.setdefault((group.condition.kind, group.measure), []).append(group)
-    differing = [group.verdict is DifferenceVerdict.BEYOND for groups in by_measure.values() for group in groups]
+
+    def differs(groups: Iterable[GroupDifference]) -> bool:
+        return any(group.verdict is DifferenceVerdict.BEYOND for group in groups)
+
+    # What differs comes first, and of that the drags.
     patterns = {
         key: _pattern(f"{key[0].capitalize()}, {key[1]}", groups)
-        for key, groups in sorted(by_measure.items(), key=lambda entry: _of_interest(*entry))
+        for key, groups in sorted(by_measure.items(), key=lambda entry: (not differs(entry[1]), entry[0][0] != "drag"))
     }
-    headline, *others = patterns.values() if any(differing) else ("", *patterns.values())
+    headline, *others = patterns.values() if differs(comparison.groups) else ("", *patterns.values())
     counts = _counts(comparison)
     return (
         _overview(comparison),
@@ -599,11 +603,6 @@ def comparison_sentences(comparison: Comparison) -> tuple[str, ...]:
         *_motion_sentences(comparison.pairs),
         *_zero_sentence(comparison),
     )
-
-
-def _of_interest(key: tuple[str, str], groups: Sequence[GroupDifference]) -> tuple[bool, bool]:
-    """Sort what differs first, and of that the drags."""
-    return not any(group.verdict is DifferenceVerdict.BEYOND for group in groups), key[0] != "drag"
 
 
 def _overview(comparison: Comparison) -> str:
@@ -647,7 +646,7 @@ def _pattern(name: str, groups: Sequence[GroupDifference]) -> str:
         if abs(mean) > NORMAL_95 * error:
             offset = f"{abs(mean):.1f} mN {'above' if mean > 0 else 'below'} A"
             return f"{name}: no condition differs by itself, but over all of them B is {offset} on average."
-        average = f"{_signed_difference(mean, error)} mN (95 %)"
+        average = f"{'+' if mean > 0 else ''}{value_with_error(mean, NORMAL_95 * error)} mN (95 %)"
         return f"{name}: no difference beyond noise and scatter; on average {average}."
     pairs = groupby(zip(sides, ordered, strict=True), itemgetter(0))
     stretches = [(side, [group for _, group in part]) for side, part in pairs]
@@ -667,7 +666,8 @@ def _pattern(name: str, groups: Sequence[GroupDifference]) -> str:
 
 def _largest(groups: Sequence[GroupDifference]) -> str:
     largest = max(groups, key=lambda group: abs(group.value))
-    return f"by {'up to ' if len(groups) > 1 else ''}{abs(largest.value):.1f} mN{_percent(largest.relative)}"
+    percent = "" if largest.relative is None else f" ({100 * largest.relative:+.0f} %)"
+    return f"by {'up to ' if len(groups) > 1 else ''}{abs(largest.value):.1f} mN{percent}"
 
 
 def _range(groups: Sequence[GroupDifference], *, from_first: bool, to_last: bool) -> str:
@@ -676,11 +676,6 @@ def _range(groups: Sequence[GroupDifference], *, from_first: bool, to_last: bool
     if from_first != to_last:
         return f"up to {high:.3g} {unit}" if from_first else f"from {low:.3g} {unit} on"
     return f"at {low:.3g} {unit}" if low == high else f"from {low:.3g} to {high:.3g} {unit}"
-
-
-def _signed_difference(value: float, error: float) -> str:
-    """Write a difference with its sign and half the width of its 95 % interval."""
-    return f"{'+' if value > 0 else ''}{value_with_error(value, NORMAL_95 * error)}"
 
 
 def _motion_sentences(pairs: Sequence[RunPair]) -> Iterator[str]:
@@ -726,7 +721,3 @@ def _comparison_remarks(a: ComparedSide, b: ComparedSide, pairs: Sequence[RunPai
     for remark in dict.fromkeys(remark for pair in pairs for remark in pair.remarks):
         count = sum(remark in pair.remarks for pair in pairs)
         yield remark if count == len(pairs) else f"{remark} ({count} of {len(pairs)} pairs)"
-
-
-def _percent(relative: float | None) -> str:
-    return "" if relative is None else f" ({100 * relative:+.0f} %)"

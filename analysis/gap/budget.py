@@ -133,9 +133,8 @@ def gap_budget(
                 BudgetEntry(fitted_position, "position", share, interval, None, presence=there),
                 BudgetEntry(UNEXPLAINED, "position", 1.0 - share, rest, None),
             )
-    runs = force.runs if entries else ()
     presence = presence_of_effects(causes.effects, classification, in_position)
-    return GapBudget(presence, entries, gap_mN, force.held_out, runs)
+    return replace(force, presence=presence, entries=entries, gap_mN=gap_mN, runs=force.runs if entries else ())
 
 
 def presence_of_effects(
@@ -192,19 +191,8 @@ def with_line(
     return (*sorted((part, *scaled[:-1]), key=lambda entry: -entry.share), scaled[-1])
 
 
-@dataclass(frozen=True, slots=True)
-class ForceBudget:
-    """The budget of the force: its parts, none without a gap; the gap's rms above noise; the parts in each run."""
-
-    entries: tuple[BudgetEntry, ...]
-    gap_mN: float
-    held_out: bool
-    """Whether runs were held out."""
-    runs: tuple[RunContributions, ...]
-
-
-def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, float]) -> ForceBudget:
-    """Return the parts of the force's gap.
+def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, float]) -> GapBudget:
+    """Return the budget of the force alone.
 
     Parameters
     ----------
@@ -224,7 +212,7 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
     total = rows.sum(axis=0)
     duration, noise, square, rest = total[:4].tolist()
     if square - noise < MIN_GAP_OVER_NOISE * noise:
-        return ForceBudget((), float(np.sqrt(max(square - noise, 0.0) / duration)), held_out, ())
+        return GapBudget(causes.effects, (), float(np.sqrt(max(square - noise, 0.0) / duration)), held_out)
     shares = (total[4 : 4 + len(parts)] / max(square - noise, 1e-12)).tolist()
     intervals = [
         with_form_error(share, interval)
@@ -256,7 +244,7 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
     )
     gap_mN = float(np.sqrt((square - noise) / duration))
     runs = tuple(_contributions_to_run(study, index, split, tuple(parts)) for index, split in enumerate(contributions))
-    return ForceBudget((*entries, left), gap_mN, held_out, runs)
+    return GapBudget(causes.effects, (*entries, left), gap_mN, held_out, runs)
 
 
 def _contributions_to_run(study: Study, index: int, split: _Contributions, causes: Sequence[str]) -> RunContributions:
@@ -428,7 +416,10 @@ def _held_out_explanation(
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
     parts = parts_of(competition, causes.presence, key, established)
     unnamed = parts.pop(UNEXPLAINED, ())
-    columns, sds, members = _columns_of_parts(competition, [*parts.values(), unnamed])
+    grouped = [*parts.values(), unnamed]
+    rows, sds = competition.scaled_columns(tuple(entry for part in grouped for entry in part))
+    columns, sizes = rows - 1, [sum(competition.causes[index].columns.size for index, _ in part) for part in grouped]
+    members = np.repeat(np.arange(len(grouped)), sizes)
     chosen = np.append(np.arange(1 + nuisances.size), 1 + nuisances.size + np.searchsorted(used, columns))
     scales = np.append(np.ones(1 + nuisances.size), sds)
     each = [gram[np.ix_(chosen, chosen)] * np.outer(scales, scales) for gram in grams]
@@ -445,38 +436,19 @@ def _held_out_explanation(
             )
             found[index] = (split[0], coefficients[1], split[1])
     runs, by_run, moments = zip(*(found[index] for index in range(len(study.runs))), strict=True)
-    root = np.linalg.cholesky(_reduced_precision(total, prior, nuisances.size)[2])
+    root = np.linalg.cholesky(_fold_coefficients(total, prior, nuisances.size)[3])
     return _Explanation(
         key, tuple(parts), members, runs, bool(folds), np.array(by_run), np.array(moments), np.asarray(root)
     )
 
 
-def _columns_of_parts(
-    competition: ForceCompetition, parts: Sequence[CauseSet]
-) -> tuple[IndexArray, FloatArray, IndexArray]:
-    """Return the columns of all parts, the prior sds of their coefficients, and the part that each belongs to."""
-    rows, sds = competition.scaled_columns(tuple(entry for part in parts for entry in part))
-    sizes = [sum(competition.causes[index].columns.size for index, _ in part) for part in parts]
-    return rows - 1, sds, np.repeat(np.arange(len(parts)), sizes)
-
-
 def _fold_coefficients(
     total: FloatArray, prior: tuple[FloatArray, FloatArray], nuisances: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return nominal parameters fitted alone, coefficients of the causes, and what the parameters absorb of these.
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return nominal parameters fitted alone, and of the causes: coefficients, what is absorbed of them, precision.
 
     Columns have unit priors; the parameters' are given as precision and mean.
     """
-    alone, absorbed, posterior = _reduced_precision(total, prior, nuisances)
-    of_nominal, of_causes = slice(1, 1 + nuisances), slice(1 + nuisances, None)
-    moment = total[of_causes, 0] - total[of_causes, of_nominal] @ alone
-    return alone, np.asarray(np.linalg.solve(posterior, moment), dtype=np.float64), absorbed
-
-
-def _reduced_precision(
-    total: FloatArray, prior: tuple[FloatArray, FloatArray], nuisances: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return nominal parameters fitted alone, what they absorb of the causes, and the precision of the causes."""
     precision, mean = prior
     of_nominal, of_causes = slice(1, 1 + nuisances), slice(1 + nuisances, None)
     gram = total[of_nominal, of_nominal] + np.diag(precision + 1e-10 * np.diag(total)[of_nominal])
@@ -484,7 +456,9 @@ def _reduced_precision(
     solved = np.asarray(np.linalg.solve(gram, moments), dtype=np.float64)
     alone, absorbed = solved[:, 0], solved[:, 1:]
     reduced = total[of_causes, of_causes] - total[of_causes, of_nominal] @ absorbed
-    return alone, absorbed, reduced + np.eye(len(reduced))
+    posterior = reduced + np.eye(len(reduced))
+    moment = total[of_causes, 0] - total[of_causes, of_nominal] @ alone
+    return alone, np.asarray(np.linalg.solve(posterior, moment), dtype=np.float64), absorbed, posterior
 
 
 def _split_run(
@@ -492,12 +466,12 @@ def _split_run(
     competition: ForceCompetition,
     index: int,
     values: FloatArray,
-    fitted: tuple[FloatArray, FloatArray, FloatArray],
+    fitted: tuple[FloatArray, ...],
     members: IndexArray,
     named: int,
 ) -> tuple[_Contributions, FloatArray]:
     """Return the contributions to a run, and the time integral of each column times the gap."""
-    alone, coefficients, absorbed = fitted
+    alone, coefficients, absorbed, _ = fitted
     run, noise = competition.design.runs[index], study.problem.noises[index]
     nominal, causes = values[:, 1 : 1 + alone.size], values[:, 1 + alone.size :]
     gap = values[:, 0] - nominal @ alone

@@ -236,15 +236,6 @@ class ExperimentBudget:
     """Minutes of a person at a change of fixture or capsule: a run that needs one must tell so much more."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ChosenRun:
-    """A chosen candidate with its gain."""
-
-    candidate: CandidateRun
-    gain_bits: float
-    about: tuple[str, ...]
-
-
 def greedy_search(
     question: OpenQuestion[SeenT_contra],
     candidates: Sequence[tuple[CandidateRun, SeenT_contra]],
@@ -265,7 +256,7 @@ def greedy_search(
         Number of runs that are looked ahead, if the budget has fewer.
     """
     needed_bits = MIN_CHANCE * question.bits_to_change
-    chosen: list[_ChosenRun] = []
+    chosen: list[NextRun] = []
     mounted, spent = {budget.mounted}, 0.0
     # The gain of a run rarely grows with the runs chosen before it, so that old gains tell which to compute anew
     # first (Minoux 1978, accelerated greedy algorithms).
@@ -287,25 +278,23 @@ def greedy_search(
         if best is None or gains[best] < MIN_GAIN_BITS:
             break
         candidate, updated = candidates[best][0], fresh[best]
-        chosen.append(_ChosenRun(candidate, gains[best], updated.about(question)))
+        chosen.append(NextRun(candidate.step, candidate.minutes, gains[best], updated.about(question)))
         question, spent = updated, spent + candidate.minutes
         mounted.add(mounting(candidate.step.kind))
-    told_bits = sum(run.gain_bits for run in chosen)
+    told_bits = sum(run.gain_bits or 0.0 for run in chosen)
     return _merged_repeats(chosen[: budget.runs]) if told_bits >= needed_bits else ()
 
 
-def _merged_repeats(chosen: Sequence[_ChosenRun]) -> tuple[NextRun, ...]:
+def _merged_repeats(chosen: Sequence[NextRun]) -> tuple[NextRun, ...]:
     """Merge runs that were chosen several times into repeats."""
     merged: dict[int, NextRun] = {}
-    for entry in chosen:
-        candidate, known = entry.candidate, merged.get(id(entry.candidate))
-        if known is None:
-            merged[id(candidate)] = NextRun(candidate.step, candidate.minutes, entry.gain_bits, entry.about)
-            continue
-        step = known.step.model_copy(update={"repeats": known.step.repeats + candidate.step.repeats})
-        gain_bits = (known.gain_bits or 0.0) + entry.gain_bits
-        minutes = known.minutes + candidate.minutes
-        merged[id(candidate)] = replace(known, step=step, minutes=minutes, gain_bits=gain_bits)
+    for run in chosen:
+        known = merged.get(id(run.step))
+        if known is not None:
+            step = known.step.model_copy(update={"repeats": known.step.repeats + run.step.repeats})
+            gain_bits = (known.gain_bits or 0.0) + (run.gain_bits or 0.0)
+            known = replace(known, step=step, minutes=known.minutes + run.minutes, gain_bits=gain_bits)
+        merged[id(run.step)] = known or run
     return tuple(merged.values())
 
 

@@ -199,6 +199,7 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
             sizes.append(_size_of_hum(active.effect, active.values, selection))
             if len(effects) == 1:
                 achieved, interval = None, None
+    duration, before, after, _ = np.sum([gap.sums for gap in predicted], axis=0).tolist()
     promise = (model.diagnosed.promised, model.diagnosed.promised_95ci) if model.diagnosed else (None, None)
     return ModelEvaluation(
         reduction,
@@ -207,7 +208,7 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
         interval,
         forces.explained_share(),
         tuple(sizes),
-        _rms_before_after(predicted),
+        (float(np.sqrt(before / duration)), float(np.sqrt(after / duration))),
         tuple(map(traces_of_run, predicted)),
         selection.backends,
         len(given.experiments) - len(selection.experiments),
@@ -224,11 +225,6 @@ def without_diagnosed(selection: RunSelection, model: ModelSettings) -> RunSelec
             "confirm nothing; name fresh runs of the same specimen."
         )
     return replace(selection, experiments=fresh)
-
-
-def _rms_before_after(gaps: Sequence[RunGap]) -> tuple[float, float]:
-    duration, before, after, _ = np.sum([gap.sums for gap in gaps], axis=0).tolist()
-    return float(np.sqrt(before / duration)), float(np.sqrt(after / duration))
 
 
 @dataclass(frozen=True, eq=False)

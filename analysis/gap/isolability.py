@@ -559,13 +559,6 @@ def smallest_visible_text(visibility: Visibility) -> str:
     return f"{visibility.smallest:.2g}{unit}"
 
 
-def pair_text(pair: EffectPair) -> str:
-    """Return the names of two effects and their angle."""
-    return (
-        f"{join_names([display_name(name) for name in pair.effects])} (sin² {pair.sin2:.2f}, d′ {pair.separation:.0f})"
-    )
-
-
 def isolability_sentences(isolability: Isolability) -> tuple[str, ...]:
     """Return the main results, the most important sentence first."""
     return tuple(_sentences(isolability))
@@ -578,9 +571,13 @@ def _sentences(isolability: Isolability) -> Iterator[str]:
     time = "" if isolability.duration_s is None else f" in {isolability.duration_s / 60:.1f} min of rig time"
     confused = isolability.confused
     if confused:
+        pairs = [
+            f"{join_names([*map(display_name, pair.effects)])} (sin² {pair.sin2:.2f}, d′ {pair.separation:.0f})"
+            for pair in confused
+        ]
         yield (
             f"{count_text(len(confused), 'pair')} of effects {'is' if len(confused) == 1 else 'are'} hardly "
-            f"distinguishable with these runs: {join_names([pair_text(pair) for pair in confused])}."
+            f"distinguishable with these runs: {join_names(pairs)}."
         )
     else:
         yield "These runs can distinguish every pair of effects of the catalogue."

@@ -58,7 +58,7 @@ from dragrig.analysis.gap.diagnosis import (
 from dragrig.analysis.gap.features import FORM_LOSS
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.information import bits_to_change, entropy_bits, expected_bits, forecast
-from dragrig.analysis.gap.isolability import CONFUSED_SIN2, DETECTABLE_D_PRIME, SignatureAngles
+from dragrig.analysis.gap.isolability import CONFUSED_SIN2, SignatureAngles
 from dragrig.analysis.gap.position_channel import (
     MIN_POSITION_SHARE,
     POSITION_RIVAL_SLOPE,
@@ -83,26 +83,6 @@ DECIDED_LOG_ODDS = 12.0
 """Log odds from which a diagnosis is sure of an effect on the position."""
 LOG_ODDS_PER_DISTANCE = 4.0
 """Expected log odds of two Gaussian predictions of one covariance, d'^2 / 2, over their Bhattacharyya distance."""
-
-
-@dataclass(frozen=True, slots=True)
-class ModelPair:
-    """Two effects and how far runs separate them.
-
-    Attributes
-    ----------
-    truth, rival
-        Effects.
-    d_prime
-        d′ between them, the first assumed present and the second fitted to it.
-    remaining_share
-        Share of the first one's squares that the second leaves.
-    """
-
-    truth: str
-    rival: str
-    d_prime: float
-    remaining_share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,8 +156,11 @@ def information_rows(design: Design, effects: Sequence[str]) -> FloatArray:
     )
 
 
-def separate_pair(information: Information, gram: FloatArray, assumed: AssumedEffect, rival: str) -> ModelPair:
-    """Return how far an assumed effect is from a rival, from the projected Gram matrix."""
+def expected_log_odds(information: Information, gram: FloatArray, assumed: AssumedEffect, rival: str) -> float:
+    """Return the approximate log odds of a diagnosis for an assumed effect against a rival, with form error and noise.
+
+    `gram` is the projected Gram matrix.
+    """
     index = list(assumed.columns)
     squares = float(assumed.amplitude @ gram[np.ix_(index, index)] @ assumed.amplitude)
     moment = gram[:, index] @ assumed.amplitude
@@ -186,14 +169,9 @@ def separate_pair(information: Information, gram: FloatArray, assumed: AssumedEf
         default=0.0,
     )
     remaining = max(squares - absorbed, 0.0)
-    return ModelPair(assumed.effect, rival, float(np.sqrt(remaining)), remaining / max(squares, 1e-12))
-
-
-def expected_log_odds(pair: ModelPair) -> float:
-    """Return the approximate log odds of a diagnosis, with form error and noise."""
-    remaining = pair.d_prime**2
-    squares = remaining / max(pair.remaining_share, 1e-12)
-    return LOG_ODDS_PER_SHARE * pair.remaining_share + 0.5 * remaining / (1.0 + 0.5 * FORM_LOSS * squares)
+    share = remaining / max(squares, 1e-12)
+    assumed_chi2 = remaining / max(share, 1e-12)
+    return LOG_ODDS_PER_SHARE * share + 0.5 * remaining / (1.0 + 0.5 * FORM_LOSS * assumed_chi2)
 
 
 def _absorbed_chi2(information: Information, gram: FloatArray, moment: FloatArray, variant: tuple[int, ...]) -> float:
@@ -253,12 +231,11 @@ class WhichOfTwo:
 
     def _told_of(self, question: PairQuestion, gram: FloatArray) -> float:
         first, second = question.first, question.second
-        pairs = [
-            separate_pair(self.information, gram, assumed, rival.effect)
-            for assumed, rival in ((first, second), (second, first))
-        ]
         distances = np.zeros((2, 2))
-        distances[0, 1], distances[1, 0] = (expected_log_odds(pair) / LOG_ODDS_PER_DISTANCE for pair in pairs)
+        distances[0, 1], distances[1, 0] = (
+            expected_log_odds(self.information, gram, assumed, rival.effect) / LOG_ODDS_PER_DISTANCE
+            for assumed, rival in ((first, second), (second, first))
+        )
         return expected_bits(np.full(2, 0.5), distances, question.effects)
 
 
@@ -426,9 +403,14 @@ def search_new_motions(
     reason = ""
     minutes = 0.0
     while len(selected) < budget.runs:
+        # Of each the difference to the most similar motion so far, in each aspect.
         distances = [
-            (_distance_to_nearest(motion_features(observation), covered), candidate, observation)
-            for candidate, observation in observed
+            (
+                min(np.abs(motion_features(run) - np.array(covered)), key=lambda apart: float(apart.max())),
+                candidate,
+                run,
+            )
+            for candidate, run in observed
         ]
         candidates = [
             item
@@ -459,11 +441,6 @@ def motion_features(run: PositionErrors) -> FloatArray:
     )
     directions = 2.0 if run.velocity_mm_s.min() < 0 < run.velocity_mm_s.max() else 1.0
     return np.log(np.maximum((top, acceleration, np.ptp(command), directions), 1e-6))
-
-
-def _distance_to_nearest(motion: FloatArray, covered: Sequence[FloatArray]) -> FloatArray:
-    """Return the difference to the most similar motion, in each aspect."""
-    return min((np.abs(motion - distance) for distance in covered), key=lambda distance: float(distance.max()))
 
 
 def _coverage_reason(candidate: CandidateRun, distance: FloatArray, tried: int) -> str:
@@ -562,29 +539,18 @@ class WhatMovesAstray:
         return np.where(np.array(assumable)[:, None], distances, distances.T)
 
     def _log_odds(self, assumed: AssumedPositionEffect) -> Iterator[tuple[str, float]]:
+        """Yield the approximate log odds of a diagnosis for an assumed effect against each rival."""
         rivals = [name for name in self.weights if name != assumed.effect]
         runs = [replace(run, error_mm=assumed.error_in(run)) for run in self.runs]
-        rms_mm = float(np.sqrt(sum(np.mean(run.error_mm**2) for run in runs)))
         shares = {
             model_class.effect: model_class.held_out_share
             for model_class in score_model_classes(runs, (assumed.effect, *rivals))
         }
         for rival in rivals:
             remaining = min(max(shares[assumed.effect] - shares[rival], 0.0), 1.0)
-            pair = ModelPair(
-                assumed.effect,
-                rival,
-                DETECTABLE_D_PRIME * rms_mm / self.runs[0].detectable_mm * float(np.sqrt(remaining)),
-                remaining,
-            )
-            yield rival, _position_log_odds(pair, shares[assumed.effect])
-
-
-def _position_log_odds(pair: ModelPair, explained: float) -> float:
-    """Return the approximate log odds of a diagnosis for an effect with this held-out share."""
-    rival_odds = POSITION_RIVAL_SLOPE * max(pair.remaining_share - CHANCE_SHARE, 0.0)
-    own_odds = DECIDED_LOG_ODDS * (explained - MIN_POSITION_SHARE) / (CLEAR_SHARE - MIN_POSITION_SHARE)
-    return min(rival_odds, own_odds)
+            rival_odds = POSITION_RIVAL_SLOPE * max(remaining - CHANCE_SHARE, 0.0)
+            explained = (shares[assumed.effect] - MIN_POSITION_SHARE) / (CLEAR_SHARE - MIN_POSITION_SHARE)
+            yield rival, min(rival_odds, DECIDED_LOG_ODDS * explained)
 
 
 def recommend_position_run(

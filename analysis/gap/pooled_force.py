@@ -178,17 +178,12 @@ class PooledForce:
             gram + 1e-9 * strength * np.eye(width) + 1e-12 * np.eye(width), moments[:, rows, None]
         )
         best = int(np.argmax(np.einsum("cvi,cvi->v", amplitude[..., 0], moments[:, rows])))
-        default = effect.size.default
+        default, of_best = effect.size.default, amplitude[:, best, :, 0]
+        values = of_best[:, 0] if width == 1 else np.hypot(*of_best.T)
         return tuple(
             (default * float(value), abs(default) * float(information) ** -0.5) if information > 1e-9 else None
-            for value, information in zip(
-                _amplitude(amplitude[:, best, :, 0]).tolist(), strength[:, best, 0, 0].tolist(), strict=True
-            )
+            for value, information in zip(values.tolist(), strength[:, best, 0, 0].tolist(), strict=True)
         )
-
-
-def _amplitude(values: FloatArray) -> FloatArray:
-    return np.asarray(values[:, 0] if values.shape[1] == 1 else np.hypot(*values.T))
 
 
 def _projected_out(campaign: ForceEvidence, name: str, scale: float) -> ForceEvidence:
@@ -254,16 +249,14 @@ class Credibility:
             value = self._of_effect(name, odds, evidence)
         effects = [other for other in chosen if other in self.alone]
         largest = max(effects, key=lambda other: chosen[other].total, default=None)
-        if largest is None or self._told_apart(name, largest):
+        if largest is None:
+            return value
+        shown_with_it = np.minimum(self.alone.get(name, np.zeros(1)), self.alone[largest])
+        if (shown_with_it > ESTABLISHED).any():  # some campaign alone tells the two apart
             return value
         is_lookalike = self.first[name] - odds.total > EXPLAINED_LOG_ODDS
         share = LOOKALIKE_SHARE if is_lookalike else STRANGER_SHARE if name in self.alone else 0.0
         return min(value, UNLIKELY_LOG_ODDS) if odds.total < share * chosen[largest].total else value
-
-    def _told_apart(self, name: str, largest: str) -> bool:
-        """Return whether some campaign alone shows both of two causes."""
-        shown = np.minimum(self.alone.get(name, np.zeros(1)), self.alone[largest])
-        return bool((shown > ESTABLISHED).any())
 
     def _of_effect(self, name: str, odds: PatternOdds, evidence: PooledForce) -> float:
         """Return the log odds of an effect by all campaigns.
@@ -309,9 +302,7 @@ def random_effects_mean(estimates: Sequence[tuple[float, float]]) -> tuple[float
 
 
 def _log_odds(probability: float) -> float:
-    from scipy.special import logit
-
-    return float(logit(probability))
+    return log(probability / (1.0 - probability))
 
 
 def pool_force(

@@ -276,10 +276,11 @@ def fitted_design(search: ForceSearchResult) -> Design:
 
 def form_error_whitenings(design: Design, nominal: Design) -> tuple[Whitening, ...]:
     """Return the whitening of each run, with the form error of what the nominal model leaves of it."""
-    return tuple(
-        run.whitening.with_form_error(FORM_ERROR * _smoothed_size(residual))
-        for run, residual in zip(design.runs, nominal_residuals(nominal), strict=True)
-    )
+    from scipy.ndimage import uniform_filter1d
+
+    squares = (uniform_filter1d(left**2, SMOOTHING_BLOCKS, mode="nearest") for left in nominal_residuals(nominal))
+    sizes = (np.sqrt(np.maximum(square, 0.0)) for square in squares)
+    return tuple(run.whitening.with_form_error(FORM_ERROR * size) for run, size in zip(design.runs, sizes, strict=True))
 
 
 def collect_causes(
@@ -315,12 +316,6 @@ def collect_causes(
     if all_periods:
         store.periodic = effects.periodic_columns()
     return store
-
-
-def _smoothed_size(residual: FloatArray) -> FloatArray:
-    from scipy.ndimage import uniform_filter1d
-
-    return np.asarray(np.sqrt(np.maximum(uniform_filter1d(residual**2, SMOOTHING_BLOCKS, mode="nearest"), 0.0)))
 
 
 def _compete(design: Design, whitenings: tuple[Whitening, ...], store: ColumnStore) -> ForceCompetition:

@@ -337,22 +337,15 @@ def _sign_text(region: GapRegion) -> str:
 
 
 def _transient_text(region: GapRegion) -> str:
-    means = [
-        f"{mean:+.2g} {region.unit} while {name}".replace("-", "−")
-        for phase, name in ((Phase.ACCELERATE, "accelerating"), (Phase.DECELERATE, "braking"))
-        if (mean := _mean_residual(region, phase)) is not None
-    ]
-    return f"On average it is {' and '.join(means)}." if means else ""
-
-
-def _mean_residual(region: GapRegion, phase: Phase) -> float | None:
-    """Return the mean residual of a phase over runs."""
-    means = [
-        float(np.average(blocks.residual[mask], weights=blocks.weight[mask]))
-        for blocks in region.blocks
-        if (mask := blocks.phase == phase).any()
-    ]
-    return region.unit_factor * float(np.mean(means)) if means else None
+    """Say the mean residuals over runs in both phases in which the velocity changes."""
+    texts = []
+    for phase, name in ((Phase.ACCELERATE, "accelerating"), (Phase.DECELERATE, "braking")):
+        masked = [(blocks, mask) for blocks in region.blocks if (mask := blocks.phase == phase).any()]
+        means = [np.average(blocks.residual[mask], weights=blocks.weight[mask]) for blocks, mask in masked]
+        if means:
+            mean = region.unit_factor * float(np.mean(means))
+            texts.append(f"{mean:+.2g} {region.unit} while {name}".replace("-", "−"))
+    return f"On average it is {' and '.join(texts)}." if texts else ""
 
 
 def _periodic_text(region: GapRegion) -> str:
@@ -504,10 +497,8 @@ def nonparametric_law_text(inputs: DecisionInputs) -> str:
         key=lambda hypothesis: hypothesis.chi2_with_form_error,
         default=None,
     )
-    law_chi2_difference, effect_chi2_difference = (
-        inputs.chi2 - law.chi2,
-        0.0 if best is None else max(inputs.chi2 - best.chi2_with_form_error, 0.0),
-    )
+    law_chi2_difference = inputs.chi2 - law.chi2
+    effect_chi2_difference = 0.0 if best is None else max(inputs.chi2 - best.chi2_with_form_error, 0.0)
     if (
         law_chi2_difference < MIN_NONPARAMETRIC_SHARE * max(inputs.excess, 1.0)
         or law_chi2_difference < MIN_ADVANTAGE * effect_chi2_difference
@@ -542,16 +533,6 @@ def resemblance_text(inputs: DecisionInputs) -> str:
     return f"It looks like {display_name(best.effects[0])}, which is not established: {best.not_established}."
 
 
-def line_texts(line: SpectralLine, channel: str) -> tuple[str, str]:
-    """Describe where an unexplained spectral line is, and its frequency and amplitude."""
-    location = f"It is in the {channel.replace('_', ' ')}, also while the stage is at rest"
-    line_text = (
-        f"An oscillation at about {line.frequency_hz:.3g} Hz with an amplitude of about {line.amplitude:.2g} mN, "
-        "seen at rest and in holds. Other causes cannot be separated from it"
-    )
-    return f"{location}.", f"{line_text}."
-
-
 NOT_LOCALISABLE = "It shows in many runs together, and in no place of them alone beyond noise and repeatability."
 """Of a gap that many runs show together, and none of its parts alone."""
 
@@ -578,7 +559,11 @@ def describe_unexplained_gap(
         Whether all runs are of one condition, which shows a form and no cause that it resembles.
     """
     if line is not None:
-        return UnexplainedGap(*line_texts(line, blocks[0].channel))
+        return UnexplainedGap(
+            f"It is in the {blocks[0].channel.replace('_', ' ')}, also while the stage is at rest.",
+            f"An oscillation at about {line.frequency_hz:.3g} Hz with an amplitude of about {line.amplitude:.2g} mN, "
+            "seen at rest and in holds. Other causes cannot be separated from it.",
+        )
     localisable = any(where.location("channel").shares.values())
     if bursts:
         heights = [burst.height_mN for burst in bursts]

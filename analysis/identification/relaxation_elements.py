@@ -225,18 +225,6 @@ class BranchFit:
         return np.asarray(max(1.0, self.reduced_chi2) * inverse @ inverse.T)
 
 
-def fit_two_branches(record: ShearRecord) -> BranchFit:
-    """Fit two branches from every start that the grid suggests, and return the best fit.
-
-    Raises
-    ------
-    AnalysisError
-        Where no spring and two branches with positive moduli describe the run.
-    """
-    fits = (_refine_branches(record, start) for start in _start_values(record))
-    return min(fits, key=lambda fit: fit.chi2)
-
-
 def _start_values(record: ShearRecord) -> list[FloatArray]:
     """Start values for two branches: the best pair of time constants, and the best pairs further apart.
 
@@ -432,10 +420,11 @@ def _fit_relaxation(experiment: Experiment, noise: NoiseModel) -> RelaxationFit:
     """Identify the five elements of one run; nothing is raised."""
     try:
         record = ShearRecord.of(experiment, noise)
-        fit = fit_two_branches(record)
+        fits = [_refine_branches(record, start) for start in _start_values(record)]
     except AnalysisError as error:
         remark = str(error).removeprefix(f"{experiment.file}: ")
         return RelaxationFit(experiment.file, experiment.shear_strain, remark=remark)
+    fit = min(fits, key=lambda tried: tried.chi2)
     covariance = fit.covariance()
     logs = _TO_ELEMENTS @ fit.values
     element_covariance = _TO_ELEMENTS @ covariance @ _TO_ELEMENTS.T

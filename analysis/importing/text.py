@@ -117,7 +117,8 @@ def split_cells(line: str, delimiter: str) -> list[str]:
 
 def _found_delimiter(lines: Sequence[str]) -> str:
     """Return the delimiter that gives the most columns of values in the most rows, then the largest share of them."""
-    sample = _sample(lines)
+    spread = lines[:: max(1, len(lines) // SAMPLED_LINES)]
+    sample = [line for line in spread if line.strip() and not _COMMENT.match(line)]
     shapes = {mark: _shape(sample, mark) for mark in DELIMITERS}
     most = max((rows for _, numeric, rows in shapes.values() if len(numeric) > 1), default=0)
 
@@ -133,11 +134,6 @@ def _found_delimiter(lines: Sequence[str]) -> str:
 
     best = max(DELIMITERS, key=fit)
     return best if shapes[best][1] else ""
-
-
-def _sample(lines: Sequence[str]) -> list[str]:
-    spread = lines[:: max(1, len(lines) // SAMPLED_LINES)]
-    return [line for line in spread if line.strip() and not _COMMENT.match(line)]
 
 
 def _shape(sample: Sequence[str], delimiter: str) -> tuple[int, tuple[int, ...], int]:

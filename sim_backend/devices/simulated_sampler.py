@@ -200,12 +200,6 @@ class ResponseWithEffects:
         )
 
 
-def recorded_channels(rig: RigSettings) -> tuple[RecordedChannel, ...]:
-    """Return the channels that the settings ask for."""
-    always = (RecordedChannel("force", "mN"), RecordedChannel("position", "mm"))
-    return (*always, RecordedChannel("motor_force", "mN")) if rig.sampling.motor_force else always
-
-
 class SimulatedChannels:
     """Readings of force sensor, encoder and motor during one acquisition.
 
@@ -333,7 +327,8 @@ class BlockReader:
         self.next_index = 0
         """Index of the first sample not yet delivered."""
         self._track: Track | None = None
-        self._origin_mm = 0.0
+        self.origin_mm = 0.0
+        """Absolute position from which positions are counted."""
         self._chunk: Mapping[str, AnyFloatArray] = {}
         self._chunk_first = 0
         self._chunk_end = 0
@@ -341,10 +336,6 @@ class BlockReader:
     def index(self, time_s: float) -> int:
         """Return the index of the first sample at or after a time."""
         return math.ceil(time_s * self._rate_hz - 1e-6)
-
-    def set_origin(self, origin_mm: float) -> None:
-        """Count positions from this absolute position."""
-        self._origin_mm = origin_mm
 
     def follow(self, track: Track) -> None:
         """Recompute the samples not yet delivered for a new track, and end where it is stopped."""
@@ -373,7 +364,7 @@ class BlockReader:
             return
         first = self.next_index
         self._chunk_end = min(_chunk_end(first), self._total)
-        self._chunk = self._channels.compute(first, self._chunk_end, self._origin_mm)
+        self._chunk = self._channels.compute(first, self._chunk_end, self.origin_mm)
         self._chunk_first = first
 
     def take(self, end: int) -> tuple[int, Mapping[str, AnyFloatArray]]:
@@ -438,7 +429,8 @@ class SimulatedSampler:
         self.sample_rate_hz = rig.sampling.rate_hz
         """Samples per second of every channel."""
         self._block_samples = max(1, int(min(rig.sampling.block_s, MAX_BLOCK_S) * self.sample_rate_hz + 1e-6))
-        self.channels = recorded_channels(rig)
+        further = (RecordedChannel("motor_force", "mN"),) if rig.sampling.motor_force else ()
+        self.channels = (RecordedChannel("force", "mN"), RecordedChannel("position", "mm"), *further)
         """Force, position and, where the settings ask for it, motor force."""
         self.force_range_mN = ForceConverter.of(rig.force_sensor).range_mN
         """Least and greatest force of the sensor's converter."""
@@ -486,7 +478,7 @@ class SimulatedSampler:
         if self._reader is None or self._start_s is not None:
             raise DeviceError("the sampler cannot start: arm it once for each acquisition.")
         self._start_s = self._axis.begin_sampling()
-        self._reader.set_origin(self._axis.track.origin_mm)
+        self._reader.origin_mm = self._axis.track.origin_mm
 
     def read(self, cancel: Signal) -> Block | None:
         """Return the next block once it is complete; None when there is none or `cancel` is set.

@@ -74,11 +74,6 @@ def profile_position(profile: MotionProfile, time_s: float) -> float:
     return profile.position_mm.item(piece) + (speed + 0.5 * rate * elapsed) * elapsed
 
 
-def standstill_profile(duration_s: float) -> MotionProfile:
-    """Return a profile at rest."""
-    return MotionProfile.from_pieces([stationary_piece(max(duration_s, 1e-3), Phase.REST)])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """The stage's motion from an instant on: never changed, only replaced."""
@@ -103,7 +98,8 @@ class Track:
 
 def standstill_track(position_mm: float, sample_s: float, stopped_s: float = math.inf) -> Track:
     """Return a track that stays at an absolute position."""
-    return Track(standstill_profile(sample_s), position_mm, stopped_s, rest_s=0.0)
+    rest = MotionProfile.from_pieces([stationary_piece(max(sample_s, 1e-3), Phase.REST)])
+    return Track(rest, position_mm, stopped_s, rest_s=0.0)
 
 
 class Disturbances:

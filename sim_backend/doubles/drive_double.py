@@ -133,19 +133,23 @@ class DriveDouble:
             if self._enabled and not (self.bench.powered and self.bench.enabled):
                 self._end(Halt.DISABLED)
                 self._enabled = False
-            if not self.bench.moving:
-                if not self.bench.faults.active.carriage_blocked:
-                    self._continue_homing()
-            elif not self._line(self._lines.e_stop):
-                self._end(Halt.EMERGENCY_STOP)
-            elif self._is_blocked(self._direction):
-                # Looked at once: it may come onto the switch between two looks, which homing must not take for a fault.
-                if self._seeks_switch:
-                    self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
-                else:
-                    self._end(Halt.LIMIT_SWITCH)
-            elif self._hears_nothing():
-                self._end(Halt.SILENCE)
+            self._supervise()
+
+    def _supervise(self) -> None:
+        """Look at what ends a motion while the drive has power."""
+        if not self.bench.moving:
+            if not self.bench.faults.active.carriage_blocked:
+                self._continue_homing()
+        elif not self._line(self._lines.e_stop):
+            self._end(Halt.EMERGENCY_STOP)
+        elif self._is_blocked(self._direction):
+            # Looked at once: it may come onto the switch between two looks, which homing must not take for a fault.
+            if self._seeks_switch:
+                self.bench.brake(self._parameters[Parameter.STOP_ACCELERATION_MM_S2])
+            else:
+                self._end(Halt.LIMIT_SWITCH)
+        elif self._hears_nothing():
+            self._end(Halt.SILENCE)
 
     def _watch(self) -> None:
         # At rest every request polls as well.
@@ -305,32 +309,20 @@ class VelocityDriveDouble(DriveDouble):
 
     _watch_at_rest_s = 0.005  # a voltage moves it without a request
 
-    def poll(self) -> None:
-        """Read power, lines, alarm and silence once."""
-        with self._lock:
-            if (text := self.bench.faults.active.drive_alarm) and not self._alarm:
-                self._raise_alarm(text)
-            if not self._enabled:
-                return
-            if not (self.bench.enabled and self.bench.powered):
-                self._end(Halt.DISABLED)
-            elif not self._line(self._lines.e_stop):
-                self._end(Halt.EMERGENCY_STOP)
-            elif self.bench.moving and self._hears_nothing():
-                self._end(Halt.SILENCE)
+    def _supervise(self) -> None:
+        if self._enabled and not self._line(self._lines.e_stop):
+            self._end(Halt.EMERGENCY_STOP)
+        elif self._enabled and self.bench.moving and self._hears_nothing():
+            self._end(Halt.SILENCE)
 
     def _enable(self) -> Refusal | None:
         refused = super()._enable()
         self.bench.obey_voltage(self._enabled)
         return refused
 
-    def _go(self, target_mm: float) -> Refusal | None:
-        del target_mm
-        return Refusal.UNKNOWN
-
-    def _home(self, direction: float) -> Refusal | None:
-        del direction
-        return Refusal.UNKNOWN
+    def _change(self, command: Command, parameter: Parameter | None, value: float) -> Refusal | None:
+        unknown = command in {Command.GO, Command.HOME}
+        return Refusal.UNKNOWN if unknown else super()._change(command, parameter, value)
 
     def _end(self, why: Halt) -> None:
         if why is Halt.STOP:

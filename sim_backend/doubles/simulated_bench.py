@@ -423,12 +423,9 @@ class DoubleClock(WallClock):
         super().__init__(origin)
         self.pace = pace
         self._skipped_s = 0.0
-        self._is_idle: Callable[[], bool] = lambda: False
+        self.is_idle: Callable[[], bool] = lambda: False
+        """Whether long waits take no time: no sample is taken, nothing moves."""
         self._lock = threading.Lock()
-
-    def skip_when(self, is_idle: Callable[[], bool]) -> None:
-        """Let long waits take no time while `is_idle`: no sample is taken, nothing moves."""
-        self._is_idle = is_idle
 
     def monotonic(self) -> float:
         """Seconds of this clock since it was made."""
@@ -438,7 +435,7 @@ class DoubleClock(WallClock):
         """Wait; return False within milliseconds when `cancel` is set before the time is over."""
         if cancel.is_set():
             return False
-        if duration_s > _MIN_SKIP_S and self._is_idle():
+        if duration_s > _MIN_SKIP_S and self.is_idle():
             with self._lock:
                 self._skipped_s += duration_s
             return True
@@ -565,7 +562,7 @@ class SimulatedBench:
         self._push: tuple[Piece, ...] = ()
         self._written: dict[str, bool] = {}
         self._lowered_s: dict[str, float] = {}
-        clock.skip_when(lambda: self._sampling is None and not self.moving and not self._velocity_input.busy)
+        clock.is_idle = lambda: self._sampling is None and not self.moving and not self._velocity_input.busy
 
     def present(self, acquisition: Acquisition) -> None:
         """Let the next sampling measure this acquisition's capsule and specimen."""

@@ -58,10 +58,6 @@ class ContactStroke:
         """All wall that is in contact during the stroke."""
         return *self.inherited, self.fresh
 
-    def segment_at(self, z_mm: float) -> WallSegment:
-        """Return the segment of a wall point."""
-        return min(self.segments, key=lambda segment: max(segment.rear_mm - z_mm, z_mm - segment.front_mm))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactHistory:
@@ -200,7 +196,9 @@ def smooth_intervals(history: ContactHistory, contact_mm: float) -> Iterator[Smo
         # Once a contact length has been travelled at one velocity, every age is x / v.
         settled = np.abs(position - motion.position(motion.breaks_s[index])) >= contact_mm
         steady = uniform & (signs != 0) & settled
-        sides = [stroke.segment_at(float(z)) for z in history.wall_point(stroke, contact_mm, position)]
+        points = history.wall_point(stroke, contact_mm, position)
+        beyond = [np.maximum(part.rear_mm - points, points - part.front_mm) for part in stroke.segments]
+        sides = [stroke.segments[at] for at in np.argmin(beyond, axis=0).tolist()]
         times = pairwise(edges.tolist())
         for (begin, end), side, *flags in zip(times, sides, signs, uniform, steady, strict=True):
             sign, constant_velocity, constant_force = (int(flag) for flag in flags)
