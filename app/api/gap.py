@@ -346,13 +346,9 @@ def gap_diagnose_together(
     Parameters
     ----------
     campaigns
-        Their folders, each with specimens of its own. The workers of a cluster must see the same folders.
-    workers
-        Number of processes (default: as many as there are cores).
-    scheduler
-        Address of a Dask cluster to use in their place.
-    choices
-        As of `gap_diagnose`, for all: nominal, without, tolerance_mN, specimen, calibration.
+        Their folders, each with specimens of its own.
+    workers, scheduler, choices
+        As of `gap_diagnose_many`.
 
     Raises
     ------
@@ -602,8 +598,7 @@ def gap_next(
     from dragrig.analysis.gap import DiagnosisOptions, recommend_for_pair, require_hands
     from dragrig.analysis.gap.diagnose import diagnose
 
-    if not (isfinite(minutes) and minutes > 0):
-        raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
+    require_minutes(minutes)
     require_hands(hands_min)
     if between is not None:
         _require_two_effects(between)
@@ -613,6 +608,12 @@ def gap_next(
     if between is None and not runs.planned:
         return diagnose(runs.selection, runs.nominal, DiagnosisOptions(next_runs=budget), progress).next_experiment
     return recommend_for_pair(runs.selection, runs.nominal, between, budget)
+
+
+def require_minutes(minutes: float) -> None:
+    """Raise `SettingsError` for what is no rig time."""
+    if not (isfinite(minutes) and minutes > 0):
+        raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
 
 
 def save_next_plan(experiment: NextExperiment, path: Path, *, overwrite: bool = False) -> Path:

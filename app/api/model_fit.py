@@ -104,16 +104,12 @@ class IdentifiedCampaign:
         parameters = _require_joint_fit(self.result).parameters
         rows = [
             {
-                "unit": parameter.unit,
-                "value": parameter.value,
-                "standard_error": parameter.standard_error,
+                **present.attributes_json(parameter, "unit", "value", "standard_error"),
                 "low": parameter.interval[0],
                 "high": parameter.interval[1],
                 "prior_low": parameter.prior[0],
                 "prior_high": parameter.prior[1],
-                "learnt": parameter.learnt,
-                "determined": parameter.determined,
-                "meaning": parameter.meaning,
+                **present.attributes_json(parameter, "learnt", "determined", "meaning"),
             }
             for parameter in parameters
         ]

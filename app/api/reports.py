@@ -16,7 +16,6 @@ from dragrig.present import (
     PAPER_REPORT_FILE,
     PAPER_TABLES,
     drawn,
-    existing_files,
     require_writable,
     write_text,
     write_texts,
@@ -25,8 +24,10 @@ from dragrig.rig import (
     mark_path,
     note_path,
     read_campaign,
+    read_mark,
     read_run,
     remove_file,
+    run_name,
     session_record_of_run,
 )
 from dragrig.session_state import STATE_FILE
@@ -86,14 +87,11 @@ def report(
 
 def default_report_file(source: Path) -> Path:
     """Return the default path of the report on a run or a campaign."""
-    from dragrig.rig import run_name
-
     return source / f"{source.resolve().name}.html" if source.is_dir() else source.with_name(f"{run_name(source)}.html")
 
 
 def _run_report(path: Path) -> str:
     from dragrig.present import render_page, run_document
-    from dragrig.rig import read_mark, read_run
 
     run, mark = read_run(path), read_mark(path)
     return render_page(run_document(run, None if mark is None else mark.reason))
@@ -269,7 +267,7 @@ def clear_paper_folder(folder: Path, *, overwrite: bool) -> None:
     foreign = next((path for path in runs if path not in own_paths), None)
     if foreign is not None:
         raise OutputError(f"{foreign}: is no run of dragrig paper and is not replaced; name another folder.")
-    if not overwrite and (existing := (*runs, *existing_files(folder, names))):
+    if not overwrite and (existing := (*runs, *filter(Path.exists, (folder / name for name in names)))):
         raise OutputError(f"{existing[0]}: is there already; name another folder, or say --overwrite.")
     # One session wrote all runs with the same settings.
     one_per_session = {run.header.settings_toml: run.path for run in own}

@@ -8,7 +8,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
@@ -30,7 +29,7 @@ from dragrig.analysis.gap import (
     run_text,
     settle_step,
 )
-from dragrig.api.gap import DiagnosedCampaign, DiagnosisRequest, stage_range
+from dragrig.api.gap import DiagnosedCampaign, DiagnosisRequest, require_minutes, stage_range
 from dragrig.api.measure import check, resume, run
 from dragrig.config import DragrigError, PlanError, RunFileError, SettingsError
 from dragrig.rig import Mirror, ignore, latest_session_record, read_campaign, read_session_records, replace_text
@@ -130,7 +129,7 @@ def gap_settle(
     """
     from dragrig.campaign_session import require_mirror_in_reach, require_no_runs
 
-    _require_minutes(minutes)
+    require_minutes(minutes)
     require_hands(hands_min)
     if not 0.5 <= until < 1.0:
         raise SettingsError(f"--until {until:g}: is a probability from 0.5 to below 1.")
@@ -187,16 +186,11 @@ def gap_settle_resume(
     folder = Path(campaign)
     record = read_settle_record(folder)
     if minutes is not None:
-        _require_minutes(minutes)
+        require_minutes(minutes)
         record = record.model_copy(update={"minutes": minutes, "ending": None})
     with _settling(folder, hands or SettleHands(), step or ignore) as settling:
         made = settling.made_last_batch(record) if lacks_runs(folder, record) else None
         return settling.go_on(record, made)
-
-
-def _require_minutes(minutes: float) -> None:
-    if not (isfinite(minutes) and minutes > 0):
-        raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
 
 
 def read_settle_record(folder: Path) -> SettleRecord:
@@ -268,7 +262,7 @@ def _is_earlier_state(begun_at: datetime, copy: Path) -> bool:
         return False
 
 
-def take_up_settling(folder: Path, minutes: float, until: float = DEFAULT_UNTIL) -> SettleRecord:
+def take_up_settling(folder: Path, minutes: float) -> SettleRecord:
     """Return the decisions in a campaign with so much rig time for further runs; its runs so far count as the first.
 
     Nothing is written.
@@ -277,8 +271,6 @@ def take_up_settling(folder: Path, minutes: float, until: float = DEFAULT_UNTIL)
     ----------
     minutes
         Rig time of the further runs.
-    until
-        As of `settle`, where nothing was being settled in this campaign.
 
     Raises
     ------
@@ -294,7 +286,9 @@ def take_up_settling(folder: Path, minutes: float, until: float = DEFAULT_UNTIL)
     plan, spent_min = latest_session_record(folder)[0].plan, rig_time_s(folder) / 60
     so_far = Batch(plan=plan, minutes=spent_min, reason="the runs so far")
     now = datetime.now().astimezone()
-    return SettleRecord(plan=plan.name, begun_at=now, minutes=spent_min + minutes, until=until, batches=(so_far,))
+    return SettleRecord(
+        plan=plan.name, begun_at=now, minutes=spent_min + minutes, until=DEFAULT_UNTIL, batches=(so_far,)
+    )
 
 
 def lacks_runs(folder: Path, record: SettleRecord) -> bool:

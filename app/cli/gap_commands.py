@@ -1,6 +1,7 @@
 """Commands on the gap between runs and model: gap diagnose, evaluate, next, isolability, effects, blind, calibrate."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
@@ -436,7 +437,7 @@ def blind_command(
     the score, and 2 where campaigns could not be diagnosed.
     """
     from dragrig.config import AnalysisError
-    from dragrig.exam import gap_blind, save_exam_report
+    from dragrig.exam import gap_blind
     from dragrig.present import exam_document
 
     with ProgressMeter(f"examining {cases} campaigns") as meter:
@@ -451,12 +452,9 @@ def blind_command(
             without_true=without_true,
             progress=meter.at,
         )
-    if report is not None:
-        save_exam_report(exam, report, overwrite=overwrite)
-    if as_json:
-        print_json(exam.document())
-    else:
-        print_document(exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256), as_json=False)
+    document = replace(exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256), data=exam.document())
+    write_report(document, report, overwrite=overwrite)
+    print_document(document, as_json=as_json)
     print_written(as_json=as_json, report=report)
     if exam.failed:
         name, reason = next(iter(exam.failed.items()))

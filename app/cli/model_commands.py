@@ -235,15 +235,11 @@ def paper_command(
             progress=meter.at,
         )
     if as_json:
-        from dragrig.present import identification_json
+        from dragrig.present import attributes_json, identification_json
 
         print_json(
             {
-                "folder": made.folder,
-                "report": made.report,
-                "model": made.model,
-                "tables": made.tables,
-                "runs": made.runs,
+                **attributes_json(made, "folder", "report", "model", "tables", "runs"),
                 "identification": identification_json(made.identification),
                 "findings": made.findings,
             }

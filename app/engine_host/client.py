@@ -6,7 +6,6 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from dragrig.engine_host.messages import (
-    RING_SAMPLES,
     SILENCE_LIMITS,
     Event,
     Heartbeat,
@@ -41,13 +40,11 @@ class EngineClient:
     silence
         How long the host goes on without a request; `beat` is one, due every `HEARTBEAT_S`. A program that cannot give
         it while it computes says so here, and sees itself to it that the stage can be stopped.
-    samples
-        Size of the ring of live samples.
     """
 
-    def __init__(self, rig: RigSelection, silence: SilenceLimits = SILENCE_LIMITS, samples: int = RING_SAMPLES) -> None:
+    def __init__(self, rig: RigSelection, silence: SilenceLimits = SILENCE_LIMITS) -> None:
         context = multiprocessing.get_context("spawn")
-        memory = shared_memory(context, samples)
+        memory = shared_memory(context)
         self._connection, host_end = context.Pipe()
         self.live = LiveRingReader(memory)
         self.lost = False

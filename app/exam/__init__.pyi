@@ -1,4 +1,3 @@
 from .blind_exam import gap_blind as gap_blind
-from .blind_exam import save_exam_report as save_exam_report
 from .learning import gap_calibrate as gap_calibrate
 from .learning import gap_cross_validate as gap_cross_validate

@@ -32,7 +32,7 @@ from dragrig.exam.hidden_cases import (
     hidden_amounts,
 )
 from dragrig.parallel import open_executor, parallel_map, worker_count
-from dragrig.present import score_json
+from dragrig.present import attributes_json, score_json
 from dragrig.scoring import ExamScore, score_exam
 from dragrig.sim_backend.blind import PLANTS, true_answer, write_campaign
 
@@ -240,22 +240,11 @@ class BlindExam:
         return {
             "format": EXAM_FORMAT,
             "version": EXAM_VERSION,
-            "cases": self.cases,
-            "seed": self.seed,
-            "plant": self.plant,
-            "answers_sha256": self.answers_sha256,
+            **attributes_json(self, "cases", "seed", "plant", "answers_sha256"),
             **score_json(self.score),
             "failed": dict(self.failed),
             "timings_s": {name: round(seconds, 3) for name, seconds in self.timings_s.items()},
         }
-
-
-def save_exam_report(exam: BlindExam, path: Path, *, overwrite: bool = False) -> Path:
-    """Write an exam as one HTML file with its pictures inside; raises `OutputError` as `write_text`."""
-    from dragrig.present import exam_document, render_page, write_text
-
-    document = exam_document(exam.score, exam.cases, exam.seed, exam.answers_sha256)
-    return write_text(render_page(document), path, overwrite=overwrite)
 
 
 TaskT = TypeVar("TaskT")

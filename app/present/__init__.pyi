@@ -91,7 +91,6 @@ from .files import PAPER_REPORT_FILE as PAPER_REPORT_FILE
 from .files import PAPER_TABLES as PAPER_TABLES
 from .files import PRINT_DPI as PRINT_DPI
 from .files import drawn as drawn
-from .files import existing_files as existing_files
 from .files import require_writable as require_writable
 from .files import save_figure as save_figure
 from .files import save_figure_in as save_figure_in
@@ -111,6 +110,7 @@ from .identification import identification_json as identification_json
 from .identification import identified_campaigns_document as identified_campaigns_document
 from .identification import joint_figure as joint_figure
 from .identification import left_out_section as left_out_section
+from .identification import left_out_table as left_out_table
 from .identification_figures import coulomb_figure as coulomb_figure
 from .identification_figures import drag_figure as drag_figure
 from .identification_figures import joint_fit_figure as joint_fit_figure

@@ -37,7 +37,7 @@ from dragrig.present import (
     decimals,
     exclusions_json,
     interval_text,
-    listed_exclusions,
+    left_out_table,
     p_value_text,
     percent,
     probability_text,
@@ -467,14 +467,7 @@ def _runs_section(diagnosis: Diagnosis) -> Section:
         "4. The runs",
         (
             Section("used", "Runs used", (Table("runs", "", columns, rows),), collapsed=True),
-            Table.of(
-                "left-out",
-                "",
-                listed_exclusions(diagnosis.left_out),
-                Field("file", "left out", lambda exclusion: exclusion.item),
-                Field("reason", "reason", lambda exclusion: exclusion.reason),
-                brief_rows=MAX_LEFT_OUT,
-            ),
+            left_out_table("left-out", "file", diagnosis.left_out, MAX_LEFT_OUT),
         ),
     )
 

@@ -561,10 +561,11 @@ def _draw_run_row(left: Axes, right: Axes, view: RunTraces, floor_mN: float | No
     draw_line(left, time, measured, MEASURED_LINE)
     for values, pen, _ in models:
         draw_line(left, time, values, pen)
-    fit_y_range(left, (measured, *(values for values, _, _ in models)), _min_span(view))
+    least_span = MIN_SPAN.get(view.unit, 0.0)
+    fit_y_range(left, (measured, *(values for values, _, _ in models)), least_span)
     for values, _, pen in models:
         draw_line(right, time, measured - values, pen)
-    fit_y_range(right, [measured - values for values, _, _ in models], _min_span(view))
+    fit_y_range(right, [measured - values for values, _, _ in models], least_span)
     right.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
     if floor_mN is not None and np.isfinite(floor_mN):
         right.axhspan(-floor_mN, floor_mN, facecolor=GREY, alpha=0.18, linewidth=0.0, zorder=0.6)
@@ -612,10 +613,6 @@ def _rms_before(view: RunTraces) -> float:
 
 MIN_SPAN = {"mN": 4.0, "mm": 0.004, "µm": 4.0}
 """Smallest range of an ordinate by its unit: noise is not blown up."""
-
-
-def _min_span(view: RunTraces) -> float:
-    return MIN_SPAN.get(view.unit, 0.0)
 
 
 MAX_POOLED_PANELS, MAX_LABELLED_CAMPAIGNS = 6, 12

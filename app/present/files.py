@@ -52,11 +52,6 @@ PAPER_TABLES = (
 """Stems of the CSV files, in the order of the report."""
 
 
-def existing_files(folder: Path, names: tuple[str, ...]) -> tuple[Path, ...]:
-    """Return those of these files that are there already."""
-    return tuple(folder / name for name in names if (folder / name).exists())
-
-
 def write_texts(folder: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
     """Write texts under their names, replacing what is there; return the paths.
 

@@ -94,14 +94,19 @@ def identification_document(identification: Identification) -> Document:
 
 def left_out_section(left_out: Sequence[Exclusion]) -> Section:
     """List what an evaluation left out, and why."""
-    table = Table.of(
-        "exclusions",
+    return Section("left-out", "Left out", (left_out_table("exclusions", "what", left_out),))
+
+
+def left_out_table(name: str, what: str, left_out: Sequence[Exclusion], brief_rows: int | None = None) -> Table:
+    """Tabulate what was left out, in a column of this name, and why."""
+    return Table.of(
+        name,
         "",
         listed_exclusions(left_out),
-        Field("what", "left out", lambda exclusion: exclusion.item),
+        Field(what, "left out", lambda exclusion: exclusion.item),
         Field("reason", "reason", lambda exclusion: exclusion.reason),
+        brief_rows=brief_rows,
     )
-    return Section("left-out", "Left out", (table,))
 
 
 def _answer(identification: Identification) -> str:
