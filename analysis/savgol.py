@@ -142,8 +142,17 @@ class SavgolSettings:
                 f"Derivative {self.derivative} of a polynomial of order {self.order} is zero or undefined; "
                 f"choose a derivative from 0 to {self.order}."
             )
-        if self.window_samples is not None:
-            self._check_window(self.window_samples)
+        samples = self.window_samples
+        if samples is not None and samples % 2 == 0:
+            raise AnalysisError(
+                f"A filter window of {samples} samples has no middle; "
+                f"give an odd number, {samples - 1} or {samples + 1}."
+            )
+        if samples is not None and samples < self._shortest:
+            raise AnalysisError(
+                f"A filter window of {samples} samples is too short for order {self.order}; "
+                f"give at least {self._shortest} samples."
+            )
 
     def samples(self, sample_rate_hz: float) -> int:
         """Return the window's length in samples, an odd number.
@@ -168,18 +177,6 @@ class SavgolSettings:
     @property
     def _shortest(self) -> int:
         return max(3, self.order + 1 + self.order % 2)
-
-    def _check_window(self, samples: int) -> None:
-        if samples % 2 == 0:
-            raise AnalysisError(
-                f"A filter window of {samples} samples has no middle; "
-                f"give an odd number, {samples - 1} or {samples + 1}."
-            )
-        if samples < self._shortest:
-            raise AnalysisError(
-                f"A filter window of {samples} samples is too short for order {self.order}; "
-                f"give at least {self._shortest} samples."
-            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

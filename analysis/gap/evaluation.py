@@ -347,15 +347,11 @@ class ForceEvaluation:
             design.residual if with_effects else design.residual + force
             for design, force in zip(self.amended.runs, self.promised_forces, strict=True)
         ]
-        products = []
-        for design, residual in zip(self.amended.runs, residuals, strict=True):
-            products.append(design.whitening.gram(np.column_stack((residual, design.columns))))
+        pairs = list(zip(self.amended.runs, residuals, strict=True))
+        products = [design.whitening.gram(np.column_stack((residual, design.columns))) for design, residual in pairs]
         total = np.sum(products, axis=0)
         coefficients = np.linalg.solve(total[1:, 1:] + np.diag(self.amended.prior_precision), total[1:, 0])
-        return [
-            np.asarray(residual - design.columns @ coefficients)
-            for design, residual in zip(self.amended.runs, residuals, strict=True)
-        ]
+        return [np.asarray(residual - design.columns @ coefficients) for design, residual in pairs]
 
     def explained_share(self) -> float | None:
         """Return the share of chi-square beyond noise that the effects explain; None without a gap that matters."""

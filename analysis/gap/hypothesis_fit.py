@@ -81,9 +81,7 @@ def fit_common_phase(study: Study, design: Design, variant: EffectVariant) -> tu
     last_s = max(float(run.coordinates.session_s.max()) for run in study.runs)
     period = variant.values[variant.effect.period_parameter]
     # The strongest period may be the first overtone of the true one.
-    max_period = next(
-        parameter for parameter in variant.effect.shapes if parameter.name == variant.effect.period_parameter
-    ).high
+    max_period = np.inf if variant.effect.period is None else variant.effect.period.high
     residuals = _whitened_residuals(study, design)
     periods = np.concatenate(
         [

@@ -5,7 +5,7 @@ are explained by free-form model classes scored on held-out runs, as in a diagno
 predicted with each leading effect as it was fitted, each in turn assumed to be true.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log
@@ -279,8 +279,7 @@ def recommend_force_run(search: ForceSearchResult, budget: ExperimentBudget) -> 
         return Recommendation()
     specimen = campaign_specimen(study)
     grid = short_grid(specimen) if budget.runs == 1 else full_grid(specimen)
-    limits = budget.limits or limits_of_campaign(study)
-    candidates = [candidate for candidate in grid if limits.allow(candidate)]
+    candidates = _allowed(grid, study, budget)
     if not candidates:
         return Recommendation()
     question, grams = forecast(search, study_of_candidates(study, candidates))
@@ -297,6 +296,11 @@ def next_experiment_of(runs: Sequence[NextRun], open_bits: float, compared: int,
         return None
     reason = recommendation_reason(runs[0], open_bits, compared, subject)
     return NextExperiment(tuple(runs), compared, reason, open_bits)
+
+
+def _allowed(grid: Sequence[CandidateRun], study: Study, budget: ExperimentBudget) -> list[CandidateRun]:
+    limits = budget.limits or limits_of_campaign(study)
+    return [candidate for candidate in grid if limits.allow(candidate)]
 
 
 def limits_of_campaign(study: Study) -> RigLimits:
@@ -330,12 +334,11 @@ def recommend_for_pair(
     effects = [effect for effect in catalogue().values() if effect.has_force_signature]
     study = CapsuleStudy.of(selection, nominal, effects)
     point = gauss_newton_step(linearise(study, study.initial_z))
-    study_of_pair = (
-        study
-        if pair is None
-        else replace(study, effects=tuple(effect for effect in study.effects if effect.id in pair))
-    )
-    design = linearise(study_of_pair, point.z, dictionary=True)
+
+    def limited_to(names: Collection[str]) -> CapsuleStudy:
+        return replace(study, effects=tuple(effect for effect in study.effects if effect.id in names))
+
+    design = linearise(study if pair is None else limited_to(pair), point.z, dictionary=True)
     angles = SignatureAngles.of(design)
     pairs = [pair] if pair is not None else list(_closest_pairs(angles))
     missing = sorted({name for item in pairs for name in item} - set(angles.effects))
@@ -343,10 +346,8 @@ def recommend_for_pair(
         raise AnalysisError(
             f"{missing[0]}: these runs do not show it at all; begin with a plan that does, such as paper."
         )
-    limits = budget.limits or limits_of_campaign(study)
-    candidates = [candidate for candidate in full_grid(campaign_specimen(study)) if limits.allow(candidate)]
-    names = {name for item in pairs for name in item}
-    study_of_names = replace(study, effects=tuple(effect for effect in study.effects if effect.id in names))
+    candidates = _allowed(full_grid(campaign_specimen(study)), study, budget)
+    study_of_names = limited_to({name for item in pairs for name in item})
     question = _which_of_two(study_of_names, design, angles, pairs)
     grams = _candidate_grams(study_of_names, design, candidates)
     runs = greedy_search(question, list(zip(candidates, grams, strict=True)), budget)
@@ -573,12 +574,7 @@ def recommend_position_run(
     """
     if not isinstance(study, CapsuleStudy):
         return None
-    limits = budget.limits or limits_of_campaign(study)
-    candidates = [
-        candidate
-        for candidate in motion_grid(campaign_specimen(study), whole=budget.runs > 1)
-        if limits.allow(candidate)
-    ]
+    candidates = _allowed(motion_grid(campaign_specimen(study), whole=budget.runs > 1), study, budget)
     last = position.runs[-1]
     observations = position_errors(candidate_experiments(last.experiment, candidates))
     observed = list(zip(candidates, (replace(run, session_s=last.session_s) for run in observations), strict=True))

@@ -20,7 +20,6 @@ from dragrig.analysis.gap.presence import (
     Competition,
     PeriodicColumns,
     Presence,
-    VariantSpan,
     log_evidence,
 )
 from dragrig.rig import FloatArray, IndexArray
@@ -119,8 +118,7 @@ def force_evidence(
         for entry in best
         if competition.causes[entry[0]].kind is not CauseKind.EFFECT or competition.causes[entry[0]].name in strong
     )
-    pooled = _pooled_causes(competition, periodic)
-    layout = _Layout.of(competition, pooled, periodic)
+    layout = _Layout.of(competition, periodic)
     sets = _WeighedSets.of(competition, presence, strong)
     contexts = {name: sets.context(name, _without(competition, own_causes, name)) for name in layout.columns}
     different = tuple(dict.fromkeys(contexts.values()))
@@ -226,17 +224,6 @@ def _without(competition: Competition, causes: CauseSet, name: str) -> CauseSet:
     return tuple(entry for entry in causes if competition.causes[entry[0]].name != name)
 
 
-def _pooled_causes(
-    competition: Competition, periodic: Mapping[str, PeriodicColumns]
-) -> Mapping[str, tuple[Cause, VariantSpan]]:
-    """Return the causes whose columns are shared, by name; periodic ones are taken at all their periods instead."""
-    return {
-        cause.name: (cause, cause.span)
-        for cause in competition.causes
-        if cause.span is not None and cause.kind in POOLED_KINDS and cause.name not in periodic
-    }
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layout:
     """Linear combinations of the competition's columns that are shared."""
@@ -246,12 +233,13 @@ class _Layout:
     columns: Mapping[str, SharedColumns]
 
     @classmethod
-    def of(
-        cls,
-        competition: Competition,
-        pooled: Mapping[str, tuple[Cause, VariantSpan]],
-        periodic: Mapping[str, PeriodicColumns],
-    ) -> "_Layout":
+    def of(cls, competition: Competition, periodic: Mapping[str, PeriodicColumns]) -> "_Layout":
+        """Place the columns of the causes that are shared; periodic ones are taken at all their periods instead."""
+        pooled = {
+            cause.name: (cause, cause.span)
+            for cause in competition.causes
+            if cause.span is not None and cause.kind in POOLED_KINDS and cause.name not in periodic
+        }
         size = len(competition.products)
         residual = np.zeros((size, 1))
         residual[0] = 1.0

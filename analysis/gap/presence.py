@@ -631,7 +631,7 @@ def judge_presence(competition: Competition) -> Presence:
         for dropped in range(len(current)):
             smaller = current[:dropped] + current[dropped + 1 :]
             if smaller not in log_odds:
-                log_odds[smaller] = evidence.log_odds(smaller)
+                log_odds[smaller] = evidence.reduced(smaller)[1]
     return presence_of(competition.causes, log_odds)
 
 
@@ -671,14 +671,10 @@ class _SetEvidence:
                 directions[number, : cause.columns.size] = cause.direction
         return rows, sds, sds > 0, directions
 
-    def log_odds(self, causes: CauseSet) -> float:
-        """Return the log posterior odds of a set against the empty one."""
-        return self._reduced(causes)[1]
-
     def with_further_cause(self, causes: CauseSet) -> Iterator[tuple[CauseSet, float]]:
         """Yield the set with every further cause at every scale, with its log posterior odds."""
         competition = self.competition
-        explained, before = self._reduced(causes)
+        explained, before = self.reduced(causes)
         present = {competition.causes[index].name for index, _ in causes}
         rows, sds, used, directions = self._padded
         grams = competition.products[rows[:, :, None], rows[:, None, :]]
@@ -698,7 +694,7 @@ class _SetEvidence:
                 larger = tuple(sorted((*causes, (number, scale))))
                 yield larger, before + gain + competition.causes[number].log_prior_odds
 
-    def _reduced(self, causes: CauseSet) -> tuple[FloatArray, float]:
+    def reduced(self, causes: CauseSet) -> tuple[FloatArray, float]:
         """Return what a set explains of all products, as a root of shape `(s, 1 + C)`, and its log posterior odds."""
         products = self.competition.products
         rows, sds = self.competition.scaled_columns(causes)

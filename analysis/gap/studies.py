@@ -93,20 +93,14 @@ def model_error_columns(scene: RunState, speed_mm_s: float) -> FloatArray:
     speed_mm_s
         Speed of the run.
     """
-    rows = [*_wall_law_columns(scene)]
+    by_power = [_strain_power_by_element(scene, power) for power in LAW_POWERS]
+    rows = [LAW_SHAPE_SD * np.sum(columns, axis=0) for columns in by_power]
+    rows += [ELEMENT_SHAPE_SD * column for column in by_power[0]]
     rows.append(INTEGRATION_STEP_S * _ramp_step_error(scene))
     rows.append(CONTACT_INTEGRAL_SD * scene.f_e)
     rows.append(CONTACT_INTEGRAL_SD * scene.f_e * 0.5 * float(np.log(max(speed_mm_s, 0.1) / 5.0)))
     rows.append(_quadrature_error(scene))
     return np.stack(rows)
-
-
-def _wall_law_columns(scene: RunState) -> Iterator[FloatArray]:
-    by_power = {power: _strain_power_by_element(scene, power) for power in LAW_POWERS}
-    for power in LAW_POWERS:
-        yield LAW_SHAPE_SD * np.sum(by_power[power], axis=0)
-    for column in by_power[1]:
-        yield ELEMENT_SHAPE_SD * column
 
 
 def _strain_power_by_element(scene: RunState, power: int) -> list[FloatArray]:

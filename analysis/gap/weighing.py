@@ -118,8 +118,7 @@ def _decision_inputs(
     for step in search.steps:
         if step.fit is not None:
             laws = step.laws[:MAX_FURTHER_LAWS]
-            numbers = step.llr, step.chi2_without, laws
-            hypotheses.append(_summary(step.fit, study, *numbers))
+            hypotheses.append(_summary(step.fit, study, step.llr, step.chi2_without, laws))
     return DecisionInputs(
         block_count=search.block_count,
         chi2=search.chi2,
