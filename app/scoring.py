@@ -306,8 +306,16 @@ _RATES: tuple[tuple[str, _Condition, _Condition], ...] = (
 """Each rate: its name, the cases that count, and what holds of them."""
 _CONDITION_RATES = tuple(
     (name, lambda case, kind=kind: case.answer.case == kind, lambda case: case.right)
-    for condition in ("incomplete", "programme", "exchanged", "model off", "noise")
-    for name, kind in ((f"{condition}, right name", condition), (f"{condition}, none, no gap", f"{condition} none"))
+    for condition in ("incomplete", "programme", "exchanged", "model off", "noise", "motion")
+    for name, kind in (
+        (f"{condition}, right name", condition),
+        (f"{condition}, none, no gap", f"{condition} none"),
+        *(
+            (f"{condition}, {size}, right", f"{condition} {size}")
+            for size in ("third", "tenth")
+            if condition == "motion"
+        ),
+    )
 )
 """The same of campaigns under conditions, where an exam has such."""
 

@@ -394,7 +394,7 @@ def effects_command(as_json: bool) -> None:
 @click.option(
     "--mix",
     "kind",
-    type=click.Choice(["exam", "learning", "conditions"]),
+    type=click.Choice(["exam", "learning", "conditions", "motion"]),
     default="exam",
     show_default=True,
     help="Mix of campaigns: realistic (exam), with more hard cases for training (learning), or a third of them "

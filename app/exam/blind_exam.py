@@ -283,11 +283,12 @@ def gap_blind(
     scheduler
         Address of a Dask cluster to use in their place; its workers must see `out`, which is then needed.
     kind
-        Mix of campaigns: `exam`; `learning`, which has more hard cases; or `conditions`, of which a third is
-        incomplete, of another programme, noise or specimen, or has a nominal model that is off.
+        Mix of campaigns: `exam`; `learning`, which has more hard cases; `conditions`, of which a third is incomplete,
+        of another programme, noise or specimen, or has a nominal model that is off; or `motion`, in which every stage
+        moves as drives do.
     plant
         `written`, whose effects have forms that are written down, or `drawn`, whose laws are drawn at random; its
-        mix is always `conditions`.
+        mix is `conditions` or `motion`.
     without_true
         Whether campaigns with one effect are diagnosed again without it.
     sizes

@@ -22,7 +22,7 @@ from dragrig.sim_backend.blind import (
     effect_group,
 )
 
-EXAM_MIX, LEARNING_MIX, CONDITIONS_MIX = "exam", "learning", "conditions"
+EXAM_MIX, LEARNING_MIX, CONDITIONS_MIX, MOTION_MIX = "exam", "learning", "conditions", "motion"
 WRITTEN_PLANT, DRAWN_PLANT = PLANTS
 _Shares = Mapping[str, float]
 EXAM_SHARES: _Shares = MappingProxyType(
@@ -40,10 +40,10 @@ EXAM_SHARES: _Shares = MappingProxyType(
 """Share of each kind of case; single effects cycle through the whole catalogue of the plant."""
 CONDITION_SHARES: _Shares = MappingProxyType(
     {
-        "full": 0.18,
-        "third": 0.07,
+        "full": 0.22,
+        "third": 0.08,
         "tenth": 0.05,
-        "none": 0.03,
+        "none": 0.04,
         "outside": 0.08,
         "pair": 0.10,
         "rough": 0.03,
@@ -57,9 +57,7 @@ CONDITION_SHARES: _Shares = MappingProxyType(
         "model off": 0.05,
         "model off none": 0.04,
         "noise": 0.04,
-        "noise none": 0.05,
-        "motion": 0.05,
-        "motion none": 0.03,
+        "noise none": 0.07,
     }
 )
 """The same with circumstances; a kind with `none` has nothing hidden, under the same condition."""
@@ -77,10 +75,12 @@ MIXES: Mapping[str, _Shares] = MappingProxyType(
             "rough none": 0.03,
         },
         CONDITIONS_MIX: CONDITION_SHARES,
+        MOTION_MIX: {"motion": 0.5, "motion third": 0.15, "motion tenth": 0.1, "motion none": 0.25},
     }
 )
 """An exam has campaigns as rigs may have them; to learn from, there are more hard cases, and under conditions a third
-is incomplete, of another programme, noise, motion or specimen, or has a nominal model that is off."""
+is incomplete, of another programme, noise or specimen, or has a nominal model that is off. In the last, every stage
+moves as drives do."""
 CONDITIONS_OF: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "incomplete": ("drags only", "three speeds", "no relaxations", "one run", "no blanks"),
@@ -143,7 +143,7 @@ def draw_cases(cases: int, seed: int, which: str = EXAM_MIX, plant: str = WRITTE
     The drawn plant always has conditions.
     """
     random = np.random.default_rng(seed)
-    shares = MIXES[CONDITIONS_MIX if plant == DRAWN_PLANT else which]
+    shares = MIXES[CONDITIONS_MIX if plant == DRAWN_PLANT and which != MOTION_MIX else which]
     exact = np.array([share * cases for share in shares.values()])
     counts = np.floor(exact).astype(int)
     counts[np.argsort(counts - exact)[: cases - int(counts.sum())]] += 1
@@ -159,7 +159,7 @@ def draw_cases(cases: int, seed: int, which: str = EXAM_MIX, plant: str = WRITTE
             zip(seeds, (hidden[place] for place in order), strict=True), 1
         )
     ]
-    return _with_conditions(found, random) if shares is CONDITION_SHARES else found
+    return _with_conditions(found, random) if plant == DRAWN_PLANT or which in {CONDITIONS_MIX, MOTION_MIX} else found
 
 
 def _shuffled_cycle(names: Sequence[str], random: np.random.Generator) -> Iterator[str]:
@@ -179,7 +179,7 @@ def _draw_effects(
         while effect_group(first) == effect_group(second):
             second = next(singles)
         return (first, second), (1.0, 1.0 if random.random() < 0.5 else 1 / 3)
-    return (next(singles),), ({"third": 1 / 3, "tenth": 1 / 10}.get(kind, 1.0),)
+    return (next(singles),), ({"third": 1 / 3, "tenth": 1 / 10}.get(kind.removeprefix("motion "), 1.0),)
 
 
 def _with_conditions(cases: Sequence[HiddenCase], random: np.random.Generator) -> list[HiddenCase]:
@@ -187,7 +187,7 @@ def _with_conditions(cases: Sequence[HiddenCase], random: np.random.Generator) -
     turns = {kind: _shuffled_cycle(names, random) for kind, names in CONDITIONS_OF.items()}
     with_conditions = []
     for case in cases:
-        turn = turns.get(case.kind.removesuffix(" none"))
+        turn = turns["motion"] if case.kind.startswith("motion") else turns.get(case.kind.removesuffix(" none"))
         if turn is None:
             with_conditions.append(case)
             continue
