@@ -38,7 +38,7 @@ from dragrig.setup import (
 
 if TYPE_CHECKING:
     from dragrig.campaign_session import Made
-    from dragrig.hosted_session import SessionOperator, SessionOptions
+    from dragrig.hosted_session import SessionOperator
 
 
 def examine(**choices: Unpack[RigChoices]) -> Iterator[RigCheck]:
@@ -254,8 +254,10 @@ def run(
     >>> dragrig.table(made.folder)  # doctest: +SKIP
     """
     from dragrig.campaign_session import append_to_campaign, start_campaign
+    from dragrig.hosted_session import SessionOptions
 
-    options = _session_options(operator, note, pace, mirror, tell, pause)
+    target = None if mirror is None else Path(mirror)
+    options = SessionOptions(Path(), operator, note, pace, mirror=target, tell=tell or ignore, pause=pause)
     if append is not None:
         if out is not None:
             raise OutputError(f"{append}: the runs go into this campaign, so leave out the folder {out}.")
@@ -295,8 +297,10 @@ def resume(
         As `run`.
     """
     from dragrig.campaign_session import resume_campaign
+    from dragrig.hosted_session import SessionOptions
 
-    options = _session_options(operator, note, pace, mirror, tell, pause)
+    target = None if mirror is None else Path(mirror)
+    options = SessionOptions(Path(), operator, note, pace, mirror=target, tell=tell or ignore, pause=pause)
     return resume_campaign(_campaign_folder(campaign), options, person, assignments)
 
 
@@ -306,18 +310,3 @@ def _campaign_folder(campaign: str | Path) -> Path:
         missing = "is a file" if folder.is_file() else "there is no such campaign"
         raise OutputError(f"{folder}: {missing}; name the folder that run printed.")
     return folder
-
-
-def _session_options(
-    operator: str,
-    note: str,
-    pace: Pace | None,
-    mirror: str | Path | None,
-    tell: Callable[[str], None] | None,
-    pause: Signal | None,
-) -> "SessionOptions":
-    from dragrig.hosted_session import SessionOptions
-
-    tell = tell or ignore
-    target = None if mirror is None else Path(mirror)
-    return SessionOptions(Path(), operator=operator, note=note, pace=pace, mirror=target, tell=tell, pause=pause)
