@@ -266,7 +266,7 @@ def _break_remarks(experiments: Sequence[Experiment]) -> Iterator[str]:
 
 
 def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Tell each run what only the others show: a jitter of the clock, and which phases begin without a pulse."""
+    """Tell each run what only the others show: the clock's jitter, a soft loop, phases that begin without a pulse."""
     runs_with_pulse = Counter(
         phase for experiment in experiments for phase in {pulse.near_phase for pulse in experiment.pulses}
     )
@@ -276,9 +276,10 @@ def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:
     )
     jitters = [jitter for experiment in experiments if (jitter := experiment.own_jitter_s) is not None]
     shared = float(np.median(jitters)) if jitters else 0.0
+    soft = any(experiment.gives_way for experiment in experiments)
     return [
-        replace(experiment, calm_phases=calm, shared_jitter_s=shared)
-        if experiment.pulses or (shared and experiment.own_jitter_s is None)
+        replace(experiment, calm_phases=calm, shared_jitter_s=shared, soft_loop=soft)
+        if soft or experiment.pulses or (shared and experiment.own_jitter_s is None)
         else experiment
         for experiment in experiments
     ]

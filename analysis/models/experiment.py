@@ -42,6 +42,8 @@ MAX_FOLLOWING_COUNTS = 2.5
 """A stage whose encoder stays within this many counts of its command follows it exactly."""
 WINDOW_MEAN_NOISE_SHARE = 0.25
 """Largest mean over a window that noise alone causes, relative to the wander."""
+GIVING_WAY_COUNTS = 1.5
+"""Encoder counts by which a stage that gives way stands off: fewer are rounding and vibration."""
 SETTLED_S = 0.2
 """Time that a stage takes to stand still after its command does."""
 MIN_REST_S = 0.3
@@ -214,6 +216,8 @@ class Experiment:
     """Phases whose begin makes no pulse of the force in other runs, so that one there is a fault."""
     shared_jitter_s: float = 0.0
     """Scatter of the sampling times that other runs show."""
+    soft_loop: bool = False
+    """Whether some run shows that the stage's position loop gives way to the force."""
 
     @property
     def kind(self) -> str:
@@ -329,6 +333,18 @@ class Experiment:
         jitter_of_means_mm = np.sqrt(np.maximum(uniform_filter1d(jitter_mm**2, window), 0.0) / window)
         largest_mm = max(allowed_mm, WINDOW_MEAN_NOISE_SHARE * self.wander_mm)
         return not np.any(means_mm > largest_mm + JITTER_SIGMAS * jitter_of_means_mm)
+
+    @cached_property
+    def gives_way(self) -> bool:
+        """Whether the stage still stands off its command at the end, against the force, by more than its counts."""
+        trace = self.run.trace
+        if not {"force", "position"} <= set(trace.channels):
+            return False
+        last = slice(-max(len(trace.time) // 4, 1), None)
+        off_mm = np.asarray(trace.position - trace.command, dtype=np.float64)[last]
+        pull = np.asarray(trace.force[last] - trace.force[0], dtype=np.float64)
+        against = off_mm[np.isfinite(off_mm * pull)] * np.sign(np.nanmedian(pull))
+        return bool(against.size) and -float(np.median(against)) > GIVING_WAY_COUNTS * self.count_mm
 
     @cached_property
     def motion(self) -> RecordedMotion:

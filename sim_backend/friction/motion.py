@@ -487,6 +487,10 @@ SAME_TIME_S = 1e-7
 """Times closer than this are equal, but computed in two ways."""
 
 
+CREEP_BLOCK_S, MIN_CREEP_MM = 0.1, 0.0015
+"""A stage whose position at rest, averaged over so long, changes by more than counts do, creeps as its load relaxes."""
+
+
 def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: FloatArray) -> ProfileMotion:
     """Return a measured motion of constant velocity between points, exactly at rest where the stage rests.
 
@@ -503,7 +507,7 @@ def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: Flo
     for number, sign in enumerate(motion.signs.tolist()):
         within = slice(int(edges[number]), int(edges[number + 1]) + 1)
         if sign == 0:
-            time, position = motion.breaks_s[number : number + 2], np.full(2, position_mm[within].mean())
+            time, position = _nearly_at_rest(time_s[within], position_mm[within], *motion.breaks_s[number : number + 2])
         else:
             time, position = _averaged_down(time_s[within], position_mm[within])
         later = time > (times[-1][-1] + SAME_TIME_S if times[-1].size else -1.0)
@@ -512,6 +516,18 @@ def measured_motion(motion: RecordedMotion, time_s: FloatArray, position_mm: Flo
     time, position = np.concatenate(times), np.concatenate(positions)
     velocity = np.diff(position) / np.diff(time)
     return ProfileMotion.of_means(time, position[:-1] - position[0], velocity)
+
+
+def _nearly_at_rest(
+    time_s: FloatArray, position_mm: FloatArray, begin_s: float, end_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return times and positions of a rest: two alike, or averages over a while where the stage creeps."""
+    blocks = np.array_split(np.arange(time_s.size), max(round((end_s - begin_s) / CREEP_BLOCK_S), 1))
+    means = np.array([position_mm[block].mean() for block in blocks if block.size])
+    if means.size < MIN_SAMPLES or np.ptp(means) <= MIN_CREEP_MM:
+        return np.array([begin_s, end_s]), np.full(2, position_mm.mean())
+    middle = np.array([time_s[block].mean() for block in blocks if block.size])
+    return np.concatenate(([begin_s], middle, [end_s])), np.concatenate((means[:1], means, means[-1:]))
 
 
 def _with_midpoints(time_s: FloatArray, position_mm: FloatArray) -> tuple[FloatArray, FloatArray]:

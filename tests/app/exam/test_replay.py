@@ -30,7 +30,7 @@ from stored_evidence import (
 )
 
 COUNTS = {
-    "all, right": (147, 160),
+    "all, right": (146, 160),
     "full size, right name": (45, 46),
     "full size, right name alone": (42, 46),
     "a third, right name": (14, 17),
@@ -38,12 +38,12 @@ COUNTS = {
     "none, no gap": (10, 10),
     "outside, unknown": (12, 14),
     "outside, a name above 0.5": (2, 14),
-    "pair, both named": (11, 14),
-    "pair, one named": (13, 14),
+    "pair, both named": (10, 14),
+    "pair, one named": (12, 14),
     "rough, right name": (6, 6),
     "rough, none, no gap": (4, 4),
     "all, wrong above 0.8": (4, 160),
-    "above 0.8, right": (125, 130),
+    "above 0.8, right": (126, 131),
     "incomplete, right name": (3, 4),
     "incomplete, none, no gap": (3, 3),
     "programme, right name": (3, 4),
@@ -54,15 +54,15 @@ COUNTS = {
     "model off, none, no gap": (4, 4),
     "noise, right name": (4, 4),
     "noise, none, no gap": (7, 7),
-    "presence 0 to 0.1, there": (9, 4171),
-    "presence 0.1 to 0.3, there": (3, 19),
+    "presence 0 to 0.1, there": (10, 4172),
+    "presence 0.1 to 0.3, there": (3, 18),
     "presence 0.3 to 0.5, there": (2, 7),
-    "presence 0.5 to 0.8, there": (11, 18),
-    "presence 0.8 to 0.95, there": (23, 25),
+    "presence 0.5 to 0.8, there": (8, 16),
+    "presence 0.8 to 0.95, there": (25, 27),
     "presence 0.95 to 1, there": (80, 80),
 }
 """Held and counted, of all campaigns."""
-SURPRISE = 183.947
+SURPRISE = 195.139
 """Minus the log of all probabilities that are stated of what is hidden."""
 KINDS = {"full", "third", "tenth", "none", "outside", "pair", "rough"}
 DIAGNOSED = ("drawn-0021", "drawn-0005", "drawn-0020", "written-0003", "drawn-0002", "drawn-0008", "written-0010")
