@@ -343,8 +343,11 @@ class Experiment:
         last = slice(-max(len(trace.time) // 4, 1), None)
         off_mm = np.asarray(trace.position - trace.command, dtype=np.float64)[last]
         pull = np.asarray(trace.force[last] - trace.force[0], dtype=np.float64)
-        against = off_mm[np.isfinite(off_mm * pull)] * np.sign(np.nanmedian(pull))
-        return bool(against.size) and -float(np.median(against)) > GIVING_WAY_COUNTS * self.count_mm
+        known = np.isfinite(off_mm + pull)
+        if not known.any():
+            return False
+        against = off_mm[known] * np.sign(np.median(pull[known]))
+        return -float(np.median(against)) > GIVING_WAY_COUNTS * self.count_mm
 
     @cached_property
     def motion(self) -> RecordedMotion:
