@@ -628,7 +628,6 @@ def _thinned_blocks(run: PositionErrors) -> PositionErrors:
         command_mm=run.command_mm[::BLOCK_STRIDE],
         velocity_mm_s=run.velocity_mm_s[::BLOCK_STRIDE],
         error_mm=run.error_mm[::BLOCK_STRIDE],
-        force_mN=run.force_mN[::BLOCK_STRIDE],
     )
 
 

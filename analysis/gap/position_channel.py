@@ -52,8 +52,6 @@ class PositionErrors:
     """Recorded minus commanded position, minus its mean over the rest before the motion (over the whole record where it
     begins in motion).
     """
-    force_mN: FloatArray
-    """Force minus its first value; zeros where none was recorded."""
     session_s: float | None
     """Time of the first sample on the session clock; None without a clock."""
     origin_mm: float = 0.0
@@ -169,7 +167,6 @@ def _errors_of_run(experiment: Experiment, session_s: float | None, origin_mm: f
     initial_speed = float(velocity[0]) if abs(velocity[0]) > MOVING_START_RATIO * np.abs(velocity).max() else 0.0
     if initial_speed:
         zero = float(np.mean((position - command)[inside]))
-    force = np.nan_to_num(np.asarray(trace.force, dtype=np.float64)) if "force" in trace.channels else 0.0 * time
     edges = np.unique(np.linspace(0, inside.size, min(MAX_BLOCKS, inside.size) + 1).astype(int))[:-1]
     count = np.diff(np.append(edges, inside.size))
 
@@ -183,7 +180,6 @@ def _errors_of_run(experiment: Experiment, session_s: float | None, origin_mm: f
         means(command - command[0]),
         means(velocity),
         means(position - command) - zero,
-        means(force - force[:20].mean()),
         session_s,
         origin_mm,
         initial_speed,

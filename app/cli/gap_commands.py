@@ -397,8 +397,9 @@ def effects_command(as_json: bool) -> None:
     type=click.Choice(["exam", "learning", "conditions", "motion"]),
     default="exam",
     show_default=True,
-    help="Mix of campaigns: realistic (exam), with more hard cases for training (learning), or a third of them "
-    "incomplete, of another programme, noise or specimen, or with a nominal model that is off (conditions).",
+    help="Mix of campaigns: realistic (exam), with more hard cases for training (learning), a third of them "
+    "incomplete, of another programme, noise or specimen, or with a nominal model that is off (conditions), or all "
+    "with stages that move as drives do (motion).",
 )
 @click.option(
     "--plant",

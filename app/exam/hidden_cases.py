@@ -105,7 +105,7 @@ class HiddenCase:
     kind: str
     """One of `EXAM_SHARES`: an effect at full size, a third or a tenth of it; nothing; an effect that the catalogue
     does not have; two effects; and with nominal equations that are slightly wrong, an effect or nothing. Or one of
-    `CONDITION_SHARES`.
+    `CONDITION_SHARES`, or of the mix of motions.
     """
     seed: int
     effects: tuple[str, ...]

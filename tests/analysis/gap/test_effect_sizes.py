@@ -205,7 +205,7 @@ def position_errors_of(size: float, seed: int, noise_mm: float = 0.002, blocks: 
     return PositionErrors(
         experiment=SimpleNamespace(),  # type: ignore[arg-type]
         time_s=np.arange(blocks) * 0.1, command_mm=command, velocity_mm_s=np.full(blocks, 10.0),
-        error_mm=error - error[0], force_mN=np.zeros(blocks), session_s=0.0, noise_mm=noise_mm,
+        error_mm=error - error[0], session_s=0.0, noise_mm=noise_mm,
     )  # fmt: skip
 
 
