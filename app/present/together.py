@@ -73,7 +73,9 @@ def _listed(names: list[str]) -> str:
 
 def _effect_sentence(effect: PooledEffect, pooled: PooledDiagnosis) -> str:
     name, count = capitalise(display_name(effect.effect)), len(pooled.campaigns)
-    members = "campaigns" if effect.of_rig or _share_specimens(pooled) else "specimens"
+    # A name that several pieces have is no piece's.
+    specimens = len({campaign.specimen for campaign in pooled.campaigns})
+    members = "campaigns" if effect.of_rig or specimens < len(pooled.campaigns) else "specimens"
     names = [pooled.campaigns[at].source for at in effect.members]
     if effect.where is Where.ALL:
         belongs = "is the rig's: it is" if effect.of_rig else "is"
@@ -88,11 +90,6 @@ def _effect_sentence(effect: PooledEffect, pooled: PooledDiagnosis) -> str:
         f"; these campaigns do not tell it from {join_names([display_name(rival) for rival in effect.confusable_with])}"
     )
     return f"{name} {place} ({sure}){alike if effect.confusable_with else ''}."
-
-
-def _share_specimens(pooled: PooledDiagnosis) -> bool:
-    """Whether a specimen has several of the campaigns; a name that several pieces have is no piece's."""
-    return len({campaign.specimen for campaign in pooled.campaigns}) < len(pooled.campaigns)
 
 
 def _size_sentence(effect: PooledEffect) -> str:

@@ -146,27 +146,21 @@ class RigReadings(QWidget):
 
     def clear(self, why: str) -> None:
         """Show no value, and why there is none."""
-        self._taken_s = None
+        self._taken_s, self._live_about = None, why
         for reading in self.readings.values():
             reading.setText(_NO_VALUE)
-        self.about.setText(why)
-        self._set_old(old=False)
+        self.show_age()
 
     def show_age(self) -> None:
-        """Show how old the values are, if they are no longer live."""
-        if self._taken_s is None:
-            return
-        age_s = time.monotonic() - self._taken_s
-        old = age_s > STALE_S
+        """Show how old the values are, if no longer live; without values the rig's doing alone stands there."""
+        age_s = None if self._taken_s is None else time.monotonic() - self._taken_s
+        old = age_s is not None and age_s > STALE_S
         if old:
             self.readings["Speed"].setText(_NO_VALUE)
-        self.about.setText(f"{duration_text(age_s)} ago; {self._live_about}" if old else f"live; {self._live_about}")
-        self._set_old(old=old)
-
-    def _set_old(self, *, old: bool) -> None:
-        role = "old reading" if old else "reading"
+        age = "" if age_s is None else f"{duration_text(age_s)} ago; " if old else "live; "
+        self.about.setText(f"{age}{self._live_about}")
         for reading in self.readings.values():
-            set_role(reading, role)
+            set_role(reading, "old reading" if old else "reading")
 
 
 RECENT_SPAN_S = 10.0
