@@ -266,7 +266,7 @@ def _break_remarks(experiments: Sequence[Experiment]) -> Iterator[str]:
 
 
 def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Tell each run what only the others show: the clock's jitter, a soft loop, phases that begin without a pulse."""
+    """Tell each run facts that only the others show: clock jitter, a soft loop, phases that begin without a pulse."""
     runs_with_pulse = Counter(
         phase for experiment in experiments for phase in {pulse.near_phase for pulse in experiment.pulses}
     )
@@ -286,7 +286,7 @@ def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def _fault_remarks(experiments: Iterable[Experiment]) -> Iterator[str]:
-    """Say once what is wrong with single samples, in which runs, and how much of it."""
+    """Say once which faults single samples have, in which runs, and how much of it."""
     faulty = [experiment for experiment in experiments if experiment.faults]
     if not faulty:
         return
@@ -355,7 +355,7 @@ def _motion_in_gap(experiment: Experiment) -> str | None:
 
 
 def _wrong_sign(experiment: Experiment) -> str | None:
-    """Whether the force cannot be friction of what the run says was there."""
+    """Whether the force cannot be friction of the stated capsule."""
     opposing = _mean_opposing_force(experiment)
     if opposing is None:
         return None

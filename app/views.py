@@ -1,4 +1,4 @@
-"""What the window shows, made in other processes and threads: plans, runs and diagnoses; free of Qt."""
+"""The views of the window, made in other processes and threads: plans, runs and diagnoses; free of Qt."""
 
 import json
 import multiprocessing
@@ -156,13 +156,13 @@ class Form:
     groups: tuple[FormGroup, ...] = ()
 
     def values(self) -> list[dict[str, str]]:
-        """Return the values of every group as text; what is left out has its default."""
+        """Return the values of every group as text; a value left out has its default."""
         return [
             {field.key: group.values.get(field.key, field.default) for field in group.fields} for group in self.groups
         ]
 
     def misread(self, values: Sequence[Mapping[str, str]]) -> "dict[FieldPlace, str]":
-        """Return what is wrong with texts that are no values of their fields at all, by group and key."""
+        """Return the faults of texts that are no values of their fields at all, by group and key."""
         problems: dict[FieldPlace, str] = {}
         for number, (group, texts) in enumerate(zip(self.groups, values, strict=True)):
             for field in group.fields:
@@ -355,7 +355,7 @@ def _parse_values(step: FormGroup, texts: Mapping[str, str]) -> dict[str, object
 
 
 def parse_field(field: FormField, text: str, group: str) -> object:
-    """Return the value of a field's text, None for none; raises `SettingsError` for what is no value at all."""
+    """Return the value of a field's text, None for none; raises `SettingsError` for a text that is no value."""
     if not text:
         return None
     match field.kind:
@@ -486,9 +486,9 @@ def preview_session(
     Parameters
     ----------
     specimen
-        What is stated of the specimen, as assignments.
+        The stated facts of the specimen, as assignments.
     campaign
-        What the runs are to be added to (default: a campaign of their own).
+        The campaign that the runs are added to (default: a campaign of their own).
 
     Raises
     ------
@@ -522,7 +522,7 @@ def _in_words_of_the_form(sentence: str) -> str:
 
 
 def _conditions(checked: Preflight, steps: Sequence[PlanStep]) -> str:
-    """Say what no curve shows: capsule, fixture and order of each step."""
+    """Say the facts that no curve shows: capsule, fixture and order of each step."""
     parts = []
     for number, step in enumerate(steps):
         runs = [preview.run for preview in checked.previews if preview.run.step == number]
@@ -795,7 +795,7 @@ def _on_even_grid(values: AnyFloatArray, even: tuple[npt.NDArray[np.intp], int] 
 
 
 class CampaignWork(StrEnum):
-    """What can be made of a campaign in a process of its own."""
+    """The products of a campaign, each made in a process of its own."""
 
     DIAGNOSE = "diagnose"
     IDENTIFY = "identify"
@@ -856,7 +856,7 @@ class FurtherRuns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompletedSettleStep:
-    """What was decided about a campaign: the runs to make next, or why there are none.
+    """The decision about a campaign: the runs to make next, or why there are none.
 
     The diagnosis is None where runs that were decided on before are missing.
     """
@@ -918,7 +918,7 @@ class DiagnosisProcess:
             yield DiagnosisFailed(f"the work ended unexpectedly (exit code {self._process.exitcode}); try again")
 
     def cancel(self) -> None:
-        """Kill the process, which reads files, and writes what it makes whole and at its end."""
+        """Kill the process, which reads files, and writes its products whole and at its end."""
         self._over = True
         self._process.terminate()
         self._process.join(5.0)
@@ -962,7 +962,7 @@ def _diagnosed(task: DiagnosisTask, progress: Progress) -> CompletedDiagnosis:
 
 
 def _settled_step(task: DiagnosisTask, progress: Progress) -> CompletedSettleStep:
-    """Decide what comes next as `dragrig gap settle` does, and write it into the campaign."""
+    """Decide on the next runs as `dragrig gap settle` does, and write it into the campaign."""
     from dragrig.api import (
         after_diagnosis,
         has_begun,

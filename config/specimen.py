@@ -1,4 +1,4 @@
-"""What is tested: the piece of gut, what holds it, and the capsule dummy."""
+"""The specimen: the piece of gut, its fixture, and the capsule dummy."""
 
 from datetime import date, datetime, time, timedelta
 from enum import StrEnum
@@ -15,7 +15,7 @@ SPECIMEN_FACTS = ("id", "animal", "segment", "excised_at", "mounted_at", "storag
 
 
 class Fixture(StrEnum):
-    """What holds the gut during a run."""
+    """The holder of the gut during a run."""
 
     FOAM = "foam"
     """Laid on foam and closed around the capsule: the drag test."""

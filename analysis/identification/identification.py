@@ -1,4 +1,4 @@
-"""What an identification says, as values; every number has its uncertainty or is missing with the reason."""
+"""The result of an identification, as values; every number has its uncertainty or is missing with the reason."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

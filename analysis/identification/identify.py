@@ -52,7 +52,7 @@ def fit_jointly(selection: RunSelection, nominal: NominalModel) -> JointFit:
     Raises
     ------
     AnalysisError
-        Where the model predicts nothing of these runs, or a run lacks what it needs.
+        Where the model predicts nothing of these runs, or a run lacks a part that it needs.
     """
     from scipy.special import fdtrc
 
@@ -256,7 +256,7 @@ def identify_specimen(
     Raises
     ------
     AnalysisError
-        Where the model predicts nothing of these runs, or a run lacks what it needs.
+        Where the model predicts nothing of these runs, or a run lacks a part that it needs.
     """
     advance = counted(progress, JOINT_COST + RELAXATION_COST + SLIDING_COST)
     joint = fit_jointly(selection, nominal)

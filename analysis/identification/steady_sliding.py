@@ -73,7 +73,7 @@ class SteadySliding:
 
 
 def measure_sliding(experiment: Experiment, *, filtered: bool = False) -> SteadySliding:
-    """Measure the steady sliding of a run; what its data do not support is missing, with the reason.
+    """Measure the steady sliding of a run; values without support in its data are missing, with the reason.
 
     Parameters
     ----------

@@ -254,7 +254,7 @@ def _divided(texts: "pa.StringArray") -> RowTimes | None:
 
 
 def _dated(texts: "pa.StringArray") -> RowTimes | None:
-    """Dates in any of the usual forms, by pandas; what the order of day and month leaves open is told."""
+    """Dates in any of the usual forms, by pandas; dates that the order of day and month leaves open are told."""
     import pandas as pd
     import pyarrow.compute as pc
     from pandas.tseries.api import guess_datetime_format

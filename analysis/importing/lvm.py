@@ -1,4 +1,4 @@
-"""What LabVIEW's measurement files (.lvm) state in front of each segment: units, sampling interval, begin."""
+"""The head of each segment of LabVIEW's measurement files (.lvm): units, sampling interval, begin."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Load, filter, tabulate, compare, export and import runs, and tabulate what the friction model predicts."""
+"""Load, filter, tabulate, compare, export and import runs, and tabulate the friction model's predictions."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -508,7 +508,7 @@ def import_run(
     Raises
     ------
     ImportDataError
-        When the file does not hold what the settings say.
+        When the file does not suit the settings.
     OutputError
         When the target exists or cannot be written.
     SettingsError
@@ -555,7 +555,7 @@ Comparable = str | Path | Run | Iterable[Run]
 
 
 def _no_formula(cell: object) -> object:
-    """Have a spreadsheet show as text what it would compute: names of files may begin with an equals sign."""
+    """Have a spreadsheet show a formula as text: names of files may begin with an equals sign."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@")) else cell
 
 

@@ -61,7 +61,7 @@ WallChoice = Literal["scaled", "fitted"]
 
 
 class FitChoices(TypedDict):
-    """What campaigns are identified against, as in `dragrig.identify`."""
+    """The choices of an identification, as in `dragrig.identify`."""
 
     nominal: str
     model: str
@@ -155,7 +155,7 @@ class IdentifiedCampaign:
 
 
 def _model_origin(result: Identification, joint: JointFit, campaign: str) -> IdentificationSummary:
-    """Return what the file of an identified model says of where its values come from."""
+    """Return the origin of the values of an identified model, as its file states it."""
     return IdentificationSummary(
         campaign=printable(campaign),
         specimen=result.specimen,
@@ -416,7 +416,7 @@ class _PooledIdentification(_IdentificationRequest):
 
 
 def _rig_of(run_file: Path) -> str:
-    """Return what names the rig of a run, "" where its file does not say."""
+    """Return the name of a run's rig, "" where its file does not say."""
     try:
         record = session_record_of_run(run_file)
     except DragrigError:
@@ -435,7 +435,7 @@ def identify_together(
     scheduler: str | None = None,
     progress: Progress = no_progress,
 ) -> Population:
-    """Identify campaigns of one rig together: what is the rig's once, what is the specimens' with mean and spread.
+    """Identify campaigns of one rig together: parameters of the rig once, those of specimens with mean and spread.
 
     Each campaign is identified in parallel, as `dragrig.identify` does; a run that lies in several counts once.
 

@@ -146,7 +146,7 @@ def _diagnose_together(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Diagnose campaigns of one rig together and print what they share."""
+    """Diagnose campaigns of one rig together and print their common effects."""
     from dragrig.analysis import parts_of
     from dragrig.present import pooled_document, save_figures
 

@@ -128,7 +128,7 @@ def find_command(
 
 
 def _found_or_hint(listing: "RunListing", query: "RunQuery") -> "tuple[Mapping[Path, tuple[str, ...]], str]":
-    """Return the runs found; where there are none, also what was asked for and no run has."""
+    """Return the runs found; where there are none, also the requests that no run meets."""
     from dragrig.config import suggestion
 
     found = listing.found(query)

@@ -1,4 +1,4 @@
-"""Commands on the friction model: model (what it predicts), robot, identify (parameters from runs), paper."""
+"""Commands on the friction model: model (its predictions), robot, identify (parameters from runs), paper."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -311,8 +311,8 @@ def identify_command(
     model is written then, nor where the runs determine none of its parameters.
 
     Several campaigns are identified in parallel and printed as a table, or with --json as one line each; each has its
-    own folder in that of --out. With --together they are one population: what belongs to the rig is one value for all,
-    what belongs to specimens has a mean and a spread between them; a run that lies in several campaigns counts once.
+    own folder in that of --out. With --together they are one population: parameters of the rig have one value for all,
+    those of specimens a mean and a spread between them; a run that lies in several campaigns counts once.
     """
     from dragrig.analysis import parts_of
     from dragrig.api import (

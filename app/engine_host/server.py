@@ -139,7 +139,7 @@ class RequestReceiver:
     gone
         Set once the client is gone, or wants the host to end.
     stands
-        Whether the stage stands, for the moment, though what is done can be aborted; set by whoever does it.
+        Whether the stage stands, for the moment, though the work can be aborted; set by whoever does it.
     pause
         Set to have the session wait for a person before its next run.
     """
@@ -173,7 +173,7 @@ class RequestReceiver:
         return request
 
     def stops(self, abort: Callable[[str], None] | None) -> None:
-        """Set what aborts the current request, which may move from now on; an abort received before is applied now."""
+        """Set the abort of the current request, which may move from now on; an abort received before is applied now."""
         self.stands = False
         with self._lock:
             self._abort, reason = abort, self._abort_reason if self._is_aborted else ""

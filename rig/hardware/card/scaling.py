@@ -1,4 +1,4 @@
-"""Scaling of volts and counts to forces, positions and further quantities, and the force sensor's state by its volts."""
+"""Scaling of volts and counts to forces, positions and further quantities, and the sensor's state by its volts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
