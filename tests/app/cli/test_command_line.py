@@ -135,7 +135,6 @@ def test_a_full_disk_behind_the_output_is_told_in_a_sentence(tmp_path: Path) -> 
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="pipes close otherwise there")
 def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
     code = (
         "import sys, click; from dragrig.cli.console import legible, echo, run_command_line\n"
