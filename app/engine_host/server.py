@@ -384,15 +384,15 @@ class IdleRig:
         if not self.on:
             return None
         try:
-            backend = self._backend = self._backend or self._open()
+            if self._backend is None:
+                self._open()
         except DragrigError as error:
             self._failed = True
             return IdleReading(None, None, reason_of(error))
         reading = self._look()
-        self._failed = reading.force_mN is None
-        if self._failed:
-            backend.close()
-            self._backend = None
+        if failed := reading.force_mN is None:
+            self.close()
+        self._failed = failed
         return reading
 
     def close(self) -> None:
@@ -401,12 +401,12 @@ class IdleRig:
         if backend is not None:
             backend.close()
 
-    def _open(self) -> Backend:
+    def _open(self) -> None:
         setup = resolve_rig(**self._rig.choices())
         request = setup.request(self._rig.pace if setup.double else None)
-        backend = open_backend(setup.backend, request, double=setup.double)
+        # Known before it is asked anything: whatever goes wrong from here on, `close` gives it back.
+        backend = self._backend = open_backend(setup.backend, request, double=setup.double)
         self._look = idle_reader(backend, timed=request.real_time or backend.needs_hands)
-        return backend
 
 
 class EngineHost:
