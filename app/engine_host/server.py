@@ -473,7 +473,9 @@ class EngineHost:
         finished = SessionFinished(job.number, RunStatus.FAILED, "the engine met a bug")
         try:
             made = self._run_session(job)
-            session, mirror = made.session, _mirror_status(made)
+            session, mirror = made.session, None
+            if report := made.mirrored:
+                mirror = MirrorStatus(report.folder, len(report.copied), tuple(report.missing.items()))
             finished = SessionFinished(job.number, session.status, session.reason, made.folder, mirror)
         except DragrigError as error:
             finished = SessionFinished(job.number, None, str(error))
@@ -610,8 +612,3 @@ class EngineHost:
         except DragrigError as error:
             return RigExamined(tuple(checks), str(error))
         return RigExamined(tuple(checks))
-
-
-def _mirror_status(made: Made) -> MirrorStatus | None:
-    report = made.mirrored
-    return None if report is None else MirrorStatus(report.folder, len(report.copied), tuple(report.missing.items()))

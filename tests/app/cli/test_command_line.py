@@ -241,9 +241,9 @@ def test_a_file_that_exists_is_never_missing(
 def test_a_mistake_in_a_file_of_ones_own_names_file_and_line(capsys: pytest.CaptureFixture[str]) -> None:
     def raise_from(folder: str) -> Callable[[], None]:
         scope: dict[str, Callable[[], None]] = {}
-        exec(compile("def law():\n    return 1 / 0\n", f"/somewhere/{folder}/mine.py", "exec"), scope)
+        exec(compile("def law():\n    return 1 / 0\n", str(Path("/somewhere", folder, "mine.py")), "exec"), scope)
         return scope["law"]
 
     for folder in ("sim_backend/effects", "rig/protocols"):
         assert run_command_line(click.Command("c", callback=raise_from(folder)), []) == 1
-        assert f"{folder}/mine.py, line 2: ZeroDivisionError: division by zero" in capsys.readouterr().err
+        assert f"{Path(folder)}{os.sep}mine.py, line 2: ZeroDivisionError: division by zero" in capsys.readouterr().err
