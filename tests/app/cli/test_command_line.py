@@ -169,6 +169,19 @@ def test_what_a_console_lacks_is_said_with_what_it_has(encoding: str, shown: str
     assert shown in done.stdout.decode(encoding)
 
 
+@pytest.mark.skipif(sys.platform != "win32", reason="only on Windows do console and files have letters of their own")
+def test_what_is_redirected_has_the_letters_of_the_console_in_which_powershell_takes_it(tmp_path: Path) -> None:
+    code = "import ctypes, sys; from dragrig.cli import main; ctypes.windll.kernel32.SetConsoleOutputCP(850); " + (
+        "sys.exit(main(['check', 'drag', '--set', 'prompt=1 µm × 2 ä']))"
+    )
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path, env=plain, stdout=subprocess.PIPE, creationflags=subprocess.CREATE_NEW_CONSOLE, check=True,
+    )  # fmt: skip
+    assert "1 µm × 2 ä" in done.stdout.decode("cp850")
+
+
 @given(st.text(), st.sampled_from(["ascii", "cp1252", "cp850", "cp437", "utf-8", "cp932", "latin-1"]))
 def test_every_text_has_letters_for_every_console(text: str, encoding: str) -> None:
     shown = legible(text, encoding)
