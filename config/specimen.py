@@ -37,9 +37,10 @@ def _at_this_place(value: object) -> object:
         at = datetime.combine(now.date(), moment)
         at = at if at.tzinfo is not None else at.astimezone()
         return at if at <= now else at - timedelta(days=1)
-    if isinstance(moment, datetime) and moment.tzinfo is None:
-        return moment.astimezone()
-    return moment
+    try:
+        return moment.astimezone() if isinstance(moment, datetime) and moment.tzinfo is None else moment
+    except (OSError, OverflowError):  # Windows knows no local time before 1970
+        raise ValueError(f"{moment} is before the years whose local time this computer knows") from None
 
 
 def _parsed_time(text: str) -> datetime | time:

@@ -319,7 +319,9 @@ def joined(date: RowTimes, time: RowTimes) -> RowTimes:
     # A day may be written once, for all rows below it.
     latest = np.maximum.accumulate(np.where(np.isfinite(date.seconds), np.arange(len(date.seconds)), 0))
     seconds = date.seconds[latest] + np.mod(time.seconds, DAY_S)
-    begin = None if midnight is None else (midnight + timedelta(seconds=float(time.seconds[first]))).astimezone()
+    begin = (
+        None if midnight is None else moment_of(np.datetime64(midnight + timedelta(seconds=float(time.seconds[first]))))
+    )
     return RowTimes(seconds - seconds[first], begin, remarks=(*date.remarks, *time.remarks))
 
 

@@ -181,7 +181,7 @@ def _moment(text: str | datetime, of_day: time) -> datetime | None:
         if isinstance(text, str) and len(text) <= len("2026-05-04"):
             moment = datetime.combine(moment, of_day)
         return moment if moment.tzinfo is not None else moment.astimezone()
-    except (ValueError, OverflowError):  # also of a year for which the local offset is not known
+    except (ValueError, OverflowError, OSError):  # also of a year for which the local offset is not known
         raise SettingsError(f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15.") from None
 
 

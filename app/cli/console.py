@@ -251,8 +251,19 @@ def _replace_unencodable() -> None:
     """Show letters of the same meaning in place of those that the console lacks (− and μ on cp1252)."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            codecs.register_error(f"dragrig.{stream.encoding}", partial(_legible, stream.encoding))
-            stream.reconfigure(errors=f"dragrig.{stream.encoding}")
+            encoding = stream.encoding if stream.isatty() else _redirected_encoding() or stream.encoding
+            codecs.register_error(f"dragrig.{encoding}", partial(_legible, encoding))
+            stream.reconfigure(encoding=encoding, errors=f"dragrig.{encoding}")
+
+
+def _redirected_encoding() -> str:
+    """Return the encoding in which PowerShell, `more` and `type` take what is no longer for the console; else empty."""
+    if sys.platform == "win32" and not sys.flags.utf8_mode and "PYTHONIOENCODING" not in os.environ:
+        import ctypes
+
+        with suppress(LookupError):  # without a console, and for a code page that Python lacks
+            return codecs.lookup(f"cp{ctypes.WinDLL('kernel32').GetConsoleOutputCP()}").name
+    return ""
 
 
 def _legible(encoding: str, error: UnicodeError) -> tuple[str, int]:

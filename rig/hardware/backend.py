@@ -1,6 +1,7 @@
 """The hardware backend: opens card, drive, stage and sampler of a rig under one lock, checks and closes them."""
 
 import contextlib
+import ctypes
 import errno
 import gc
 import hashlib
@@ -366,24 +367,6 @@ def _garbage_frozen() -> Iterator[None]:
         gc.unfreeze()
 
 
-@contextmanager
-def _fine_timer() -> Iterator[None]:
-    """Have Windows end waits to the millisecond.
-
-    By default it ends them every 15.6 ms, so that a look at the switches every 25 ms would come every 31.
-    """
-    if sys.platform == "win32":
-        import ctypes
-
-        ctypes.windll.winmm.timeBeginPeriod(1)
-        try:
-            yield
-        finally:
-            ctypes.windll.winmm.timeEndPeriod(1)
-    else:
-        yield
-
-
 class CardLook:
     """The signals of card and lines while a person works on the rig."""
 
@@ -499,7 +482,11 @@ class HardwareBackend:
             self._open_card()
             # Before anything watches the drive: a full collection is longer than a heartbeat relay waits for an edge.
             self._open.enter_context(_garbage_frozen())
-            self._open.enter_context(_fine_timer())
+            if sys.platform == "win32":
+                # It ends waits every 15.6 ms otherwise, so that a look at the switches every 25 ms would come every 31.
+                timer = ctypes.WinDLL("winmm")
+                timer.timeBeginPeriod(1)
+                self._open.callback(timer.timeEndPeriod, 1)
             self._open_drive()
         except BaseException:
             self.close()
