@@ -12,13 +12,11 @@ clean-up is independent, so that a failing step prevents no other; and the reaso
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
-from enum import StrEnum
 from math import isnan, nan
 from pathlib import Path
 from threading import Event as Signal
-from threading import Lock
 from typing import Protocol
 
 import numpy as np
@@ -382,58 +380,17 @@ def require_agreement(outcome: AcquisitionOutcome) -> None:
         raise DeviceError(f"{outcome.checks.encoder_fault}; home the stage, and look at the encoder.")
 
 
-class EngineState(StrEnum):
-    """What the engine is doing."""
-
-    IDLE = "idle"
-    ARMED = "armed"
-    RUNNING = "running"
-    STOPPING = "stopping"
-    FINISHING = "finishing"
-
-
-@dataclass(frozen=True, slots=True)
-class EngineStatus:
-    """Snapshot of the engine, for any thread."""
-
-    state: EngineState = EngineState.IDLE
-    run_id: str = ""
-    samples: int = 0
-    expected_samples: int = 0
-    phase: Phase = Phase.REST
-    position_mm: float = 0.0
-    force_mN: float = 0.0
-
-
 class Engine:
-    """Runs acquisitions on a backend; `acquire` belongs to one thread, `abort` and `status` to any."""
+    """Runs acquisitions on a backend; `acquire` belongs to one thread, `abort` to any."""
 
     def __init__(self, backend: Backend, rig: RigSettings, guard: Guard) -> None:
         self._backend = backend
         self._rig = rig
         self._guard = guard
-        self._lock = Lock()
-        self._status = EngineStatus()
-        self._latest: Reading | None = None
         self._cancel = Signal()
         self._aborting = False
         self._abort_reason = ""
         self._aborted_at_s = 0.0
-
-    @property
-    def status(self) -> EngineStatus:
-        """Snapshot of the engine."""
-        with self._lock:
-            status, reading = self._status, self._latest
-        if reading is None:
-            return status
-        return replace(
-            status,
-            samples=reading.end_index,
-            phase=Phase(int(reading.phase[-1])),
-            position_mm=float(reading.channels["position"][-1]),
-            force_mN=float(reading.channels["force"][-1]),
-        )
 
     @property
     def cancelled(self) -> Signal:
@@ -486,32 +443,20 @@ class Engine:
         try:
             self._guard.watch(acquisition.profile.extremes())
             run = RunningAcquisition(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
-            expected = acquisition.profile.samples(self._backend.sampler.sample_rate_hz)
         except Exception as error:
             if sink is not None:
                 sink.close(RunStatus.FAILED, str(error), self._backend.clock.now(), {})
             raise
-        status = EngineStatus(EngineState.ARMED, acquisition.run_id, expected_samples=expected)
-        self._latest = None
-        self._set(status)
         try:
-            self._drive(run, status, stop_when)
+            self._drive(run, stop_when)
         finally:
-            self._set(replace(status, state=EngineState.FINISHING))
-            try:
-                outcome = run.finish()
-            finally:
-                self._set(EngineStatus())
+            outcome = run.finish()
         return outcome
 
-    def _drive(
-        self, run: RunningAcquisition, status: EngineStatus, stop_when: Callable[[Reading], bool] | None
-    ) -> None:
+    def _drive(self, run: RunningAcquisition, stop_when: Callable[[Reading], bool] | None) -> None:
         try:
             if run.start(self._cancel):
-                self._set(replace(status, state=EngineState.RUNNING))
                 while (reading := run.step(self._cancel)) is not None:
-                    self._latest = reading
                     if stop_when is not None and stop_when(reading):
                         run.end(RunStatus.COMPLETE, "")
                         return
@@ -526,9 +471,4 @@ class Engine:
             raise
         finally:
             if run.ended:
-                self._set(replace(status, state=EngineState.STOPPING))
                 run.settle()
-
-    def _set(self, status: EngineStatus) -> None:
-        with self._lock:
-            self._status = status
