@@ -13,7 +13,6 @@ clean-up is independent, so that a failing step prevents no other; and the reaso
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import datetime
 from math import isnan, nan
 from pathlib import Path
 from threading import Event as Signal
@@ -36,7 +35,7 @@ from dragrig.rig.devices import Acquisition, Backend, Block, CountsLateReplies, 
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import AnyFloatArray, Phase, PhaseArray
 from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
-from dragrig.rig.runfile import Attribute, Run, RunEvent, RunHeader, RunStatus
+from dragrig.rig.runfile import Attribute, Run, RunEnding, RunEvent, RunHeader, RunStatus
 
 _REST = int(Phase.REST)
 _SETTLING_S = 1.0
@@ -55,7 +54,7 @@ class Sink(Protocol):
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
         """Take attributes of `/entry/run` that become known during the run."""
 
-    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+    def close(self, ending: RunEnding) -> Path:
         """Finish the record; return its file."""
 
 
@@ -274,9 +273,9 @@ class RunningAcquisition:
         paths: list[Path] = []
         if (sink := self._sink) is not None:
             failures.append(attempt(self._annotate_uncertainty))
-            now, reason = self._clock.now(), self._all_reasons(failures)
+            ending = RunEnding(self._status, self._all_reasons(failures), self._clock.now(), report.values)
             failures.append(attempt(lambda: self._note("end", self._reason or "complete")))
-            failures.append(attempt(lambda: paths.append(sink.close(self._status, reason, now, report.values))))
+            failures.append(attempt(lambda: paths.append(sink.close(ending))))
         if any(failures) and self._status is RunStatus.COMPLETE:
             self._status = RunStatus.FAILED
         mean = self._force_sum / self._samples if self._samples else float("nan")
@@ -445,7 +444,7 @@ class Engine:
             run = RunningAcquisition(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
         except Exception as error:
             if sink is not None:
-                sink.close(RunStatus.FAILED, str(error), self._backend.clock.now(), {})
+                sink.close(RunEnding(RunStatus.FAILED, str(error), self._backend.clock.now()))
             raise
         try:
             self._drive(run, stop_when)

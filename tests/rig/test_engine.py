@@ -31,7 +31,7 @@ from dragrig.rig.engine import (
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import AnyFloatArray, PhaseArray
 from dragrig.rig.reading import CheckReport, Reading
-from dragrig.rig.runfile import Attribute, RunEvent, RunStatus
+from dragrig.rig.runfile import Attribute, RunEnding, RunEvent, RunStatus
 from sim_faults import DriveFault, Faults, FollowError, ForceSpike, LostSamples, StaleData, StuckEncoder
 from simulated import acquire, session, settings, stroke
 
@@ -63,8 +63,8 @@ class Notes:
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
         self.annotations.append(dict(entry))
 
-    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
-        self.closed.append((status, reason, end_time, checks))
+    def close(self, ending: RunEnding) -> Path:
+        self.closed.append((ending.status, ending.reason, ending.end_time, ending.checks))
         return FINDINGS
 
 
