@@ -386,15 +386,11 @@ class Engine:
         self._backend = backend
         self._rig = rig
         self._guard = guard
-        self._cancel = Signal()
+        self.cancelled = Signal()
+        """Set once an abort was requested; waits between runs observe it too."""
         self._aborting = False
         self._abort_reason = ""
         self._aborted_at_s = 0.0
-
-    @property
-    def cancelled(self) -> Signal:
-        """Set once an abort was requested; waits between runs observe it too."""
-        return self._cancel
 
     @property
     def abort_reason(self) -> str:
@@ -403,7 +399,7 @@ class Engine:
 
     def require_not_aborted(self) -> None:
         """Raise `AbortedError` once an abort was requested."""
-        if self._cancel.is_set():
+        if self.cancelled.is_set():
             raise AbortedError(self._abort_reason or "aborted")
 
     def abort(self, reason: str) -> None:
@@ -414,7 +410,7 @@ class Engine:
         if not self._aborting:
             self._aborting = True
             self._abort_reason, self._aborted_at_s = reason, self._backend.clock.monotonic()
-            self._cancel.set()
+            self.cancelled.set()
         attempt(self._backend.stage.stop)
 
     def acquire(
@@ -454,14 +450,14 @@ class Engine:
 
     def _drive(self, run: RunningAcquisition, stop_when: Callable[[Reading], bool] | None) -> None:
         try:
-            if run.start(self._cancel):
-                while (reading := run.step(self._cancel)) is not None:
+            if run.start(self.cancelled):
+                while (reading := run.step(self.cancelled)) is not None:
                     if stop_when is not None and stop_when(reading):
                         run.end(RunStatus.COMPLETE, "")
                         return
-                if not (run.ended or self._cancel.is_set()):
-                    run.await_end(self._cancel)
-            if self._cancel.is_set():
+                if not (run.ended or self.cancelled.is_set()):
+                    run.await_end(self.cancelled)
+            if self.cancelled.is_set():
                 run.end(RunStatus.ABORTED, self._abort_reason or "aborted", self._aborted_at_s)
         except (DeviceError, RecordingError) as error:
             run.fail(error)
