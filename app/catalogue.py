@@ -424,7 +424,9 @@ class _Catalogue:
 
     def _campaign_rows(self, column: str) -> Iterator[tuple[Path, object]]:
         """Yield this column of the campaigns, after their folders, in the order of `Path`."""
-        rows = sorted(self._rows(f"{column}, content IS NOT NULL"), key=lambda row: _parts(row[0]))
+        rows = list(self._rows(f"{column}, content IS NOT NULL"))
+        # By the parts of a path: comparing these takes a tenth of what `Path` takes.
+        rows.sort(key=lambda row: os.path.normcase(row[0]).split(os.sep))  # noqa: PTH206  # thousands of them
         for path, (value, is_campaign) in rows:
             if is_campaign:
                 yield self._folder / path, value
@@ -440,11 +442,6 @@ class _Catalogue:
         (content, files), folder = row, folder or self._folder / path
         # The number is the catalogue's own word as the content is, and bounded by what is there.
         return _decoded_content(content, folder, _most_bytes(min(int(files), 2 * count_files(folder) + GONE_FILES)))
-
-
-def _parts(path: str) -> list[str]:
-    """Return what a path is sorted by: comparing its parts takes a tenth of what `Path` takes."""
-    return os.path.normcase(path).split(os.sep)  # noqa: PTH206  # thousands of them
 
 
 def _bytes(text: str) -> bytes:
