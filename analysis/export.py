@@ -210,8 +210,9 @@ def _free_name(stem: str, ending: str, taken: Collection[str], *, matlab: bool) 
 def _name_of(stem: str, ending: str, *, matlab: bool) -> str:
     if not matlab:
         return stem + ending
-    ending = _ascii(ending)
-    return _matlab_name(stem)[: MAX_MATLAB_NAME - len(ending)] + ending
+    ending, plain = _ascii(ending), _ascii(stem)
+    plain = plain if plain[:1].isalpha() and plain not in MATLAB_KEYWORDS else f"x_{plain}"
+    return plain[: MAX_MATLAB_NAME - len(ending)] + ending
 
 
 def column_name(label: str, units: str) -> str:
@@ -384,12 +385,6 @@ def _ascii(text: str) -> str:
         letter if letter.isascii() and letter.isalnum() else f"u{ord(letter):X}" if letter.isalnum() else "_"
         for letter in letters
     )
-
-
-def _matlab_name(name: str) -> str:
-    """Return a valid field name."""
-    plain = _ascii(name)
-    return (plain if plain[:1].isalpha() and plain not in MATLAB_KEYWORDS else f"x_{plain}")[:MAX_MATLAB_NAME]
 
 
 class ExportFormat(StrEnum):

@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 
 from dragrig.config import (
@@ -26,7 +27,6 @@ from dragrig.views import (
     FieldKind,
     FieldPlace,
     Form,
-    FormField,
     FormGroup,
     first_key_named,
     form_fields,
@@ -100,8 +100,10 @@ class RigSettingsForm(Form):
             for field in group.fields:
                 text = texts[field.key].strip()
                 if text != own[number][field.key].strip():
-                    default = _group_of(defaults, self.path_of(number)).model_dump(mode="json")[field.key]
-                    changes[number, field.key] = _value(field, text, group.name, default)
+                    group_of_it = reduce(getattr, self.path_of(number), defaults)
+                    # An empty text is the default of a number or a list, and a text of its own.
+                    unset = "" if field.kind is FieldKind.TEXT else group_of_it.model_dump(mode="json")[field.key]
+                    changes[number, field.key] = parse_field(field, text, group.name) if text else unset
         return changes
 
     def _table(self, changes: Mapping[FieldPlace, object]) -> Table:
@@ -174,19 +176,6 @@ def _groups(settings: Settings, path: tuple[str, ...]) -> Iterator[FormGroup]:
     for key in type(settings).model_fields:
         if isinstance(inner := getattr(settings, key), Settings):
             yield from _groups(inner, (*path, key))
-
-
-def _group_of(settings: Settings, path: tuple[str, ...]) -> Settings:
-    for part in path:
-        settings = getattr(settings, part)
-    return settings
-
-
-def _value(field: FormField, text: str, group: str, default: object) -> object:
-    """Return the value of a text; an empty one is the default of a number or a list, and a text of its own."""
-    if not text:
-        return "" if field.kind is FieldKind.TEXT else default
-    return parse_field(field, text, group)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from io import BufferedReader
@@ -82,16 +82,16 @@ class CampaignState:
     """
     message: str
     """The open prompt, the reason of a wait, or why the session ended."""
-    since: datetime | None
-    run: int | None
-    runs: int | None
+    since: datetime | None = None
+    run: int | None = None
+    runs: int | None = None
     """`run`, `runs`: number of the current run of this session, and of how many; None where it is not known."""
-    left_s: float | None
+    left_s: float | None = None
     """Time left without prompts; None where it is not known yet."""
-    status: str
+    status: str = ""
     """How the session ended."""
-    recording: RunInProgress | None
-    finished: tuple[FinishedRun, ...] = field(default=())
+    recording: RunInProgress | None = None
+    finished: tuple[FinishedRun, ...] = ()
 
     @property
     def over(self) -> bool:
@@ -181,12 +181,6 @@ class CampaignWatch:
             backend="" if latest is None else latest.backend,
             doing="preparing" if running else "ended",
             message="" if running else message,
-            since=None,
-            run=None,
-            runs=None,
-            left_s=None,
-            status="",
-            recording=None,
             finished=finished,
         )
 
@@ -199,7 +193,7 @@ class CampaignWatch:
             return "dragrig recover finishes its recording"
         return "no recording is left unfinished, and dragrig run --resume makes the missing runs"
 
-    def _read_recording(self, state: SessionState | None) -> RunInProgress | None:
+    def _read_recording(self, state: SessionState) -> RunInProgress | None:
         paths = sorted(path for path in self.folder.glob("*.h5") if is_recording(path))
         try:
             return _run_in_progress(read_tail(paths[-1], RECENT_TRACE_S), state) if paths else None
@@ -234,7 +228,7 @@ def latest_campaign(folder: Path) -> Path:
     return max(sessions, key=lambda path: path.stat().st_mtime_ns).parent
 
 
-def _run_in_progress(run: Run, state: SessionState | None) -> RunInProgress:
+def _run_in_progress(run: Run, state: SessionState) -> RunInProgress:
     info, trace = run.info, run.trace
     has_samples = trace.time.size > 0
     origin_mm = info.header.entry.get("origin_mm")
@@ -248,7 +242,7 @@ def _run_in_progress(run: Run, state: SessionState | None) -> RunInProgress:
         order=info.header.order,
         phase=PHASE_NAMES[trace.phase[-1]] if has_samples else "",
         time_s=float(trace.time[-1]) if has_samples else 0.0,
-        run_s=state.run_s if state is not None and state.order == info.header.order else None,
+        run_s=state.run_s if state.order == info.header.order else None,
         samples=info.samples,
         force_mN=float(np.nanmean(trace.force[mean_from:])) if has_samples else None,
         position_mm=start_mm + float(trace.position[-1]) if has_samples else None,

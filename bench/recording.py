@@ -23,7 +23,7 @@ import numpy.typing as npt
 import psutil
 
 from dragrig.rig.runfile import Finisher, Recorder, finish, read_info
-from dragrig.rig.runfile.model import RecordedChannel, RunHeader, RunStatus
+from dragrig.rig.runfile.model import RecordedChannel, RunEnding, RunHeader, RunStatus
 
 RATE_HZ = 250_000.0
 BLOCK = 12_500
@@ -66,7 +66,7 @@ def record(path: Path, block: Arrays, blocks: int, pace_s: float = 0.0) -> tuple
             if pace_s:
                 time.sleep(max(0.0, wall + (number + 1) * pace_s - time.perf_counter()))
             recorder.offer(number * size, block)
-        recorder.close(RunStatus.COMPLETE, "as planned")
+        recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
         return time.perf_counter() - wall, time.process_time() - processor
 
 
@@ -146,7 +146,7 @@ def beside_a_repack(folder: Path, seconds: float) -> None:
                 recorder.offer(number * BLOCK, block)
                 waits.append(time.perf_counter() - offered)
             pending = finisher.pending
-            recorder.close(RunStatus.COMPLETE, "as planned")
+            recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
         finisher.wait()
     overlap = "all the time" if pending else "for a part"
     print(f"while the run before is being finished ({overlap}):")

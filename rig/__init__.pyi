@@ -121,6 +121,7 @@ from .runfile.model import Attribute as Attribute
 from .runfile.model import FilteredTrace as FilteredTrace
 from .runfile.model import RecordedChannel as RecordedChannel
 from .runfile.model import Run as Run
+from .runfile.model import RunEnding as RunEnding
 from .runfile.model import RunEvent as RunEvent
 from .runfile.model import RunHeader as RunHeader
 from .runfile.model import RunInfo as RunInfo

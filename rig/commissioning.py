@@ -11,8 +11,8 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import partial
 from math import isfinite
+from operator import methodcaller
 from pathlib import Path
 from typing import Protocol, TypeAlias, runtime_checkable
 
@@ -58,10 +58,6 @@ SWITCH_NAMES: Mapping[str, str] = {
 }
 
 _BenchAction: TypeAlias = Callable[[SupportsBenchActions], None]
-
-
-def _press(bench: SupportsBenchActions, *, switch: str, on: bool) -> None:
-    bench.press(switch, on=on)
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,7 +283,7 @@ def look_at_rig(backend: SupportsLiveLook, rig: RigSettings, confirm: Callable[[
         pressed = guide.watch(text, lambda bench: bench.hang(_FINGER_MN), lambda bench: bench.hang(0.0))
         yield judge_press(pressed, rig.force_sensor.accuracy_mN)
         for switch in live.wired_switches:
-            hold, release = (partial(_press, switch=switch, on=on) for on in (True, False))
+            hold, release = (methodcaller("press", switch, on=on) for on in (True, False))
             touched = guide.watch(f"Press the {SWITCH_NAMES[switch]} for a second and release it", hold, release)
             yield judge_switch(touched, switch, getattr(rig.hardware.card.lines, switch))
     yield backend.check_port()

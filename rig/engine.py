@@ -12,13 +12,10 @@ clean-up is independent, so that a failing step prevents no other; and the reaso
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from datetime import datetime
-from enum import StrEnum
+from dataclasses import dataclass
 from math import isnan, nan
 from pathlib import Path
 from threading import Event as Signal
-from threading import Lock
 from typing import Protocol
 
 import numpy as np
@@ -38,7 +35,7 @@ from dragrig.rig.devices import Acquisition, Backend, Block, CountsLateReplies, 
 from dragrig.rig.guard import Guard
 from dragrig.rig.profile import AnyFloatArray, Phase, PhaseArray
 from dragrig.rig.reading import BlockExtremes, CheckReport, Reading, RunChecks, SetpointSampler
-from dragrig.rig.runfile import Attribute, Run, RunEvent, RunHeader, RunStatus
+from dragrig.rig.runfile import Attribute, Run, RunEnding, RunEvent, RunHeader, RunStatus
 
 _REST = int(Phase.REST)
 _SETTLING_S = 1.0
@@ -57,7 +54,7 @@ class Sink(Protocol):
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
         """Take attributes of `/entry/run` that become known during the run."""
 
-    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+    def close(self, ending: RunEnding) -> Path:
         """Finish the record; return its file."""
 
 
@@ -276,9 +273,9 @@ class RunningAcquisition:
         paths: list[Path] = []
         if (sink := self._sink) is not None:
             failures.append(attempt(self._annotate_uncertainty))
-            now, reason = self._clock.now(), self._all_reasons(failures)
+            ending = RunEnding(self._status, self._all_reasons(failures), self._clock.now(), report.values)
             failures.append(attempt(lambda: self._note("end", self._reason or "complete")))
-            failures.append(attempt(lambda: paths.append(sink.close(self._status, reason, now, report.values))))
+            failures.append(attempt(lambda: paths.append(sink.close(ending))))
         if any(failures) and self._status is RunStatus.COMPLETE:
             self._status = RunStatus.FAILED
         mean = self._force_sum / self._samples if self._samples else float("nan")
@@ -382,63 +379,18 @@ def require_agreement(outcome: AcquisitionOutcome) -> None:
         raise DeviceError(f"{outcome.checks.encoder_fault}; home the stage, and look at the encoder.")
 
 
-class EngineState(StrEnum):
-    """The stages of an engine's work."""
-
-    IDLE = "idle"
-    ARMED = "armed"
-    RUNNING = "running"
-    STOPPING = "stopping"
-    FINISHING = "finishing"
-
-
-@dataclass(frozen=True, slots=True)
-class EngineStatus:
-    """Snapshot of the engine, for any thread."""
-
-    state: EngineState = EngineState.IDLE
-    run_id: str = ""
-    samples: int = 0
-    expected_samples: int = 0
-    phase: Phase = Phase.REST
-    position_mm: float = 0.0
-    force_mN: float = 0.0
-
-
 class Engine:
-    """Runs acquisitions on a backend; `acquire` belongs to one thread, `abort` and `status` to any."""
+    """Runs acquisitions on a backend; `acquire` belongs to one thread, `abort` to any."""
 
     def __init__(self, backend: Backend, rig: RigSettings, guard: Guard) -> None:
         self._backend = backend
         self._rig = rig
         self._guard = guard
-        self._lock = Lock()
-        self._status = EngineStatus()
-        self._latest: Reading | None = None
-        self._cancel = Signal()
+        self.cancelled = Signal()
+        """Set once an abort was requested; waits between runs observe it too."""
         self._aborting = False
         self._abort_reason = ""
         self._aborted_at_s = 0.0
-
-    @property
-    def status(self) -> EngineStatus:
-        """Snapshot of the engine."""
-        with self._lock:
-            status, reading = self._status, self._latest
-        if reading is None:
-            return status
-        return replace(
-            status,
-            samples=reading.end_index,
-            phase=Phase(int(reading.phase[-1])),
-            position_mm=float(reading.channels["position"][-1]),
-            force_mN=float(reading.channels["force"][-1]),
-        )
-
-    @property
-    def cancelled(self) -> Signal:
-        """Set once an abort was requested; waits between runs observe it too."""
-        return self._cancel
 
     @property
     def abort_reason(self) -> str:
@@ -447,7 +399,7 @@ class Engine:
 
     def require_not_aborted(self) -> None:
         """Raise `AbortedError` once an abort was requested."""
-        if self._cancel.is_set():
+        if self.cancelled.is_set():
             raise AbortedError(self._abort_reason or "aborted")
 
     def abort(self, reason: str) -> None:
@@ -458,7 +410,7 @@ class Engine:
         if not self._aborting:
             self._aborting = True
             self._abort_reason, self._aborted_at_s = reason, self._backend.clock.monotonic()
-            self._cancel.set()
+            self.cancelled.set()
         attempt(self._backend.stage.stop)
 
     def acquire(
@@ -486,38 +438,26 @@ class Engine:
         try:
             self._guard.watch(acquisition.profile.extremes())
             run = RunningAcquisition(self._backend, self._rig, self._guard, acquisition, sink, view, tare_mN)
-            expected = acquisition.profile.samples(self._backend.sampler.sample_rate_hz)
         except Exception as error:
             if sink is not None:
-                sink.close(RunStatus.FAILED, str(error), self._backend.clock.now(), {})
+                sink.close(RunEnding(RunStatus.FAILED, str(error), self._backend.clock.now()))
             raise
-        status = EngineStatus(EngineState.ARMED, acquisition.run_id, expected_samples=expected)
-        self._latest = None
-        self._set(status)
         try:
-            self._drive(run, status, stop_when)
+            self._drive(run, stop_when)
         finally:
-            self._set(replace(status, state=EngineState.FINISHING))
-            try:
-                outcome = run.finish()
-            finally:
-                self._set(EngineStatus())
+            outcome = run.finish()
         return outcome
 
-    def _drive(
-        self, run: RunningAcquisition, status: EngineStatus, stop_when: Callable[[Reading], bool] | None
-    ) -> None:
+    def _drive(self, run: RunningAcquisition, stop_when: Callable[[Reading], bool] | None) -> None:
         try:
-            if run.start(self._cancel):
-                self._set(replace(status, state=EngineState.RUNNING))
-                while (reading := run.step(self._cancel)) is not None:
-                    self._latest = reading
+            if run.start(self.cancelled):
+                while (reading := run.step(self.cancelled)) is not None:
                     if stop_when is not None and stop_when(reading):
                         run.end(RunStatus.COMPLETE, "")
                         return
-                if not (run.ended or self._cancel.is_set()):
-                    run.await_end(self._cancel)
-            if self._cancel.is_set():
+                if not (run.ended or self.cancelled.is_set()):
+                    run.await_end(self.cancelled)
+            if self.cancelled.is_set():
                 run.end(RunStatus.ABORTED, self._abort_reason or "aborted", self._aborted_at_s)
         except (DeviceError, RecordingError) as error:
             run.fail(error)
@@ -526,9 +466,4 @@ class Engine:
             raise
         finally:
             if run.ended:
-                self._set(replace(status, state=EngineState.STOPPING))
                 run.settle()
-
-    def _set(self, status: EngineStatus) -> None:
-        with self._lock:
-            self._status = status

@@ -199,7 +199,21 @@ class Guard:
         """Check a block; return the trip that it causes, None when it is fine or the guard is latched already."""
         if self._trip is not None:
             return None
-        self._trip = self._check(block, command, extremes, rate_hz)
+        largest_mN, limit_mN = max(extremes.max_force_mN, -extremes.min_force_mN), self._settings.force_limit_mN
+        if not isfinite(largest_mN + extremes.max_position_mm):
+            self._trip = Trip(TripCause.NOT_A_NUMBER, "a sample of force or position is not a number")
+        elif largest_mN > limit_mN:
+            force = f"force of {largest_mN:.0f} mN is over the limit of {limit_mN:.0f} mN"
+            self._trip = Trip(TripCause.FORCE, force)
+        else:
+            self._trip = (
+                self._check_position(extremes.min_position_mm, extremes.max_position_mm)
+                or self._check_jump(block, rate_hz)
+                or self._check_speed(block, rate_hz)
+                or self._check_silence(block, command, extremes, rate_hz)
+                or self._check_following(extremes.following_error_mm, command, rate_hz)
+            )
+        self._previous_command = command
         return self._trip
 
     @property
@@ -251,32 +265,6 @@ class Guard:
         if self._trip is not None:
             return None
         self._trip = trip
-        return trip
-
-    def _check(
-        self,
-        block: Block,
-        command: AnyFloatArray,
-        extremes: BlockExtremes,
-        rate_hz: float,
-    ) -> Trip | None:
-        largest_mN = max(extremes.max_force_mN, -extremes.min_force_mN)
-        if not isfinite(largest_mN + extremes.max_position_mm):
-            return Trip(TripCause.NOT_A_NUMBER, "a sample of force or position is not a number")
-        limit_mN = self._settings.force_limit_mN
-        if largest_mN > limit_mN:
-            trip: Trip | None = Trip(
-                TripCause.FORCE, f"force of {largest_mN:.0f} mN is over the limit of {limit_mN:.0f} mN"
-            )
-        else:
-            trip = (
-                self._check_position(extremes.min_position_mm, extremes.max_position_mm)
-                or self._check_jump(block, rate_hz)
-                or self._check_speed(block, rate_hz)
-                or self._check_silence(block, command, extremes, rate_hz)
-                or self._check_following(extremes.following_error_mm, command, rate_hz)
-            )
-        self._previous_command = command
         return trip
 
     def _check_position(self, lowest_mm: float, highest_mm: float) -> Trip | None:

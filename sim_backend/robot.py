@@ -21,6 +21,7 @@ from dataclasses import astuple, dataclass, field, replace
 from enum import Enum, auto
 from functools import cache
 from itertools import groupby
+from operator import itemgetter
 from typing import ClassVar, Self, TypeVar
 
 import numpy as np
@@ -490,8 +491,6 @@ class Period:
     forwards_mm: float
     backwards_mm: float
     """`forwards_mm`, `backwards_mm`: slip in either direction."""
-    slip_s: float
-    """How long it slipped."""
     work_uJ: float
     """Work of the actuator; what it takes back is subtracted."""
     loss_uJ: float
@@ -604,7 +603,9 @@ class Walker:
         begin_mm, begin_uJ, relative_mm_s, work = self.position_mm, self._kinetic_uJ, 0.0, 0.0
         first = self.first_slip = len(self.slips)
         begin_s = self.time_s
-        for duration_s, relative_mm_s2 in self._spans:
+        # Spans of constant acceleration.
+        for relative_mm_s2, phases in groupby(self.drive.phases, key=itemgetter(1)):
+            duration_s = sum(duration for duration, _ in phases)
             end_s, number = self.time_s + duration_s, len(self.slips)
             self._phase(self.time_s, end_s, relative_mm_s2)
             gained = relative_mm_s2 * duration_s
@@ -618,14 +619,12 @@ class Walker:
         loss = sum(slip.loss_uJ for slip in self.slips[first:])
         forward = sum(slip.end_travel_mm for slip in self.slips[first:] if slip.direction > 0)
         backward = sum(slip.end_travel_mm for slip in self.slips[first:] if slip.direction < 0)
-        slip_s = sum(slip.width_s for slip in self.slips[first:])
         return Period(
             begin_s,
             begin_mm,
             self.position_mm,
             forward,
             backward,
-            slip_s,
             work,
             loss,
             begin_uJ,
@@ -643,12 +642,6 @@ class Walker:
             inside = slice(begins[number], ends[number])
             position[inside], velocity[inside], friction[inside] = self.slips[number].at(time_s[inside])
         return position, velocity, friction
-
-    @property
-    def _spans(self) -> list[tuple[float, float]]:
-        """Duration and relative acceleration of each span of constant acceleration in a period."""
-        spans = groupby(self.drive.phases, key=lambda phase: phase[1])
-        return [(sum(duration for duration, _ in span), acceleration) for acceleration, span in spans]
 
     @property
     def _inner(self) -> float:

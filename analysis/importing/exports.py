@@ -11,7 +11,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from uuid import UUID, uuid5
@@ -29,6 +29,7 @@ from dragrig.rig import (
     Attribute,
     PhaseArray,
     RecordedChannel,
+    RunEnding,
     RunEvent,
     RunHeader,
     RunStatus,
@@ -63,10 +64,7 @@ class PreparedRun:
     columns: Mapping[str, AnyFloatArray | PhaseArray]
     events: tuple[RunEvent, ...]
     remarks: tuple[str, ...] = ()
-    status: RunStatus = RunStatus.COMPLETE
-    reason: str = ""
-    end_time: datetime | None = None
-    checks: Mapping[str, Attribute] | None = None
+    ending: RunEnding = field(default_factory=lambda: RunEnding(RunStatus.COMPLETE))
 
 
 def read_export(path: Path) -> ExportedRun | None:
@@ -224,16 +222,9 @@ def restore_run(exported: ExportedRun) -> PreparedRun:
         )
         entries = (_sequence(event) for event in _sequence(metadata["events"]))
         events = tuple(RunEvent(float(str(time_s)), str(kind), str(message)) for time_s, kind, message in entries)
-        return PreparedRun(
-            header=header,
-            columns=columns,
-            remarks=remarks,
-            events=events,
-            status=RunStatus(str(metadata["status"])),
-            reason=str(metadata["reason"]),
-            end_time=datetime.fromisoformat(str(metadata["end_time"])) if metadata["end_time"] else None,
-            checks=_attributes(metadata["checks"]),
-        )
+        end_time = datetime.fromisoformat(str(metadata["end_time"])) if metadata["end_time"] else None
+        status, reason, checks = str(metadata["status"]), str(metadata["reason"]), _attributes(metadata["checks"])
+        return PreparedRun(header, columns, events, remarks, RunEnding(RunStatus(status), reason, end_time, checks))
     except (ArithmeticError, KeyError, TypeError, ValueError) as error:
         raise _changed(exported.path, str(error)) from error
 

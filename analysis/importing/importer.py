@@ -94,10 +94,8 @@ def _write(run: PreparedRun, target: Path) -> ImportedRun:
     from dragrig.rig import write_run
 
     events = (*map(import_event, run.remarks), *run.events)
-    written = write_run(
-        _run_file_path(target, run.header), run.header, run.columns, events=events, status=run.status,
-        reason=run.reason, end_time=run.end_time, checks=run.checks,
-    )  # fmt: skip
+    path = _run_file_path(target, run.header)
+    written = write_run(path, run.header, run.columns, events=events, ending=run.ending)
     return ImportedRun(written, len(run.columns["time"]), run.header.sample_rate_hz, events)
 
 

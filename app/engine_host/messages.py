@@ -502,7 +502,8 @@ class LiveRingWriter:
         # Odd while the fields are inconsistent.
         head[_SERIAL] += 1
         head[_BASE] = head[_WRITTEN]
-        head[_RATE_MHZ] = round(1000 * _sample_rate(reading))
+        last, last_s = reading.end_index - 1, float(reading.time[-1])
+        head[_RATE_MHZ] = round(1000 * (last / last_s if last > 0 and last_s > 0 else 1000.0))
         head[_SERIAL] += 1
 
     def _write(
@@ -549,8 +550,3 @@ class LiveRingReader:
         return LiveSamples(
             serial, rate / 1000, start + torn - base, missed, force[torn:], position[torn:], phase[torn:]
         )
-
-
-def _sample_rate(reading: Reading) -> float:
-    last = reading.end_index - 1
-    return last / float(reading.time[-1]) if last > 0 and reading.time[-1] > 0 else 1000.0

@@ -6,7 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import count
 from multiprocessing.connection import Connection
@@ -547,16 +547,15 @@ class EngineHost:
 
     def _moved_by(self, motion: HandMotion) -> StageMoved:
         """Make a motion by hand, as the command of its name does; an abort stops it as it does a session."""
-        choices, person, begun = self._rig.choices(), self._operator, self._receiver.stops
-        pace = self._rig.pace
+        rig, person, begun = self._rig, self._operator, self._receiver.stops
+        # A request's fields have the names of the function's parameters.
         match motion:
-            case HomeStage(override):
-                move = home(override=override, pace=pace, person=person, begun=begun, **choices)
-            case JogStage(distance_mm, speed_mm_s, override):
-                move = jog(distance_mm, speed_mm_s, override=override, pace=pace, person=person, begun=begun, **choices)
-            case TouchOffStage(most_mm, force_mN, speed_mm_s, back_mm, name):
-                contact = touch_off(most_mm, force_mN=force_mN, speed_mm_s=speed_mm_s, back_mm=back_mm, operator=name,
-                                    pace=pace, person=person, begun=begun, **choices)  # fmt: skip
+            case HomeStage():
+                move = home(**asdict(motion), pace=rig.pace, person=person, begun=begun, **rig.choices())
+            case JogStage():
+                move = jog(**asdict(motion), pace=rig.pace, person=person, begun=begun, **rig.choices())
+            case TouchOffStage():
+                contact = touch_off(**asdict(motion), pace=rig.pace, person=person, begun=begun, **rig.choices())
                 return StageMoved(
                     f"Contact at {contact.position_mm:.3f} mm, where the force changed by {contact.force_mN:.1f} mN; "
                     "stored as contact.toml in the lab folder."
@@ -574,28 +573,16 @@ class EngineHost:
 
     def _calibrated(self, job: CalibrationJob) -> CalibrationMeasured:
         """Calibrate as the command does, but leave the result to be looked at before it is stored."""
-        choices, person = self._rig.choices(), self._operator
+        rig, person = self._rig, self._operator
 
         def begun(abort: Callable[[str], None]) -> None:
             self._receiver.stops(abort)
             self._receiver.stands = isinstance(job, CalibrateForce) or job.by_hand
 
-        match job:
-            case CalibrateForce(weights_g, repeats, duration_s, name, note):
-                force = calibrate_force(weights_g, repeats=repeats, duration_s=duration_s, operator=name, note=note,
-                                        store=False, pace=self._rig.pace, person=person, begun=begun,
-                                        **choices)  # fmt: skip
-                record = sensor_calibration_document(force.entry, force.points, force.line, force.notes, stored=False)
-                return CalibrationMeasured(force.entry, record)
-            case CalibrateEncoder(travel_mm, measured_mm, repeats, speed_mm_s, by_hand, duration_s, name, note):
-                travel = calibrate_encoder(travel_mm, measured_mm=measured_mm, repeats=repeats, speed_mm_s=speed_mm_s,
-                                           by_hand=by_hand, duration_s=duration_s, operator=name, note=note,
-                                           store=False, pace=self._rig.pace, person=person, begun=begun,
-                                           **choices)  # fmt: skip
-                record = sensor_calibration_document(
-                    travel.entry, travel.points, travel.line, travel.notes, stored=False
-                )
-                return CalibrationMeasured(travel.entry, record)
+        calibrate = calibrate_force if isinstance(job, CalibrateForce) else calibrate_encoder
+        made = calibrate(**asdict(job), store=False, pace=rig.pace, person=person, begun=begun, **rig.choices())
+        record = sensor_calibration_document(made.entry, made.points, made.line, made.notes, stored=False)
+        return CalibrationMeasured(made.entry, record)
 
     def _store(self, entry: Calibration) -> CalibrationStored:
         store_calibration(entry, **self._rig.choices())

@@ -412,6 +412,11 @@ class HardwareBackend:
         When the drive's dialect is not known, or lacks a function that nothing on the rig stands in for.
     """
 
+    name = "hardware"
+    """Name that the run files carry."""
+    needs_hands = True
+    """A person has to be at this rig."""
+
     def __init__(
         self,
         request: BackendRequest,
@@ -421,7 +426,7 @@ class HardwareBackend:
         self._rig: RigSettings = request.rig
         self._dialect = fitting_dialect(request.rig.hardware)
         self._calibrations = request.calibrations
-        self._clock = clock or WallClock(request.origin)
+        self.clock = clock or WallClock(request.origin)
         self._on_arm = on_arm
         self._sync, self._watchdog = MotionSamplingSync(), Watchdog()
         self._open = ExitStack()
@@ -435,16 +440,6 @@ class HardwareBackend:
         self._identity: Mapping[str, str] = {}
 
     @property
-    def name(self) -> str:
-        """Name that the run files carry."""
-        return "hardware"
-
-    @property
-    def needs_hands(self) -> bool:
-        """A person has to be at this rig."""
-        return True
-
-    @property
     def stage(self) -> Stage:
         """The axis; raises `DeviceError` before the rig is connected."""
         return _connected(self._stage)
@@ -453,11 +448,6 @@ class HardwareBackend:
     def sampler(self) -> Sampler:
         """The acquisition; raises `DeviceError` before the rig is connected."""
         return _connected(self._sampler)
-
-    @property
-    def clock(self) -> Clock:
-        """The rig's time."""
-        return self._clock
 
     def description(self) -> Mapping[str, str | float | int | bool]:
         """Return sensor, card and drive, as run files name them."""
@@ -537,7 +527,7 @@ class HardwareBackend:
         except DeviceError as error:
             yield RigCheck(StopName.ENABLE.value, False, reason_of(error))
             return
-        yield from StopTrial(self._rig, stage, lines, self._clock, self._dialect).run(in_motion=in_motion)
+        yield from StopTrial(self._rig, stage, lines, self.clock, self._dialect).run(in_motion=in_motion)
 
     def close(self) -> None:
         """Stop the stage and close every device, also where another one fails.
@@ -573,7 +563,7 @@ class HardwareBackend:
                 self._rig,
                 self._calibrations,
                 self._sync,
-                self._clock,
+                self.clock,
                 self._watchdog.feed,
                 self._on_arm,
             )
@@ -589,7 +579,7 @@ class HardwareBackend:
     def _open_drive(self) -> MonitoredStage:
         if self._stage is None:
             link, lines = self._open_link(), _connected(self._lines)
-            devices = StageDevices(self._rig, link, lines, self._sync, self._clock, self._watchdog)
+            devices = StageDevices(self._rig, link, lines, self._sync, self.clock, self._watchdog)
             if self._rig.hardware.drive.mode == "velocity":
                 self._stage = VelocityModeStage(devices, _connected(self._connection), self._calibrations)
             else:

@@ -9,6 +9,7 @@ from .finisher import finish as finish
 from .model import Attribute as Attribute
 from .model import RecordedChannel as RecordedChannel
 from .model import Run as Run
+from .model import RunEnding as RunEnding
 from .model import RunEvent as RunEvent
 from .model import RunHeader as RunHeader
 from .model import RunStatus as RunStatus

@@ -497,7 +497,8 @@ class Recorder:
     def __exit__(self, _kind: object, fault: BaseException | None, _trace: object) -> None:
         if not self._closed:
             status = RunStatus.ABORTED if isinstance(fault, KeyboardInterrupt) else RunStatus.FAILED
-            self.close(status, str(fault) if fault else "the recorder was left before the run was closed")
+            reason = str(fault) if fault else "the recorder was left before the run was closed"
+            self.close(RunEnding(status, reason))
 
     @property
     def failure(self) -> RecordingError | None:
@@ -550,20 +551,14 @@ class Recorder:
         """Add attributes of the run that become known while the run goes on."""
         self._thread.annotations.append(entry_annotation(entry))
 
-    def close(
-        self,
-        status: RunStatus,
-        reason: str = "",
-        end_time: datetime | None = None,
-        checks: Mapping[str, Attribute] | None = None,
-    ) -> Path:
-        """Write the remaining samples and how the run ended; return the recording, ready to be finished.
+    def close(self, ending: RunEnding) -> Path:
+        """Write what is left and how the run ended; return the recording, ready to be finished.
 
         Raises `RecordingError` when the disk refused data; samples flushed before stay recoverable at `path`.
         """
         if not self._closed:
             self._closed = True
-            self._thread.annotations.append(ending_annotation(RunEnding(status, reason, end_time, checks or {})))
+            self._thread.annotations.append(ending_annotation(ending))
             self._ring.close()
             self._thread.join(MAX_CLOSE_S)
             if self._thread.is_alive():

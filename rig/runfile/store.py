@@ -8,7 +8,6 @@ import queue
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from threading import Thread
@@ -23,7 +22,7 @@ from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.campaigns import is_same_recording, mark_bad, write_note
 from dragrig.rig.runfile.filesystem import brief_error, move_into_place, remove_quietly
 from dragrig.rig.runfile.finisher import Finisher, FinishResult
-from dragrig.rig.runfile.model import Attribute, Run, RunEvent, RunHeader, RunInfo, RunStatus, Trace
+from dragrig.rig.runfile.model import Attribute, Run, RunEnding, RunEvent, RunHeader, RunInfo, Trace
 from dragrig.rig.runfile.reader import read_run
 from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
 from dragrig.rig.runfile.schema import FORMAT_VERSION
@@ -69,7 +68,7 @@ class FolderStore:
         max_stall_s: float = MAX_STALL_S,
     ) -> None:
         self._folder, self._max_stall_s = folder, max_stall_s
-        self._recorder = partial(Recorder, flush_s=flush_s, reserve_bytes=round(reserve_mb * 2**20))
+        self._sink = partial(FolderSink, flush_s=flush_s, reserve_bytes=round(reserve_mb * 2**20))
         self._on_finished = on_finished
         self._finisher = Finisher(on_finished)
         self._paths: dict[int, Path] = {}
@@ -90,9 +89,9 @@ class FolderStore:
     def open(self, header: RunHeader, expected_samples: int) -> "FolderSink":
         """Begin a record; raises `RecordingError` or `OutputError` when it cannot be."""
         path = self._folder / schema.run_file_name(header.start_time, header.kind, header.order)
-        recorder = self._recorder(path, header, expected_samples=expected_samples)
-        self._paths[header.order] = path
-        return FolderSink(recorder, self._finisher)
+        sink = self._sink(path, header, expected_samples=expected_samples)
+        sink.finisher, self._paths[header.order] = self._finisher, path
+        return sink
 
     def mark_bad(self, order: int, reason: str) -> None:
         """Mark a run of this session as bad."""
@@ -159,29 +158,16 @@ def _require_room_for_names(folder: Path) -> None:
             ) from error
 
 
-class FolderSink:
+class FolderSink(Recorder):
     """One run on its way into a folder."""
 
-    def __init__(self, recorder: Recorder, finisher: Finisher) -> None:
-        self._recorder = recorder
-        self._finisher = finisher
+    finisher: Finisher
+    """Finishes the recording once it is closed."""
 
-    def offer(self, first_index: int, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
-        """Take a reading's arrays; raises `RecordingError` once they cannot be stored."""
-        self._recorder.offer(first_index, arrays)
-
-    def event(self, event: RunEvent) -> None:
-        """Take an event."""
-        self._recorder.event(event)
-
-    def annotate(self, entry: Mapping[str, Attribute]) -> None:
-        """Take attributes of `/entry/run` that become known during the run."""
-        self._recorder.annotate(entry)
-
-    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+    def close(self, ending: RunEnding) -> Path:
         """Finish the record and hand it on; return its run file, which exists after `settle` at the latest."""
-        recording = self._recorder.close(status, reason, end_time, checks)
-        self._finisher.submit(recording)
+        recording = super().close(ending)
+        self.finisher.submit(recording)
         return schema.finished_path(recording)
 
 
@@ -427,19 +413,19 @@ class MemorySink:
         """Take attributes of `/entry/run` that become known during the run."""
         self._header = replace(self._header, entry={**self._header.entry, **entry})
 
-    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+    def close(self, ending: RunEnding) -> Path:
         """Finish the record; the path is a name without a file."""
         time = self._column("time", np.float64)
         path = Path(f"{self._header.run_id}.h5")
         info = RunInfo(
             path=path,
             format_version=FORMAT_VERSION,
-            status=status,
+            status=ending.status,
             header=self._header,
             samples=len(time),
-            reason=reason,
-            end_time=end_time,
-            checks=checks,
+            reason=ending.reason,
+            end_time=ending.end_time,
+            checks=ending.checks,
         )
         trace = Trace(
             sample_rate_hz=self._header.sample_rate_hz,

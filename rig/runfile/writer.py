@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import TypeAlias
 
@@ -49,6 +48,7 @@ Column: TypeAlias = AnyFloatArray | PhaseArray
 FILE_CHUNK = 1 << 16
 """Samples of a chunk in a finished file."""
 GZIP_LEVEL = 4
+AS_PLANNED = RunEnding(RunStatus.COMPLETE)
 DIGEST_SAMPLES = 1 << 19
 """Samples read at a time, so that memory does not grow with the run."""
 
@@ -286,10 +286,7 @@ def write_run(
     columns: Mapping[str, Column],
     *,
     events: Sequence[RunEvent] = (),
-    status: RunStatus = RunStatus.COMPLETE,
-    reason: str = "",
-    end_time: datetime | None = None,
-    checks: Mapping[str, Attribute] | None = None,
+    ending: RunEnding = AS_PLANNED,
 ) -> Path:
     """Write a finished run file at once, for measurements that come from elsewhere.
 
@@ -317,9 +314,9 @@ def write_run(
         if path.exists():
             raise OutputError(f"{path}: there is a file already; choose another name or remove it")
         with new_file(path) as file:
-            write_header(file, header, status)
+            write_header(file, header, ending.status)
             digest = _write_columns(file[schema.TRACE], header, columns)
-            write_ending(file, events, RunEnding(status, reason, end_time, checks or {}), digest)
+            write_ending(file, events, ending, digest)
     return path
 
 

@@ -93,30 +93,15 @@ class SimulatedBackend:
         active_effects(model)
         self._rig = rig
         self._model_name = model.name
-        self._clock = clock
+        self.clock = clock
         drawn = draw_specimen_model(model, rig.simulated.seed) if rig.simulated.variation.specimen else model
         axis = SimulatedAxis(clock, 1.0 / rig.sampling.rate_hz, rig.stage.stop_accel_mm_s2)
-        self._stage = SimulatedStage(rig.stage, axis, PositionEncoder.of(rig.encoder), disturbances)
-        self._sampler = SimulatedSampler(rig, drawn, clock, axis, disturbances, first_run_at)
+        self.stage = SimulatedStage(rig.stage, axis, PositionEncoder.of(rig.encoder), disturbances)
+        self.sampler = SimulatedSampler(rig, drawn, clock, axis, disturbances, first_run_at)
         self._memory = memory or RigMemory()
         if isinstance(before := self._memory.kept, _Kept):
             axis.place(before.position_mm)
-            self._stage.homed, self._sampler.left = before.homed, before.left
-
-    @property
-    def stage(self) -> SimulatedStage:
-        """The simulated stage."""
-        return self._stage
-
-    @property
-    def sampler(self) -> SimulatedSampler:
-        """The simulated sampler."""
-        return self._sampler
-
-    @property
-    def clock(self) -> Clock:
-        """The clock of the simulated rig."""
-        return self._clock
+            self.stage.homed, self.sampler.left = before.homed, before.left
 
     def description(self) -> Mapping[str, str | float | int | bool]:
         """Return seed, sensor, model and whether the specimen was drawn at random; not the values drawn."""
@@ -133,20 +118,20 @@ class SimulatedBackend:
 
     def close(self) -> None:
         """Stop the stage, end the acquisition and switch the drive off."""
-        self._stage.stop()
-        self._sampler.stop()
-        self._stage.disable()
-        state = self._stage.state()
-        self._memory.kept = _Kept(state.position_mm, state.homed, self._sampler.left)
+        self.stage.stop()
+        self.sampler.stop()
+        self.stage.disable()
+        state = self.stage.state()
+        self._memory.kept = _Kept(state.position_mm, state.homed, self.sampler.left)
 
     def hang(self, load_mN: float) -> None:
         """Hang a load on the force sensor, in place of the capsule."""
-        self._sampler.hang(load_mN)
+        self.sampler.hang(load_mN)
 
     def push(self, distance_mm: float, within_s: float) -> None:
         """Push the stage during the next measurement."""
         del within_s
-        self._sampler.push(distance_mm)
+        self.sampler.push(distance_mm)
 
     def press(self, switch: str, *, on: bool) -> None:
         """Do nothing: no wire leads to a switch here."""

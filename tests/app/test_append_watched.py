@@ -12,7 +12,7 @@ from dragrig.campaign_session import append_to_campaign
 from dragrig.cli import main
 from dragrig.config.errors import PlanError
 from dragrig.hosted_session import SessionOptions
-from dragrig.rig import RunStatus, read_campaign
+from dragrig.rig import RunEnding, RunStatus, read_campaign
 from dragrig.rig.runfile import Recorder
 from dragrig.session_state import STATE_FILE, is_session_running
 from dragrig.watch import CampaignState, CampaignWatch
@@ -114,7 +114,7 @@ def test_a_campaign_goes_on_once_the_last_recording_of_a_killed_session_is_finis
     def close_once_the_campaign_goes_on() -> None:
         while not is_session_running(campaign):
             time.sleep(0.001)
-        recorder.close(RunStatus.ABORTED, "killed", START, {})
+        recorder.close(RunEnding(RunStatus.ABORTED, "killed", START))
 
     with ThreadPoolExecutor(1) as finisher:
         closed = finisher.submit(close_once_the_campaign_goes_on)

@@ -259,7 +259,7 @@ def reword(change_content: Callable[[dict[str, Any]], object], *, files: int | N
 
 
 def in_header(name: str, value: object) -> Change:
-    return reword(lambda content: content["runs"][0][2]["header"].update({name: value}))
+    return reword(lambda content: content[1][0][1]["header"].update({name: value}))
 
 
 UNPACKED = 60 << 20
@@ -268,7 +268,7 @@ UNPACKED = 60 << 20
 @pytest.mark.parametrize(
     "damage",
     [
-        reword(lambda content: content["runs"][0][2].update(header=None)),
+        reword(lambda content: content[1][0][1].update(header=None)),
         thorough(in_header("specimen", None)),
         in_header("specimen", {"name": "jejunum"}),
         thorough(in_header("entry", {"operator": {"first": "A."}})),
@@ -276,9 +276,9 @@ UNPACKED = 60 << 20
         thorough(in_header("settings_toml", 7)),
         in_header("channels", [[1, 2, 3]]),
         thorough(in_header("start_time", "2026-05-04T09:00:00")),
-        thorough(reword(lambda content: content["runs"][0][2].update(samples="many"))),
-        reword(lambda content: content["names"].append(None)),
-        thorough(reword(lambda content: content.update(unreadable={"x": 1}))),
+        thorough(reword(lambda content: content[1][0][1].update(samples="many"))),
+        reword(lambda content: content[0].append(None)),
+        thorough(reword(lambda content: content.__setitem__(2, {"x": 1}))),
         reword(lambda _: b"[" * 100_000 + b"]" * 100_000),
         alter("UPDATE folder SET summary = '" + "[" * 100_000 + "'"),
         thorough(reword(lambda _: bytes(UNPACKED))),

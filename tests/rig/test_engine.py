@@ -23,17 +23,15 @@ from dragrig.rig.devices import Backend, Block, StageState, TravelEnd, Trip, Tri
 from dragrig.rig.engine import (
     AcquisitionOutcome,
     Engine,
-    EngineState,
-    EngineStatus,
     attempt,
     early_end_error,
     require_agreement,
     require_complete,
 )
 from dragrig.rig.guard import Guard
-from dragrig.rig.profile import AnyFloatArray, Phase, PhaseArray
+from dragrig.rig.profile import AnyFloatArray, PhaseArray
 from dragrig.rig.reading import CheckReport, Reading
-from dragrig.rig.runfile import Attribute, RunEvent, RunStatus
+from dragrig.rig.runfile import Attribute, RunEnding, RunEvent, RunStatus
 from sim_faults import DriveFault, Faults, FollowError, ForceSpike, LostSamples, StaleData, StuckEncoder
 from simulated import acquire, session, settings, stroke
 
@@ -65,8 +63,8 @@ class Notes:
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
         self.annotations.append(dict(entry))
 
-    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
-        self.closed.append((status, reason, end_time, checks))
+    def close(self, ending: RunEnding) -> Path:
+        self.closed.append((ending.status, ending.reason, ending.end_time, ending.checks))
         return FINDINGS
 
 
@@ -87,8 +85,7 @@ class Bench:
 
 def test_a_run_as_planned_is_recorded_whole() -> None:
     bench = Bench()
-    seen: list[EngineStatus] = []
-    outcome = bench.run(view=lambda _: seen.append(bench.engine.status))
+    outcome = bench.run()
     assert (outcome.status, outcome.reason, outcome.samples, outcome.path) == (
         RunStatus.COMPLETE, "", SAMPLES, FINDINGS,
     )  # fmt: skip
@@ -97,10 +94,6 @@ def test_a_run_as_planned_is_recorded_whole() -> None:
     assert bench.notes.annotations == [{"command_t0_uncertainty_s": 0.0}]
     ((status, reason, _, checks),) = bench.notes.closed
     assert (status, reason, checks) == (RunStatus.COMPLETE, "", outcome.checks.values)
-    assert {(entry.state, entry.run_id, entry.expected_samples) for entry in seen} == {
-        (EngineState.RUNNING, "run-0-drag", SAMPLES)
-    }
-    assert bench.engine.status.state is EngineState.IDLE
     assert not bench.engine.cancelled.is_set()
     bench.engine.require_not_aborted()
     require_complete(outcome)
@@ -120,25 +113,6 @@ def aborted_before() -> AcquisitionOutcome:
     outcome = bench.run()
     assert (outcome.status, outcome.reason, outcome.samples) == (RunStatus.ABORTED, "Ctrl-C", 0)
     return outcome
-
-
-def test_whoever_asks_meanwhile_is_told_the_latest_sample() -> None:
-    bench = Bench()
-    readings: list[Reading] = []
-    told: list[EngineStatus] = []
-
-    def look(reading: Reading) -> bool:
-        readings.append(reading)
-        told.append(bench.engine.status)
-        return False
-
-    bench.run(stop_when=look)
-    assert [status.samples for status in told] == [reading.end_index for reading in readings]
-    last, status = readings[6], told[6]
-    assert status.phase is Phase(int(last.phase[-1]))
-    assert status.position_mm == float(last.channels["position"][-1])
-    assert status.force_mN == float(last.channels["force"][-1])
-    assert status.state is EngineState.RUNNING
 
 
 STUCK = (
@@ -363,7 +337,6 @@ def test_an_error_of_nobodys_kind_is_raised_after_the_clean_up(monkeypatch: pyte
     with pytest.raises(ZeroDivisionError):
         bench.run()
     assert bench.notes.closed[0][:2] == (RunStatus.FAILED, "ZeroDivisionError: by 0")
-    assert bench.engine.status.state is EngineState.IDLE
 
 
 @pytest.mark.parametrize(
@@ -545,30 +518,6 @@ def test_a_run_that_cannot_begin_closes_its_record(monkeypatch: pytest.MonkeyPat
     assert end_time.tzinfo is not None
     with pytest.raises(ValueError, match="absurd"):
         bench.engine.acquire(acquire(PROFILE))
-
-
-def test_the_states_of_an_acquisition_come_in_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(Faults(force_spike=ForceSpike(0.4, 9000.0)))
-    states: list[EngineStatus] = []
-
-    def noting(step: Callable[..., object]) -> Callable[..., object]:
-        def noted(*arguments: object) -> object:
-            status = replace(bench.engine.status, samples=0, phase=Phase.REST, position_mm=0.0, force_mN=0.0)
-            if status not in states[-1:]:
-                states.append(status)
-            return step(*arguments)
-
-        return noted
-
-    sampler = bench.backend.sampler
-    for step in ("arm", "read", "stop"):
-        monkeypatch.setattr(sampler, step, noting(getattr(sampler, step)))
-    bench.run()
-    states.append(bench.engine.status)
-    assert [status.state for status in states] == [
-        EngineState.ARMED, EngineState.RUNNING, EngineState.STOPPING, EngineState.FINISHING, EngineState.IDLE,
-    ]  # fmt: skip
-    assert all((status.run_id, status.expected_samples) == ("run-0-drag", SAMPLES) for status in states[:-1])
 
 
 def test_an_early_end_has_the_error_of_its_status() -> None:

@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,7 @@ from dragrig.rig.manual import ManualControl
 from dragrig.rig.operator import Answer, NullOperator, Prompt
 from dragrig.rig.profile import AnyFloatArray, FloatArray, MotionProfile, PhaseArray
 from dragrig.rig.reading import Reading
-from dragrig.rig.runfile.model import Attribute, RunEvent, RunStatus
+from dragrig.rig.runfile.model import Attribute, RunEnding, RunEvent, RunStatus
 from dragrig.setup import create_lab
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
@@ -67,7 +66,7 @@ class Kept:
     def annotate(self, entry: Mapping[str, Attribute]) -> None:
         self.entry.update(entry)
 
-    def close(self, status: RunStatus, reason: str, end_time: datetime, checks: Mapping[str, Attribute]) -> Path:
+    def close(self, ending: RunEnding) -> Path:
         return Path("nowhere")
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from dragrig.rig import recover
 from dragrig.rig.runfile import finish, finisher, read_run, recorder, schema, writer
-from dragrig.rig.runfile.model import RunEvent, RunStatus
+from dragrig.rig.runfile.model import RunEnding, RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import Recorder
 from ending import kill, was_killed
 from runfiles import START, arrays, header
@@ -71,7 +71,7 @@ def victim(path: Path, rate_hz: float, seconds: float, die_at: str, times: int) 
             if number % 10 == 0:
                 recorder.event(RunEvent(number * BLOCK_S, "tick", str(number)))
             _say((number + 1) * per_block)
-        left = recorder.close(RunStatus.COMPLETE, "as planned", START)
+        left = recorder.close(RunEnding(RunStatus.COMPLETE, "as planned", START))
     finish(left)
 
 

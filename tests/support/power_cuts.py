@@ -19,7 +19,7 @@ import numpy as np
 
 from dragrig.rig import RecoveryOutcome, left_recordings, recover
 from dragrig.rig.runfile import Recorder, finish, read_run, verify
-from dragrig.rig.runfile.model import RunEvent, RunStatus
+from dragrig.rig.runfile.model import RunEnding, RunEvent, RunStatus
 from runfiles import START, arrays, header
 
 PAGE_BYTES = 4096
@@ -154,7 +154,7 @@ def record_on_emulated_disk(folder: Path, seed: int, max_lag_s: float, duration_
                 offers.append((time.monotonic(), (number + 1) * per_block))
                 if number % 10 == 0:
                     recorder.event(RunEvent(number * BLOCK_S, "tick", str(number)))
-            left = recorder.close(RunStatus.COMPLETE, "as planned", START)
+            left = recorder.close(RunEnding(RunStatus.COMPLETE, "as planned", START))
         finish(left)
         time.sleep(5 * LOOK_S)
     return Recorded(disk, begun_s, time.monotonic(), offers)

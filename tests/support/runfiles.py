@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig.runfile.model import RecordedChannel, RunHeader, RunStatus
+from dragrig.rig.runfile.model import RecordedChannel, RunEnding, RunHeader, RunStatus
 from dragrig.rig.runfile.recorder import Recorder
 
 Arrays = dict[str, npt.NDArray[np.generic]]
@@ -73,4 +73,4 @@ def record(path: Path, samples: int, order: int = 0, status: RunStatus = RunStat
     with Recorder(path, replace(header(order)), reserve_bytes=0) as recorder:
         for first, block in blocks(samples, 500):
             recorder.offer(first, block)
-        return recorder.close(status, "as planned", START, {"rest_offset_mN": 1.5, "clipped": False})
+        return recorder.close(RunEnding(status, "as planned", START, {"rest_offset_mN": 1.5, "clipped": False}))

@@ -16,7 +16,7 @@ from threading import Lock, Thread
 import numpy as np
 
 from dragrig.config import Calibration, CardSettings, DeviceError, OverrunError, RigSettings, SettingsError
-from dragrig.rig import MAX_BLOCK_S, Acquisition, Block, Clock, FloatArray, RawReading, RecordedChannel, Trip, TripCause
+from dragrig.rig import MAX_BLOCK_S, Acquisition, Block, Clock, FloatArray, RawReading, Trip, TripCause
 from dragrig.rig.hardware import FirstSample, MotionSamplingSync
 from dragrig.rig.hardware.card.connection import (
     Connection,
@@ -297,12 +297,15 @@ class CardSampler:
         self._connection, self._rig, self._sync, self._clock = connection, rig, sync, clock
         self._feed_watchdog, self._on_arm = feed_watchdog, on_arm
         self._scaling = Scaling.from_settings(rig, calibrations)
+        self.channels, self.force_range_mN = self._scaling.channels, self._scaling.force_range_mN
+        """Force, position and further inputs of the settings; and the forces at the ends of the force input's range."""
         self._alive_uV = calibrations["force"].noise_uV if "force" in calibrations else 0.0
-        self._filter = AntiAliasFilter.of(oversampling_factor(rig))
+        self.anti_alias = AntiAliasFilter.of(oversampling_factor(rig))
+        """What makes recorded samples of the card's."""
         self._timing: ScanTiming | None = None
         # A block is complete once the filter has the samples after it. At most half of what counts as stale, so that a
         # healthy card cannot look stale.
-        wait_s = 0.0 if self._filter.factor == 1 else WINGS / rig.sampling.rate_hz
+        wait_s = 0.0 if self.anti_alias.factor == 1 else WINGS / rig.sampling.rate_hz
         block_s = min(rig.sampling.block_s, _MAX_FETCH_S - wait_s, rig.guard.stale_data_s / 2 - wait_s)
         self._block_samples = max(1, int(block_s * rig.sampling.rate_hz + 1e-6))
         self._lock = Lock()
@@ -316,7 +319,7 @@ class CardSampler:
 
         Raises `DeviceError` when the card refuses to tell.
         """
-        return self.timing.rate_hz / self._filter.factor
+        return self.timing.rate_hz / self.anti_alias.factor
 
     @property
     def timing(self) -> ScanTiming:
@@ -327,21 +330,6 @@ class CardSampler:
                 tasks.close()
             return tasks.timing
         return self._timing
-
-    @property
-    def anti_alias(self) -> AntiAliasFilter:
-        """The filter from the card's samples to recorded ones."""
-        return self._filter
-
-    @property
-    def channels(self) -> tuple[RecordedChannel, ...]:
-        """Force, position, and the further inputs of the settings."""
-        return self._scaling.channels
-
-    @property
-    def force_range_mN(self) -> tuple[float, float]:
-        """Forces at the ends of the force input's range."""
-        return self._scaling.force_range_mN
 
     def arm(self, acquisition: Acquisition) -> None:
         """Reserve and program the card for an acquisition of the profile's length.
@@ -498,7 +486,7 @@ class CardSampler:
             volts, rate_hz = read_force_alone(self._connection, MAX_AGGREGATE_RATE_HZ, PROBE_S)
         if len(volts) < PROBE_S * rate_hz / 2:
             raise no_samples_error(self._connection.card, PROBE_S)
-        return find_aliases(volts, rate_hz, self._filter, self.sample_rate_hz)
+        return find_aliases(volts, rate_hz, self.anti_alias, self.sample_rate_hz)
 
     def _collect(
         self,
@@ -535,7 +523,7 @@ class CardSampler:
                 "the computer if that does not help."
             )
         with driver_errors_wrapped(card, doing):
-            tasks = SampledTasks(self._connection, self._rig, self._rig.sampling.rate_hz * self._filter.factor)
+            tasks = SampledTasks(self._connection, self._rig, self._rig.sampling.rate_hz * self.anti_alias.factor)
         self._timing = tasks.timing
         return tasks
 
@@ -554,10 +542,10 @@ class CardSampler:
         return ForceInputMonitor(self._rig, self.noise_limits, self.timing.rate_hz)
 
     def _fetcher(self, tasks: SampledTasks) -> SampleFetcher | OversampledFetcher:
-        inputs, factor = len(self._scaling.channels) - 1, self._filter.factor
-        block = self._block_samples * factor + self._filter.wing
+        inputs, factor = len(self._scaling.channels) - 1, self.anti_alias.factor
+        block = self._block_samples * factor + self.anti_alias.wing
         fetcher = SampleFetcher(tasks.analog, tasks.encoder, inputs, block, metres_per_count(self._rig))
-        return fetcher if factor == 1 else OversampledFetcher(fetcher, self._filter, inputs)
+        return fetcher if factor == 1 else OversampledFetcher(fetcher, self.anti_alias, inputs)
 
 
 def _refuse_excessive_rate(rig: RigSettings) -> None:

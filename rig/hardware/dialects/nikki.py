@@ -102,7 +102,10 @@ class NikkiDialect(Dialect):
         """Return the one frame of a request."""
         text = ""
         if request.value is not None:
-            text = _encode_value(request.value, _steps_per_unit(request.command, request.parameter))
+            number = request.value * _steps_per_unit(request.command, request.parameter)
+            if not isfinite(number) or abs(round(number)) >= 10**10:
+                raise FrameError(f"{request.value:g} does not fit into a frame")
+            text = f"{round(number):+d}"
         return (_build_frame(drive.station, request.command, request.parameter, text),)
 
     def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply:
@@ -164,12 +167,6 @@ def _steps_per_unit(command: Command, parameter: Parameter | None) -> int:
     if parameter is not None:
         return _PARAMETERS[parameter][1]
     return 1 if command is Command.HOME else _POSITION_STEPS
-
-
-def _encode_value(value: float, steps: int) -> str:
-    if not isfinite(value) or abs(number := round(value * steps)) >= 10**10:
-        raise FrameError(f"{value:g} does not fit into a frame")
-    return f"{number:+d}"
 
 
 def _decode_status(text: str) -> Status:

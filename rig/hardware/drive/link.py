@@ -350,7 +350,9 @@ class DriveLink:
         # A reply that came too late for its own request would be taken for the reply to this one.
         self._serial.reset_input_buffer()
         self._write(frame)
-        began_s, wait_s = time.perf_counter(), self._wait_s(request)
+        patience_s = self._patience_s if self.unheard_s < self._patience_s else 0.0
+        wait_s = max(patience_s / (2 if request.repeatable else 1), self._settings.reply_s)
+        began_s = time.perf_counter()
         received, count, problem, timed_out = b"", 0, "no whole frame among them", False
         while not timed_out:
             waited_s = time.perf_counter() - began_s
@@ -371,11 +373,6 @@ class DriveLink:
             f"the drive on {self.port} did not answer '{request.command}' within {self.unheard_s:.2g} s "
             f"({self._describe_failure(count, problem)}"
         )
-
-    def _wait_s(self, request: Request) -> float:
-        """Return for how long the reply to one frame is awaited."""
-        patience_s = self._patience_s if self.unheard_s < self._patience_s else 0.0
-        return max(patience_s / (2 if request.repeatable else 1), self._settings.reply_s)
 
     def _note_heard(self) -> None:
         # What comes after the drive's own silence timeout ends a lost link, and is no late reply.

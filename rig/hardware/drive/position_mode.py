@@ -319,7 +319,7 @@ class PositionModeStage(MonitoredStage):
             self._refuse_not_ready()
             write_safeguards(self._link, self._settings)
             if self._is_homed:
-                begin_mm, limits = self._position_mm(), self._limits
+                begin_mm, limits = self._position_mm(), self.limits
                 upward = begin_mm + travel_mm <= limits.highest_mm
                 write_travel(self._link, limits)
                 self._link.set(Parameter.SPEED_MM_S, speed_mm_s)
@@ -391,7 +391,7 @@ class PositionModeStage(MonitoredStage):
 
     def _pulse_to(self, begin_mm: float, planned_at: int) -> Pulse:
         """Move by a pulse away from an overridden switch, or to where there is room; return it, not counted yet."""
-        limits = limits_with_override(self._limits, self._override, begin_mm)
+        limits = limits_with_override(self.limits, self._override, begin_mm)
         upward = self._override is TravelEnd.LOW or (
             self._override is None and begin_mm + PULSE_MM <= limits.highest_mm
         )
@@ -473,7 +473,7 @@ class PositionModeStage(MonitoredStage):
             raise DeviceError("homing ended before the index pulse was found: clear the way, then home again.")
 
     def _await_homed(self, side: TravelEnd, way: HomingWay) -> None:
-        travel_mm = self._limits.highest_mm - self._limits.lowest_mm + _HOMING_OVERTRAVEL_MM
+        travel_mm = self.limits.highest_mm - self.limits.lowest_mm + _HOMING_OVERTRAVEL_MM
         # Onto the switch and back.
         until_s = self._clock.monotonic() + 2 * travel_mm / self._drive.homing_speed_mm_s
         while not self._await_standstill(_HOMING_POLL_S):

@@ -258,7 +258,8 @@ class MonitoredStage(ABC):
         self._settings, self._drive, self._clock = settings, settings.hardware.drive, devices.clock
         self._link, self._lines, self._sync = devices.link, devices.lines, devices.sync
         self._watchdog = devices.watchdog
-        self._limits = stage_limits(settings.stage)
+        self.limits = stage_limits(settings.stage)
+        """Soft limits of travel, and the greatest speed and acceleration."""
         self._max_late_s = settings.guard.stale_data_s
         # One command at a time; a stop waits for none.
         self._commands = threading.RLock()
@@ -266,11 +267,6 @@ class MonitoredStage(ABC):
         self._trial_due = True
         self._tracker = DriveTracker(devices, self_stop_s, self._end_override)
         self._monitor = Monitor(devices, self._tracker.poll, self.stop, self._may_beat, self._tracker.ending)
-
-    @property
-    def limits(self) -> StageLimits:
-        """Soft limits of travel, and the greatest speed and acceleration."""
-        return self._limits
 
     @property
     def fault(self) -> Trip | None:
@@ -540,7 +536,7 @@ class MonitoredStage(ABC):
                     f"off an overridden limit switch the stage moves at {max_mm_s:g} mm/s at most, not at "
                     f"{extremes.speed_mm_s:g} (hardware.drive.homing_speed_mm_s of the rig file)."
                 )
-        limits = limits_with_override(self._limits, self._override, origin_mm)
+        limits = limits_with_override(self.limits, self._override, origin_mm)
         require_within_limits(profile, origin_mm, limits, POSITION_TOLERANCE_MM)
         return limits
 

@@ -56,7 +56,7 @@ class VelocityModeStage(MonitoredStage):
         velocity = settings.hardware.drive.velocity
         super().__init__(devices, settings.hardware.drive.silence_s)
         max_speed_mm_s = min(settings.stage.max_speed_mm_s, AO_RANGE_V * velocity.per_V)
-        self._limits = replace(self._limits, speed_mm_s=max_speed_mm_s)
+        self.limits = replace(self.limits, speed_mm_s=max_speed_mm_s)
         self._homed = self._keeps_tolerance = False
         mm_per_count = Scaling.from_settings(settings, calibrations).mm_per_count
         self._counter = PositionCounter(connection, velocity.counter, mm_per_count)
@@ -125,15 +125,15 @@ class VelocityModeStage(MonitoredStage):
     def _origin_mm(self) -> float:
         # The commanded position, not the measured one: the loop's residual error must not add up, nor count as a limit.
         hold_mm = self._loop.hold_position_mm()
-        inside_mm = min(max(hold_mm, self._limits.lowest_mm), self._limits.highest_mm)
+        inside_mm = min(max(hold_mm, self.limits.lowest_mm), self.limits.highest_mm)
         return inside_mm if abs(inside_mm - hold_mm) <= _MAX_HOLD_ERROR_MM else hold_mm
 
     def _make_pulse(self, planned_at: int) -> Pulse:
         switches, low_first = self._lines.read_switches(), self._drive.homing_direction == "low"
         upward = switches.limit_low or (not low_first and not switches.limit_high)
         travel_mm = PULSE_MM if upward else -PULSE_MM
-        speed_mm_s = min(PULSE_SPEED_MM_S, self._limits.speed_mm_s)
-        acceleration = min(PULSE_ACCELERATION_MM_S2, self._limits.acceleration_mm_s2)
+        speed_mm_s = min(PULSE_SPEED_MM_S, self.limits.speed_mm_s)
+        acceleration = min(PULSE_ACCELERATION_MM_S2, self.limits.acceleration_mm_s2)
         profile = MotionProfile.from_pieces(trapezoid(travel_mm, speed_mm_s, acceleration))
         # It may come onto the switch that homing looks for.
         with self._tolerating(self._override or TravelEnd(self._drive.homing_direction)):
@@ -181,7 +181,7 @@ class VelocityModeStage(MonitoredStage):
                 f"hardware.card.lines.limit_{side} and hardware.card.encoder.z."
             )
         direction = -1.0 if side is TravelEnd.LOW else 1.0
-        travel_mm = self._limits.highest_mm - self._limits.lowest_mm
+        travel_mm = self.limits.highest_mm - self.limits.lowest_mm
         if not self._is_on_switch(side):
             planned_at = self._creep(
                 direction * (travel_mm + _HOMING_OVERTRAVEL_MM),
@@ -200,7 +200,7 @@ class VelocityModeStage(MonitoredStage):
         )
         position_mm = self._loop.position_mm()
         self._loop.reset_counter(position_mm, index=False)
-        target_mm = min(max(0.0, self._limits.lowest_mm), self._limits.highest_mm)
+        target_mm = min(max(0.0, self.limits.lowest_mm), self.limits.highest_mm)
         self._loop.follow(self._creeping(target_mm - position_mm), position_mm, planned_at)
         self._poll_while(lambda: self._sync.moving)
         arrival_mm = _ARRIVAL_COUNTS * self._settings.encoder.resolution_um / 1000.0
@@ -235,7 +235,7 @@ class VelocityModeStage(MonitoredStage):
             self._clock.sleep(_POLL_S, threading.Event())
 
     def _creeping(self, travel_mm: float) -> MotionProfile:
-        acceleration = min(_HOMING_ACCELERATION_MM_S2, self._limits.acceleration_mm_s2)
+        acceleration = min(_HOMING_ACCELERATION_MM_S2, self.limits.acceleration_mm_s2)
         return MotionProfile.from_pieces(trapezoid(travel_mm, self._drive.homing_speed_mm_s, acceleration))
 
     @contextmanager

@@ -14,7 +14,7 @@ from dragrig.config.errors import OutputError
 from dragrig.rig import left_recordings, recover
 from dragrig.rig.runfile import Finisher, Recorder, read_info, read_run, verify
 from dragrig.rig.runfile.finisher import RecoveryOutcome
-from dragrig.rig.runfile.model import RunStatus
+from dragrig.rig.runfile.model import RunEnding, RunStatus
 from dragrig.rig.runfile.schema import journal_path
 from ending import kill
 from killed import STEPS, loss_of, run_victim
@@ -74,7 +74,7 @@ def test_a_recording_whose_writer_lives_is_left_alone(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match="another process"):
             Recorder(tmp_path / "run.h5", header(), reserve_bytes=0)
         recorder.offer(100, arrays(100, 100))
-        recorder.close(RunStatus.COMPLETE, "as planned")
+        recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
     (recovered,) = recover(tmp_path)
     assert (recovered.outcome, recovered.samples) == (RecoveryOutcome.FINISHED, 200)
 
@@ -139,7 +139,7 @@ def test_a_worker_outlives_its_killed_parent_until_the_run_is_finished(tmp_path:
     with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recorder:
         for first, block in blocks(400_000, 20_000):
             recorder.offer(first, block)
-        left = recorder.close(RunStatus.COMPLETE, "as planned")
+        left = recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
     code = (
         "import sys, time; from pathlib import Path; from dragrig.rig.runfile import Finisher\n"
         "finisher = Finisher(); finisher.submit(Path(sys.argv[1])); finisher.wait(0.0)\n"

@@ -19,7 +19,7 @@ from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig import mark_bad, store_filtered, unmark, write_run
 from dragrig.rig.runfile import finish, read_campaign, read_mark, read_run, verify
 from dragrig.rig.runfile.filesystem import lock_run
-from dragrig.rig.runfile.model import FilteredTrace, RunEvent
+from dragrig.rig.runfile.model import FilteredTrace, RunEnding, RunEvent, RunStatus
 from dragrig.rig.runfile.writer import rewrite
 from runfiles import START, arrays, header, record
 
@@ -235,7 +235,8 @@ def test_the_check_of_nexus_files_has_nothing_to_remark(tmp_path: Path) -> None:
     given_header = replace(
         header(), entry={**header().entry, "note": "wet"}, specimen={**header().specimen, "temperature_degC": 37.0}
     )
-    made = write_run(tmp_path / "run.h5", given_header, arrays(0, 2000), end_time=START, checks={"rest_offset_mN": 1.5})
+    ending = RunEnding(RunStatus.COMPLETE, "", START, {"rest_offset_mN": 1.5})
+    made = write_run(tmp_path / "run.h5", given_header, arrays(0, 2000), ending=ending)
     store_filtered(made, filtered(made, 0.1), [RunEvent(0.2, "filter", "short")])
     said = subprocess.run([sys.executable, "-c", NXCHECK, str(made)], capture_output=True, text=True, check=True).stdout
     assert "Total number of warnings: 0" in said, said

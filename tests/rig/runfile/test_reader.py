@@ -21,7 +21,7 @@ from dragrig.config.errors import OutputError, RunFileError
 from dragrig.rig import read_tail, run_file_name, store_filtered, write_run
 from dragrig.rig.runfile import finish, read_campaign, read_info, read_run, verify
 from dragrig.rig.runfile.hdf5 import find_damaged_text
-from dragrig.rig.runfile.model import FilteredTrace, RecordedChannel, RunEvent, RunStatus
+from dragrig.rig.runfile.model import FilteredTrace, RecordedChannel, RunEnding, RunEvent, RunStatus
 from places import CAMPAIGN
 from property_tests import examples
 from runfiles import START, arrays, as_version_1, header, record
@@ -104,10 +104,9 @@ def test_files_of_the_first_format_are_read_filtered_and_recovered(tmp_path: Pat
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     given_header, given_arrays = header(order=3), arrays(0, 400)
     event = RunEvent(0.25, "phase", "accelerate ±")
-    path = write_run(
-        tmp_path / "run.h5", given_header, given_arrays, events=[event], status=RunStatus.ABORTED, reason="Ctrl-C",
-        end_time=START, checks={"rest_offset_mN": 1.5, "clipped": True, "lost_samples": 2},
-    )  # fmt: skip
+    checks = {"rest_offset_mN": 1.5, "clipped": True, "lost_samples": 2}
+    ending = RunEnding(RunStatus.ABORTED, "Ctrl-C", START, checks)
+    path = write_run(tmp_path / "run.h5", given_header, given_arrays, events=[event], ending=ending)
     run = read_run(path)
     assert run.info.header == replace(given_header, protocol={**given_header.protocol, "speed_mm_s": 1.0})
     assert (run.info.status, run.info.reason, run.info.end_time) == (RunStatus.ABORTED, "Ctrl-C", START)

@@ -66,7 +66,7 @@ def test_the_arrays_do_not_depend_on_the_blocks(tmp_path: Path, sizes: list[int]
                 del block["time"]
             recorder.offer(first, block)
             first += size
-        left = recorder.close(RunStatus.COMPLETE, "as planned")
+        left = recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
     same(read_run(finish(left)), arrays(0, sum(sizes)))
 
 
@@ -101,7 +101,7 @@ def test_lost_samples_leave_a_jump_in_time_and_an_event(tmp_path: Path) -> None:
             block = arrays(first, 100)
             del block["time"]
             recorder.offer(first, block)
-        left = recorder.close(RunStatus.COMPLETE, "as planned")
+        left = recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
     run = read_run(finish(left))
     index = np.concatenate([np.arange(first, first + 100) for first in (0, 100, 250, 350, 1000)])
     np.testing.assert_array_equal(run.trace.time, index / 1000.0)
@@ -116,7 +116,8 @@ def test_all_that_is_known_of_a_run_is_in_its_file(tmp_path: Path) -> None:
         recorder.offer(0, arrays(0, 10))
         recorder.annotate({"command_t0_uncertainty_s": 2e-5, "origin_mm": 13.0, "note": "ü\n"})
         recorder.event(RunEvent(0.01, "trip", long))
-        left = recorder.close(RunStatus.TRIPPED, "force: 500 mN", START, {"rest_offset_mN": 0.1, "clipped": True})
+        checks = {"rest_offset_mN": 0.1, "clipped": True}
+        left = recorder.close(RunEnding(RunStatus.TRIPPED, "force: 500 mN", START, checks))
     run = read_run(finish(left))
     assert run.info.header.entry == {
         "operator": "Åsa", "origin_mm": 13.0, "command_t0_uncertainty_s": 2e-5, "note": "ü\n",
@@ -154,7 +155,7 @@ def test_what_came_last_is_on_disk_soon_though_nothing_follows(tmp_path: Path) -
         same(seen, arrays(0, 321))
         assert seen.info.status is RunStatus.RECORDING
         assert seen.events == (RunEvent(0.3, "phase", "steady"),)
-        recorder.close(RunStatus.COMPLETE, "as planned")
+        recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
 
 
 def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
@@ -179,7 +180,7 @@ def test_any_viewer_follows_a_recording(tmp_path: Path) -> None:
                 assert process.wait() == 0
             finally:
                 process.kill()
-        recorder.close(RunStatus.COMPLETE, "as planned")
+        recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
 
 
 @pytest.mark.parametrize(
@@ -200,7 +201,7 @@ def test_samples_that_do_not_fit_are_refused_and_the_run_goes_on(
         with pytest.raises(ValueError, match=message):
             recorder.offer(first, change(arrays(first, 10)))
         recorder.offer(100, arrays(100, 100))
-        left = recorder.close(RunStatus.COMPLETE, "as planned")
+        left = recorder.close(RunEnding(RunStatus.COMPLETE, "as planned"))
     same(read_run(finish(left)), arrays(0, 200))
 
 
@@ -256,7 +257,7 @@ def test_a_session_records_into_a_folder_of_run_files(tmp_path: Path) -> None:
             sink = store.open(header(order=order), 1000)
             for first, block in blocks(1000, 50):
                 sink.offer(first, block)
-            path = sink.close(RunStatus.COMPLETE, "as planned", START, {})
+            path = sink.close(RunEnding(RunStatus.COMPLETE, "as planned", START))
         store.mark_bad(0, "spilled")
         store.settle()
     recovered = read_campaign(tmp_path / "data" / "campaign")
@@ -272,7 +273,7 @@ sys.path.insert(0, sys.argv[2])
 from runfiles import arrays, header
 from dragrig.config.errors import RecordingError
 from dragrig.rig.runfile import Recorder, recorder as module
-from dragrig.rig.runfile.model import RunStatus
+from dragrig.rig.runfile.model import RunEnding, RunStatus
 folder = Path(sys.argv[1])
 if sys.argv[3] == "blind":  # the disk is filled by others, faster than anybody can watch
     module.free_bytes = lambda _: 1 << 60
@@ -286,7 +287,7 @@ try:
 except RecordingError as error:
     print(error)
 try:
-    recorder.close(RunStatus.FAILED, "no room")
+    recorder.close(RunEnding(RunStatus.FAILED, "no room"))
 except RecordingError as error:
     print(error)
 print("done", first)
@@ -355,7 +356,7 @@ def test_a_session_ends_though_the_disk_makes_no_progress_and_says_what_is_left(
         sink = store.open(header(order=order), 1000)
         for first, block in blocks(1000, 50):
             sink.offer(first, block)
-        sink.close(RunStatus.COMPLETE, "as planned", START, {})
+        sink.close(RunEnding(RunStatus.COMPLETE, "as planned", START))
 
     with FolderStore(tmp_path, reserve_mb=0, max_stall_s=0.3) as store:
         run(store, 0)
@@ -489,7 +490,7 @@ def test_a_disk_that_fills_up_is_said_once_and_what_is_still_sampled_is_taken(
         assert re.fullmatch(rf"{re.escape(str(tmp_path))}: 0\.0 MB are free and 1\.\d MB needed; make room", said)
         assert str(recording.failure) == said
         recording.offer(first, arrays(first, 10))
-        left = recording.close(RunStatus.FAILED, "no room")
+        left = recording.close(RunEnding(RunStatus.FAILED, "no room"))
     run = read_run(finish(left))
     assert run.info.samples == first + 10
     assert (run.info.status, run.info.reason) == (RunStatus.FAILED, "no room")
@@ -516,7 +517,7 @@ def test_a_disk_that_refuses_is_said_with_the_file_and_what_to_do(
     assert str(recording.failure) == sentence
     for _ in range(2):
         with pytest.raises(RecordingError, match="the disk refused data"):
-            recording.close(RunStatus.FAILED)
+            recording.close(RunEnding(RunStatus.FAILED))
     monkeypatch.undo()
     (recovered,) = recover(tmp_path)
     assert recovered.path is not None
@@ -680,7 +681,7 @@ def test_what_does_not_fit_is_said(
         with pytest.raises(ValueError, match=re.escape(sentence)) as caught:
             recording.offer(first, change(arrays(first, 10)))
         assert str(caught.value) == sentence
-        recording.close(RunStatus.COMPLETE)
+        recording.close(RunEnding(RunStatus.COMPLETE))
         with pytest.raises(ValueError, match="samples from 100 on are not expected, 100 comes next"):
             recording.offer(100, arrays(100, 1))
 
@@ -689,7 +690,7 @@ def test_wider_numbers_than_the_files_are_taken(tmp_path: Path) -> None:
     with Recorder(tmp_path / "run.h5", header(), reserve_bytes=0) as recording:
         recording.offer(0, {name: column.astype("f8") if column.dtype == "f4" else column
                             for name, column in arrays(0, 10).items()})  # fmt: skip
-        left = recording.close(RunStatus.COMPLETE)
+        left = recording.close(RunEnding(RunStatus.COMPLETE))
     same(read_run(finish(left)), arrays(0, 10))
 
 
@@ -716,7 +717,7 @@ def test_a_disk_that_does_not_answer_is_not_waited_for_for_ever(
     recording = Recorder(tmp_path / "run.h5", header(), reserve_bytes=0)
     recording.offer(0, arrays(0, 10))
     with pytest.raises(RecordingError) as caught:
-        recording.close(RunStatus.COMPLETE)
+        recording.close(RunEnding(RunStatus.COMPLETE))
     assert str(caught.value) == (
         f"{tmp_path / 'run.recording.h5'}: the disk has not taken the last samples for 0.05 s; what it has taken is "
         "kept: check the disk, then `dragrig recover`"
