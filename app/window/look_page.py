@@ -44,7 +44,7 @@ from dragrig.views import (
     steady_rows,
 )
 from dragrig.window.background import FileWorker
-from dragrig.window.number_field import NumberField
+from dragrig.window.forms import NumberField
 from dragrig.window.plots import PlotCursor, TimePlot
 from dragrig.window.prepared_traces import DrawingKey, PreparedTraces
 from dragrig.window.trace_pyramid import TraceCrossings, TracePath, TracePyramid
