@@ -1,7 +1,7 @@
 """Figures of a gap diagnosis: budget, location map, ranking, runs before and after."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import PurePath
 from textwrap import wrap
@@ -640,7 +640,7 @@ def diagnosis_speed_figure(traces: Sequence[RunTraces], floor_mN: float | None =
         if not levels:
             continue
         of_kind = [(level.speed_mm_s, "", level.measured_mN) for level in levels]
-        measured.append(SteadyForces.of_runs(kind_label(kind), BLACK, of_kind, marker))
+        measured.append(replace(SteadyForces.of_runs(kind_label(kind), BLACK, of_kind, marker), joined=False))
         for number, pen in enumerate(pens):
             forces = [(level.speed_mm_s, "", level.models_mN[number]) for level in levels]
             model = SteadyForces.of_runs("", pen.colour, forces)
