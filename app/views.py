@@ -26,9 +26,10 @@ from dragrig.analysis import (
     filter_run,
     gap_starts,
     table_row,
+    unreadable_row,
 )
 from dragrig.analysis.gap import Diagnosis, SettleRecord
-from dragrig.api import ExportFormatName, check, check_setup, mark
+from dragrig.api import ExportFormatName, check, check_setup
 from dragrig.api import export as export_runs
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
@@ -338,15 +339,13 @@ def value_text(value: object) -> str:
         return number_text(value)
     if isinstance(value, list | tuple) and all(isinstance(item, float | int) for item in value):
         return ", ".join(map(value_text, value))
+
+    def toml(item: object) -> str:
+        return json.dumps(item, ensure_ascii=False) if isinstance(item, str | bool) else value_text(item)
+
     if isinstance(value, list | tuple):
-        return ",\n".join(
-            "{" + ", ".join(f"{key} = {_toml_text(item)}" for key, item in row.items()) + "}" for row in value
-        )
+        return ",\n".join("{" + ", ".join(f"{key} = {toml(item)}" for key, item in row.items()) + "}" for row in value)
     return str(value)
-
-
-def _toml_text(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else value_text(value)
 
 
 def _parse_values(step: FormGroup, texts: Mapping[str, str]) -> dict[str, object]:
@@ -729,7 +728,15 @@ def _shown_channels(
 
 def steady_rows(paths: Sequence[Path]) -> tuple[TableRow, ...]:
     """Measure runs; an unreadable file has a row with the error."""
-    return tuple(map(_steady_row, paths))
+
+    def measured(path: Path) -> TableRow:
+        try:
+            bad = read_mark(path)
+            return table_row(read_run(path), bad.reason if bad else None)
+        except RunFileError as error:
+            return unreadable_row(path, error)
+
+    return tuple(map(measured, paths))
 
 
 def export_shown_runs(paths: Sequence[Path], folder: Path, kind: ExportFormatName) -> tuple[Path, ...]:
@@ -738,24 +745,6 @@ def export_shown_runs(paths: Sequence[Path], folder: Path, kind: ExportFormatNam
     for path in paths:
         written.extend(export_runs(path, folder, format=kind))
     return tuple(written)
-
-
-def mark_runs(paths: Sequence[Path], reason: str | None) -> tuple[Path, ...]:
-    """Mark runs as bad for a reason, or with None remove their marks; raises `OutputError`."""
-    return mark(paths, bad=reason, good=reason is None)
-
-
-def note_runs(paths: Sequence[Path], text: str) -> tuple[Path, ...]:
-    """Write a note on runs, or with an empty one remove theirs; raises `OutputError`."""
-    return mark(paths, note=text)
-
-
-def _steady_row(path: Path) -> TableRow:
-    try:
-        bad = read_mark(path)
-        return table_row(read_run(path), bad.reason if bad else None)
-    except RunFileError as error:
-        return TableRow(path.name, status="unreadable", remark=str(error))
 
 
 def _shown_run(info: RunInfo, bad: str) -> ShownRun:

@@ -348,6 +348,15 @@ class GapReduction:
     position_um: tuple[float, float] | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class SteadyLevels:
+    """Steady force of a sliding run, measured and by the model before and after, less the force measured at rest."""
+
+    speed_mm_s: float
+    measured_mN: float
+    models_mN: tuple[float, float]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunTraces:
     """Measured and modelled force of one run for figures: means over `B` blocks."""
@@ -362,6 +371,7 @@ class RunTraces:
     measured: FloatArray
     before: FloatArray
     after: FloatArray
+    steady: SteadyLevels | None = None
 
 
 @dataclass(frozen=True, slots=True)

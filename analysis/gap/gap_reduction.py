@@ -9,8 +9,10 @@ from dragrig.analysis import (
     SPEED_TOLERANCE,
     NoiseModel,
     Whitening,
+    in_phase,
     r2_eq15,
     squared_correlation,
+    steady_stretch,
 )
 from dragrig.analysis.gap.design import (
     NUISANCES,
@@ -23,7 +25,7 @@ from dragrig.analysis.gap.design import (
     project_dictionary,
     rank_effects,
 )
-from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter, RunTraces
+from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter, RunTraces, SteadyLevels
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit
@@ -376,4 +378,23 @@ def traces_of_run(gap: RunGap) -> RunTraces:
         measured=measured,
         before=measured - gap.before,
         after=measured - gap.after,
+        steady=_steady_levels(gap),
     )
+
+
+def _steady_levels(gap: RunGap) -> SteadyLevels | None:
+    """Return the steady force that reports give, friction positive both ways, and what the models leave of it."""
+    run = gap.run.experiment.run
+    stretch, rest = steady_stretch(run)[0], in_phase(run.trace, Phase.REST)
+    if not (stretch.any() and rest.any()):
+        return None
+    first, last = gap.run.experiment.time_s[stretch][[0, -1]]
+    at = gap.run.coordinates
+    weights = np.where((at.time_s >= first) & (at.time_s <= last), at.width_s, 0.0)
+    if not weights.any():
+        return None
+    steady, resting = (float(np.mean(run.trace.force[mask], dtype=np.float64)) for mask in (stretch, rest))
+    sign = -1 if steady < resting and run.info.kind != "blank" else 1
+    left = [float(weights @ residual / weights.sum()) for residual in (gap.before, gap.after)]
+    models = [sign * (steady - resting - off) for off in left]
+    return SteadyLevels(abs(gap.run.condition[1]), sign * (steady - resting), (models[0], models[1]))

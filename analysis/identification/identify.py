@@ -278,7 +278,8 @@ def identify_specimen(
         relaxation = attempt(lambda: identify_relaxation(selection), "relaxation")
         advance(RELAXATION_COST)
         coulomb = attempt(lambda: identify_coulomb(selection, model), "Coulomb test")
-        drag = attempt(lambda: identify_drag(selection, model, zeros), "drag")
+        before = nominal.settings if joint.converged else None
+        drag = attempt(lambda: identify_drag(selection, model, zeros, before), "drag")
         advance(SLIDING_COST)
     return Identification(
         backends=selection.backends,

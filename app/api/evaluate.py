@@ -559,7 +559,7 @@ def _no_formula(cell: object) -> object:
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@")) else cell
 
 
-COMPARISON_TABLE, COMPARISON_OVERVIEW = "comparison.csv", "overview"
+COMPARISON_TABLE = "comparison.csv"
 
 
 def compare(
@@ -624,7 +624,7 @@ def compare(
 def write_comparison(
     comparison: Comparison, folder: Path, *, overwrite: bool = False, progress: Progress = no_progress
 ) -> Iterator[Path]:
-    """Write the table as CSV, the overview, and a picture of each pair with overlapping traces.
+    """Write the table as CSV, the figures of its page, and a picture of each pair with overlapping traces.
 
     Yields
     ------
@@ -637,12 +637,12 @@ def write_comparison(
     RunFileError
         When a run cannot be read.
     """
-    from dragrig.present import save_figure_in
+    from dragrig.present import save_figure_in, save_figures
 
     drawable = [pair for pair in comparison.pairs if pair.phases]
     total = len(drawable) + 1
     progress(0, total)
-    yield save_figure_in(folder, COMPARISON_OVERVIEW, present.comparison_overview_figure(comparison), overwrite)
+    yield from save_figures(present.comparison_document(comparison), folder, overwrite=overwrite)
     table = folder / COMPARISON_TABLE
     if not overwrite:
         table = unused_path(table, table.suffix)

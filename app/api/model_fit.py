@@ -54,7 +54,6 @@ from dragrig.setup import friction_model
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 
 WallChoice = Literal["scaled", "fitted"]
@@ -267,15 +266,7 @@ def save_identification_pictures(
         runs = {experiment.file: experiment.run for experiment in selection.experiments}
         yield save_figure_in(folder, "coulomb", present.coulomb_figure(runs[first.file], first), overwrite)
     if result.drag is not None and result.drag.points:
-        yield save_figure_in(folder, "drag", _drag_figure(identified), overwrite)
-
-
-def _drag_figure(identified: IdentifiedCampaign) -> "Figure":
-    drag, first = identified.result.drag, identified.selection.of_kind("drag")[0]
-    if drag is None or not isinstance(identified.nominal, CapsuleModel) or identified.result.joint is None:
-        raise AnalysisError(f"{identified.source}: has no drag to draw.")
-    model = identified_settings(identified.nominal, identified.result.joint)
-    return present.drag_figure(drag, model, first.capsule, first.wall_thickness_mm)
+        yield save_figure_in(folder, "drag", present.drag_figure(result.drag), overwrite)
 
 
 def _nominal_model(nominal: str | Path | NominalModel, model: str | Path | FrictionModelSettings) -> NominalModel:
