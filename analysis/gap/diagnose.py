@@ -31,12 +31,12 @@ from dragrig.analysis.gap.diagnosis import (
     left_open,
 )
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
-from dragrig.analysis.gap.gap_reduction import held_out_improvement
+from dragrig.analysis.gap.gap_reduction import held_out_improvement, share_of_position
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit
 from dragrig.analysis.gap.isolability import detection_limit
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
 from dragrig.analysis.gap.next_run import Recommendation, recommend_next_run
-from dragrig.analysis.gap.position_channel import PositionAnalysis, contribution_to_position, share_of_position
+from dragrig.analysis.gap.position_channel import PositionAnalysis, Yielding, contribution_to_position
 from dragrig.analysis.gap.spectral_lines import SpectralLine, SpectralLines
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
 from dragrig.analysis.gap.weighing import DiagnosisOptions, WeighedCauses, weigh_causes
@@ -228,7 +228,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         model=amended_model(study, fit, position, lines, classification, search, reduction, selection),
         traces=traces,
         limitations=(*study.limitations(), *next_runs.limitations),
-        remarks=(*selection.remarks, *_yielding_remarks(position.yields_mm)),
+        remarks=(*selection.remarks, *_yielding_remarks(position.yielding)),
         calibration=CALIBRATION_NOTE,
         decision_inputs=weighed.inputs,
         next_experiment=next_runs.experiment,
@@ -238,9 +238,13 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
     return left_open(diagnosis, study.only_condition) if study.only_condition else diagnosis
 
 
-def _yielding_remarks(yields_mm: float) -> Iterator[str]:
-    if yields_mm:
-        yield f"the stage gives way to the force by up to {1e3 * yields_mm:.2g} µm; its motion is recorded: no gap"
+def _yielding_remarks(yielding: Yielding | None) -> Iterator[str]:
+    if yielding is not None:
+        force = yielding.channel.replace("_", " ")
+        yield (
+            f"the stage gives way to the {force} by up to {1e3 * yielding.most_mm:.2g} µm ({yielding.um_per_N:.2g} "
+            "µm/N), as a position loop does; its motion is recorded: no gap"
+        )
 
 
 def _budget(weighed: WeighedCauses) -> GapBudget:
