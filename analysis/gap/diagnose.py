@@ -203,7 +203,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         nominal=weighed.nominal.name,
         runs=len(selection.experiments),
         used_for_fit=files,
-        held_out=files if len(files) > 1 else (),
+        held_out=() if reduction is None else files,
         left_out=selection.left_out,
         verdict=classification.verdict,
         effects=classification.effects,
@@ -251,9 +251,16 @@ def _budget(weighed: WeighedCauses) -> GapBudget:
     study, position = weighed.study, weighed.position
     hum_mN = float(np.sqrt(0.5)) * weighed.lines.mains.amplitude
     fitted = "" if position.candidate is None else position.candidate.effect.id
-    share = None if weighed.held_out[0] is None else share_of_position(position)
+    reduction = weighed.held_out[0]
     budget = gap_budget(
-        study, weighed.causes, weighed.verdict, weighed.in_position, fitted, share, {hum_effect().id: hum_mN}
+        study,
+        weighed.causes,
+        weighed.verdict,
+        weighed.in_position,
+        fitted,
+        None if reduction is None else share_of_position(position),
+        {hum_effect().id: hum_mN},
+        0.0 if reduction is None else reduction.gap_mN,
     )
     if any(entry.channel == "position" for entry in budget.entries):
         return replace(budget, runs=(*budget.runs, *_contributions_in_position(study, position)))
