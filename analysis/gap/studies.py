@@ -527,6 +527,8 @@ class StageStudy(PredictedStudy):
 
     def limitations(self) -> Iterator[str]:
         """Yield what these runs cannot answer, a sentence each."""
+        if any(run.experiment.drive_holds for run in self.runs):
+            yield "At rest a position loop holds the stage: nothing was read from the motor force there."
         yield from stage_limitations(self.runs)
         yield from super().limitations()
 

@@ -213,6 +213,8 @@ def central_differences(
     return np.array(rows).reshape(len(values), len(time_s))
 
 
+UNKNOWN_FORCE_MN = 1e6
+"""Uncertainty of a force of which a model knows nothing."""
 TURNING_SPEED_MM_S = 0.05
 """Speed over which a direction changes sign, as in the friction model.
 
