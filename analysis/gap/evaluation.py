@@ -58,7 +58,8 @@ KEPT_SIZES, OTHER_SIZES = (0.71, 1.41), (0.5, 2.0)
 """Relative sizes between which a promise is kept, and sizes that the interval of a kept one excludes.
 
 The former are nearer in ratio to the promised size than to half or twice of it. What a catalogue's form misses of a
-real effect moved the size on other speeds by up to 23 % in 40 simulated campaigns with other forms than the catalogue's.
+real effect moved the size on other speeds by up to 23 % in 40 simulated campaigns with other forms than the
+catalogue's.
 """
 MIN_HUM_LLR = 8.0
 """A mains line of this log likelihood ratio is detected."""
