@@ -257,7 +257,7 @@ class Study(ABC):
 
     @abstractmethod
     def limitations(self) -> Iterator[str]:
-        """Yield what these runs and this model cannot answer, a sentence each."""
+        """Yield the questions that these runs and this model cannot answer, a sentence each."""
 
     @property
     def chain(self) -> EffectChain:

@@ -268,7 +268,7 @@ def _budget(weighed: WeighedCauses) -> GapBudget:
 
 
 def _contributions_in_position(study: Study, position: PositionAnalysis) -> Iterator[RunContributions]:
-    """Yield the position error of each run, and what the effect on the position adds to it [µm]."""
+    """Yield the position error of each run, and the effect's contribution to it [µm]."""
     candidate, labels = position.candidate, {run.file: run.label for run in study.runs}
     if candidate is None:
         return

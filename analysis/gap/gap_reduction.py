@@ -92,7 +92,7 @@ def gap_of_run(
 ) -> RunGap:
     """Compare residuals of a run before and after, each with its whitening, shapes `(B,)`.
 
-    What a run may be off by is removed from both residuals, for each by itself: run factors within `max_own_sigmas` of
+    The offsets of a run are removed from both residuals, for each by itself: run factors within `max_own_sigmas` of
     the scatter of repeats, or further where both agree, and the zero offset. Factors of the model with the effect taken
     from both residuals would give the effect itself back as a gap that it then closes. Blocks count if `informative`.
     """
@@ -120,7 +120,7 @@ def gap_of_run(
 def without_own(
     residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float | FloatArray
 ) -> FloatArray:
-    """Return a residual [mN] without what the run itself is off by, shape `(B,)`.
+    """Return a residual [mN] without the offsets of the run itself, shape `(B,)`.
 
     These are its own factors, limited to some standard deviations, and then its zero, fitted together with them.
     """
@@ -132,7 +132,7 @@ def without_own(
 
 
 def _own_factors(residual: FloatArray, whitening: Whitening) -> FloatArray:
-    """Return what the run itself is off by, in standard deviations; first the zero where it is unknown."""
+    """Return the offsets of the run itself, in standard deviations; first the zero where it is unknown."""
     run_effects = whitening.run_effects
     precision = np.eye(run_effects.shape[1]) + run_effects.T @ run_effects
     return np.asarray(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(residual)))
@@ -428,7 +428,7 @@ def _fit_with_variants(design: Design, runs: Sequence[int], ranked: RankedEffect
 
 
 def traces_of_run(gap: RunGap) -> RunTraces:
-    """Return what a figure shows of a run: the measurement, and what the model says before and after."""
+    """Return the curves of a run for a figure: the measurement, and the model before and after."""
     run, at = gap.run, gap.run.coordinates
     measured = run.block_data.blocks.mean
     return RunTraces(
@@ -447,7 +447,7 @@ def traces_of_run(gap: RunGap) -> RunTraces:
 
 
 def _steady_levels(gap: RunGap) -> SteadyLevels | None:
-    """Return the steady force that reports give, friction positive both ways, and what the models leave of it."""
+    """Return the steady force that reports give, friction positive both ways, and its residual from the models."""
     run = gap.run.experiment.run
     stretch, rest = steady_stretch(run)[0], in_phase(run.trace, Phase.REST)
     if not (stretch.any() and rest.any()):

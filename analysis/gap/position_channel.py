@@ -493,7 +493,8 @@ def _without_wave(
 ) -> tuple[PositionErrors, ...]:
     """Subtract a wave with harmonics from all runs, its amplitude each run's own.
 
-    It may begin at its value at rest, or at zero where the stage ripples in motion alone; what leaves less is taken.
+    It may begin at its value at rest, or at zero where the stage ripples in motion alone; the choice with the smaller
+    residual is taken.
     """
     waves = np.asarray(wave_per_mm * np.arange(1, RIPPLE_HARMONICS + 1), dtype=np.float64)
     columns = [None if motion is None else motion.waves(waves) for motion in steady]
@@ -791,7 +792,7 @@ def _weighted_misfit(candidate: Candidate, runs: Sequence[PositionErrors]) -> Fl
 
 
 def contribution_to_position(candidate: Candidate, run: PositionErrors) -> FloatArray:
-    """Return what an effect adds to the position of a run, with an amplitude of the run's own, shape `(B,)` [mm].
+    """Return the part of an effect in the position of a run, with an amplitude of the run's own, shape `(B,)` [mm].
 
     Real effects grow otherwise with the speed than the catalogue's; none acts against its own sign.
     """

@@ -1,8 +1,8 @@
 """The stage alone, from its motor force: moving mass, viscous and Coulomb friction, and an offset.
 
-``motor_force = m·a + c·v + F·tanh(v / 0.05 mm/s) + offset + gain·load``, linear in every parameter. The load is what
-the force sensor measured in the same run, where something was attached to it. Where a position loop holds the stage at
-rest, its force is anywhere within friction, and says nothing of any parameter.
+``motor_force = m·a + c·v + F·tanh(v / 0.05 mm/s) + offset + gain·load``, linear in every parameter. The load is the
+reading of the force sensor in the same run, where something was attached to it. Where a position loop holds the stage
+at rest, its force is anywhere within friction, and says nothing of any parameter.
 """
 
 from collections.abc import Mapping

@@ -735,7 +735,7 @@ class _SmoothMotion:
         return np.asarray(BSpline(self.knots, self.coefficients, SPLINE_DEGREE)(time_s, nu=order))
 
     def acceleration_sd(self, time_s: FloatArray) -> FloatArray:
-        """Return the standard deviation of the acceleration, with what smoothing takes away [mm/s²], shape `(n,)`."""
+        """Return the standard deviation of the acceleration, smoothing's loss included [mm/s²], shape `(n,)`."""
         from scipy.interpolate import BSpline
         from scipy.linalg import cho_solve_banded
 
