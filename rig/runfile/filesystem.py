@@ -177,7 +177,7 @@ def _retry_while_shared(action: Callable[[], object], path: Path) -> None:
 
 
 def refusal_remedy(path: Path, system: str) -> str:
-    """Return what lets a file be replaced or removed that a system (`os.name`) refused; the last may come by itself."""
+    """Return the ways out where a system (`os.name`) refuses to replace a file; the last may come by itself."""
     if path.is_dir():
         return "it is a folder: choose another name"
     if os.access(path, os.F_OK) and not path.stat().st_mode & stat.S_IWRITE:
