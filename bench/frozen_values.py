@@ -7,6 +7,7 @@ small difference can be told from a large one.
 import csv
 import hashlib
 import json
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -59,7 +60,7 @@ class Cleaner:
     def text(self, text: str) -> str:
         """Return a text without times, stamps of file names, ids and paths of this call."""
         text = RUN_ID.sub(lambda match: self._runs.get(match[0], match[0]), text)
-        return STAMP.sub("<stamp>", TIME.sub("<time>", text.replace(self._folder, "<folder>")))
+        return STAMP.sub("<stamp>", TIME.sub("<time>", text.replace(self._folder, "<folder>").replace(os.sep, "/")))
 
     def value(self, value: object) -> Json:
         """Return any value that JSON, TOML or an HDF5 attribute can hold, cleaned."""

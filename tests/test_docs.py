@@ -82,7 +82,7 @@ def test_no_code_of_the_site_is_clipped(site: Path, browser: Browser) -> None:
 
 def test_every_page_is_in_the_navigation() -> None:
     navigation = (ROOT / "mkdocs.yml").read_text("utf-8").split("\nnav:\n")[1]
-    pages = {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
+    pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     assert not [page for page in pages if page not in navigation]
 
 

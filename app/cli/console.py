@@ -257,7 +257,7 @@ def _replace_unencodable() -> None:
 
 
 def _redirected_encoding() -> str:
-    """Return the encoding in which PowerShell, `more` and `type` take what is no longer for the console; else empty."""
+    """Return the console's encoding, in which PowerShell, `more` and `type` take redirected output; else empty."""
     if sys.platform == "win32" and not sys.flags.utf8_mode and "PYTHONIOENCODING" not in os.environ:
         import ctypes
 

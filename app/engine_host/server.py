@@ -162,15 +162,12 @@ class RequestReceiver:
 
     def next(self, within_s: float | None = None) -> Request | None:
         """Wait for a request; None once the client is gone, and when none arrives in this time."""
-        try:
-            numbered = None if self.gone.is_set() else self._requests.get(timeout=within_s)
-        except queue.Empty:
-            return None
-        if numbered is None:
-            return None
-        with self._lock:
-            self._current, request = numbered
-        return request
+        with suppress(queue.Empty):
+            if not self.gone.is_set() and (numbered := self._requests.get(timeout=within_s)) is not None:
+                with self._lock:
+                    self._current, request = numbered
+                return request
+        return None
 
     def stops(self, abort: Callable[[str], None] | None) -> None:
         """Set the abort of the current request, which may move from now on; an abort received before is applied now."""

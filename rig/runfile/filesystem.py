@@ -180,6 +180,8 @@ def refusal_remedy(path: Path, system: str) -> str:
     """Return the ways out where a system (`os.name`) refuses to replace a file; the last may come by itself."""
     if os.access(path, os.F_OK) and not path.stat().st_mode & stat.S_IWRITE:
         return "it is read-only: make it writable"
+    if path.is_dir():
+        return "it is a folder: choose another name"
     return _UNSHARED if system == "nt" else "ask for permission to write in its folder"
 
 

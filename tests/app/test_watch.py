@@ -344,6 +344,9 @@ def server_threads() -> int:
     return sum("process_request_thread" in thread.name for thread in threading.enumerate())
 
 
+@pytest.mark.skipif(
+    sys.platform == "win32", reason="there a thread hears at its limit of 10 s alone that its connection was ended here"
+)
 def test_half_open_requests_are_few_at_a_time_and_keep_nobody_out(seen: Onlooker) -> None:
     with ExitStack() as stack, serve_state_page(0) as page:
         page.show(seen.recorded[0])

@@ -100,11 +100,14 @@ class Disk:
                 if history is None:  # a file elsewhere, of a thread that an earlier test left at work
                     real_sync(descriptor)
                     return
-                state = len(history.states) - 1
+                # Windows syncs no folder; NTFS writes the journal of all names with each file.
+                synced = [history, self._names] if os.name == "nt" else [history]
+                states = [len(entry.states) - 1 for entry in synced]
             time.sleep(self._draw.uniform(0.0, self._max_lag_s))
             with self._lock:
-                history.durable.append(max(state, *history.durable, -1))
-                history.durable_s.append(time.monotonic())
+                for entry, state in zip(synced, states, strict=True):
+                    entry.durable.append(max(state, *entry.durable, -1))
+                    entry.durable_s.append(time.monotonic())
 
         return sync
 

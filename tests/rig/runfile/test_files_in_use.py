@@ -64,6 +64,7 @@ def test_a_read_only_file_is_no_file_that_another_program_has_open(tmp_path: Pat
     path.write_text("", "utf-8")
     assert refusal_remedy(path, "nt") == "close the program that has it open"
     assert "permission" in refusal_remedy(path, "posix")
+    assert refusal_remedy(tmp_path, "nt") == "it is a folder: choose another name"
     path.chmod(stat.S_IREAD)
     assert refusal_remedy(path, "nt") == refusal_remedy(path, "posix") == "it is read-only: make it writable"
 

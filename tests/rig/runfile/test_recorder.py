@@ -337,7 +337,7 @@ def test_a_folder_whose_path_leaves_no_room_for_names_is_refused_before_a_run(
     while len(str(deep)) < longest - 250:
         deep /= "d" * 200
     deep /= "d" * (longest - 41 - len(str(deep)))
-    with pytest.raises(OutputError, match=rf"path of {longest - 41} characters leaves no room"):
+    with pytest.raises(OutputError, match=f"path of {len(str(deep))} characters leaves no room"):
         FolderStore(deep)
 
 
