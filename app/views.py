@@ -19,16 +19,14 @@ import numpy.typing as npt
 
 from dragrig.analysis import (
     Progress,
-    SavgolSettings,
     TableRow,
     count_text,
-    default_filter_settings,
     filter_run,
     gap_starts,
     table_row,
 )
 from dragrig.analysis.gap import Diagnosis, SettleRecord
-from dragrig.api import ExportFormatName, check, check_setup, mark
+from dragrig.api import ExportFormatName, check, check_setup, filter_settings, mark
 from dragrig.api import export as export_runs
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
@@ -691,10 +689,7 @@ def filtered_anew(
 
     Raises `AnalysisError` for an impossible filter.
     """
-    default = default_filter_settings(shown.rate_hz)
-    window = default.window_s if window_s is None else window_s
-    samples = default.window_samples if window is None else None
-    settings = SavgolSettings(window, samples, default.order if order is None else order)
+    settings = filter_settings(shown.rate_hz, window_s, None, order, 0)
     smooth = filter_run(shown.run, settings, None if force is None else (force,), for_display=True).trace
     return replace(
         shown,
