@@ -142,6 +142,11 @@ class FormGroup:
     fields: tuple[FormField, ...]
     values: Mapping[str, str]
 
+    def parsed(self, texts: Mapping[str, str]) -> dict[str, object]:
+        """Return the values that texts state by key, without empty ones; raises `SettingsError` as `parse_field`."""
+        values = {field.key: parse_field(field, texts.get(field.key, "").strip(), self.name) for field in self.fields}
+        return {key: value for key, value in values.items() if value is not None}
+
 
 FieldPlace: TypeAlias = tuple[int, str]
 """Number of a group, from 0, and the key of one of its fields."""
@@ -208,9 +213,7 @@ class PlanForm(Form):
         PlanError, SettingsError
             For an invalid value.
         """
-        steps = [
-            {"kind": step.name, **_parse_values(step, texts)} for step, texts in zip(self.groups, values, strict=True)
-        ]
+        steps = [{"kind": step.name, **step.parsed(texts)} for step, texts in zip(self.groups, values, strict=True)]
         data = self.plan.model_dump(mode="json", exclude_unset=True)
         return parse(Plan, {**data, "steps": steps}, self.plan.name)
 
@@ -345,11 +348,6 @@ def value_text(value: object) -> str:
 
 def _toml_text(value: object) -> str:
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else value_text(value)
-
-
-def _parse_values(step: FormGroup, texts: Mapping[str, str]) -> dict[str, object]:
-    values = {field.key: parse_field(field, texts.get(field.key, "").strip(), step.name) for field in step.fields}
-    return {key: value for key, value in values.items() if value is not None}
 
 
 def parse_field(field: FormField, text: str, group: str) -> object:

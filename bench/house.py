@@ -21,7 +21,7 @@ from statistics import fmean, median
 
 ROOT = "dragrig"
 BARS: dict[str, float] = {
-    "lines": 93_756, "modules": 300, "fan-out": 3.874, "depth": 18, "circles": 0, "used once": 0.5813,
+    "lines": 93_679, "modules": 300, "fan-out": 3.874, "depth": 18, "circles": 0, "used once": 0.5801,
 }  # fmt: skip
 """What the house is at most; a test holds it, and a bar is only ever lowered."""
 PEER = "ophyd-async's core: 26 modules, median 235 lines, fan-out 2.7"
