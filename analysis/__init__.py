@@ -1,4 +1,4 @@
-"""What is made of run files: filters, measures, tables, exports, and foreign measurements made run files.
+"""The uses of run files: filters, measures, tables, exports, and foreign measurements made run files.
 
 | module | content |
 |---|---|

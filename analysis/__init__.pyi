@@ -135,6 +135,7 @@ from .models.experiment import Experiment as Experiment
 from .models.experiment import session_starts as session_starts
 from .models.experiment import wander_noise_sd_mm as wander_noise_sd_mm
 from .models.nominal_model import TURNING_SPEED_MM_S as TURNING_SPEED_MM_S
+from .models.nominal_model import UNKNOWN_FORCE_MN as UNKNOWN_FORCE_MN
 from .models.nominal_model import ChannelModel as ChannelModel
 from .models.nominal_model import ForcePart as ForcePart
 from .models.nominal_model import NominalModel as NominalModel

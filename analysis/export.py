@@ -109,7 +109,7 @@ def export_content(run: Run) -> ExportContent:
 
 @dataclass(frozen=True, slots=True)
 class ExportSelection:
-    """What of a run is exported; time always is."""
+    """The exported part of a run; time always belongs to it."""
 
     columns: tuple[str, ...] = ()
     """Names of columns, with or without unit (default: all)."""

@@ -118,7 +118,7 @@ class MovingLine:
     """`frequency_hz`, `wavelength_mm`: its frequency, or 0 and the travel from one wave to the next."""
 
     def sds(self, width_s: FloatArray, speed_mm_s: FloatArray) -> FloatArray:
-        """Return what it adds to means over some time at some speed, one standard deviation; its phase is not known.
+        """Return its part in means over some time at some speed, one standard deviation; its phase is not known.
 
         A line along the way is in step with it, but for `RIPPLE_OUT_OF_STEP` of it.
         """
@@ -181,7 +181,7 @@ class ChannelBlocks:
 
     @property
     def line_signatures(self) -> FloatArray:
-        """What a line along the way may add to the blocks, in units of its prior, shape `(B, k)`."""
+        """The possible part of a line along the way in the blocks, in units of its prior, shape `(B, k)`."""
         if self.moving_line is None:
             return np.zeros((self.blocks.mean.size, 0))
         start_s, end_s = self.blocks.start_s, self.blocks.end_s
@@ -303,7 +303,7 @@ def _noise_root(covariance: FloatArray, uncertainty: FloatArray) -> FloatArray:
 class JointProblem:
     """All inputs of a joint fit, prepared.
 
-    What is computed of a channel is the very same object for all channels that are equivalent.
+    The computation of a channel is the very same object for all channels that are equivalent.
     """
 
     nominal: NominalModel
@@ -441,7 +441,7 @@ class JointProblem:
         return Whitening.of(near.noise_root, self._run_signatures(number, varying))
 
     def _run_signatures(self, number: int, varying: FloatArray) -> FloatArray:
-        """Signatures of what is a run's own, times prior standard deviations: zero, factors, and a line in motion."""
+        """Signatures of a run's own deviations, times their prior sd: zero, factors, and a line in motion."""
         zero = np.full((varying.shape[1], int(self.zero_sds[number] > 0)), self.zero_sds[number])
         factors = (varying * self.variation_sds[:, None]).T
         return np.column_stack((zero, factors, self.channels[number].line_signatures))
@@ -465,7 +465,7 @@ MIN_SIGNATURE_SHARE = 1e-6
 def repeat_differences(
     channels: Sequence[ChannelBlocks], channel: str, nominal: NominalModel
 ) -> tuple[RepeatDifference, ...]:
-    """Return what successive repeats of a sliding run differ by.
+    """Return the differences of successive repeats of a sliding run.
 
     Repeats of a specimen that sticks are left out: it is strained again before it has recovered.
     """

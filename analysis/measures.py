@@ -262,7 +262,7 @@ def means_of_repeats(repeats: Sequence[Sequence[float]]) -> list[tuple[float, fl
 
     A specimen's runs scatter by a share of their force, or all by as much. The scatter is pooled over the speeds, as a
     share first, unless Bartlett's test (Proc. R. Soc. A 160 (1937) 268) at 1 % says that it differs: two repeats that
-    happen to agree would else have an interval of next to nothing. What differs both ways is each speed's own.
+    happen to agree would else have an interval of next to nothing. Differences both ways are each speed's own.
 
     Parameters
     ----------
@@ -491,7 +491,7 @@ def set_values(values: Iterable[float], tolerance: float = SET_VALUE_TOLERANCE) 
 def mean_per_speed(rows: Sequence[TableRow]) -> tuple[SpeedMean, ...]:
     """Average the steady force above rest over repeats: complete, not marked as bad, and no sentinels.
 
-    Rows of several campaigns are pooled: what identifies a specimen is its id, or its name where it has none.
+    Rows of several campaigns are pooled: a specimen is identified by its id, or by its name where it has none.
     """
     groups: dict[tuple[str, str, str, int], dict[float, list[float]]] = {}
     used = [

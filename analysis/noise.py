@@ -149,7 +149,7 @@ class NoiseModel:
 
 @dataclass(frozen=True, eq=False)
 class BlockPairs:
-    """Pairs of successive blocks of time, and what covariances of their means have in common under any noise."""
+    """Pairs of successive blocks of time, and the common part of covariances of their means under any noise."""
 
     start_s: FloatArray
     end_s: FloatArray
@@ -244,7 +244,7 @@ class _BlockLayout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RepeatDifference:
-    """Block means of a run less those of a repeat: noise, and what either run is off by as a whole."""
+    """Block means of a run less those of a repeat: noise, and the offset of either run as a whole."""
 
     start_s: FloatArray
     end_s: FloatArray
@@ -267,7 +267,7 @@ def estimate_noise(
 
     Restricted maximum likelihood of block means, each stretch with a polynomial of its own; where stretches are too
     short for slow noise, a third of the white noise with 0.2 s correlation is assumed. Where there are none, white
-    noise is what neighbouring samples of steady motion differ by beyond a straight line, and `DEFAULT_NOISE` where
+    noise is the difference of neighbouring samples of steady motion beyond a straight line, and `DEFAULT_NOISE` where
     there is no steady motion either; both count as assumed.
 
     Parameters
@@ -275,7 +275,7 @@ def estimate_noise(
     hum, hum_hz
         Amplitude and frequency of a known line, which is removed first; 0 for none.
     repeats
-        What repeats differ by: over the length of a run they show noise that is slower than rests are long. It counts
+        Differences of repeats: over the length of a run they show noise that is slower than rests are long. It counts
         as far as the rests may have the same noise.
     """
     runs = tuple(experiments)
@@ -350,7 +350,7 @@ def _pooled_if_alike(
 ) -> dict[_BlockLayout, list[FloatArray]]:
     """Return stretches at rest and in slow motion together, where one slow noise explains both; else those at rest.
 
-    Rests are short and show little of the slow noise; what moves slowly may do so under forces that are no noise.
+    Rests are short and show little of the slow noise; slow motion of it may have forces that are no noise.
     """
     if not creeping:
         return still
@@ -389,8 +389,8 @@ def _estimate_in_motion(experiments: Sequence[Experiment], channel: str) -> Nois
 def added_white_in_motion(experiments: Iterable[Experiment], channel: str) -> float:
     """Return the standard deviation of the white noise that steady motion adds to that of the rests; 0 for none.
 
-    Both are read from how samples differ from the straight line between their neighbours, so that what changes slowly
-    is no noise; the median of the runs counts, so that it is not what one speed or place does.
+    Both are read from how samples differ from the straight line between their neighbours, so that a slow change
+    is no noise; the median of the runs counts, so that it is not of a single speed or place.
     """
     moving, resting = list[float](), list[float]()
     for experiment, values in _recorded(experiments, channel):
@@ -497,7 +497,7 @@ class _AlikeRepeats:
         return BlockPairs.all_of(self.repeats[0].start_s, self.repeats[0].end_s, self.repeats[0].samples)
 
     def likelihood(self, noise: NoiseModel) -> float:
-        """−2 log restricted likelihood of what the repeats differ by."""
+        """−2 log restricted likelihood of the repeats' differences."""
         from scipy.linalg import cholesky
 
         covariance = np.zeros((self.pairs.samples.size,) * 2)
@@ -544,7 +544,7 @@ class _SlowNoiseSearch:
 
     @property
     def rivals(self) -> Iterator[NoiseModel]:
-        """Yield what 1/f noise may be instead: longer correlation, and the mains where sampling shows it as a drift."""
+        """Yield the alternatives to 1/f noise: longer correlation, and the mains where sampling shows it as a drift."""
         yield self.optimum(self.start[:2] + np.array([0.2, 0.7]), np.array([-0.4, 0.6]), 80)
         turns = np.array(MAINS_HZ) * self.step_s
         if self.noise.hum == 0 and np.any(np.abs(turns - np.round(turns)) < MAX_SLOW_ALIAS_HZ * self.step_s):
@@ -582,7 +582,7 @@ class _SlowNoiseSearch:
 def _with_flicker(
     noise: NoiseModel, groups: dict[_BlockLayout, list[FloatArray]], repeats: Sequence[RepeatDifference]
 ) -> NoiseModel:
-    """Return the noise with 1/f noise in it where stretches, and what repeats differ by, are likelier with it."""
+    """Return the noise with 1/f noise in it where stretches, and differences of repeats, are likelier with it."""
     stacks = [_coarser(layout, np.array(means)) for layout, means in groups.items()]
     search = _SlowNoiseSearch(noise, stacks, _AlikeRepeats.groups_of(repeats))
     at_rest = search.noise_at(search.start[:2])
@@ -637,7 +637,7 @@ def _dense_likelihood(noise: NoiseModel, stacks: Sequence[tuple[_BlockLayout, Fl
 def _restricted_likelihood(noise: NoiseModel, layout: _BlockLayout, means: FloatArray) -> float:
     """−2 log restricted likelihood of stretches of block means, shape `(R, blocks)`.
 
-    The innovation of a block, its mean less what the correlation predicts from the block before, is correlated with
+    The innovation of a block, its mean less the prediction of the correlation from the block before, is correlated with
     its neighbours alone: the covariance of innovations is a band, with the same determinant.
     """
     from scipy.linalg import cholesky_banded

@@ -1,4 +1,4 @@
-"""What a capsule robot reaches: its steady walk, the fastest drive, what assumptions change, the price of effects."""
+"""The reach of a capsule robot: its steady walk, the fastest drive, the weight of assumptions, the price of effects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -154,7 +154,7 @@ def fastest_drive(
     seed
         Of the Sobol points from whose best the search goes on, by Nelder and Mead's method.
     start
-        Where in the unit cube the search begins that is local: what is at a limit of the actuator there stays at it.
+        Where in the unit cube the search begins that is local: a value at a limit of the actuator there stays at it.
     added
         Force of effects.
     """
@@ -242,7 +242,7 @@ def added_force(
 ) -> AddedForce | None:
     """Return the mean force of effects over the slips at the end of a walk; None where nothing slips.
 
-    What is periodic in position or in the session's clock enters by its mean over these slips. A direction in which
+    Effects periodic in position or in the session's clock enter by its mean over these slips. A direction in which
     nothing slips has the force of the other.
     """
     walker = walk.walker
@@ -324,7 +324,7 @@ class Sensitivity:
 
 @dataclass(frozen=True, slots=True)
 class Price:
-    """What an effect costs: speed and work per mm of the drive chosen for the gut, beside those without it."""
+    """The price of an effect: speed and work per mm of the drive chosen for the gut, beside those without it."""
 
     effect: str
     speed_mm_s: float | None
@@ -338,7 +338,7 @@ class Price:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotStudy:
-    """What a robot reaches, and what that depends on."""
+    """The reach of a robot, and its dependence on the assumptions."""
 
     robot: RobotSettings
     model: FrictionModelSettings

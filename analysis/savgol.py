@@ -213,7 +213,7 @@ def smooth(
     time
         Times of the samples [s] for the events; default: sample index over rate.
     for_display
-        Faster on a long trace; rounding differs, far below single precision. Not for what is stored.
+        Faster on a long trace; rounding differs, far below single precision. Not for stored traces.
 
     Raises
     ------
@@ -256,8 +256,8 @@ def too_short_event(time_s: float, samples: int, window: int) -> RunEvent:
 class SavgolStream:
     """One channel, filtered block by block.
 
-    Every sample pushed comes out once, in order, filtered; what `push` and `flush` return, put end to
-    end, is what `smooth` gives for the same samples and gaps. Memory: one window and one block.
+    Every sample pushed comes out once, in order, filtered; the returned pieces of `push` and `flush`, put end to
+    end, are the result of `smooth` for the same samples and gaps. Memory: one window and one block.
     Not to be shared between threads.
 
     Parameters

@@ -182,7 +182,7 @@ def clipped_samples(run: Run) -> Mask:
 
     Where the run's checks counted clipped samples, they are those at the trace's extremes. A run
     without checks is judged by its trace: an extreme held for more than four samples, while the samples
-    around it are noisy. What no sensor can measure counts as clipped everywhere.
+    around it are noisy. A value that no sensor can measure counts as clipped everywhere.
     """
     force = run.trace.force
     counted = run.info.checks.get("clipped_samples")

@@ -11,10 +11,10 @@ import numpy as np
 from dragrig.analysis.estimates import Exclusion, Progress, no_progress, summarise_exclusions
 from dragrig.analysis.models import Experiment
 from dragrig.analysis.models.experiment import session_starts
-from dragrig.analysis.segments import at_rest
+from dragrig.analysis.segments import at_rest, in_phase
 from dragrig.analysis.wording import count_text
 from dragrig.config import AnalysisError, RunFileError, reason_of
-from dragrig.rig import Campaign, Contact, Run, RunInfo, RunStatus, specimen_key
+from dragrig.rig import Campaign, Contact, Phase, Run, RunInfo, RunStatus, specimen_key
 
 MAX_STAGE_MM = 1e9
 MAX_INVALID_SHARE = 0.2
@@ -30,6 +30,8 @@ MIN_WRONG_SIGN_MN = 10.0
 """A force along the motion above this is neither noise nor a zero, but a wrong sign."""
 MAX_UNTOUCHED_MN = 20.0
 """A capsule that nothing touches needs less force, however the stage moves."""
+HELD_SHARE = 0.1
+"""Motor forces of rests above this share of those of steady motion are those of a loop that holds."""
 MIN_MOVING_MM_S = 0.05
 SHEARED_SHARE = 0.5
 MIN_BREAK_H = 2.0
@@ -266,7 +268,7 @@ def _break_remarks(experiments: Sequence[Experiment]) -> Iterator[str]:
 
 
 def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Tell each run what only the others show: the clock's jitter, a soft loop, phases that begin without a pulse."""
+    """Tell each run what others show: the clock's jitter, a soft loop, a drive that holds, phases without a pulse."""
     runs_with_pulse = Counter(
         phase for experiment in experiments for phase in {pulse.near_phase for pulse in experiment.pulses}
     )
@@ -276,17 +278,27 @@ def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:
     )
     jitters = [jitter for experiment in experiments if (jitter := experiment.own_jitter_s) is not None]
     shared = float(np.median(jitters)) if jitters else 0.0
-    soft = any(experiment.gives_way for experiment in experiments)
+    soft, holds = any(experiment.gives_way for experiment in experiments), _drive_holds(experiments)
     return [
-        replace(experiment, calm_phases=calm, shared_jitter_s=shared, soft_loop=soft)
-        if soft or experiment.pulses or (shared and experiment.own_jitter_s is None)
+        replace(experiment, calm_phases=calm, shared_jitter_s=shared, soft_loop=soft, drive_holds=holds)
+        if soft or holds or experiment.pulses or (shared and experiment.own_jitter_s is None)
         else experiment
         for experiment in experiments
     ]
 
 
+def _drive_holds(experiments: Sequence[Experiment]) -> bool:
+    """Whether the motor force of some rest exceeds a share of that of steady motion."""
+    held = [force for experiment in experiments for force in experiment.held_forces]
+    if not held:
+        return False
+    traces = [experiment.run.trace for experiment in experiments if experiment.held_forces]
+    moving = np.concatenate([trace.channels["motor_force"][in_phase(trace, Phase.STEADY)] for trace in traces])
+    return bool(moving.size) and max(map(abs, held)) > HELD_SHARE * float(np.nanmedian(np.abs(moving)))
+
+
 def _fault_remarks(experiments: Iterable[Experiment]) -> Iterator[str]:
-    """Say once what is wrong with single samples, in which runs, and how much of it."""
+    """Say once which faults single samples have, in which runs, and how much of it."""
     faulty = [experiment for experiment in experiments if experiment.faults]
     if not faulty:
         return
@@ -355,7 +367,7 @@ def _motion_in_gap(experiment: Experiment) -> str | None:
 
 
 def _wrong_sign(experiment: Experiment) -> str | None:
-    """Whether the force cannot be friction of what the run says was there."""
+    """Whether the force cannot be friction of the stated capsule."""
     opposing = _mean_opposing_force(experiment)
     if opposing is None:
         return None

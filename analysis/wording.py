@@ -24,7 +24,7 @@ def printable(text: str) -> str:
     """Return a text whose hidden characters are written out as JSON does it, by number.
 
     Whoever filled in a note or named a file could otherwise drive a terminal with it (colours, the title, the
-    clipboard), overwrite what stands before it, or turn the order of letters round.
+    clipboard), overwrite the text before it, or turn the order of letters round.
     """
     if text.isprintable():
         return text
@@ -87,7 +87,7 @@ def _to_places(value: float, error: float) -> str:
 
 
 def percent_text(share: float) -> str:
-    """Write a share as percentage: 71 %, 99.3 %; never as the whole, or as nothing, what only rounds to that."""
+    """Write a share as percentage: 71 %, 99.3 %; never as the whole, or as nothing, where it only rounds to that."""
     if not isfinite(share):
         return "an unknown share"
     if 0.9995 <= share < 1:

@@ -1,4 +1,4 @@
-"""dragrig: runs a linear-motor drag tester, real or simulated, and evaluates what it records.
+"""dragrig: runs a linear-motor drag tester, real or simulated, and evaluates its records.
 
 `__init__.pyi` lists the public names and their modules, which are loaded on first use: the command line must start
 without any of them.

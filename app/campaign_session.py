@@ -102,7 +102,7 @@ def start_campaign(setup: Setup, out: Path | None, options: SessionOptions, pers
     OutputError
         When the folder cannot be made, holds a campaign, or another session uses it.
     DragrigError
-        What `run_session` raises.
+        The errors of `run_session`.
     """
     if out is not None:
         require_no_runs(out)
@@ -147,7 +147,7 @@ def resume_campaign(
     RunFileError, SettingsError
         When there is no campaign, or its record is damaged.
     DragrigError
-        What `run_session` raises.
+        The errors of `run_session`.
     """
     with _continued_campaign(folder, options.tell) as (record, before):
         setup = replace(_setup_from_record(record, folder).with_rig(assignments), memory=memory or RigMemory())
@@ -167,14 +167,14 @@ def append_to_campaign(
     Parameters
     ----------
     choices
-        As of `resolve`; what is not chosen is as in the campaign's latest session.
+        As of `resolve`; all else is as in the campaign's latest session.
 
     Raises
     ------
     RunFileError, SettingsError
-        When there is no campaign, or what is chosen does not suit its runs.
+        When there is no campaign, or a choice does not suit its runs.
     DragrigError
-        What `run_session` raises.
+        The errors of `run_session`.
     """
     with _continued_campaign(folder, options.tell) as (latest, before):
         setup, remarks = setup_to_append(plan, latest, before, **choices)
@@ -188,7 +188,7 @@ def append_to_campaign(
 def setup_to_append(
     plan: PlanLike, latest: SessionRecord, before: Campaign, *, running: bool = False, **choices: Unpack[SetupChoices]
 ) -> tuple[Setup, tuple[str, ...]]:
-    """Return what a further plan runs with in a campaign, and what a person should know of it; nothing is written.
+    """Return the setup of a further plan in a campaign, and the remarks on it; nothing is written.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def setup_to_append(
     Raises
     ------
     SettingsError, PlanError
-        When what is chosen does not suit the campaign's runs.
+        When a choice does not suit the campaign's runs.
     """
     folder = before.folder
     record = _session_of_specimen(folder, latest, choices)
@@ -247,7 +247,7 @@ def _continue_campaign(
 
 
 def _identity(specimen: Specimen) -> str:
-    """Return what `specimen_key` is of its runs."""
+    """Return the `specimen_key` of its runs."""
     return specimen.name if specimen.id in {"", UNSTATED} else specimen.id
 
 

@@ -1,8 +1,8 @@
-"""The catalogue of a lab's runs, which answers what is asked of them.
+"""The catalogue of a lab's runs, which answers questions about them.
 
 A catalogue is an SQLite file beside a lab's data root, made from the run files and never the only place of anything.
-Before each answer it is compared with the folders, and what has changed is read again, so that an answer is the same
-with and without it. Where it cannot be used, the run files answer.
+Before each answer it is compared with the folders, and files that have changed are read again, so that an answer is the
+same with and without it. Where it cannot be used, the run files answer.
 """
 
 import json
@@ -174,7 +174,7 @@ def _explained() -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class _KnownFolder:
-    """What the catalogue compares of a folder."""
+    """The facts of a folder that the catalogue compares."""
 
     state: str
     signature: str
@@ -194,7 +194,7 @@ class _KnownRun:
 class _Catalogue:
     """The runs in a folder of the data root and below it, from the catalogue; belongs to one thread.
 
-    Every method may raise what `_explained` explains.
+    Every method may raise the errors that `_explained` explains.
     """
 
     def __init__(self, file: Path, root: Path, folder: Path, remark: Remark) -> None:
@@ -263,7 +263,7 @@ class _Catalogue:
             self._connection.execute("DELETE FROM folder")
 
     def refresh(self, progress: ReadingProgress) -> None:
-        """Bring what is known of the folder and all below it up to date."""
+        """Bring the entries of the folder and all below it up to date."""
         known = {
             path: _KnownFolder(str(state), str(signature), int(files), bool(is_campaign))
             for path, (state, signature, files, is_campaign) in self._rows(
@@ -305,12 +305,12 @@ class _Catalogue:
         return changed
 
     def _store(self, changed: Iterable[ScannedFolder], gone: Mapping[str, str], progress: ReadingProgress) -> None:
-        """Read what has changed and write it, a transaction for each second of reading: a killed process loses no more.
+        """Read changed files and write them, a transaction for each second of reading: a killed process loses no more.
 
         Parameters
         ----------
         gone
-            Paths of folders that are no more, with their signatures: a renamed folder is known by what is in it.
+            Paths of folders that are no more, with their signatures: a renamed folder is known by its content.
         """
         # A folder after those in it: what is known of it says where else to look.
         work = sorted(changed, key=lambda found: found.path, reverse=True)

@@ -1,4 +1,4 @@
-"""Ctrl-C and the other signals that end a program: who takes them, and that none breaks off what must be finished.
+"""Ctrl-C and the other signals that end a program: who takes them, and that none breaks off work that must be finished.
 
 A signal may come at any instruction of the main thread, and again every 30 ms while the key is held. So whatever is
 opened, closed or written here is broken off by none of them: a signal ends the work, which then ends in good order.
@@ -34,8 +34,8 @@ class EndSignals:
     """Takes the signals that end a program, while its context lasts; on a thread that is not the main one, nothing.
 
     By itself it raises `KeyboardInterrupt`, as Python does, and not again while that unwinds. Inside `rig_open` it
-    raises at an open prompt alone: elsewhere a signal aborts what moves, and one that comes while nothing can be
-    aborted is kept for what begins next.
+    raises at an open prompt alone: elsewhere a signal aborts the motion, and one that comes while nothing can be
+    aborted is kept for the next motion.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class EndSignals:
             self._at_prompt = False
 
     def open_rig(self) -> None:
-        """Begin what no signal may break off."""
+        """Begin work that no signal may break off."""
         if not self._opened:
             self.reason = ""
         self._opened += 1
@@ -106,7 +106,7 @@ class EndSignals:
             self._system.enter_context(_told_of_ends(self.end))
 
     def close_rig(self) -> None:
-        """End what no signal may break off."""
+        """End work that no signal may break off."""
         self._opened -= 1
         if self.reason:
             self._ending_since_s = time.monotonic()

@@ -74,7 +74,7 @@ class PromptRelay:
 
     @property
     def attended(self) -> bool:
-        """Whether a person answers what needs no hands."""
+        """Whether a person answers prompts that need no hands."""
         return self._operator.attended
 
     def ask(self, prompt: Prompt) -> Answer:
@@ -102,7 +102,7 @@ class PromptRelay:
 
 
 def idle_reader(backend: Backend, *, timed: bool) -> Callable[[], IdleReading]:
-    """Return what reads force and position while nothing is acquired; it takes no time where time is simulated."""
+    """Return the reader of force and position while nothing is acquired; it takes no time where time is simulated."""
     duration_s = _IDLE_MEAN_S if timed else 0.0
     return lambda: read_idle(backend, duration_s)
 
@@ -122,7 +122,7 @@ def run_on_worker(work: Callable[[], ResultT], abort: Callable[[str], None], ope
     Raises
     ------
     DragrigError
-        What `work` raises.
+        The errors of `work`.
     """
     with rig_open() as signals, ThreadPoolExecutor(1, "session") as worker:
         result = worker.submit(work)

@@ -75,7 +75,7 @@ def parallel_map(
     WorkerError
         When a task ends several processes.
     Exception
-        What the first failing task raises; tasks not yet started are dropped.
+        The error of the first failing task; tasks not yet started are dropped.
     """
     waiting = deque(enumerate(tasks))
     running: dict[Future[R], tuple[int, TaskT]] = {}

@@ -112,7 +112,7 @@ def _matching_files(name: str | Path) -> list[Path]:
 def require_run_files(folder: Path) -> list[Path]:
     """Return the finished runs of a folder.
 
-    Raises `RunFileError` where it has none, with what is known of where they are.
+    Raises `RunFileError` where it has none, with the known places of runs.
     """
     paths = sorted(path for path in folder.glob("*.h5") if not path.name.endswith(RECORDING_SUFFIX))
     if paths:

@@ -1,4 +1,4 @@
-"""What can be asked of the runs in a folder and below it, and the answers of the run files themselves."""
+"""Questions to the runs in a folder and below it, and the answers of the run files themselves."""
 
 import hashlib
 import os
@@ -27,7 +27,7 @@ _RECORD_PATTERN = "session-*.toml"
 
 @dataclass(frozen=True, slots=True)
 class CampaignSummary:
-    """What a list of campaigns says of one."""
+    """A campaign in a list of them."""
 
     folder: Path
     began: datetime | None
@@ -89,7 +89,7 @@ class RunQuery:
 
 
 class RunListing(Protocol):
-    """What can be asked of the runs in a folder and below it; folders in order of name."""
+    """The questions to the runs in a folder and below it; folders in order of name."""
 
     def folders(self, *, with_files: bool = False) -> tuple[Path, ...]:
         """Return the folders that hold run files or records of sessions, or only those with files of runs."""
@@ -155,7 +155,7 @@ def operator_of(run: "RunInfo") -> str:
 
 
 def kinds_of(run: "RunInfo") -> tuple[str, ...]:
-    """Return what a run counts as where a kind is asked for."""
+    """Return the kind that a run counts as."""
     return (run.kind, "sentinel") if run.is_sentinel else (run.kind,)
 
 
@@ -219,7 +219,7 @@ def walk(top: Path, known_subfolders: Callable[[str, str], Iterable[str] | None]
 
 
 def scan_folder(top: Path, path: str, state: str) -> tuple[ScannedFolder, list[str]]:
-    """Look at what is in a folder in this state; return it, and the names of its subfolders."""
+    """Look at the content of a folder in this state; return it, and the names of its subfolders."""
     now_s = now()
     files: dict[str, str] = {}
     marks: dict[str, str] = {}

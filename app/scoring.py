@@ -31,7 +31,7 @@ class _Record(BaseModel):
 
 
 class AnswerKey(_Record):
-    """What is hidden in a campaign; an entry of `answers.json`."""
+    """The secret of a campaign; an entry of `answers.json`."""
 
     verdict: VerdictName
     effects: tuple[str, ...] = ()
@@ -106,7 +106,7 @@ class ScoredCause(_Record):
 
     @property
     def names(self) -> frozenset[str]:
-        """The cause and what it cannot be told from."""
+        """The cause and those that it cannot be told from."""
         return frozenset((*self.cause.split("+"), *self.not_separable_from))
 
 
@@ -131,7 +131,7 @@ class ScoredDiagnosis(_Record):
     @model_validator(mode="before")
     @classmethod
     def _likeliest(cls, read: Mapping[str, object]) -> Mapping[str, object]:
-        """Score what is likeliest where a single condition leaves the verdict open."""
+        """Score the likeliest hypothesis where a single condition leaves the verdict open."""
         likeliest = read.get("likeliest")
         return {**read, **likeliest} if isinstance(likeliest, Mapping) else read
 
@@ -619,7 +619,7 @@ def score_exam(
     amounts: Mapping[str, float] | None = None,
     budgets: Mapping[str, Mapping[str, object]] | None = None,
 ) -> ExamScore:
-    """Score diagnoses against what was hidden.
+    """Score diagnoses against the secrets.
 
     Parameters
     ----------
@@ -628,7 +628,7 @@ def score_exam(
     withheld
         Diagnoses without the true effect, by the campaign's name.
     achieved
-        What `dragrig gap evaluate --json` prints of fresh runs, by the campaign's name.
+        The output of `dragrig gap evaluate --json` on fresh runs, by the campaign's name.
     amounts
         d′ of the hidden effects, by the campaign's name.
     budgets
@@ -637,7 +637,7 @@ def score_exam(
     Raises
     ------
     AnalysisError
-        When an answer or a diagnosis lacks what is scored.
+        When an answer or a diagnosis lacks a scored part.
     """
     without_true, fresh, d_primes = withheld or {}, achieved or {}, amounts or {}
     cases = [

@@ -40,7 +40,7 @@ def _now() -> datetime:
 
 
 class SessionState(Settings):
-    """What a session is doing."""
+    """The present work of a session."""
 
     format_version: Literal[1] = 1
     plan: str
@@ -141,7 +141,7 @@ class StatePublisher:
 
     @property
     def attended(self) -> bool:
-        """Whether a person answers what needs no hands."""
+        """Whether a person answers prompts that need no hands."""
         return self._operator.attended
 
     def ask(self, prompt: Prompt) -> Answer:

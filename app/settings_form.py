@@ -47,7 +47,7 @@ class RigSettingsForm(Form):
     settings: RigSettings
 
     def problems(self, values: Sequence[Mapping[str, str]]) -> dict[FieldPlace, str]:
-        """Return what is wrong with these values, by group and key."""
+        """Return the faults of these values, by group and key."""
         problems = self.misread(values)
         if problems:
             return problems
@@ -57,7 +57,7 @@ class RigSettingsForm(Form):
         return problems
 
     def changes(self, values: Sequence[Mapping[str, str]]) -> dict[FieldPlace, str]:
-        """Return what these values change, with what it was, by group and key."""
+        """Return the changes by these values, with the former values, by group and key."""
         own = self.values()
         return {
             (number, key): f"{text.strip() or _EMPTY} (was {own[number][key] or _EMPTY})"
@@ -67,7 +67,7 @@ class RigSettingsForm(Form):
         }
 
     def save(self, values: Sequence[Mapping[str, str]]) -> RigSettings:
-        """Write what these values change to the file, whose comments and other keys stay; return the settings then.
+        """Write the changes by these values to the file, whose comments and other keys stay; return the settings then.
 
         Raises
         ------
@@ -180,10 +180,10 @@ def _groups(settings: Settings, path: tuple[str, ...]) -> Iterator[FormGroup]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpecimenForm(Form):
-    """What only somebody at the rig can state of a specimen; one group, in which an empty field states nothing."""
+    """The facts of a specimen that only somebody at the rig can state; one group; an empty field states nothing."""
 
     def problems(self, values: Sequence[Mapping[str, str]]) -> dict[FieldPlace, str]:
-        """Return what is wrong with these values, by group and key."""
+        """Return the faults of these values, by group and key."""
         if problems := self.misread(values):
             return problems
         (group,) = self.groups
@@ -193,7 +193,7 @@ class SpecimenForm(Form):
         return problems
 
     def assignments(self, values: Sequence[Mapping[str, str]]) -> tuple[str, ...]:
-        """Return what these values state as assignments, as `specimen.id="P7"`, a time of day with its date.
+        """Return these values as assignments, as `specimen.id="P7"`, a time of day with its date.
 
         Raises
         ------
@@ -210,7 +210,7 @@ class SpecimenForm(Form):
 
 
 def specimen_form(*, of_campaign: bool = False) -> SpecimenForm:
-    """Return an empty form of a specimen, or, `of_campaign`, of what differs from the one that a campaign is of."""
+    """Return an empty form of a specimen, or, `of_campaign`, of the differences from a campaign's."""
     about = f"What is left empty is recorded as {UNSTATED}."
     if of_campaign:
         about = "What is left empty is as in the campaign; a fresh piece needs an id of its own."

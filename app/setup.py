@@ -1,4 +1,4 @@
-"""What a session runs with: backend, pace, rig, plan, specimen, model, found by name or file and changed by --set."""
+"""The setup of a session: backend, pace, rig, plan, specimen, model, found by name or file and changed by --set."""
 
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -187,7 +187,7 @@ def _is_backend(candidate: object) -> TypeGuard[Backend]:
 
 @cache
 def _installed(group: str, _search_path: tuple[str, ...]) -> EntryPoints:
-    """Look through what is installed, which takes a tenth of the time of a short session, once for a search path."""
+    """Look through the installed packages once for a search path: it takes a tenth of a short session's time."""
     return entry_points(group=group)
 
 
@@ -276,21 +276,21 @@ class RigSetup:
         return f"{self.backend} double" if self.double else self.backend
 
     def request(self, pace: "Pace | None" = None) -> BackendRequest:
-        """Return what opens this rig; raises `SettingsError` for a pace that it does not support."""
+        """Return the opener of this rig; raises `SettingsError` for a pace that it does not support."""
         paced, calibrations = resolve_pace(pace, double=self.double), self.calibrations()
         return BackendRequest(
             self.rig, self.model, paced.real_time, None, calibrations, pace=paced.times_faster, memory=self.memory
         )
 
     def commissioning(self) -> CommissioningRecord | None:
-        """Return what the look at this very wiring found, if there was one; raises `SettingsError` if damaged."""
+        """Return the findings of the look at this very wiring, if there was one; raises `SettingsError` if damaged."""
         record = None if self.rig_folder is None else read_commissioning(self.rig_folder)
         if record is None or (record.made_on, record.wiring) != (self.made_on, wiring_key(self.rig)):
             return None
         return record
 
     def stops(self) -> Stops:
-        """Return what ends a motion when the program fails or its link.
+        """Return the stops that end a motion when the program fails or its link.
 
         Raises `SettingsError` for a damaged record of the wiring, and for a dialect of the drive that is not there.
         """
@@ -330,7 +330,7 @@ def resolve_rig(*, folder: Path | None = None, **choices: Unpack[RigChoices]) ->
     Raises
     ------
     SettingsError
-        With file, key and what is allowed.
+        With file, key and the allowed values.
     """
     refuse_unknown(choices, RigChoices.__annotations__)
     changes = Assignments.of(choices.get("assignments", ()))
@@ -399,7 +399,7 @@ _STAGE_LIMITS: Mapping[str, Callable[[float, float], float]] = {
 
 
 def within_lab(rig: RigSettings, lab: RigSettings, *, hardware: bool) -> tuple[RigSettings, tuple[str, ...]]:
-    """Return a rig that a run or a campaign was made with, as a lab lets it run today, and what differs from then.
+    """Return a rig that a run or a campaign was made with, as a lab lets it run today, and the differences from then.
 
     The lab's backend, data root, card and drive stand, on hardware its encoder and force sensor as well; of each two
     limits of stage and guard the stricter counts. Each difference is a phrase. Raises `SettingsError` where the
@@ -428,7 +428,7 @@ def _shown(value: object) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Assignments:
-    """Assignments sorted by what they change; `texts` are the assignments as typed."""
+    """Assignments sorted by the thing that they change; `texts` are the assignments as typed."""
 
     steps: Table
     others: Mapping[str, Table]
@@ -569,7 +569,7 @@ def resolve(
     Raises
     ------
     SettingsError, PlanError
-        With file, key and what is allowed.
+        With file, key and the allowed values.
     TypeError
         For a name that is no choice and no key of any kind of step.
     """

@@ -1,4 +1,4 @@
-"""What the window shows, made in other processes and threads: plans, runs and diagnoses; free of Qt."""
+"""The views of the window, made in other processes and threads: plans, runs and diagnoses; free of Qt."""
 
 import json
 import multiprocessing
@@ -24,9 +24,10 @@ from dragrig.analysis import (
     filter_run,
     gap_starts,
     table_row,
+    unreadable_row,
 )
 from dragrig.analysis.gap import Diagnosis, SettleRecord
-from dragrig.api import ExportFormatName, check, check_setup, filter_settings, mark
+from dragrig.api import ExportFormatName, check, check_setup, filter_settings
 from dragrig.api import export as export_runs
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
@@ -159,13 +160,13 @@ class Form:
     groups: tuple[FormGroup, ...] = ()
 
     def values(self) -> list[dict[str, str]]:
-        """Return the values of every group as text; what is left out has its default."""
+        """Return the values of every group as text; a value left out has its default."""
         return [
             {field.key: group.values.get(field.key, field.default) for field in group.fields} for group in self.groups
         ]
 
     def misread(self, values: Sequence[Mapping[str, str]]) -> "dict[FieldPlace, str]":
-        """Return what is wrong with texts that are no values of their fields at all, by group and key."""
+        """Return the faults of texts that are no values of their fields at all, by group and key."""
         problems: dict[FieldPlace, str] = {}
         for number, (group, texts) in enumerate(zip(self.groups, values, strict=True)):
             for field in group.fields:
@@ -339,19 +340,17 @@ def value_text(value: object) -> str:
         return number_text(value)
     if isinstance(value, list | tuple) and all(isinstance(item, float | int) for item in value):
         return ", ".join(map(value_text, value))
+
+    def toml(item: object) -> str:
+        return json.dumps(item, ensure_ascii=False) if isinstance(item, str | bool) else value_text(item)
+
     if isinstance(value, list | tuple):
-        return ",\n".join(
-            "{" + ", ".join(f"{key} = {_toml_text(item)}" for key, item in row.items()) + "}" for row in value
-        )
+        return ",\n".join("{" + ", ".join(f"{key} = {toml(item)}" for key, item in row.items()) + "}" for row in value)
     return str(value)
 
 
-def _toml_text(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else value_text(value)
-
-
 def parse_field(field: FormField, text: str, group: str) -> object:
-    """Return the value of a field's text, None for none; raises `SettingsError` for what is no value at all."""
+    """Return the value of a field's text, None for none; raises `SettingsError` for a text that is no value."""
     if not text:
         return None
     match field.kind:
@@ -482,9 +481,9 @@ def preview_session(
     Parameters
     ----------
     specimen
-        What is stated of the specimen, as assignments.
+        The stated facts of the specimen, as assignments.
     campaign
-        What the runs are to be added to (default: a campaign of their own).
+        The campaign that the runs are added to (default: a campaign of their own).
 
     Raises
     ------
@@ -518,7 +517,7 @@ def _in_words_of_the_form(sentence: str) -> str:
 
 
 def _conditions(checked: Preflight, steps: Sequence[PlanStep]) -> str:
-    """Say what no curve shows: capsule, fixture and order of each step."""
+    """Say the facts that no curve shows: capsule, fixture and order of each step."""
     parts = []
     for number, step in enumerate(steps):
         runs = [preview.run for preview in checked.previews if preview.run.step == number]
@@ -722,7 +721,15 @@ def _shown_channels(
 
 def steady_rows(paths: Sequence[Path]) -> tuple[TableRow, ...]:
     """Measure runs; an unreadable file has a row with the error."""
-    return tuple(map(_steady_row, paths))
+
+    def measured(path: Path) -> TableRow:
+        try:
+            bad = read_mark(path)
+            return table_row(read_run(path), bad.reason if bad else None)
+        except RunFileError as error:
+            return unreadable_row(path, error)
+
+    return tuple(map(measured, paths))
 
 
 def export_shown_runs(paths: Sequence[Path], folder: Path, kind: ExportFormatName) -> tuple[Path, ...]:
@@ -731,24 +738,6 @@ def export_shown_runs(paths: Sequence[Path], folder: Path, kind: ExportFormatNam
     for path in paths:
         written.extend(export_runs(path, folder, format=kind))
     return tuple(written)
-
-
-def mark_runs(paths: Sequence[Path], reason: str | None) -> tuple[Path, ...]:
-    """Mark runs as bad for a reason, or with None remove their marks; raises `OutputError`."""
-    return mark(paths, bad=reason, good=reason is None)
-
-
-def note_runs(paths: Sequence[Path], text: str) -> tuple[Path, ...]:
-    """Write a note on runs, or with an empty one remove theirs; raises `OutputError`."""
-    return mark(paths, note=text)
-
-
-def _steady_row(path: Path) -> TableRow:
-    try:
-        bad = read_mark(path)
-        return table_row(read_run(path), bad.reason if bad else None)
-    except RunFileError as error:
-        return TableRow(path.name, status="unreadable", remark=str(error))
 
 
 def _shown_run(info: RunInfo, bad: str) -> ShownRun:
@@ -788,7 +777,7 @@ def _on_even_grid(values: AnyFloatArray, even: tuple[npt.NDArray[np.intp], int] 
 
 
 class CampaignWork(StrEnum):
-    """What can be made of a campaign in a process of its own."""
+    """The products of a campaign, each made in a process of its own."""
 
     DIAGNOSE = "diagnose"
     IDENTIFY = "identify"
@@ -849,7 +838,7 @@ class FurtherRuns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompletedSettleStep:
-    """What was decided about a campaign: the runs to make next, or why there are none.
+    """The decision about a campaign: the runs to make next, or why there are none.
 
     The diagnosis is None where runs that were decided on before are missing.
     """
@@ -911,7 +900,7 @@ class DiagnosisProcess:
             yield DiagnosisFailed(f"the work ended unexpectedly (exit code {self._process.exitcode}); try again")
 
     def cancel(self) -> None:
-        """Kill the process, which reads files, and writes what it makes whole and at its end."""
+        """Kill the process, which reads files, and writes its products whole and at its end."""
         self._over = True
         self._process.terminate()
         self._process.join(5.0)
@@ -955,7 +944,7 @@ def _diagnosed(task: DiagnosisTask, progress: Progress) -> CompletedDiagnosis:
 
 
 def _settled_step(task: DiagnosisTask, progress: Progress) -> CompletedSettleStep:
-    """Decide what comes next as `dragrig gap settle` does, and write it into the campaign."""
+    """Decide on the next runs as `dragrig gap settle` does, and write it into the campaign."""
     from dragrig.api import (
         after_diagnosis,
         has_begun,

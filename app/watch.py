@@ -1,7 +1,7 @@
 """Following a running campaign from another process, read-only, and serving its state as a page.
 
 A state is no `Document`: it is no result but a stream, updated in place twice a second in terminal and page, and a line
-of JSON each time. `CampaignState.to_json` is what page and `--json` read.
+of JSON each time. Page and `--json` read `CampaignState.to_json`.
 """
 
 import json
@@ -188,7 +188,7 @@ class CampaignWatch:
         return any(is_recording(path) for path in self.folder.glob("*.h5"))
 
     def _what_finishes_it(self) -> str:
-        """Say what to do about a session that has died."""
+        """Return the remedy for a session that has died."""
         if self._has_recording():
             return "dragrig recover finishes its recording"
         return "no recording is left unfinished, and dragrig run --resume makes the missing runs"
@@ -348,7 +348,7 @@ def _own_address() -> str:
 
 
 class _ShortRequest(BufferedReader):
-    """What a browser sends, up to a bound; more raises `ConnectionError`."""
+    """A browser's request, up to a bound; more raises `ConnectionError`."""
 
     _left = MAX_REQUEST_BYTES
 

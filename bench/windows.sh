@@ -71,17 +71,18 @@ python() {
         mv "$WORK/embedded/unpacked/cp313" "$DRIVE/python"
         rm -rf "$WORK/embedded"
     fi
-    if [ ! -d "$SITE/pytest" ]; then
-        python3 - "$SOURCE/pyproject.toml" >"$WORK/requirements.txt" <<'P'
+    python3 - "$SOURCE/pyproject.toml" >"$WORK/wanted.txt" <<'P'
 import sys, tomllib
 data = tomllib.load(open(sys.argv[1], "rb"))
-project, tools = data["project"], ("stubs", "types-", "mypy", "ruff", "mkdocs", "import-linter", "playwright", "nbclient", "ipykernel")
+project = data["project"]
 wanted = [*project["dependencies"], *project["optional-dependencies"]["gui"], *data["dependency-groups"]["dev"]]
 # pip takes markers for those of this machine, so that what Windows alone needs is named.
-print("\n".join([line.split(";")[0] for line in wanted if not any(tool in line for tool in tools)] + ["colorama"]))
+print("\n".join([*(line.split(";")[0] for line in wanted), "colorama"]))
 P
+    if ! cmp -s "$WORK/wanted.txt" "$WORK/requirements.txt"; then
         python3 -m pip install -q --no-compile --upgrade --target "$SITE" --platform win_amd64 --python-version 3.13 \
-            --implementation cp --only-binary=:all: -r "$WORK/requirements.txt"
+            --implementation cp --only-binary=:all: -r "$WORK/wanted.txt"
+        mv "$WORK/wanted.txt" "$WORK/requirements.txt"
     fi
     rm -rf "$WORK/source" "$DRIVE/wheels"; mkdir -p "$WORK/source" "$DRIVE/wheels"
     git -C "$SOURCE" archive HEAD | tar -x -C "$WORK/source"
@@ -94,7 +95,7 @@ P
 tests() {
     rm -rf "$DRIVE/suite"; mkdir -p "$DRIVE/suite"
     git -C "$SOURCE" archive HEAD | tar -x -C "$DRIVE/suite"
-    CWD="$DRIVE/suite" winpy -m pytest -o addopts="-p no:pytest-qt --strict-markers" -p no:cacheprovider --timeout=300 -q "$@"
+    CWD="$DRIVE/suite" winpy -m pytest -n 1 -p no:cacheprovider --timeout=300 "$@"
 }
 
 smoke() {

@@ -1,4 +1,4 @@
-"""What may be set: the schema of rig, specimen, capsule, friction model and plan, and the files that ship.
+"""Settings: the schema of rig, specimen, capsule, friction model and plan, and the files that ship.
 
 `__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 
 class DragrigError(Exception):
-    """Base of all errors for the operator; the message is one sentence on what is wrong, where, and what to do."""
+    """Base of all errors for the operator; the message is one sentence: the fault, its place, and the remedy."""
 
     exit_code: ClassVar[int] = 2
 
@@ -79,7 +79,7 @@ NO_TEXT = "holds bytes that are no UTF-8; type it anew in a terminal set to UTF-
 
 
 def is_text(text: str) -> bool:
-    """Whether UTF-8 can hold a text; what was typed or named in bytes that are no UTF-8 reaches Python as no text."""
+    """Whether UTF-8 can hold a text; words typed or named in bytes that are no UTF-8 reach Python as no text."""
     return text.isascii() or not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 

@@ -1,4 +1,4 @@
-"""The friction model's parameters: what the simulator assumes of gut and capsule, and effects beyond the nominal model.
+"""The friction model's parameters: assumptions on gut and capsule, and effects beyond the nominal model.
 
 A model that was identified or diagnosed carries a summary of where its values come from; a simulation does not need it.
 """

@@ -1,4 +1,4 @@
-"""Plans: what a session does, step by step.
+"""Plans: a session, step by step.
 
 A step names a kind of run. Its own keys are defined here; the keys of its protocol (`speed_mm_s`, `shear_strain`, …)
 stand beside them in the file, are collected in `parameters`, and are validated by the protocol. Where a key of the
@@ -38,7 +38,7 @@ class ReturnMode(StrEnum):
 
 
 class PlannedKind(GatheredSettings):
-    """A kind of run in a plan, with its parameters and what is mounted for it."""
+    """A kind of run in a plan, with its parameters and the parts mounted for it."""
 
     kind: str = Field(min_length=1)
     """Kind of run: relaxation, coulomb, drag, blank, motion, …."""

@@ -529,7 +529,7 @@ class RigCheck:
 
 
 class CommissioningRecord(Settings):
-    """What the latest guided look at the rig's wiring found (`dragrig check --live`)."""
+    """The findings of the latest guided look at the rig's wiring (`dragrig check --live`)."""
 
     made_at: AwareDatetime
     made_on: str

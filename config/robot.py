@@ -1,4 +1,4 @@
-"""A capsule robot with an inner mass: what it is, what its actuator can do, and how it is driven."""
+"""A capsule robot with an inner mass: the robot itself, the abilities of its actuator, and how it is driven."""
 
 from collections.abc import Mapping
 from math import sqrt
@@ -46,7 +46,7 @@ class RobotDrive(Settings):
 
 
 class RobotSettings(Settings):
-    """A capsule robot and the limits of its actuator; `ranges` are those of what is assumed."""
+    """A capsule robot and the limits of its actuator; `ranges` are those of the assumptions."""
 
     name: str = Field(min_length=1)
     housing_g: float = Field(gt=0, le=1000)

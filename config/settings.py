@@ -1,6 +1,6 @@
 """Settings: the common base class, TOML in and out, and lookup by file or shipped name.
 
-A validation error is one sentence that names the file, the key and what is allowed.
+A validation error is one sentence that names the file, the key and the allowed values.
 """
 
 import ast
@@ -94,7 +94,7 @@ class Settings(BaseModel):
     @field_validator("*", mode="after")
     @classmethod
     def _bounded_text(cls, value: object) -> object:
-        """Refuse what no run file can hold and no message can show."""
+        """Refuse text that no run file can hold and no message can show."""
         if isinstance(value, str):
             if "\0" in value:
                 raise ValueError("must not hold a zero byte")
@@ -119,7 +119,7 @@ class GatheredSettings(Settings):
 
 
 def field_descriptions(model: type[BaseModel]) -> dict[str, str]:
-    """Return what each key of a group of settings is, as the string below it in the code says.
+    """Return the meaning of each key of a group of settings, as the string below it in the code says.
 
     Read when a form or a page asks: pydantic's `use_attribute_docstrings` reads it whenever the program starts, which
     takes as long as loading pydantic itself.
@@ -162,10 +162,10 @@ def read_toml(path: Path) -> Table:
 
 
 def parse_toml(text: str, source: str) -> Table:
-    """Return the table in a text; what no settings hold is refused here, before anything walks through it.
+    """Return the table in a text; content of no settings is refused here, before anything walks through it.
 
-    Raises `SettingsError` for what is not TOML, nested beyond `_MAX_NESTING`, or holds whole numbers beyond 64 bits,
-    which Python's own reader takes and TOML does not have.
+    Raises `SettingsError` for a text that is not TOML, nested beyond `_MAX_NESTING`, or holds whole numbers beyond 64
+    bits, which Python's own reader takes and TOML does not have.
     """
     too_deep = f"{source}: is nested too deeply to be settings."
     try:
@@ -262,7 +262,7 @@ def read_settings_file(model: type[ModelT], path: Path) -> ModelT:
 
 
 def describe_validation_error(error: ValidationError, model: type[BaseModel], source: str) -> str:
-    """Return one sentence for a validation error: file, key, what is allowed."""
+    """Return one sentence for a validation error: file, key, allowed values."""
     details = error.errors(include_url=False)
     # A list that lost an invalid member counts as too short as well; that is no second mistake.
     details = [detail for detail in details if detail["type"] != "too_short"] or details
@@ -274,7 +274,7 @@ def describe_validation_error(error: ValidationError, model: type[BaseModel], so
 
 
 def mistakes_in(model: type[BaseModel], data: Mapping[str, object]) -> dict[tuple[str, ...], str]:
-    """Return what is wrong in a table, by the path of the key or group that it is about; () for the whole table."""
+    """Return the faults of a table, by the path of the key or group that it is about; () for the whole table."""
     try:
         model.model_validate(data)
     except ValidationError as error:

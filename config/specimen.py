@@ -1,4 +1,4 @@
-"""What is tested: the piece of gut, what holds it, and the capsule dummy."""
+"""The specimen: the piece of gut, its fixture, and the capsule dummy."""
 
 from datetime import date, datetime, time, timedelta
 from enum import StrEnum
@@ -15,7 +15,7 @@ SPECIMEN_FACTS = ("id", "animal", "segment", "excised_at", "mounted_at", "storag
 
 
 class Fixture(StrEnum):
-    """What holds the gut during a run."""
+    """The holder of the gut during a run."""
 
     FOAM = "foam"
     """Laid on foam and closed around the capsule: the drag test."""
@@ -37,9 +37,10 @@ def _at_this_place(value: object) -> object:
         at = datetime.combine(now.date(), moment)
         at = at if at.tzinfo is not None else at.astimezone()
         return at if at <= now else at - timedelta(days=1)
-    if isinstance(moment, datetime) and moment.tzinfo is None:
-        return moment.astimezone()
-    return moment
+    try:
+        return moment.astimezone() if isinstance(moment, datetime) and moment.tzinfo is None else moment
+    except (OSError, OverflowError):  # Windows knows no local time before 1970
+        raise ValueError(f"{moment} is before the years whose local time this computer knows") from None
 
 
 def _parsed_time(text: str) -> datetime | time:

@@ -1,6 +1,6 @@
 """Numbers as people type them, on any desktop: point and comma are decimal marks, and no mark of thousands is read.
 
-What a text shows is the number that it gives, or it is refused in a sentence that says how to write it.
+The number that a text shows is the one that it gives, or it is refused in a sentence that says how to write it.
 """
 
 import re

@@ -1,8 +1,8 @@
 """The guided look at a newly wired rig: a person pushes, presses and watches; each signal is judged.
 
-Nothing is driven until the end, when what stops the drive is taken away from it.
+Nothing is driven until the end, when its stops are taken away from the drive.
 
-What no program can know of a rig by itself is which way its wires go: whether the encoder counts up where the stage
+No program can know by itself which way the wires of a rig go: whether the encoder counts up where the stage
 goes up, the sign of the force, which switch is which, and whether the drive obeys its enable line.
 """
 
@@ -62,7 +62,7 @@ _BenchAction: TypeAlias = Callable[[SupportsBenchActions], None]
 
 @dataclass(frozen=True, slots=True)
 class LiveView:
-    """What the card shows at a moment at which nothing is driven."""
+    """The card's readings at a moment at which nothing is driven."""
 
     force_V: float
     """Mean of the force input over a block."""
@@ -92,7 +92,7 @@ class LiveRig(Protocol):
 
 @runtime_checkable
 class SupportsLiveLook(Protocol):
-    """A backend whose signals a person can try out."""
+    """A backend with signals that a person can try out."""
 
     def look(self) -> AbstractContextManager[LiveRig]:
         """Open the card's signals; the drive is not needed."""
@@ -113,7 +113,7 @@ class SupportsLiveLook(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What was seen from a request to a person until shortly after its answer."""
+    """The readings from a request to a person until shortly after its answer."""
 
     before: LiveView
     views: tuple[LiveView, ...]
@@ -239,7 +239,7 @@ class _Guide:
         self._live, self._bench, self._confirm = live, bench, confirm
 
     def watch(self, text: str, act: _BenchAction = ignore, undo: _BenchAction = ignore) -> Watched:
-        """Return what was seen; `act` and `undo` are what a double does in the person's place."""
+        """Return the readings; `act` and `undo` are a double's actions in the person's place."""
         before = self._live.view()
         views: list[LiveView] = []
 
@@ -259,7 +259,7 @@ class _Guide:
 
 
 def look_at_rig(backend: SupportsLiveLook, rig: RigSettings, confirm: Callable[[Prompt], Answer]) -> Iterator[RigCheck]:
-    """Guide a person through the rig, signal by signal, and yield what was found.
+    """Guide a person through the rig, signal by signal, and yield the findings.
 
     Parameters
     ----------

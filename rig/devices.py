@@ -1,8 +1,8 @@
 """Device interfaces that real and simulated rigs implement: stage, sampler, clock, and the backend that holds them.
 
 A block is immutable and passes guard, recorder and viewers in that order. Positions of the stage are absolute (after
-homing); positions inside a block are relative to where the run started. What every stage refuses before it moves
-(travel, speed, acceleration, an end in motion) is checked here, with run-up and run-down included.
+homing); positions inside a block are relative to where the run started. The refusals of every stage before it moves
+(travel, speed, acceleration, an end in motion) are checked here, with run-up and run-down included.
 """
 
 import time
@@ -40,7 +40,7 @@ STANDSTILL_SPEED_MM_S = 1e-6
 
 
 class TripCause(StrEnum):
-    """What trips the guard."""
+    """The limits that trip the guard."""
 
     START_UP = "start-up"
     POSITION = "position"
@@ -127,7 +127,7 @@ class Contact(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Acquisition:
-    """One motion with synchronous sampling, and what a simulated rig must know of it."""
+    """One motion with synchronous sampling, with the facts that a simulated rig needs of it."""
 
     run_id: str
     order: int
@@ -154,7 +154,7 @@ class Block:
     """Consecutive samples of all channels, arrays of shape `(n,)`, read-only.
 
     `first_index` counts from the run's first sample and includes lost samples: where it is beyond the end of the block
-    before, the samples between are lost. `fault` is what the sampler itself detected: an overrun, a sensor overloaded
+    before, the samples between are lost. `fault` is a detection of the sampler itself: an overrun, a sensor overloaded
     or cut off.
     """
 
@@ -175,7 +175,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class StageLimits:
-    """What the stage can do; positions are absolute."""
+    """The abilities of a stage; positions are absolute."""
 
     lowest_mm: float
     highest_mm: float
@@ -214,7 +214,7 @@ class Stage(Protocol):
 
     @property
     def limits(self) -> StageLimits:
-        """What the stage can do."""
+        """The abilities of the stage."""
 
     def enable(self) -> None:
         """Switch the drive on and hold the position."""
@@ -254,12 +254,12 @@ class Stage(Protocol):
 
     @property
     def fault(self) -> Trip | None:
-        """What drive and switches report, or None; read at every block, so it must not block."""
+        """The fault that drive and switches report, or None; read at every block, so it must not block."""
 
 
 @runtime_checkable
 class SupportsMotionTrial(Protocol):
-    """A stage whose first motion has to show that command, drive and encoder agree."""
+    """A stage that has to show by its first motion that command, drive and encoder agree."""
 
     @property
     def trial_due(self) -> bool:
@@ -302,7 +302,7 @@ class Sampler(Protocol):
     def read(self, cancel: Signal) -> Block | None:
         """Return the next block, at most `MAX_BLOCK_S` long; None once the profile is over or `cancel` is set.
 
-        After `Stage.stop` a sampler still returns what was sampled until the stage stands still, then None.
+        After `Stage.stop` a sampler still returns the samples until the stage stands still, then None.
         Raises `StaleDataError` when no sample arrives in time, another `DeviceError` when the device fails.
         """
 
@@ -405,7 +405,7 @@ def read_idle(backend: Backend, duration_s: float) -> IdleReading:
 
 @dataclass(slots=True)
 class RigMemory:
-    """What a simulated rig keeps from one opening to the next, as a real one does by itself; empty at first.
+    """The state that a simulated rig keeps from one opening to the next, as a real one does by itself; empty at first.
 
     It belongs to the program that opens the rig, again and again, and to one opening at a time.
     """
@@ -417,7 +417,7 @@ class RigMemory:
 class BackendRequest:
     """Argument of a backend's factory.
 
-    The factory is what an entry point of the group `dragrig.backends` names: a callable that takes a request and
+    The factory is named by an entry point of the group `dragrig.backends`: a callable that takes a request and
     returns a `Backend`, raising `SettingsError` or `DeviceError`.
     """
 
@@ -446,7 +446,7 @@ def with_utc_offset(origin: datetime | None) -> datetime:
 
 
 class WallClock:
-    """A clock in real time, whose time of day may begin at another moment."""
+    """A clock in real time; its time of day may begin at another moment."""
 
     def __init__(self, origin: datetime | None = None) -> None:
         self._origin = with_utc_offset(origin)

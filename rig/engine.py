@@ -6,7 +6,7 @@
                         │                 │ abort, trip, fault, full disk           ▲
                         └─────────────────┴──▶ STOPPING ──stage stands, or 1 s──────┘
 
-Each block passes guard, record, checks and viewer. Whatever happens, the stage is stopped first; each step of the
+Each block passes guard, record, checks and viewer. In every case the stage is stopped first; each step of the
 clean-up is independent, so that a failing step prevents no other; and the reason is written.
 """
 
@@ -233,7 +233,7 @@ class RunningAcquisition:
                 self._note("trip" if status is RunStatus.TRIPPED else "stop", reason or "aim reached", braking_from)
 
     def settle(self) -> None:
-        """Record what is sampled until the stage stands still."""
+        """Record the samples until the stage stands still."""
         never, low_mm, high_mm = Signal(), self._position_mm, self._position_mm
         # The reason of the end is known; a device that fails again adds nothing to it.
         with suppress(Exception):
@@ -352,7 +352,7 @@ class RunningAcquisition:
 
 
 def attempt(step: Callable[[], object]) -> str:
-    """Make one step of a clean-up; return its error of whatever class as text, empty if there is none."""
+    """Make one step of a clean-up; return its error, of any class, as text, empty if there is none."""
     try:
         step()
     except DragrigError as error:

@@ -1,9 +1,9 @@
 """The guard: an interlock that stops the stage once and stays tripped until it is reset.
 
-It starts tripped, so that nothing moves before a person has looked at the rig, and it trips once: whatever follows a
-trip does not replace its reason. It watches force, position, speed, following error, an encoder that shows no counts
-while the setpoint moves (a cable off, a broken wire, a stuck stage), and one that jumps as no stage can. A stage that
-set out too late, or never, is told from a silent encoder once it stands, by what drive and encoder showed until then.
+It starts tripped, so that nothing moves before a person has looked at the rig, and it trips once: nothing that follows
+a trip replaces its reason. It watches force, position, speed, following error, an encoder that shows no counts while
+the setpoint moves (a cable off, a broken wire, a stuck stage), and one that jumps as no stage can. A stage that set out
+too late, or never, is told from a silent encoder once it stands, by the readings of drive and encoder until then.
 """
 
 from dataclasses import dataclass
@@ -247,7 +247,7 @@ class Guard:
 
     @property
     def may_be_stopped(self) -> bool:
-        """Whether it is latched on what an emergency stop looks like in the samples."""
+        """Whether it is latched on a picture in the samples like that of an emergency stop."""
         return self._trip is not None and self._trip.cause in _CAUSES_OF_STANDING
 
     def explain_standing(self, fault: Trip | None) -> Trip | None:
@@ -279,7 +279,7 @@ class Guard:
         )
 
     def _check_jump(self, block: Block, rate_hz: float) -> Trip | None:
-        """Find a sample at which the position leaves its course and goes on beside it, at whatever speed.
+        """Find a sample at which the position leaves its course and goes on beside it, at any speed.
 
         The speed changes there and changes back; that of an encoder that falls silent, or of a stage that is held up,
         changes once.

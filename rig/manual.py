@@ -138,7 +138,7 @@ class DetectedContact:
 
 
 class ManualControl:
-    """What a person may do with an open rig between runs; belongs to one thread, as the engine's `acquire`.
+    """Motions of an open rig by hand, between runs; belongs to one thread, as the engine's `acquire`.
 
     Every method raises `AbortedError` when the person, or `Engine.abort`, ends it, `TrippedError` when the guard is
     tripped or trips, and `DeviceError` when a device refuses.
@@ -184,7 +184,7 @@ class ManualControl:
         Parameters
         ----------
         override
-            Side whose limit switch is pressed, as of `jog`: a stage that does not know its position cannot jog.
+            Side of the pressed limit switch, as of `jog`: a stage that does not know its position cannot jog.
         """
         if override is None:
             self._guard.require_armed()
@@ -202,7 +202,7 @@ class ManualControl:
         speed_mm_s
             None for 10 mm/s, or the highest speed allowed if that is less.
         override
-            Side whose limit switch is pressed: it alone is overridden, for this one slow jog away from it. The guard
+            Side of the pressed limit switch: it alone is overridden, for this one slow jog away from it. The guard
             need not be reset before, and is tripped again afterwards if the switch still is pressed.
 
         Raises

@@ -1,4 +1,4 @@
-"""The person at the rig: prompts and answers, and what is confirmed before and after motion.
+"""The person at the rig: prompts and answers, and confirmations before and after motion.
 
 Before motion: the guard's reset and homing. After it: stop, standstill, drive off.
 """
@@ -42,7 +42,7 @@ class Answer(StrEnum):
 
 
 class LiveReading(Protocol):
-    """What a rig shows at a moment."""
+    """The readings of a rig at a moment."""
 
     @property
     def text(self) -> str:
@@ -86,7 +86,7 @@ class Operator(Protocol):
 
     @property
     def attended(self) -> bool:
-        """Whether a person answers what needs no hands; records say so where nobody does."""
+        """Whether a person answers prompts that need no hands; records say so where nobody does."""
 
     def ask(self, prompt: Prompt) -> Answer:
         """Show a prompt and wait for the answer."""
@@ -149,7 +149,7 @@ class NullOperator:
 
 
 def ignore(*_: object) -> None:
-    """Do nothing with what is told."""
+    """Do nothing with a message."""
 
 
 def confirm(operator: Operator, prompt: Prompt) -> None:
@@ -215,7 +215,7 @@ def find_origin(stage: Stage, operator: Operator) -> None:
 def park(backend: Backend, ended_for: str = "") -> list[str]:
     """Stop everything and switch the drive off once the stage stands; return the errors.
 
-    What ended a session early, `ended_for`, mostly makes these steps fail too. Its own message is the one that helps,
+    The cause of an early end, `ended_for`, mostly makes these steps fail too. Its own message is the one that helps,
     so after it these errors become the one request that needs a person: to check the drive.
     """
     # Switched off in motion, a stage coasts.

@@ -1,4 +1,4 @@
-"""From a plan to the runs of a session, in order, and what is checked before anything moves.
+"""From a plan to the runs of a session, in order, and the checks before anything moves.
 
 Every run is checked against the stage's limits with its run-up and run-down, and for run time, file size and free
 disk; the settings of the rig are checked against each other, and the calibrations for their age and their sensor.
@@ -278,7 +278,7 @@ def _continues(plan: Plan, templates: Sequence[PlannedRun], place: int) -> bool:
 
 
 def _prepared_by(sentinel: PlannedRun, run: PlannedRun, mounting: str) -> tuple[PlannedRun, PlannedRun]:
-    """Hand on to a sentinel what must be done by hand before it and the run after it; return both."""
+    """Hand on to a sentinel the manual work before it and the run after it; return both."""
     if run.by_hand:
         return replace(sentinel, by_hand=True, prompt=_BY_HAND_PROMPT), replace(run, by_hand=False)
     if sentinel.mounting == mounting:
@@ -379,7 +379,7 @@ class Preflight:
 
 
 def specimen_remark(specimen: Specimen) -> str:
-    """Say what nobody stated of the specimen on a real rig, and how it is stated; empty where all is."""
+    """Say which facts of the specimen nobody stated on a real rig, and how they are stated; empty where all are."""
     if not specimen.not_stated:
         return ""
     first = specimen.not_stated[0]
@@ -406,7 +406,7 @@ def preflight(
     extra_channels
         Channels besides force and position; None for those of the simulated rig.
     stops
-        What ends a motion when the program fails or its link; None for a stage without a drive.
+        The stops that end a motion when the program fails or its link; None for a stage without a drive.
     """
     if extra_channels is None:
         extra_channels = 1 if rig.sampling.motor_force else 0

@@ -1,4 +1,4 @@
-"""Samples with their setpoint, and the checks made on them: rest offset, clipping, slip, response, what was lost.
+"""Samples with their setpoint, and the checks made on them: rest offset, clipping, slip, response, losses.
 
 Checks are accumulated block by block, so that they need no memory of the run and are ready the moment it ends.
 """
@@ -276,7 +276,7 @@ class RunChecks:
         return CheckReport(values, tuple(warnings), encoder_fault)
 
     def _report_response(self, values: dict[str, Attribute]) -> list[str]:
-        """Add what the force did while the stage moved and stopped; return the warning that is due for it."""
+        """Add the course of the force while the stage moved and stopped; return the warning that is due for it."""
         response = "" if self._response is None else self._response.verdict(self._rest)
         if response and response != _NO_RESPONSE and self._stops is not None and self._stops.unfollowed:
             response = _NOT_FOLLOWING
@@ -344,7 +344,7 @@ class _RestStatistics:
 
 
 class _Noise:
-    """Noise within a tenth of a second, hum included, beside a parabola that takes what relaxes or drifts.
+    """Noise within a tenth of a second, hum included, beside a parabola that takes relaxation and drift.
 
     The median over such windows, so that a single jerk is none.
     """
@@ -383,7 +383,7 @@ class _SettledHold:
         self._begins_s = nan
 
     def force_of(self, reading: Reading, delay_s: float) -> FloatArray:
-        """Return what of a reading's force is so much later than a stop, shape `(n,)`; it may be none."""
+        """Return the part of a reading's force that is so much later than a stop, shape `(n,)`; it may be none."""
         holding = reading.phase == _HOLD
         if not holding.any():
             self._begins_s = nan
@@ -395,9 +395,9 @@ class _SettledHold:
 
 
 class _StopResponse:
-    """Whether the force changes at each stop, as friction does, beside what it drifts anyway.
+    """Whether the force changes at each stop, as friction does, beside its drift.
 
-    Compared are the means over a tenth of a second: two before the stage brakes, of which the second goes on from the
+    Compared are the means over a tenth of a second: two before the stage brakes, the second going on from the
     first, and one after it stands.
     """
 
@@ -505,7 +505,8 @@ class _Standstill:
 class _ForceResponse:
     """Whether the force changes against its value at rest while the stage moves, and resists the motion.
 
-    A force of friction does work against the motion, whatever else changes it: its sign follows from the work.
+    A force of friction does work against the motion, also where something else changes it: its sign follows from the
+    work.
     """
 
     def __init__(self, accuracy_mN: float) -> None:
@@ -529,7 +530,7 @@ class _ForceResponse:
         self._blocks += 1
 
     def verdict(self, rest: _RestStatistics) -> str:
-        """Return what the force did; empty where the stage did not move."""
+        """Return the course of the force; empty where the stage did not move."""
         if not self._path_mm:
             return ""
         scatter_mN = rest.noise * sqrt(self._blocks / self._samples + 1 / rest.count)
@@ -543,7 +544,7 @@ class _ForceResponse:
 class _SlipDetector:
     """Detects a drop of the held force that is larger than the drop before it.
 
-    A relaxing wall loses force ever more slowly, whatever its time constants; a capsule that slips does not.
+    A relaxing wall loses force ever more slowly, with any time constants; a capsule that slips does not.
     """
 
     def __init__(self, rate_hz: float, accuracy_mN: float) -> None:

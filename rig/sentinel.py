@@ -1,4 +1,4 @@
-"""Sentinels: one run made again and again, whose steady force says how far the specimen has drifted since the first."""
+"""Sentinels: one run made again and again; its steady force says how far the specimen has drifted since the first."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -88,12 +88,12 @@ class Drift:
         return f"{sentence}, {change}, {verdict} (± is one standard error)"
 
     def attributes(self, decision: str) -> Mapping[str, Attribute]:
-        """Return what the files of the runs after it say about the specimen.
+        """Return the entry about the specimen in the files of the runs after it.
 
         Parameters
         ----------
         decision
-            What was decided, where somebody was asked.
+            The decision, where somebody was asked.
         """
         attributes: dict[str, Attribute] = {"sentinel_run": self.measured.order, "sentinel_decision": decision}
         if self.percent is not None:

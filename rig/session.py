@@ -59,7 +59,7 @@ _MAX_START_ERROR_MM = 0.05
 
 
 def run_acquisition(order: int, run: PlannedRun, dwell_s: float) -> Acquisition:
-    """Return the acquisition of a run whose contact is `dwell_s` old at its first sample."""
+    """Return the acquisition of a run with a contact `dwell_s` old at its first sample."""
     return Acquisition(
         run_id=str(uuid4()),
         order=order,
@@ -178,7 +178,8 @@ class Session:
     steady_force
         Measures a sentinel.
     stops
-        What ends a motion when the program fails or its link; where that is late, the way to a run's start is slow.
+        The stops that end a motion when the program fails or its link; where that is late, the way to a run's start is
+        slow.
     """
 
     def __init__(

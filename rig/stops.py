@@ -1,8 +1,8 @@
-"""What stops a stage that its program cannot stop any more, and how far the stage goes until then.
+"""The stops of a stage that its program cannot stop any more, and how far the stage goes until then.
 
 The serial cable fails, and the program takes enable line and heartbeat away; or the program itself is stopped or
 killed, and the card holds its enable line. Nothing is assumed to be wired: `dragrig check --live` proves each stop, or
-finds it missing; before that, it is what the settings claim, and called so.
+finds it missing; before that, it is a claim of the settings, and called so.
 """
 
 from collections.abc import Iterator
@@ -47,7 +47,7 @@ class StopName(StrEnum):
 
 
 class Failure(StrEnum):
-    """What keeps the program from stopping the stage."""
+    """The failures that keep the program from stopping the stage."""
 
     PROGRAM = "the program is stopped or killed"
     LINK = "the serial cable fails"
@@ -55,7 +55,7 @@ class Failure(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """What ends a motion after a failure."""
+    """The stop that ends a motion after a failure."""
 
     until: str
     """In words that go on after "until"."""
@@ -76,7 +76,7 @@ class Stop:
 
     @property
     def ends(self) -> str:
-        """What ends the motion, and why nothing else does, in words that go on after "until"."""
+        """The stop that ends the motion, and why no other does, in words that go on after "until"."""
         return f"{self.until} ({self.because})" if self.because else self.until
 
     def way_mm(self, speed_mm_s: float) -> float:
@@ -84,14 +84,14 @@ class Stop:
         return speed_mm_s * self.after_s + speed_mm_s**2 / (2 * self.deceleration_mm_s2)
 
     def speed_mm_s(self, room_mm: float) -> float:
-        """Return the greatest speed whose way fits into a room."""
+        """Return the greatest speed with a way that fits into a room."""
         deceleration, after_s = self.deceleration_mm_s2, self.after_s
         return deceleration * (sqrt(after_s**2 + 2 * max(room_mm, 0.0) / deceleration) - after_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Stops:
-    """What ends a motion after each failure."""
+    """The stop that ends a motion after each failure."""
 
     on_program: Stop
     on_link: Stop
@@ -111,12 +111,12 @@ class Stops:
 
 
 def assess_stops(rig: RigSettings, record: CommissioningRecord | None, *, has_timeout: bool) -> Stops:
-    """Return what ends a motion: the soonest stop that is proven, else what the settings claim, else a person.
+    """Return the stop that ends a motion: the soonest proven one, else that of the settings, else a person.
 
     Parameters
     ----------
     record
-        What a look at this wiring found; None where nobody has looked.
+        The finding of a look at this wiring; None where nobody has looked.
     has_timeout
         Whether the drive's dialect has a silence timeout.
     """
@@ -164,7 +164,7 @@ def _claimed_stops(rig: RigSettings, name: StopName, seen_s: float) -> dict[Fail
 
 
 def _ramp_of_voltage(rig: RigSettings) -> Stop:
-    """Return how the program itself stops the stage in velocity mode, once what is written ahead is put out."""
+    """Return how the program itself stops the stage in velocity mode, once the voltages written ahead are put out."""
     drive = rig.hardware.drive
     after_s = drive.silence_s / 2 + drive.velocity.update_s * (drive.velocity.ahead + 1)
     until = "the program has brought its voltage down"
@@ -240,7 +240,7 @@ class RunOn:
         return cls(stop, float(np.abs(on).max()), unstopped_mm, float(reached.min()), float(reached.max()))
 
     def violations(self, failure: str, extremes: MotionExtremes, start_mm: float, limits: StageLimits) -> Iterator[str]:
-        """Say where only the run-on leaves the soft limits, which speed would not, and what to wire."""
+        """Say where only the run-on leaves the soft limits, which speed would not, and which wire is needed."""
         low_mm, high_mm = start_mm + extremes.lowest_mm, start_mm + extremes.highest_mm
         for reached_mm, limit_mm, room_mm, beyond_mm in (
             (start_mm + self.lowest_mm, limits.lowest_mm, low_mm - limits.lowest_mm, -self.lowest_mm),
@@ -257,7 +257,7 @@ class RunOn:
 
 
 def run_on_remark(failure: str, run_on: RunOn, speed_mm_s: float) -> str:
-    """Say how far the stage goes on after a failure, and whether anybody has seen what ends that."""
+    """Say how far the stage goes on after a failure, and whether anybody has seen it stopped."""
     stop, unstopped_mm = run_on.stop, run_on.unstopped_mm
     end = ", never beyond the end of its stroke" if isfinite(unstopped_mm) else ""
     text = (

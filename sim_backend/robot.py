@@ -6,7 +6,7 @@ exceed the static resistance; starts are at a phase's begin, or where the wall a
 at zero speed. Between two events the motion is a polynomial that satisfies the equation of motion at Gauss points. Once
 a period ends in the state in which it began, all further ones are the same: they are copied.
 
-What the friction model does not say of a motion that the dynamics decide is decided so:
+Where the friction model leaves a motion to the dynamics:
 
 * Coulomb friction has its exact sign instead of the regularised one; at rest it is whatever the balance needs, up to
   μ N.
@@ -183,7 +183,7 @@ class Resistance(ABC):
         """Take over a finished panel of a slip."""
 
     def moved(self, time_s: float, way_mm: float) -> Self:
-        """Return what it would be had everything happened so much later and further on."""
+        """Return the same state so much later and further on."""
         return self
 
     def difference(self, before: Self) -> float:

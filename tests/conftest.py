@@ -26,6 +26,10 @@ if sys.dont_write_bytecode:
     sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"]
     sys.dont_write_bytecode = False
 
+if os.name == "nt":
+    # Elsewhere programs write UTF-8 into a pipe; Windows' would write in the letters of its consoles.
+    os.environ.setdefault("PYTHONIOENCODING", "utf-8")
+
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 os.environ.setdefault("PYTEST_QT_API", "pyside6")
 

@@ -182,7 +182,7 @@ def resimulate(run: Run, model: FrictionModelSettings, first_run_at: datetime | 
     Raises
     ------
     AnalysisError
-        One sentence, where the run lacks what the model needs.
+        One sentence, where the run lacks a part that the model needs.
     SettingsError
         Where the published wall parameters do not reach the strain of the run.
     """
@@ -308,7 +308,7 @@ def _measure_side(side: ComparedSide, progress: Callable[[int], None]) -> tuple[
 
 
 def _without_errors(measures: RunMeasures) -> RunMeasures:
-    """Measures of a model without errors: it has no noise, and what varies in it is the model itself."""
+    """Measures of a model without errors: it has no noise, and its variations are the model itself."""
 
     def exact(estimate: Estimate) -> Estimate:
         return estimate if estimate.value is None else Estimate(estimate.value, 0.0)
@@ -581,7 +581,7 @@ def _average_group(group: Sequence[RunPair]) -> Iterator[GroupDifference]:
 
 
 def comparison_sentences(comparison: Comparison) -> tuple[str, ...]:
-    """Say what was compared, then over which conditions B differs from A: drags first, then each kind and measure."""
+    """Name the sides, then the conditions over which B differs from A: drags first, then each kind and measure."""
     by_measure: dict[tuple[str, str], list[GroupDifference]] = {}
     for group in comparison.groups:
         by_measure.setdefault((group.condition.kind, group.measure), []).append(group)

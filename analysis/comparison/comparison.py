@@ -284,7 +284,7 @@ class RunCondition:
         return f"{self.kind} at {value:.3g} {unit}{back}"
 
     def differs_from(self, condition: "RunCondition") -> tuple[str, ...]:
-        """Return in words what differs between two conditions; empty where the runs may be compared."""
+        """Return in words the differences of two conditions; empty where the runs may be compared."""
         differences = [
             f"{name} {own or 'not stated'} against {others or 'not stated'}"
             for name, own, others in (

@@ -184,7 +184,7 @@ DEFAULT_HANDS_MIN = 2.0
 
 
 def require_hands(hands_min: float) -> None:
-    """Refuse what is no time of a person's hands; raises `SettingsError`."""
+    """Refuse a value that is no time of a person's hands; raises `SettingsError`."""
     if not (isfinite(hands_min) and hands_min >= 0):
         raise SettingsError(
             f"--hands {hands_min:g}: a person's time at a change of fixture or capsule is a number of minutes from 0."
@@ -192,7 +192,7 @@ def require_hands(hands_min: float) -> None:
 
 
 def mounting(kind: str) -> str:
-    """Return what fixture and capsule a kind of run needs, by the name of a kind that needs them too."""
+    """Return which fixture and capsule a kind of run needs, by the name of a kind that needs them too."""
     return "drag" if kind == "motion" else kind
 
 
@@ -200,7 +200,7 @@ SeenT_contra = TypeVar("SeenT_contra", contravariant=True)
 
 
 class OpenQuestion(Protocol[SeenT_contra]):
-    """What is open, and what runs are expected to tell of it; `SeenT_contra` is what it needs of a run."""
+    """The open question, and the expected information of runs on it; `SeenT_contra` is its need of a run."""
 
     @property
     def open_bits(self) -> float:
@@ -249,9 +249,9 @@ def greedy_search(
     Parameters
     ----------
     question
-        What the campaign so far leaves open.
+        The question that the campaign so far leaves open.
     candidates
-        Candidate runs, each with what the question needs of it.
+        Candidate runs, each with the need of the question.
     horizon
         Number of runs that are looked ahead, if the budget has fewer.
     """
@@ -384,7 +384,7 @@ def plan_of_next_runs(next_experiment: NextExperiment, name: str = "next", mount
     Parameters
     ----------
     mounted
-        What is on the rig, as `mounting` names it: its runs come first, and ask for no hands.
+        The parts on the rig, as `mounting` names them: their runs come first, and ask for no hands.
     """
 
     def order(step: PlanStep) -> tuple[bool, int]:
@@ -445,7 +445,7 @@ def run_text(step: PlanStep) -> str:
 
 
 def recommendation_reason(run: NextRun, open_bits: float, compared: int, subject: str) -> str:
-    """Say why a run is recommended: what it tells of `subject` in how much time."""
+    """Say why a run is recommended: its information on `subject`, and its time."""
     gain_bits = run.gain_bits or 0.0
     told = f"{bits_text(gain_bits)} of the {bits_text(open_bits)} bit that"
     most = f", most of it about {join_names([display_name(name) for name in run.about])}" if run.about else ""

@@ -14,7 +14,14 @@ from math import atan2, hypot, pi
 
 import numpy as np
 
-from dragrig.analysis import ANGLE_PARAMETER, FRICTION_VARIATION, STIFFNESS_VARIATION, JointProblem, Whitening
+from dragrig.analysis import (
+    ANGLE_PARAMETER,
+    FRICTION_VARIATION,
+    STIFFNESS_VARIATION,
+    UNKNOWN_FORCE_MN,
+    JointProblem,
+    Whitening,
+)
 from dragrig.analysis.gap.run_data import RunData, smooth_modulations
 from dragrig.config import EffectSettings, ModelSettings
 from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray
@@ -189,6 +196,10 @@ class Candidate:
         return SHAPE_PRIOR_SD * max(abs(self.values[parameter.name]), 1e-3 * abs(parameter.high))
 
 
+KNOWN_SHARE = 0.01
+"""A block is unknown from this share of the uncertainty of an unknown force on: a ten-thousandth of its time."""
+
+
 def chain_with(candidates: Sequence[Candidate], known: EffectChain) -> EffectChain:
     """Return the effects of the nominal model together with candidates."""
     by_id = sorted(candidates, key=lambda candidate: candidate.effect.id)
@@ -246,7 +257,7 @@ class Study(ABC):
 
     @abstractmethod
     def limitations(self) -> Iterator[str]:
-        """Yield what these runs and this model cannot answer, a sentence each."""
+        """Yield the questions that these runs and this model cannot answer, a sentence each."""
 
     @property
     def chain(self) -> EffectChain:
@@ -285,7 +296,8 @@ class Study(ABC):
         """
         noise = float(np.hypot(self.problem.noises[number].white, self.runs[number].block_data.moving_white))
         known = motion_sd <= noise
-        return known if known.any() else motion_sd <= float(np.median(motion_sd))
+        predicted = motion_sd[motion_sd < KNOWN_SHARE * UNKNOWN_FORCE_MN]
+        return known if known.any() or not predicted.size else motion_sd <= float(np.median(predicted))
 
     def amended_settings(self, z: FloatArray) -> ModelSettings | None:
         """Return the model with fitted values, to which found effects can be added; None by default."""

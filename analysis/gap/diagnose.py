@@ -31,12 +31,12 @@ from dragrig.analysis.gap.diagnosis import (
     left_open,
 )
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
-from dragrig.analysis.gap.gap_reduction import held_out_improvement
+from dragrig.analysis.gap.gap_reduction import held_out_improvement, share_of_position
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit
 from dragrig.analysis.gap.isolability import detection_limit
 from dragrig.analysis.gap.localise import attribute_to_effects, localise
 from dragrig.analysis.gap.next_run import Recommendation, recommend_next_run
-from dragrig.analysis.gap.position_channel import PositionAnalysis, contribution_to_position, share_of_position
+from dragrig.analysis.gap.position_channel import PositionAnalysis, Yielding, contribution_to_position
 from dragrig.analysis.gap.spectral_lines import SpectralLine, SpectralLines
 from dragrig.analysis.gap.unknown_gap import describe_unexplained_gap
 from dragrig.analysis.gap.weighing import DiagnosisOptions, WeighedCauses, weigh_causes
@@ -203,7 +203,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         nominal=weighed.nominal.name,
         runs=len(selection.experiments),
         used_for_fit=files,
-        held_out=files if len(files) > 1 else (),
+        held_out=() if reduction is None else files,
         left_out=selection.left_out,
         verdict=classification.verdict,
         effects=classification.effects,
@@ -228,7 +228,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
         model=amended_model(study, fit, position, lines, classification, search, reduction, selection),
         traces=traces,
         limitations=(*study.limitations(), *next_runs.limitations),
-        remarks=(*selection.remarks, *_yielding_remarks(position.yields_mm)),
+        remarks=(*selection.remarks, *_yielding_remarks(position.yielding)),
         calibration=CALIBRATION_NOTE,
         decision_inputs=weighed.inputs,
         next_experiment=next_runs.experiment,
@@ -238,18 +238,29 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
     return left_open(diagnosis, study.only_condition) if study.only_condition else diagnosis
 
 
-def _yielding_remarks(yields_mm: float) -> Iterator[str]:
-    if yields_mm:
-        yield f"the stage gives way to the force by up to {1e3 * yields_mm:.2g} µm; its motion is recorded: no gap"
+def _yielding_remarks(yielding: Yielding | None) -> Iterator[str]:
+    if yielding is not None:
+        force = yielding.channel.replace("_", " ")
+        yield (
+            f"the stage gives way to the {force} by up to {1e3 * yielding.most_mm:.2g} µm ({yielding.um_per_N:.2g} "
+            "µm/N), as a position loop does; its motion is recorded: no gap"
+        )
 
 
 def _budget(weighed: WeighedCauses) -> GapBudget:
     study, position = weighed.study, weighed.position
     hum_mN = float(np.sqrt(0.5)) * weighed.lines.mains.amplitude
     fitted = "" if position.candidate is None else position.candidate.effect.id
-    share = None if weighed.held_out[0] is None else share_of_position(position)
+    reduction = weighed.held_out[0]
     budget = gap_budget(
-        study, weighed.causes, weighed.verdict, weighed.in_position, fitted, share, {hum_effect().id: hum_mN}
+        study,
+        weighed.causes,
+        weighed.verdict,
+        weighed.in_position,
+        fitted,
+        None if reduction is None else share_of_position(position),
+        {hum_effect().id: hum_mN},
+        0.0 if reduction is None else reduction.gap_mN,
     )
     if any(entry.channel == "position" for entry in budget.entries):
         return replace(budget, runs=(*budget.runs, *_contributions_in_position(study, position)))
@@ -257,7 +268,7 @@ def _budget(weighed: WeighedCauses) -> GapBudget:
 
 
 def _contributions_in_position(study: Study, position: PositionAnalysis) -> Iterator[RunContributions]:
-    """Yield the position error of each run, and what the effect on the position adds to it [µm]."""
+    """Yield the position error of each run, and the effect's contribution to it [µm]."""
     candidate, labels = position.candidate, {run.file: run.label for run in study.runs}
     if candidate is None:
         return

@@ -135,7 +135,7 @@ POSITION_BINS, SESSION_BINS = 10, 8
 
 
 class ComparisonBasis(StrEnum):
-    """What the excess in a bin is compared with."""
+    """The comparison for the excess in a bin."""
 
     RUNS = "runs"
     """Other runs of the same kind, for bins that contain whole runs."""
@@ -160,7 +160,7 @@ class ExcessAxis:
     duration: FloatArray
     """Share of each run's duration in each bin, shape `(R, J)`."""
     basis: ComparisonBasis
-    """What the excess in a bin is compared with."""
+    """The comparison for the excess in a bin."""
 
     @property
     def ordered(self) -> bool:

@@ -425,7 +425,7 @@ def _likely_effects(search: ForceSearchResult, min_llr: float, min_share: float)
 
 
 def _with_converged_nominal(search: ForceSearchResult) -> ForceSearchResult:
-    """Return the search around a nominal model whose next step would gain little beside what the best effect does.
+    """Return the search around a nominal model whose next step would gain little beside the best effect's gain.
 
     At high rates many blocks resolve when friction sets in, and uncertainty and derivatives change on the way. A gap
     that a further step of the nominal model would close then looks like any effect whose fit makes that step.
@@ -448,7 +448,7 @@ def _with_converged_nominal(search: ForceSearchResult) -> ForceSearchResult:
 
 
 def _refit_second_alone(search: ForceSearchResult) -> list[HypothesisFit]:
-    """Fit alone what was added second: it may make the first superfluous."""
+    """Fit the second effect alone: it may make the first superfluous."""
     tried = {fit.effects[0] for fit in search.singles}
     seconds = {step.effect for step in search.steps if step.fit is not None and len(step.fit.effects) == 2}
     ranked = [best for best in search.ranked if best.effect in seconds - tried]

@@ -1,7 +1,7 @@
 """Size of the gap before and after an explanation: residuals, noise floor, held-out runs and closed share."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,11 +9,14 @@ from dragrig.analysis import (
     SPEED_TOLERANCE,
     NoiseModel,
     Whitening,
+    in_phase,
     r2_eq15,
     squared_correlation,
+    steady_stretch,
 )
 from dragrig.analysis.gap.design import (
     NUISANCES,
+    Candidate,
     ColumnKind,
     Design,
     RankedEffect,
@@ -23,17 +26,24 @@ from dragrig.analysis.gap.design import (
     project_dictionary,
     rank_effects,
 )
-from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter, RunTraces
+from dragrig.analysis.gap.diagnosis import GapReduction, R2BeforeAfter, RunTraces, SteadyLevels
 from dragrig.analysis.gap.excess import ResidualBlocks
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit
-from dragrig.analysis.gap.position_channel import PositionErrors, origin_of
+from dragrig.analysis.gap.position_channel import (
+    PositionAnalysis,
+    PositionErrors,
+    contribution_to_position,
+    origin_of,
+    predicted_position_error,
+)
 from dragrig.analysis.gap.run_data import RunData, commanded_phase
 from dragrig.analysis.gap.spectral_lines import SpectralLine
 from dragrig.analysis.paper import BOUNDARY_MM_S
 from dragrig.rig import BoolArray, FloatArray, IndexArray, Phase
 
-BOOTSTRAP_SAMPLES = 1000
+BOOTSTRAP_SAMPLES, RUN_WEIGHTINGS = 1000, 500
+"""Samples of whole runs, and of weights of them."""
 MIN_GAP_OVER_FLOOR = 1.2
 """A gap below this multiple of the floor cannot be closed."""
 MIN_POINTS = 3
@@ -82,7 +92,7 @@ def gap_of_run(
 ) -> RunGap:
     """Compare residuals of a run before and after, each with its whitening, shapes `(B,)`.
 
-    What a run may be off by is removed from both residuals, for each by itself: run factors within `max_own_sigmas` of
+    The offsets of a run are removed from both residuals, for each by itself: run factors within `max_own_sigmas` of
     the scatter of repeats, or further where both agree, and the zero offset. Factors of the model with the effect taken
     from both residuals would give the effect itself back as a gap that it then closes. Blocks count if `informative`.
     """
@@ -110,7 +120,7 @@ def gap_of_run(
 def without_own(
     residual: FloatArray, whitening: Whitening, zero_sd: float, max_sigmas: float | FloatArray
 ) -> FloatArray:
-    """Return a residual [mN] without what the run itself is off by, shape `(B,)`.
+    """Return a residual [mN] without the offsets of the run itself, shape `(B,)`.
 
     These are its own factors, limited to some standard deviations, and then its zero, fitted together with them.
     """
@@ -122,7 +132,7 @@ def without_own(
 
 
 def _own_factors(residual: FloatArray, whitening: Whitening) -> FloatArray:
-    """Return what the run itself is off by, in standard deviations; first the zero where it is unknown."""
+    """Return the offsets of the run itself, in standard deviations; first the zero where it is unknown."""
     run_effects = whitening.run_effects
     precision = np.eye(run_effects.shape[1]) + run_effects.T @ run_effects
     return np.asarray(np.linalg.solve(precision, run_effects.T @ whitening.whiten_noise(residual)))
@@ -164,6 +174,62 @@ def _closed_share(sums: FloatArray, min_ratio: float = MIN_GAP_OVER_FLOOR) -> fl
     if before <= min_ratio**2 * floor:
         return None
     return 1.0 - (after - floor) / (before - floor)
+
+
+def run_weights(runs: int, random: np.random.Generator) -> FloatArray:
+    """Return weights of the runs in each bootstrap sample, of mean 1, shape `(RUN_WEIGHTINGS, runs)`.
+
+    Whole counts would leave out an effect that few runs show, as of two relaxations, from every seventh sample; these
+    weights (Rubin, The Bayesian bootstrap, 1981) leave out none.
+    """
+    return np.asarray(random.dirichlet(np.ones(runs), RUN_WEIGHTINGS) * runs)
+
+
+def closed_share(sums: FloatArray) -> tuple[float, tuple[float, float]]:
+    """Return the share of the gap, or of the smallest one that counts, that closes, and its 95 % interval over runs.
+
+    Parameters
+    ----------
+    sums
+        Weight of each run, and its mean squares before, after and of the floor times its weight, shape `(R, 4)`.
+    """
+
+    def shares(totals: FloatArray) -> FloatArray:
+        before, after, floor = totals[..., 1:].T / totals[..., 0]
+        return np.asarray((before - after) / np.maximum(before - floor, (MIN_GAP_OVER_FLOOR**2 - 1) * floor))
+
+    low, high = np.quantile(shares(run_weights(len(sums), np.random.default_rng(0)) @ sums), (0.025, 0.975)).tolist()
+    return float(shares(sums.sum(axis=0))), (low, high)
+
+
+def position_sums(
+    candidate: Candidate,
+    runs: Sequence[PositionErrors],
+    contribution: Callable[[Candidate, PositionErrors], FloatArray],
+) -> FloatArray:
+    """Return the sums of `closed_share` for an effect on the position, in mm², every run weighing alike."""
+    squares = [
+        (float(np.mean(run.error_mm**2)), float(np.mean((run.error_mm - contribution(candidate, run)) ** 2)))
+        for run in runs
+    ]
+    return np.array([(1.0, *pair, run.noise_variance) for pair, run in zip(squares, runs, strict=True)])
+
+
+def position_gap_reduction(position: PositionAnalysis, force: GapReduction) -> GapReduction:
+    """Return a reduction with the closed share of the position errors; sizes stay the force's."""
+    if position.candidate is None:
+        return force
+    sums = position_sums(position.candidate, position.runs, predicted_position_error)
+    closed, interval = closed_share(sums)
+    before_um, after_um = (1e3 * np.sqrt(sums[:, 1:3].mean(axis=0))).tolist()
+    return replace(force, closed=closed, closed_95ci=interval, position_um=(before_um, after_um))
+
+
+def share_of_position(position: PositionAnalysis) -> tuple[float, tuple[float, float]] | None:
+    """Return the share of the position errors that the fitted effect has, with its interval; None without one."""
+    if position.candidate is None:
+        return None
+    return closed_share(position_sums(position.candidate, position.runs, contribution_to_position))
 
 
 def _steady_forces(run: RunData, before: FloatArray, after: FloatArray) -> tuple[float, float, float] | None:
@@ -362,7 +428,7 @@ def _fit_with_variants(design: Design, runs: Sequence[int], ranked: RankedEffect
 
 
 def traces_of_run(gap: RunGap) -> RunTraces:
-    """Return what a figure shows of a run: the measurement, and what the model says before and after."""
+    """Return the curves of a run for a figure: the measurement, and the model before and after."""
     run, at = gap.run, gap.run.coordinates
     measured = run.block_data.blocks.mean
     return RunTraces(
@@ -376,4 +442,23 @@ def traces_of_run(gap: RunGap) -> RunTraces:
         measured=measured,
         before=measured - gap.before,
         after=measured - gap.after,
+        steady=_steady_levels(gap),
     )
+
+
+def _steady_levels(gap: RunGap) -> SteadyLevels | None:
+    """Return the steady force that reports give, friction positive both ways, and its residual from the models."""
+    run = gap.run.experiment.run
+    stretch, rest = steady_stretch(run)[0], in_phase(run.trace, Phase.REST)
+    if not (stretch.any() and rest.any()):
+        return None
+    first, last = gap.run.experiment.time_s[stretch][[0, -1]]
+    at = gap.run.coordinates
+    weights = np.where((at.time_s >= first) & (at.time_s <= last), at.width_s, 0.0)
+    if not weights.any():
+        return None
+    steady, resting = (float(np.mean(run.trace.force[mask], dtype=np.float64)) for mask in (stretch, rest))
+    sign = -1 if steady < resting and run.info.kind != "blank" else 1
+    left = [float(weights @ residual / weights.sum()) for residual in (gap.before, gap.after)]
+    models = [sign * (steady - resting - off) for off in left]
+    return SteadyLevels(abs(gap.run.condition[1]), sign * (steady - resting), (models[0], models[1]))

@@ -1,8 +1,8 @@
-"""What further runs are expected to tell of the causes of a gap: information in bits.
+"""The expected information of further runs on the causes of a gap, in bits.
 
 The causes compete as in `presence`; an explanation is a set of them with its probability. Under each explanation the
-force of a further run is Gaussian: its mean is what the explanation, fitted to the runs so far, predicts, and its
-covariance what noise and uncertain coefficients leave open. The expected information is the mutual information between
+force of a further run is Gaussian: its mean is the prediction of the explanation, fitted to the runs so far, and its
+covariance that of noise and uncertain coefficients. The expected information is the mutual information between
 which causes are there and the forces of the further runs, estimated from the distances of these Gaussians in pairs
 (Kolchinsky & Tracey 2017, Entropy 19, 361).
 """
@@ -45,7 +45,7 @@ MAX_NAMED = 2
 
 
 def entropy_bits(weights: FloatArray, labels: Sequence[Hashable]) -> float:
-    """Return the entropy of a label; `weights` are probabilities of what has the labels, shape `(N,)`."""
+    """Return the entropy of a label; `weights` are probabilities of the labelled items, shape `(N,)`."""
     total: dict[Hashable, float] = {}
     for label, weight in zip(labels, weights.tolist(), strict=True):
         total[label] = total.get(label, 0.0) + weight
@@ -78,9 +78,9 @@ def expected_bits(weights: FloatArray, distances: FloatArray, labels: Sequence[H
     weights
         Probabilities of explanations, shape `(N,)`.
     distances
-        Bhattacharyya distances between what they predict, shape `(N, N)`.
+        Bhattacharyya distances between their predictions, shape `(N, N)`.
     labels
-        What each explanation says; explanations may say the same.
+        The answer of each explanation; several may be the same.
     """
     numbers = {label: number for number, label in enumerate(dict.fromkeys(labels))}
     codes = np.array([numbers[label] for label in labels])
@@ -93,7 +93,7 @@ def expected_bits(weights: FloatArray, distances: FloatArray, labels: Sequence[H
 
 @dataclass(frozen=True, eq=False)
 class BudgetForecast:
-    """Explanations of a gap, and what further runs would show under each."""
+    """Explanations of a gap, and the forces of further runs under each."""
 
     causes: tuple[tuple[str, ...], ...]
     """Causes of the budget that each explanation names: ids of effects, and `unexplained` for unnamed ones."""
@@ -138,7 +138,7 @@ class BudgetForecast:
 
     @property
     def open_causes(self) -> OpenCauses:
-        """What is open about the causes before any further run."""
+        """The entropy of the causes before any further run."""
         sets = self._sets
         probabilities = {name: sum(value for names, value in sets.items() if name in names) for name in self.names}
         return OpenCauses(probabilities, sets.get((), 0.0), max(sets.values()), self.open_bits)
@@ -182,7 +182,7 @@ def _log_dets(roots: FloatArray) -> FloatArray:
 
 
 def forecast(search: ForceSearchResult, further: Study) -> tuple[BudgetForecast, list[FloatArray]]:
-    """Return what is open about the causes of a gap, and what each of some further runs would tell of it.
+    """Return the entropy of the causes of a gap, and the information of each of some further runs on it.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def _joined_study(made: Study, further: Study) -> Study:
 
 
 def _named(causes: Sequence[Cause], explanation: CauseSet) -> tuple[str, ...]:
-    """Return what an explanation says of the budget: effects, and whether anything has no name."""
+    """Return the budget of an explanation: effects, and whether anything has no name."""
     kinds = {CauseKind.LAW: UNEXPLAINED, CauseKind.RUN: UNEXPLAINED}
     named = {
         causes[index].name if causes[index].kind is CauseKind.EFFECT else kinds.get(causes[index].kind, "")
@@ -265,7 +265,7 @@ def _named(causes: Sequence[Cause], explanation: CauseSet) -> tuple[str, ...]:
 def _likely_explanations(competition: Competition) -> list[tuple[CauseSet, float]]:
     """Return the most likely explanations with their probabilities, those that name the same causes at most thrice.
 
-    What names the same causes keeps the probability of all such explanations.
+    Explanations with the same causes keep their joint probability.
     """
     causes, presence = competition.causes, judge_presence(competition)
     by_name: dict[tuple[str, ...], list[tuple[float, CauseSet]]] = {}
@@ -288,7 +288,7 @@ def _likely_explanations(competition: Competition) -> list[tuple[CauseSet, float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Posterior:
-    """What the runs so far leave of the coefficients of nuisances and causes."""
+    """The uncertainty that the runs so far leave to the coefficients of nuisances and causes."""
 
     total: FloatArray
     """Products of residual (first), nuisances and columns, whitened."""

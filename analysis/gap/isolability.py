@@ -295,7 +295,7 @@ class Isolability:
     pairs
         All pairs within a channel, the most similar first.
     remarks
-        What was not analysed, a sentence each.
+        Questions not analysed, a sentence each.
     backends
         Where the runs come from; those of a plan are simulated.
     """

@@ -1,4 +1,4 @@
-"""What runs do not let anyone name: effects that look like a force in motion, and questions that they cannot answer."""
+"""Limits of naming by the runs: effects that look like a force in motion, and questions that they cannot answer."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ def _residual_chi2(columns: FloatArray, values: FloatArray) -> float:
 
 
 def _beside(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Return what columns cannot represent of values, shape `(B,)` or `(B, m)`."""
+    """Return the part of values that columns cannot represent, shape `(B,)` or `(B, m)`."""
     return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0])
 
 
@@ -104,10 +104,10 @@ class SizeBesideMotion:
 def size_beside_motion(
     design: Design, runs: Sequence[RunData], number: int, periods_mm: Sequence[float] = ()
 ) -> SizeBesideMotion | None:
-    """Return what is left of a candidate beside free functions of the motion; None where nothing can be left.
+    """Return the remainder of a candidate beside free functions of the motion; None where nothing can be left.
 
     A relaxation or a friction law that the nominal model misses depends on the motion alone. Such a force is added as
-    free functions that all runs share; what an effect explains beside these is its own.
+    free functions that all runs share; an effect's gain beside these is its own.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The next runs after a diagnosis: those that are expected to tell most per minute of what causes the gap.
+"""The next runs after a diagnosis: those that are expected to tell most per minute of the cause of the gap.
 
 Of the force, the question is which causes act (`information`), or before any run which of two effects. Position errors
 are explained by free-form model classes scored on held-out runs, as in a diagnosis; errors of further runs are
@@ -252,7 +252,7 @@ MIN_WEIGHT = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """Recommended runs, None where no run would help, and what is open about the causes in the force."""
+    """Recommended runs, None where no run would help, and the open question about the causes in the force."""
 
     experiment: NextExperiment | None = None
     open_causes: OpenCauses | None = None

@@ -1,4 +1,4 @@
-"""What one campaign says of every cause that several campaigns may share: compact evidence, to be pooled.
+"""Evidence of one campaign on every cause that several campaigns may share: compact evidence, to be pooled.
 
 Coefficients that campaigns can have in common belong to columns that mean the same in all of them: the variants of an
 effect at their default sizes, the functions of a free law, the directions of the nominal model. Of each campaign the
@@ -42,7 +42,7 @@ class SharedColumns:
     Attributes
     ----------
     name
-        Id of an effect, or what a free law is a function of.
+        Id of an effect, or the coordinate of a free law.
     kind
         Kind of the cause.
     numbers
@@ -60,8 +60,8 @@ class SharedColumns:
     forms
         At each scale, log Bayes factor of all forms of an effect beyond that of these columns; the same length.
     elsewhere
-        How much likelier the cause becomes by the campaign's other sets of causes; negative where these explain what it
-        explains.
+        How much likelier the cause becomes by the campaign's other sets of causes; negative where these explain the
+        same.
     chi2
         Sum of squares of the residual beside which `elsewhere` holds.
     """
@@ -91,7 +91,7 @@ class ForceEvidence:
     columns
         The columns of each cause.
     context_of
-        Number of the context in which each cause is looked at: beside what is likely there together with it.
+        Number of the context in which each cause is looked at: beside its likely companions.
     """
 
     contexts: tuple[FloatArray, ...]
@@ -99,14 +99,14 @@ class ForceEvidence:
     context_of: Mapping[str, int]
 
     def information_for(self, name: str) -> FloatArray:
-        """Return the information beside what is likely there together with a cause."""
+        """Return the information beside the likely companions of a cause."""
         return self.contexts[self.context_of[name]]
 
 
 def force_evidence(
     competition: Competition, presence: Presence, periodic: Mapping[str, PeriodicColumns]
 ) -> ForceEvidence:
-    """Return what a campaign says of the causes that it may share with others."""
+    """Return the evidence of a campaign on the causes that it may share with others."""
     strong = {
         name
         for name, value in presence.probabilities.items()
@@ -203,7 +203,7 @@ class _WeighedSets:
 def _form_evidence(
     competition: Competition, products: FloatArray, evidence: ForceEvidence, shared: SharedColumns
 ) -> tuple[float, ...]:
-    """Return what other forms than the shared columns add to the log Bayes factor of an effect, at each scale."""
+    """Return the part of other forms than the shared columns in the log Bayes factor of an effect, at each scale."""
     if shared.kind is not CauseKind.EFFECT or not shared.form_rows.size:
         return (0.0,) * len(shared.scales)
     cause = next(cause for cause in competition.causes if cause.name == shared.name and cause.span is not None)

@@ -1,6 +1,6 @@
 """Which causes act on the force of several campaigns, as each weighs beside the others that are there.
 
-What belongs to the rig is the same in all campaigns; what belongs to the gut is a population with a spread. In which
+Effects of the rig are the same in all campaigns; those of the gut are a population with a spread. In which
 campaigns a cause is, `pattern_odds` tells. Causes are chosen, the best first, each beside those chosen before it.
 """
 
@@ -96,7 +96,7 @@ class PooledForce:
     def _offset(self, campaign: ForceEvidence, name: str, at: int | None) -> float:
         """Return the log Bayes factor of a campaign beyond that of the shared columns.
 
-        What chosen causes explain is no merit of this one's other forms, and no merit of the campaign's other causes.
+        The gain of chosen causes is no merit of this one's other forms, and no merit of the campaign's other causes.
 
         Parameters
         ----------
@@ -206,7 +206,7 @@ class PooledCause:
     odds
         In which it is, beside all other causes that are there.
     evidence
-        What all campaigns say beside those.
+        The evidence of all campaigns beside those.
     probability
         That it is in any, its lookalikes in its place considered.
     confusable_with
@@ -235,7 +235,7 @@ class Credibility:
         Probability that each effect is there, from each campaign alone.
     stage_strays
         Whether the stage strays from its command in some campaign. Its errors resemble effects on the force, in all
-        campaigns alike: only what some campaign alone tells from them is believed.
+        campaigns alike: only an effect that some campaign alone tells from them is believed.
     """
 
     first: Mapping[str, float]
@@ -261,9 +261,9 @@ class Credibility:
     def _of_effect(self, name: str, odds: PatternOdds, evidence: PooledForce) -> float:
         """Return the log odds of an effect by all campaigns.
 
-        Pooling adds nothing to what a single campaign says of an effect that it alone has, and its own diagnosis weighs
-        more. An effect whose size is positive is none where it comes out negative, nor is one whose mean size does not
-        differ from zero: large scales leave room for sizes of either sign.
+        Pooling adds nothing to the evidence of a single campaign on an effect that it alone has, and its own diagnosis
+        weighs more. An effect whose size is positive is none where it comes out negative, nor is one whose mean size
+        does not differ from zero: large scales leave room for sizes of either sign.
         """
         alone = np.clip(self.alone[name], MIN_PROBABILITY, MAX_PROBABILITY)
         value = odds.total
@@ -379,7 +379,7 @@ def _chosen_causes(
 
 
 def odds_of_own_diagnoses(alone: FloatArray, *, of_rig: bool) -> PatternOdds:
-    """Return in which campaigns an effect is by what each campaign alone makes of it, its probabilities, shape `(C,)`.
+    """Return in which campaigns an effect is by the probabilities of each campaign alone, shape `(C,)`.
 
     That of a single campaign is never lowered: the others add nothing to it.
     """

@@ -12,9 +12,8 @@ from itertools import product
 
 import numpy as np
 
-from dragrig.analysis import MIN_COUNT_MM, Experiment, session_starts, wander_noise_sd_mm
+from dragrig.analysis import MIN_COUNT_MM, MOTOR_FORCE_CHANNEL, Experiment, session_starts, wander_noise_sd_mm
 from dragrig.analysis.gap.design import Candidate
-from dragrig.analysis.gap.diagnosis import GapReduction
 from dragrig.rig import BoolArray, FloatArray
 from dragrig.sim_backend.effects import (
     Channel,
@@ -111,10 +110,9 @@ class PositionErrors:
         command = np.interp(times, self.experiment.time_s, np.asarray(trace.command, dtype=np.float64))
         return np.asarray(command + self.initial_speed_mm_s * np.minimum(times - self.experiment.time_s[0], 0.0))
 
-    def delayed_forces(self, delays_s: FloatArray) -> FloatArray:
-        """Return the force at the blocks' middles minus its first value, for several delays, shape `(B, D)`."""
-        trace = self.experiment.run.trace
-        force = np.nan_to_num(np.asarray(trace.force, dtype=np.float64))
+    def delayed_forces(self, channel: str, delays_s: FloatArray) -> FloatArray:
+        """Return a force at the blocks' middles minus its first value, for several delays, shape `(B, D)`."""
+        force = np.nan_to_num(np.asarray(self.experiment.run.trace.channels[channel], dtype=np.float64))
         times = self.time_s[:, None] - delays_s
         return np.asarray(np.interp(times, self.experiment.time_s, force - force[:20].mean()))
 
@@ -495,7 +493,8 @@ def _without_wave(
 ) -> tuple[PositionErrors, ...]:
     """Subtract a wave with harmonics from all runs, its amplitude each run's own.
 
-    It may begin at its value at rest, or at zero where the stage ripples in motion alone; what leaves less is taken.
+    It may begin at its value at rest, or at zero where the stage ripples in motion alone; the choice with the smaller
+    residual is taken.
     """
     waves = np.asarray(wave_per_mm * np.arange(1, RIPPLE_HARMONICS + 1), dtype=np.float64)
     columns = [None if motion is None else motion.waves(waves) for motion in steady]
@@ -605,8 +604,8 @@ class PositionAnalysis:
     """Two effects that act together, the ripple last; empty for fewer."""
     share_together: float = 0.0
     """Share of the weighted squares that they explain."""
-    yields_mm: float = 0.0
-    """How far the stage gives way to the force, which the errors of the runs are without; 0 where it does not."""
+    yielding: "Yielding | None" = None
+    """How the stage gives way to a force, which the errors of the runs are without; None where it does not."""
 
     @property
     def is_recording_error(self) -> bool:
@@ -625,8 +624,9 @@ class PositionAnalysis:
 
 YIELDING_DELAYS_S = np.array([0.0, 0.004, 0.008, 0.016, 0.03, 0.05, 0.08])
 """Delays of the force that make up the response to it of a position loop from 20 Hz on."""
-MAX_YIELDING_MM = 0.2
-"""Position loops give way to the force of a gut by less: half a kilogram held at 20 Hz, to 1.6 N."""
+MAX_YIELDING_MM = {MOTOR_FORCE_CHANNEL: np.inf, "force": 0.2}
+"""Position loops give way to the force of a gut by less: half a kilogram held at 20 Hz, to 1.6 N. The motor's own force
+is what the loop makes of the error, however large."""
 YIELDING_FORM_ERROR = 0.15
 """Share of the way that a stage gives way by that another response than the fitted one may leave; 8 to 10 % are left of
 loops of 20 to 70 Hz."""
@@ -638,32 +638,44 @@ class Yielding:
 
     Attributes
     ----------
+    channel
+        The force that it gives way to: of the sensor, or of the motor.
     held_out_share
         Share of the weighted squares of the position errors, in held-out runs.
     most_mm
         Largest way in any run.
+    um_per_N, lag_s
+        Way per force, and how late it is in the mean.
     left
         The runs with the errors that are left.
     """
 
+    channel: str
     held_out_share: float
     most_mm: float
+    um_per_N: float
+    lag_s: float
     left: tuple[PositionErrors, ...]
 
 
 def stage_yielding(runs: Sequence[PositionErrors]) -> Yielding | None:
     """Return how far the stage gives way; None where it does not, or further than loops do, or force is missing."""
-    if any("force" not in run.experiment.run.trace.channels for run in runs):
+    found = (_yielding_to(channel, runs) for channel in MAX_YIELDING_MM)
+    return max((way for way in found if way is not None), key=lambda way: way.held_out_share, default=None)
+
+
+def _yielding_to(channel: str, runs: Sequence[PositionErrors]) -> Yielding | None:
+    if any(channel not in run.experiment.run.trace.channels for run in runs):
         return None
 
     def response(run: PositionErrors) -> FloatArray:
-        return run.delayed_forces(YIELDING_DELAYS_S)
+        return run.delayed_forces(channel, YIELDING_DELAYS_S)
 
     grams, moments, _ = zip(*_weighted_products(runs, response), strict=True)
     coefficients = _ridge_solution(np.sum(grams, axis=0), np.sum(moments, axis=0))[0]
-    ways = [run.zeroed(response(run) @ coefficients) for run in runs]
+    ways, compliance = [run.zeroed(response(run) @ coefficients) for run in runs], -float(coefficients.sum())
     most = max(float(np.abs(way).max()) for way in ways)
-    if coefficients.sum() >= 0 or most > MAX_YIELDING_MM:
+    if compliance <= 0 or most > MAX_YIELDING_MM[channel]:
         return None
     left = tuple(
         replace(
@@ -673,7 +685,8 @@ def stage_yielding(runs: Sequence[PositionErrors]) -> Yielding | None:
         )
         for run, way in zip(runs, ways, strict=True)
     )
-    return Yielding(_held_out_share(runs, response), most, left)
+    lag_s = -float(coefficients @ YIELDING_DELAYS_S) / compliance
+    return Yielding(channel, _held_out_share(runs, response), most, 1e6 * compliance, lag_s, left)
 
 
 def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect]) -> PositionAnalysis:
@@ -683,14 +696,16 @@ def analyse_position(experiments: Sequence[Experiment], effects: Sequence[Effect
         return PositionAnalysis(runs, has_position_error=False)
     known = {candidate_effect.id: candidate_effect for candidate_effect in effects}
     model_classes = tuple(model_class for model_class in score_model_classes(runs) if model_class.effect in known)
-    yielding, yields_mm = stage_yielding(runs), 0.0
+    yielding = stage_yielding(runs)
     best = max((model_class.held_out_share for model_class in model_classes), default=0.0)
-    if yielding is not None and yielding.held_out_share > best:
-        runs, yields_mm = yielding.left, yielding.most_mm
+    if yielding is not None and yielding.held_out_share <= best:
+        yielding = None
+    if yielding is not None:
+        runs = yielding.left
         if not any(run.has_position_error for run in runs):
-            return PositionAnalysis(runs, has_position_error=False, yields_mm=yields_mm)
+            return PositionAnalysis(runs, has_position_error=False, yielding=yielding)
         model_classes = tuple(model_class for model_class in score_model_classes(runs) if model_class.effect in known)
-    analysis = PositionAnalysis(runs, has_position_error=True, model_classes=model_classes, yields_mm=yields_mm)
+    analysis = PositionAnalysis(runs, has_position_error=True, model_classes=model_classes, yielding=yielding)
     if not model_classes:
         return analysis
     effect = known[model_classes[0].effect]
@@ -776,60 +791,11 @@ def _weighted_misfit(candidate: Candidate, runs: Sequence[PositionErrors]) -> Fl
     return np.concatenate(residuals)
 
 
-POSITION_BOOTSTRAP_SAMPLES = 1000
-
-
-def position_gap_reduction(position: PositionAnalysis, force: GapReduction) -> GapReduction:
-    """Return a reduction with the closed share of the position errors; sizes stay the force's."""
-    candidate, runs = position.candidate, position.runs
-    if candidate is None:
-        return force
-    floor = np.array([run.noise_variance for run in runs])
-    before = np.array([float(np.mean(run.error_mm**2)) for run in runs]) - floor
-    after = (
-        np.array([float(np.mean((run.error_mm - predicted_position_error(candidate, run)) ** 2)) for run in runs])
-        - floor
-    )
-
-    def share(rows: Sequence[int] | np.ndarray) -> float:
-        return float(1.0 - after[rows].mean() / max(before[rows].mean(), 1e-12))
-
-    all_runs = np.arange(len(runs))
-    samples = np.random.default_rng(0).integers(len(runs), size=(POSITION_BOOTSTRAP_SAMPLES, len(runs)))
-    low, high = np.quantile([share(sample) for sample in samples], (0.025, 0.975)).tolist()
-    sizes = (1e3 * float(np.sqrt(np.mean(rows + floor))) for rows in (before, after))
-    return replace(force, closed=share(all_runs), closed_95ci=(low, high), position_um=(next(sizes), next(sizes)))
-
-
 def contribution_to_position(candidate: Candidate, run: PositionErrors) -> FloatArray:
-    """Return what an effect adds to the position of a run, with an amplitude of the run's own, shape `(B,)` [mm].
+    """Return the part of an effect in the position of a run, with an amplitude of the run's own, shape `(B,)` [mm].
 
     Real effects grow otherwise with the speed than the catalogue's; none acts against its own sign.
     """
     predicted = predicted_position_error(candidate, run)
     along = float(predicted @ run.error_mm)
     return np.asarray(predicted * (max(along, 0.0) / max(float(predicted @ predicted), 1e-300)))
-
-
-def share_of_position(position: PositionAnalysis) -> tuple[float, tuple[float, float]] | None:
-    """Return the share of the position errors that the fitted effect has, with its 95 % interval over runs.
-
-    None without such an effect.
-    """
-    candidate = position.candidate
-    if candidate is None:
-        return None
-    squares = np.array(
-        [
-            (
-                float(np.mean(run.error_mm**2)) - run.noise_variance,
-                float(np.mean((run.error_mm - contribution_to_position(candidate, run)) ** 2)) - run.noise_variance,
-            )
-            for run in position.runs
-        ]
-    )
-    weights = np.random.default_rng(0).dirichlet(np.ones(len(squares)), POSITION_BOOTSTRAP_SAMPLES)
-    before, after = (np.vstack((np.full(len(squares), 1.0 / len(squares)), weights)) @ squares).T
-    shares = 1.0 - after / np.maximum(before, 1e-12)
-    low, high = np.quantile(shares[1:], (0.025, 0.975)).tolist()
-    return float(shares[0]), (low, high)

@@ -52,7 +52,7 @@ CONDITION_SETTINGS = ("shear_strain", "speed_mm_s", "travel_mm")
 def spread_over_session(runs: Sequence[RunInfo], max_runs: int) -> list[RunInfo]:
     """Return at most `max_runs` runs, in their order.
 
-    Conditions get equal shares; what rare ones leave goes to the others. Within a condition runs are evenly spaced in
+    Conditions get equal shares; the rest of rare ones goes to the others. Within a condition runs are evenly spaced in
     time, including first and last.
     """
     if len(runs) <= max_runs:
@@ -145,7 +145,7 @@ def _with_count_remark(selection: RunSelection, usable: int) -> RunSelection:
 def _main_specimen(
     infos: Sequence[RunInfo], good: Sequence[RunInfo], specimen: str | None
 ) -> tuple[str | None, list[Exclusion], list[str]]:
-    """Return the specimen with the most good runs, the runs of all others, and what to remark of the choice."""
+    """Return the specimen with the most good runs, the runs of all others, and remarks on the choice."""
     keys = {info.path: specimen_key(info) for info in infos}
     if specimen is not None or len(set(keys.values())) < 2:
         return specimen, [], []
@@ -314,7 +314,7 @@ class RunData:
 
     @property
     def label(self) -> str:
-        """What sets it apart from others of its kind, for a reader: `0.5 mm/s`, `50 % strain`."""
+        """Its difference from others of its kind, for a reader: `0.5 mm/s`, `50 % strain`."""
         kind, value = self.condition
         return f"{100 * value:g} % strain" if kind == "relaxation" else f"{value:g} mm/s"
 

@@ -1,4 +1,4 @@
-"""Spending rig time until a gap is settled: when to stop, how long the next batch of runs may be, what was decided."""
+"""Spending rig time until a gap is settled: when to stop, how long the next batch of runs may be, the decisions."""
 
 from collections.abc import Mapping
 from enum import StrEnum
@@ -90,7 +90,7 @@ class SettleStep(Settings):
 
 
 class SettleRecord(Settings):
-    """What was decided so far, as `settle.json` in the campaign's folder."""
+    """The decisions so far, as `settle.json` in the campaign's folder."""
 
     format_version: Literal[1] = 1
     plan: str
@@ -115,7 +115,7 @@ class SettleRecord(Settings):
 
 
 def settle_step(diagnosis: Diagnosis, record: SettleRecord) -> SettleStep:
-    """Return what a diagnosis says after the latest batch of runs."""
+    """Return the step of a diagnosis after the latest batch of runs."""
     presence = {} if diagnosis.budget is None else diagnosis.budget.presence
     open_causes = diagnosis.open_causes
     return SettleStep(

@@ -74,7 +74,7 @@ class SpectralLine:
 
     @property
     def source_hz(self) -> float:
-        """Frequency of what it shows, its own unless it is an alias of the mains."""
+        """Frequency of its source, its own unless it is an alias of the mains."""
         multiple = self.mains_multiple_hz
         aliased = multiple is not None and 0.0 < self.rate_hz < 2 * multiple
         return multiple if multiple is not None and aliased else self.frequency_hz
@@ -240,7 +240,7 @@ def _strongest_line(segments: "Sequence[_Segment]", frequency: FloatArray) -> Sp
 
 
 def _moving_segments(experiment: Experiment, channel: str) -> Iterator[tuple[float, _Segment]]:
-    """Yield pieces of steady motion with their speed [mm/s], without what changes slowly."""
+    """Yield pieces of steady motion with their speed [mm/s], without slow changes."""
     from scipy.ndimage import uniform_filter1d
 
     trace = experiment.run.trace
@@ -260,7 +260,7 @@ def _moving_segments(experiment: Experiment, channel: str) -> Iterator[tuple[flo
 
 
 def moving_line_remark(line: MovingLine) -> str:
-    """Return what is said of a line in motion."""
+    """Return the remark on a line in motion."""
     where = f"at {line.frequency_hz:.3g} Hz" if line.frequency_hz else f"every {line.wavelength_mm:.3g} mm of travel"
     return (
         f"while the stage moves, the force has a line {where} of {line.amplitude:.2g} mN: it was taken as noise, "

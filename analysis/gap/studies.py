@@ -358,7 +358,7 @@ def with_periods_of_runs(bare: Study, effects: Sequence[Effect]) -> list[Effect]
 
 @dataclass(frozen=True, eq=False)
 class _WaveSearch:
-    """What waves on the machine explain of a campaign's residuals beside the nominal model."""
+    """The part of a campaign's residuals that waves on the machine explain beside the nominal model."""
 
     bare: Study
     design: Design
@@ -463,7 +463,7 @@ class CapsuleStudy(Study):
         return sds
 
     def limitations(self) -> Iterator[str]:
-        """Yield what these runs cannot answer, a sentence each."""
+        """Yield the questions that these runs cannot answer, a sentence each."""
         yield from capsule_limitations(self.runs)
         yield from general_limitations(self.runs)
 
@@ -503,7 +503,7 @@ class PredictedStudy(Study):
         return naming_obstacle(design, self.runs, periods)
 
     def limitations(self) -> Iterator[str]:
-        """Yield what these runs cannot answer, a sentence each."""
+        """Yield the questions that these runs cannot answer, a sentence each."""
         if self.why_not_converged:
             yield f"The fit of the nominal model did not converge ({self.why_not_converged}): no effect is named."
         if not model_reference(self.problem.nominal):
@@ -526,7 +526,9 @@ class StageStudy(PredictedStudy):
         return replace(bare, effects=effects_that_act(bare, with_periods_of_runs(bare, scaled_to_runs(own, bare.runs))))
 
     def limitations(self) -> Iterator[str]:
-        """Yield what these runs cannot answer, a sentence each."""
+        """Yield the questions that these runs cannot answer, a sentence each."""
+        if any(run.experiment.drive_holds for run in self.runs):
+            yield "At rest a position loop holds the stage: nothing was read from the motor force there."
         yield from stage_limitations(self.runs)
         yield from super().limitations()
 
@@ -600,7 +602,7 @@ class OwnModelStudy(PredictedStudy):
         return self.untried_effects if confounded_with_friction(design, self.runs) else 0
 
     def limitations(self) -> Iterator[str]:
-        """Yield what these runs and this model cannot answer, a sentence each."""
+        """Yield the questions that these runs and this model cannot answer, a sentence each."""
         undeclared = {part: PLACES_OF_PART[part][1] for part in self.undeclared}
         declares_any = len(undeclared) < len(PLACES_OF_PART)
         yield from own_model_limitations(self.runs, undeclared, self.other_channels, declares_any=declares_any)

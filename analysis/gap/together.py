@@ -117,7 +117,7 @@ class PooledEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignEvidence:
-    """What one campaign says, alone and to be pooled.
+    """The evidence of one campaign, alone and to be pooled.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class CampaignEvidence:
     line_sizes
         Sizes and standard errors of effects that are found in position or spectrum, by id.
     hum_log_odds
-        Of hum of any size: what is below the tolerance is no gap of one campaign, and yet the rig's.
+        Of hum of any size: below the tolerance it is no gap of one campaign, and yet the rig's.
     left_out
         Runs that were not used.
     remarks
@@ -162,7 +162,7 @@ class CampaignEvidence:
 def campaign_evidence(
     source: str, selection: RunSelection, nominal: NominalModel, options: DiagnosisOptions | None = None
 ) -> CampaignEvidence:
-    """Return what one campaign, the runs of a folder, says alone and to be pooled; raises as `diagnose`."""
+    """Return the evidence of a campaign, the runs of a folder, alone and to be pooled; raises as `diagnose`."""
     weighed = weigh_causes(selection, nominal, options, all_periods=True)
     selection, verdict, competition = weighed.selection, weighed.verdict, weighed.causes.competition
     only_condition = weighed.study.only_condition
@@ -203,13 +203,13 @@ class PooledDiagnosis:
     Attributes
     ----------
     campaigns
-        What each says alone.
+        The evidence of each alone.
     effects
         All effects that were looked for, the most probable first.
     unnamed
         Probability of each shared deviation without a name, of the model or a free law, those above one half.
     remarks
-        What the reader should know of the choice of campaigns and runs.
+        Remarks on the choice of campaigns and runs.
     """
 
     campaigns: tuple[CampaignEvidence, ...]
@@ -297,7 +297,7 @@ def _with_patterns(
 
 
 def _effect_by_odds(name: str, campaigns: Sequence[CampaignEvidence]) -> PooledEffect:
-    """Pool an effect of the position or of the spectrum by what each campaign alone makes of it."""
+    """Pool an effect of the position or of the spectrum by the evidence of each campaign alone."""
     from scipy.special import expit
 
     alone = np.array([campaign.presence.get(name, PRIOR_PROBABILITIES["effect"]) for campaign in campaigns])

@@ -1,4 +1,4 @@
-"""What a verdict learns from campaigns whose hidden effects are known: thresholds and weights, cross-validated."""
+"""The learning of a verdict from campaigns whose hidden effects are known: thresholds and weights, cross-validated."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -170,7 +170,7 @@ def fit_presence(cases: Sequence[TrainingCase], on_force: Sequence[Classificatio
     cases
         Campaigns whose hidden effects are known.
     on_force
-        What a classifier that did not learn from it makes of the force of each.
+        The result on the force of each by a classifier that did not learn from it.
     """
     from scipy.optimize import minimize
 
@@ -199,7 +199,7 @@ def calibrate(
     command: str = "",
     left_out: Collection[str] = (),
 ) -> VerdictCalibration:
-    """Return what campaigns teach: first the classifier, then its weight beside the competition of causes.
+    """Return the weights that campaigns teach: first the classifier, then its weight beside the competition of causes.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def calibrate(
 def _in_turn(
     cases: Sequence[TrainingCase], folds: int, teach: Callable[[Sequence[TrainingCase]], VerdictCalibration]
 ) -> Iterator[tuple[TrainingCase, VerdictCalibration]]:
-    """Yield every case with what the cases of other folds teach."""
+    """Yield every case with the weights that the cases of other folds teach."""
     taught = [teach([case for index, case in enumerate(cases) if index % folds != fold]) for fold in range(folds)]
     for index, case in enumerate(cases):
         yield case, taught[index % folds]
@@ -255,7 +255,7 @@ CROSS_VALIDATION_FOLDS = 10
 def cross_validate(
     cases: Sequence[TrainingCase], tolerance_mN: float, folds: int = CROSS_VALIDATION_FOLDS
 ) -> tuple[Classification, ...]:
-    """Judge each campaign by what the other folds teach.
+    """Judge each campaign by the weights that the other folds teach.
 
     Parameters
     ----------

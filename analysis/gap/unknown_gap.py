@@ -1,4 +1,4 @@
-"""Description of a gap that no effect of the catalogue explains: where it is, what it depends on, and a law."""
+"""Description of a gap that no effect of the catalogue explains: where it is, its dependence, and a law."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -287,7 +287,7 @@ _DOMAIN_PHRASES: Mapping[str, tuple[str, str, str]] = {
 
 
 def dependence_text(where: GapLocation, region: GapRegion) -> str:
-    """Describe what the residual depends on, how, its sign, and whether runs agree."""
+    """Describe the dependence of the residual, its sign, and whether runs agree."""
     phrase, name, unit = _DOMAIN_PHRASES.get(where.domain, (f"of {where.domain}", "", ""))
     wave = _periodic_text(region)
     trend = trend_of(region, where.domain) if where.runs != 1 else None

@@ -241,7 +241,8 @@ def held_out_chi2(products: FoldProducts, subsets: npt.NDArray[np.intp]) -> Floa
 def select_terms(products: FoldProducts, penalty: FloatArray) -> TermIndices:
     """Return the terms with the smallest held-out squares plus penalties, shape `(M,)`.
 
-    All pairs and triples of the cheapest terms are tried, too: two terms may explain what neither explains alone.
+    All pairs and triples of the cheapest terms are tried, too: two terms may explain a residual that neither explains
+    alone.
     """
     chosen: TermIndices = ()
     best: tuple[TermIndices, float] = (chosen, float(products.squares.sum()))

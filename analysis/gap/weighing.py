@@ -55,6 +55,7 @@ from dragrig.analysis.gap.forward_selection import (
 from dragrig.analysis.gap.gap_reduction import (
     force_residual_blocks,
     gap_of_run,
+    position_gap_reduction,
     position_residual_blocks,
     predict_held_out,
     reduction_over_runs,
@@ -63,7 +64,7 @@ from dragrig.analysis.gap.gap_reduction import (
 from dragrig.analysis.gap.hypothesis_fit import HypothesisFit, converged
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
 from dragrig.analysis.gap.localise import localise
-from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position, position_gap_reduction
+from dragrig.analysis.gap.position_channel import PositionAnalysis, analyse_position
 from dragrig.analysis.gap.presence import judge_presence, prepare_competition
 from dragrig.analysis.gap.spectral_lines import (
     SpectralLine,

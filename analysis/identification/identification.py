@@ -1,13 +1,17 @@
-"""What an identification says, as values; every number has its uncertainty or is missing with the reason."""
+"""The result of an identification, as values; every number has its uncertainty or is missing with the reason."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dragrig.analysis import Estimate, EstimatedQuantity, Exclusion
 from dragrig.rig import FloatArray
+
+if TYPE_CHECKING:
+    from dragrig.sim_backend.friction import SteadyFriction
 
 MIN_LEARNT = 0.1
 """Smallest reduction of the prior's width with which the runs determine a parameter."""
@@ -294,15 +298,17 @@ class SpeedBandR2:
     correlation: float | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class DragResult:
-    """The steady drag against speed."""
+    """The steady drag against speed; `model` and `before_mN`, of the fitted and of the nominal model, are curves."""
 
     points: tuple[SpeedPoint, ...]
     log_law: LogLaw | None
     boundary: SpeedBoundary | None
     determination: tuple[SpeedBandR2, ...] = ()
     remarks: tuple[str, ...] = ()
+    model: "SteadyFriction | None" = None
+    before_mN: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -52,7 +52,7 @@ def fit_jointly(selection: RunSelection, nominal: NominalModel) -> JointFit:
     Raises
     ------
     AnalysisError
-        Where the model predicts nothing of these runs, or a run lacks what it needs.
+        Where the model predicts nothing of these runs, or a run lacks a part that it needs.
     """
     from scipy.special import fdtrc
 
@@ -256,7 +256,7 @@ def identify_specimen(
     Raises
     ------
     AnalysisError
-        Where the model predicts nothing of these runs, or a run lacks what it needs.
+        Where the model predicts nothing of these runs, or a run lacks a part that it needs.
     """
     advance = counted(progress, JOINT_COST + RELAXATION_COST + SLIDING_COST)
     joint = fit_jointly(selection, nominal)
@@ -278,7 +278,8 @@ def identify_specimen(
         relaxation = attempt(lambda: identify_relaxation(selection), "relaxation")
         advance(RELAXATION_COST)
         coulomb = attempt(lambda: identify_coulomb(selection, model), "Coulomb test")
-        drag = attempt(lambda: identify_drag(selection, model, zeros), "drag")
+        before = nominal.settings if joint.converged else None
+        drag = attempt(lambda: identify_drag(selection, model, zeros, before), "drag")
         advance(SLIDING_COST)
     return Identification(
         backends=selection.backends,

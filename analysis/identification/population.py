@@ -1,9 +1,9 @@
-"""What specimens of one rig have in common: means and spreads of their parameters, from the fits of their campaigns.
+"""The common part of specimens of one rig: means and spreads of their parameters, from the fits of their campaigns.
 
 A parameter of a specimen is the population's mean plus a deviation of its own, normally distributed where each
 parameter is standard normal a priori; a parameter of the rig is the same in all campaigns. Means and the rig's
 parameters have the prior that a single specimen has, once. From each campaign's fit
-its prior is taken out again, so that it counts once, and what the fit says of all parameters and their correlations
+its prior is taken out again, so that it counts once, and the fit's word on all parameters and their correlations
 enters as a Gaussian likelihood. The deviations are integrated out; spreads maximise the restricted likelihood (REML),
 the means being integrated out as well. The model is that of Laird and Ware, Biometrics 38 (1982) 963. The uncertainty
 of a spread is that of its likelihood under a flat prior, as Gelman, Bayesian Analysis 1 (2006) 515, has it for few
@@ -54,7 +54,7 @@ class SpecimenFit:
     specimen
         Its specimen; campaigns with the same one count as one specimen.
     rig, sensor
-        What the runs say of where they were made: the rig's name, and serial numbers of the force sensor.
+        The rig that the runs state: its name, and serial numbers of the force sensor.
     """
 
     source: str
@@ -66,7 +66,7 @@ class SpecimenFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenValue:
-    """A parameter of one specimen: as its own runs have it, and with what the population adds.
+    """A parameter of one specimen: as its own runs have it, and with the population's contribution.
 
     `own` is None where its runs do not determine it. Of two specimens, `pooled` is `own`, or NaN.
     """
@@ -224,7 +224,7 @@ def _require_one_rig(fits: Sequence[SpecimenFit]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Likelihoods:
-    """What the runs of each of `S` specimens say of `P` parameters in prior units, without any prior.
+    """The information of the runs of each of `S` specimens on `P` parameters in prior units, without any prior.
 
     The likelihood of a specimen's parameters `z` is exp(h·z - z·L·z / 2).
     """

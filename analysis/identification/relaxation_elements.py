@@ -4,8 +4,8 @@ Maxwell branches driven by the measured ramp are fitted to the force of each run
 moduli: all pairs of time constants on a logarithmic grid are solved at once from one matrix of products, and the best
 pair with positive moduli starts the refinement, in logarithms.
 
-Whether five elements suffice is tested by what a third branch of any time constant would explain besides. The gain of
-a branch is the squared projection of the whitened residuals on what it adds beyond all small changes of
+Whether five elements suffice is tested by the gain of a third branch of any time constant. The gain of
+a branch is the squared projection of the whitened residuals on its addition beyond all small changes of
 the five elements. Its largest value over a grid of time constants has a distribution of its own, as the search
 looks at many: it is drawn from the projections of white noise, which follow from the branches alone.
 """
@@ -478,7 +478,7 @@ def _unsupported_reason(record: ShearRecord, fit: BranchFit, errors: FloatArray)
 
 
 def _missing_information(record: ShearRecord, fit: BranchFit) -> str:
-    """Say what a run lacks that does not determine both branches."""
+    """Say which condition a run lacks that does not determine both branches."""
     fast, slow = fit.times_s.tolist()
     ramp = record.ramp_s[1] - record.ramp_s[0]
     if slow > 0.5 * record.hold_s:
@@ -558,7 +558,7 @@ def evaluate_strain_law(law: StrainLaw, strain: FloatArray) -> tuple[FloatArray,
 
 
 def wall_polynomials(laws: Sequence[StrainLaw]) -> WallPolynomials:
-    """Turn the laws of all five elements into what the simulator loads as `wall = "polynomial"`.
+    """Turn the laws of all five elements into the polynomials that the simulator loads as `wall = "polynomial"`.
 
     Raises
     ------

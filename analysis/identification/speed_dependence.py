@@ -5,7 +5,7 @@ a steady trend in ln v; or besides a hinge, the trend changing at the boundary. 
 A search finds something in any data, so that the improvement is judged by how often campaigns without a boundary, drawn
 from the same errors, improve as much under the same search.
 
-What sets in at a boundary may set in gradually, where a hinge bends at once. So the interval is never narrower than
+A change at a boundary may set in gradually, where a hinge bends at once. So the interval is never narrower than
 the two speeds measured next to the boundary. On simulated specimens at 9 or 11 speeds a hinge of 6, 12 and 30 mN for
 every factor e of speed is found in 55 to 80, 98 and 100 % of campaigns, and the interval covers it in 91 to 95, 95 to
 99 and 97 to 100 % of these; of a hinge of 3 mN, found in 20 %, in 64 to 88 %. Contact lost gradually above 15 mm/s,
@@ -53,7 +53,7 @@ class ForceDeviation:
     def of(
         cls, points: Sequence[SpeedPoint], expected_mN: FloatArray | float = 0.0, freedom_mN: FloatArray | None = None
     ) -> "ForceDeviation":
-        """Take the points of one direction, less what is expected of them."""
+        """Take the points of one direction, less their expectation."""
         return cls(
             np.array([abs(point.speed_mm_s) for point in points]),
             np.array([point.force.value for point in points], dtype=float) - expected_mN,
@@ -145,7 +145,7 @@ class _HingeSearch:
 def find_boundary(deviation: ForceDeviation, subject: str = "measurement and model") -> SpeedBoundary:
     """Estimate the boundary and its interval by profile likelihood, and the probability of such a bend by errors alone.
 
-    Where the hinge leaves more than the errors explain, improvements count relative to what it leaves.
+    Where the hinge leaves more than the errors explain, improvements count relative to its residual.
 
     Parameters
     ----------

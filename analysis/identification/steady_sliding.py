@@ -73,7 +73,7 @@ class SteadySliding:
 
 
 def measure_sliding(experiment: Experiment, *, filtered: bool = False) -> SteadySliding:
-    """Measure the steady sliding of a run; what its data do not support is missing, with the reason.
+    """Measure the steady sliding of a run; values without support in its data are missing, with the reason.
 
     Parameters
     ----------
@@ -169,6 +169,10 @@ class PooledMean:
     """Standard deviation between runs that was assumed, in the unit of the values."""
     p_value: float | None
     """Probability that runs differ as much by errors and the usual scatter; None for one run."""
+
+
+CURVE_SPEEDS, CURVE_MARGIN = 100, 1.25
+"""Speeds of a model's curve, and how far it goes beyond those of the runs, as a factor."""
 
 
 @single_blas_thread()
@@ -388,7 +392,10 @@ class SpeedGroup:
 
 @single_blas_thread()
 def identify_drag(
-    selection: RunSelection, model: FrictionModelSettings, zeros: Mapping[str, Estimate] | None = None
+    selection: RunSelection,
+    model: FrictionModelSettings,
+    zeros: Mapping[str, Estimate] | None = None,
+    before: FrictionModelSettings | None = None,
 ) -> DragResult:
     """Compare the steady drag of a specimen with the model.
 
@@ -400,6 +407,8 @@ def identify_drag(
     zeros
         The sensor's zero by the name of the run's file. A run without one has it taken from its rest, less the
         force of the model's relaxed wall on the capsule there.
+    before
+        The model that it was fitted from, for its curve; None where it is the same.
     """
     experiments = selection.of_kind("drag")
     if not experiments:
@@ -430,7 +439,17 @@ def identify_drag(
     if len(directions) > 1:
         remarks.append(f"law and boundary are those of the {len(points)} {_direction_name(directions[0])} speeds")
     remarks += _law_remarks(points, law)
-    return DragResult(tuple(group.point for group in groups), law, boundary, bands, tuple(remarks))
+    along = [abs(group.point.speed_mm_s) for group in groups]
+    speed = np.geomspace(min(along) / CURVE_MARGIN, max(along) * CURVE_MARGIN, CURVE_SPEEDS)
+    return DragResult(
+        points=tuple(group.point for group in groups),
+        log_law=law,
+        boundary=boundary,
+        determination=bands,
+        remarks=tuple(remarks),
+        model=steady_force_parts(runs[0].setup, model, speed),
+        before_mN=None if before is None else steady_force_parts(runs[0].setup, before, speed).total,
+    )
 
 
 def _direction_name(groups: Sequence[SpeedGroup]) -> str:

@@ -254,7 +254,7 @@ def _divided(texts: "pa.StringArray") -> RowTimes | None:
 
 
 def _dated(texts: "pa.StringArray") -> RowTimes | None:
-    """Dates in any of the usual forms, by pandas; what the order of day and month leaves open is told."""
+    """Dates in any of the usual forms, by pandas; dates that the order of day and month leaves open are told."""
     import pandas as pd
     import pyarrow.compute as pc
     from pandas.tseries.api import guess_datetime_format
@@ -319,7 +319,9 @@ def joined(date: RowTimes, time: RowTimes) -> RowTimes:
     # A day may be written once, for all rows below it.
     latest = np.maximum.accumulate(np.where(np.isfinite(date.seconds), np.arange(len(date.seconds)), 0))
     seconds = date.seconds[latest] + np.mod(time.seconds, DAY_S)
-    begin = None if midnight is None else (midnight + timedelta(seconds=float(time.seconds[first]))).astimezone()
+    begin = (
+        None if midnight is None else moment_of(np.datetime64(midnight + timedelta(seconds=float(time.seconds[first]))))
+    )
     return RowTimes(seconds - seconds[first], begin, remarks=(*date.remarks, *time.remarks))
 
 

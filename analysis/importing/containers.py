@@ -1,4 +1,4 @@
-"""Tables in containers of named arrays: NumPy, Parquet, Arrow and JSON files, and what all containers have in common.
+"""Tables in containers of named arrays: NumPy, Parquet, Arrow and JSON files, and the common part of all containers.
 
 A container is a tree of named arrays. Arrays of one length under one node are a table, and so are channels, nodes of an
 array each; a matrix of another length is a table of its own; structs and cells in a list are numbered nodes. All else
@@ -51,7 +51,7 @@ class Unread:
 
 @dataclass(slots=True)
 class Found:
-    """What is found in a container: named tables, and remarks on all that is in none of them."""
+    """The content of a container: named tables, and remarks on all that is in none of them."""
 
     tables: list[ForeignTable] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)

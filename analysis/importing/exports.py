@@ -1,4 +1,4 @@
-"""Runs that this software exported come back, by what the export itself says of its columns, whatever they are called.
+"""Runs that this software exported come back, by the export's own words on its columns, under any names.
 
 Names, units, delimiter and decimal mark are those that `dragrig.analysis.export` wrote, so that nothing is guessed.
 """
@@ -191,8 +191,8 @@ def _csv_columns(path: Path, body: bytes, delimiter: str, types: Mapping[str, st
 def restore_run(exported: ExportedRun) -> PreparedRun:
     """Return an exported run without its filtered traces, which can be computed again.
 
-    Of a part of a run, what was not exported is missing (position), taken from the position (command, phase), or as
-    filtered (force); an event says so. Rows that are means of samples are those of a run at a lower rate.
+    Of a part of a run, columns that were not exported are missing (position), taken from the position (command, phase),
+    or as filtered (force); an event says so. Rows that are means of samples are those of a run at a lower rate.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def restore_run(exported: ExportedRun) -> PreparedRun:
 def _part_of_run(
     exported: ExportedRun,
 ) -> tuple[Mapping[str, AnyFloatArray | PhaseArray], tuple[RecordedChannel, ...], float, tuple[str, ...]]:
-    """Return a run file's columns by dataset, the recorded ones, their rate, and what was made up for others."""
+    """Return a run file's columns by dataset, the recorded ones, their rate, and the events on columns made up."""
     columns: dict[str, AnyFloatArray | PhaseArray] = {}
     channels: list[RecordedChannel] = []
     remarks: list[str] = []

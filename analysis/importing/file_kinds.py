@@ -1,4 +1,4 @@
-"""What a foreign file is, by its first bytes and never by its name, and what bounds the reading of it."""
+"""The kind of a foreign file, by its first bytes and never by its name, and the bounds of its reading."""
 
 import bz2
 import codecs
@@ -97,9 +97,9 @@ _JSON_BEGIN = re.compile(
 
 
 def file_kind(path: Path) -> FileKind:
-    """Tell what a file is, by its first bytes and by the names in an archive.
+    """Tell the kind of a file, by its first bytes and by the names in an archive.
 
-    Raises `ImportDataError` for a file of a kind that is not read, saying which it is and what to do.
+    Raises `ImportDataError` for a file of a kind that is not read, saying which it is, with the remedy.
     """
     with damage_reported(path, "complete"), path.open("rb") as file:
         head = file.read(SNIFFED_BYTES)
@@ -214,7 +214,7 @@ def unpacked(path: Path, kind: FileKind) -> Iterator[Path]:
 
 @contextmanager
 def damage_reported(path: Path, kind: str) -> Iterator[None]:
-    """Report what readers raise of a damaged file, which is almost any class of exception, as `ImportDataError`."""
+    """Report a reader's error of a damaged file, of almost any class, as `ImportDataError`."""
     try:
         yield
     except ImportDataError:

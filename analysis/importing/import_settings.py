@@ -1,4 +1,4 @@
-"""The user's settings of an import: which column is which quantity, how the file is written, what the run was."""
+"""The user's settings of an import: which column is which quantity, how the file is written, facts of the run."""
 
 import re
 from collections.abc import Iterable
@@ -48,7 +48,7 @@ class ColumnMap(Settings):
     temperature: ColumnSource | None = None
 
     def mapped(self) -> dict[str, ColumnSource]:
-        """Return what is mapped, by quantity."""
+        """Return the mapped columns, by quantity."""
         sources = {name: getattr(self, name) for name in TARGET_UNITS}
         return {name: source for name, source in sources.items() if source is not None}
 

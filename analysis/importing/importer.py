@@ -68,7 +68,7 @@ def import_file(path: Path, target: Path, settings: ImportSettings | None = None
     Raises
     ------
     ImportDataError
-        When the file does not hold what the settings say.
+        When the file does not suit the settings.
     OutputError
         When the target exists already, or cannot be written.
     """
@@ -196,7 +196,7 @@ def _run_header(
 def _stated_circumstances(
     settings: ImportSettings, default_name: str
 ) -> tuple[dict[str, Attribute], dict[str, Attribute], Fixture | None]:
-    """Return what is stated of capsule, specimen and fixture; sizes that nobody stated are NaN.
+    """Return the stated facts of capsule, specimen and fixture; sizes that nobody stated are NaN.
 
     Raises `SettingsError` for a capsule or specimen that cannot be found.
     """

@@ -1,4 +1,4 @@
-"""What LabVIEW's measurement files (.lvm) state in front of each segment: units, sampling interval, begin."""
+"""The head of each segment of LabVIEW's measurement files (.lvm): units, sampling interval, begin."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -52,5 +52,5 @@ def _begin(stated: Mapping[str, tuple[str, ...]]) -> datetime | None:
     whole, _, fraction = time.replace(",", ".").partition(".")
     try:
         return datetime.fromisoformat(f"{day.replace('/', '-')}T{whole}.{f'{fraction:0<6.6}'}").astimezone()
-    except ValueError:
+    except (ValueError, OSError):  # Windows knows no local time before 1970
         return None

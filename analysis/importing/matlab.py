@@ -1,7 +1,7 @@
 """MAT files of version 4 to 7, by SciPy, and of version 7.3, which are HDF5, as trees of named arrays.
 
 Objects (datetime, table, timetable, string …) are kept in a format of their own that MathWorks does not publish; in
-their place stand numbers that refer to it. They are named, with what to type in MATLAB.
+their place stand numbers that refer to it. They are named, with the words to type in MATLAB.
 """
 
 import re
@@ -60,7 +60,7 @@ def read_mat(path: Path) -> tuple[ForeignTable, ...]:
 
 
 def _plain(name: str, value: object) -> object:
-    """Turn what SciPy makes of a variable into dicts, lists, arrays and single values."""
+    """Turn SciPy's form of a variable into dicts, lists, arrays and single values."""
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
     from scipy.sparse import issparse
 
@@ -83,7 +83,7 @@ def _plain(name: str, value: object) -> object:
 
 
 def _object(name: str, kind: str) -> Unread:
-    """Say of an object, named as MATLAB does, what makes data of it."""
+    """Return the words that make data of an object, named as MATLAB does."""
     command = _IN_MATLAB.get(kind, "{0} = struct({0})").format(name)
     return Unread(f"is a MATLAB {kind}, which only MATLAB opens; type {command} there and save or import that")
 

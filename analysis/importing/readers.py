@@ -35,7 +35,7 @@ TEXT_OPTIONS = ("encoding", "delimiter", "decimal", "header_lines")
 def read_foreign(path: Path, settings: ImportSettings | None = None) -> tuple[ForeignTable, ...]:
     """Read the tables of a measurement that become runs: the named table, or those with the columns of the largest.
 
-    What else the file holds is named in the remarks of the first table.
+    All else in the file is named in the remarks of the first table.
 
     Raises `ImportDataError` when the file cannot be read, or holds no table.
     """

@@ -154,7 +154,7 @@ def _is_single(cell: str, delimiter: str) -> bool:
 
 
 class _Fit:
-    """The description of a text file, found table by table: the widest spread first, then what is left over."""
+    """The description of a text file, found table by table: the widest spread first, then the remainder."""
 
     def __init__(self, path: Path, lines: _Lines, delimiter: str, settings: ImportSettings) -> None:
         self._path, self._lines, self._delimiter, self._settings = path, lines, delimiter, settings

@@ -86,7 +86,7 @@ def fit_sample_grid(path: Path, stamps: FloatArray, tolerance: float, unit_s: fl
     Raises
     ------
     ImportDataError
-        When there is no such grid; the message says how the stamps are spaced and what can be done.
+        When there is no such grid; the message says how the stamps are spaced, and the remedies.
     """
     if len(stamps) < 2:
         raise ImportDataError(f"{path}: has {len(stamps)} row only, from which no sample rate follows; give more.")

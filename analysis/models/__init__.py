@@ -1,4 +1,4 @@
-"""Nominal models: what a rig measures when nothing is wrong with it.
+"""Nominal models: the readings of a rig without a fault.
 
 | module | content |
 |---|---|

@@ -123,7 +123,7 @@ def acquisition_of(experiment: Experiment) -> Acquisition:
 
 
 def without_run_identity(acquisition: Acquisition) -> Acquisition:
-    """Return what equivalent runs share: all but the run's identity."""
+    """Return the key of equivalent runs: all but the run's identity."""
     return replace(acquisition, run_id="", order=0)
 
 
@@ -188,7 +188,7 @@ class StickingPredictor(Predictor):
         return _stack_sensitivities(self.names, rows, len(time_s))
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return by how much the force differs with straight lines from sample to sample: what lies between is unknown.
+        """Return by how much the force differs with straight lines from sample to sample: between them it is unknown.
 
         Of a ramp that begins and ends within few samples, the fast branch remembers the way.
         """

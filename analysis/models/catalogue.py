@@ -62,7 +62,7 @@ def find_model(name_or_file: str) -> NominalModel:
     ----------
     name_or_file
         Name of an installed model, path of a Python file with a `MODEL`, or of a model as TOML: a friction model,
-        which becomes the capsule model's nominal settings, or what a diagnosis made of another model.
+        which becomes the capsule model's nominal settings, or a diagnosis's form of another model.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def find_model(name_or_file: str) -> NominalModel:
 
 
 def parse_model_settings(table: Mapping[str, object], source: str) -> ModelSettings:
-    """Return a friction model, or what a diagnosis made of another model; raises `SettingsError`.
+    """Return a friction model, or a diagnosis's form of another model; raises `SettingsError`.
 
     Where the file of one's own model is no longer where it was, one of its name beside the source is taken.
 
@@ -145,7 +145,7 @@ def model_reference(model: NominalModel) -> str:
 
 @dataclass(frozen=True)
 class _ModelOfAnother(NominalModel):
-    """A model that says what another one does, unless it knows better."""
+    """A model that speaks as another one does, unless it knows better."""
 
     own: NominalModel
     """The other model."""

@@ -1,7 +1,8 @@
 """The stage alone, from its motor force: moving mass, viscous and Coulomb friction, and an offset.
 
-``motor_force = m·a + c·v + F·tanh(v / 0.05 mm/s) + offset + gain·load``, linear in every parameter. The load is what
-the force sensor measured in the same run, where something was attached to it.
+``motor_force = m·a + c·v + F·tanh(v / 0.05 mm/s) + offset + gain·load``, linear in every parameter. The load is the
+reading of the force sensor in the same run, where something was attached to it. Where a position loop holds the stage
+at rest, its force is anywhere within friction, and says nothing of any parameter.
 """
 
 from collections.abc import Mapping
@@ -12,6 +13,7 @@ import numpy as np
 from dragrig.analysis.models.experiment import Experiment, Kinematics, fit_kinematics
 from dragrig.analysis.models.nominal_model import (
     TURNING_SPEED_MM_S,
+    UNKNOWN_FORCE_MN,
     ForcePart,
     NominalModel,
     Parameter,
@@ -32,6 +34,8 @@ WINDOW_SHARE = 0.1
 MAX_WINDOW_S = 0.25
 SLOW_NOISE_SHARE = 0.45
 """Slow noise of the sensor over its white noise: a third, and more for it outlasts the windows."""
+HELD_SPEED_SHARE = 0.01
+"""A stage below this share of a run's highest speed stands still, and below that over which friction changes sign."""
 NORMAL_MEDIAN = 0.6745
 """Median of the magnitude of a standard normal variable."""
 
@@ -144,7 +148,8 @@ class DriveModel(NominalModel):
         if MOTOR_FORCE_CHANNEL not in experiment.run.trace.channels:
             return {}
         motion = fit_kinematics(experiment)
-        return {MOTOR_FORCE_CHANNEL: DrivePredictor(motion, MeasuredLoad.of(experiment, motion.events_s))}
+        load = MeasuredLoad.of(experiment, motion.events_s)
+        return {MOTOR_FORCE_CHANNEL: DrivePredictor(motion, load, experiment.drive_holds)}
 
     def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
         """Return rig settings with which the simulated stage equals this one; negative friction becomes 0."""
@@ -159,6 +164,8 @@ class DrivePredictor(Predictor):
 
     motion: Kinematics
     load: MeasuredLoad
+    holds: bool = False
+    """Whether the force at rest is that of a loop that holds."""
 
     @property
     def events_s(self) -> FloatArray:
@@ -183,10 +190,14 @@ class DrivePredictor(Predictor):
         return dict(zip(places, values[:3, None] * self._moving(time_s), strict=True))
 
     def uncertainty(self, values: FloatArray, time_s: FloatArray) -> FloatArray:
-        """Return the uncertainty by the times at which the motion changes, the acceleration and the load."""
+        """Return the uncertainty by the times at which the motion changes, the acceleration, the load and rests."""
         by_joints = self.motion.joint_uncertainty(lambda times: values[:3] @ self._moving(times), time_s)
         by_inertia = values[0] * MILLINEWTONS_PER_G_MM_S2 * self.motion.acceleration_error(time_s)
-        return np.asarray(np.hypot(np.hypot(by_joints, by_inertia), self.load.uncertainty(time_s)))
+        in_motion: FloatArray = np.hypot(np.hypot(by_joints, by_inertia), self.load.uncertainty(time_s))
+        if not self.holds:
+            return in_motion
+        slow_mm_s = min(HELD_SPEED_SHARE * float(np.abs(self.motion.velocity_mm_s).max()), TURNING_SPEED_MM_S)
+        return np.where(np.abs(self.motion.velocity(time_s)) <= slow_mm_s, UNKNOWN_FORCE_MN, in_motion)
 
     def _moving(self, time_s: FloatArray) -> FloatArray:
         velocity = self.motion.velocity(time_s)

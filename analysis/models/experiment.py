@@ -218,6 +218,8 @@ class Experiment:
     """Scatter of the sampling times that other runs show."""
     soft_loop: bool = False
     """Whether some run shows that the stage's position loop gives way to the force."""
+    drive_holds: bool = False
+    """Whether the runs show that the motor force of a rest is anywhere within friction, as that of a position loop."""
 
     @property
     def kind(self) -> str:
@@ -348,6 +350,18 @@ class Experiment:
             return False
         against = off_mm[known] * np.sign(np.median(pull[known]))
         return -float(np.median(against)) > GIVING_WAY_COUNTS * self.count_mm
+
+    @cached_property
+    def held_forces(self) -> tuple[float, ...]:
+        """Mean motor force beyond the sensor's [mN] of each rest, without the time that a stage takes to settle."""
+        trace = self.run.trace
+        if "motor_force" not in trace.channels:
+            return ()
+        load = trace.channels.get("force", 0.0)
+        own = np.asarray(trace.channels["motor_force"] - load, dtype=np.float64)
+        settling = round(SETTLED_S * trace.sample_rate_hz)
+        rests = (own[np.flatnonzero(in_phase(trace, phase))[settling:]] for phase in (Phase.REST, Phase.HOLD))
+        return tuple(float(np.mean(rest)) for rest in rests if rest.size > settling and np.isfinite(rest).all())
 
     @cached_property
     def motion(self) -> RecordedMotion:
@@ -721,7 +735,7 @@ class _SmoothMotion:
         return np.asarray(BSpline(self.knots, self.coefficients, SPLINE_DEGREE)(time_s, nu=order))
 
     def acceleration_sd(self, time_s: FloatArray) -> FloatArray:
-        """Return the standard deviation of the acceleration, with what smoothing takes away [mm/s²], shape `(n,)`."""
+        """Return the standard deviation of the acceleration, smoothing's loss included [mm/s²], shape `(n,)`."""
         from scipy.interpolate import BSpline
         from scipy.linalg import cho_solve_banded
 

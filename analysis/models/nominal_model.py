@@ -56,7 +56,7 @@ class Variation:
     Attributes
     ----------
     name, sd
-        What differs, and by how much: one standard deviation.
+        The differing part, and its size: one standard deviation.
     unit
         `1` where the part differs by a factor, `sd` being relative; another where so much of it is added.
     """
@@ -67,7 +67,7 @@ class Variation:
 
     @property
     def usual(self) -> float:
-        """What a run has that does not differ: a factor of 1, or nothing added."""
+        """The value of a run that does not differ: a factor of 1, or nothing added."""
         return 1.0 if self.unit == "1" else 0.0
 
 
@@ -189,7 +189,7 @@ class NominalModel(Protocol):
         Raises
         ------
         AnalysisError
-            One sentence, where the run lacks what the model needs.
+            One sentence, where the run lacks a part that the model needs.
         """
 
     def document(self, values: Mapping[str, float]) -> Mapping[str, object]:
@@ -213,6 +213,8 @@ def central_differences(
     return np.array(rows).reshape(len(values), len(time_s))
 
 
+UNKNOWN_FORCE_MN = 1e6
+"""Uncertainty of a force of which a model knows nothing."""
 TURNING_SPEED_MM_S = 0.05
 """Speed over which a direction changes sign, as in the friction model.
 

@@ -1,9 +1,9 @@
-"""The paper checked against its own model: what it prints, what that implies, and where the two disagree.
+"""The paper checked against its own model: its printed numbers, their implications, and where the two disagree.
 
 | module | content |
 |---|---|
 | `published` | the numbers that the paper prints, and the form of a finding |
-| `findings.toml` | the findings in words: what the paper says, what its numbers show, what dragrig does |
+| `findings.toml` | the findings in words: the paper's statement, the evidence of its numbers, dragrig's choice |
 | `findings` | the values in them; Table 1 beside identified elements |
 
 Everything is computed from the model's equations on demand; no result is typed in.

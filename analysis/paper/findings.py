@@ -1,6 +1,6 @@
 """All findings about the paper: each of `findings.toml`, with the values that its function computes from the model.
 
-The file holds what a reader reads; a function here returns the values that its sentences and numbers name.
+The file holds the words for a reader; a function here returns the values that its sentences and numbers name.
 """
 
 import tomllib
@@ -465,7 +465,7 @@ def _accuracy() -> Values:
 
 @dataclass(frozen=True, slots=True)
 class DeterminationExample:
-    """What both forms of R² say of made-up measurements beside the model's forces at the same speeds."""
+    """Both forms of R² of made-up measurements beside the model's forces at the same speeds."""
 
     name: str
     eq15: float

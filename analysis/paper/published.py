@@ -63,9 +63,9 @@ class PaperFinding:
     paper
         The paper's statement, paraphrased.
     shown
-        What the numbers show.
+        The evidence of the numbers.
     practice
-        What dragrig does.
+        dragrig's choice.
     """
 
     key: str

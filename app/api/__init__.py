@@ -1,4 +1,4 @@
-"""What `import dragrig` offers, by topic: each function here is a command of the command line too.
+"""The functions of `import dragrig`, by topic: each function here is a command of the command line too.
 
 `__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """

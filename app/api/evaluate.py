@@ -1,4 +1,4 @@
-"""Load, filter, tabulate, compare, export and import runs, and tabulate what the friction model predicts."""
+"""Load, filter, tabulate, compare, export and import runs, and tabulate the friction model's predictions."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -181,7 +181,7 @@ def _moment(text: str | datetime, of_day: time) -> datetime | None:
         if isinstance(text, str) and len(text) <= len("2026-05-04"):
             moment = datetime.combine(moment, of_day)
         return moment if moment.tzinfo is not None else moment.astimezone()
-    except (ValueError, OverflowError):  # also of a year for which the local offset is not known
+    except (ValueError, OverflowError, OSError):  # also of a year for which the local offset is not known
         raise SettingsError(f"{text} is no date; write it as 2026-05-04 or 2026-05-04T09:15.") from None
 
 
@@ -508,7 +508,7 @@ def import_run(
     Raises
     ------
     ImportDataError
-        When the file does not hold what the settings say.
+        When the file does not suit the settings.
     OutputError
         When the target exists or cannot be written.
     SettingsError
@@ -555,11 +555,11 @@ Comparable = str | Path | Run | Iterable[Run]
 
 
 def _no_formula(cell: object) -> object:
-    """Have a spreadsheet show as text what it would compute: names of files may begin with an equals sign."""
+    """Have a spreadsheet show a formula as text: names of files may begin with an equals sign."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@")) else cell
 
 
-COMPARISON_TABLE, COMPARISON_OVERVIEW = "comparison.csv", "overview"
+COMPARISON_TABLE = "comparison.csv"
 
 
 def compare(
@@ -624,7 +624,7 @@ def compare(
 def write_comparison(
     comparison: Comparison, folder: Path, *, overwrite: bool = False, progress: Progress = no_progress
 ) -> Iterator[Path]:
-    """Write the table as CSV, the overview, and a picture of each pair with overlapping traces.
+    """Write the table as CSV, the figures of its page, and a picture of each pair with overlapping traces.
 
     Yields
     ------
@@ -637,12 +637,12 @@ def write_comparison(
     RunFileError
         When a run cannot be read.
     """
-    from dragrig.present import save_figure_in
+    from dragrig.present import save_figure_in, save_figures
 
     drawable = [pair for pair in comparison.pairs if pair.phases]
     total = len(drawable) + 1
     progress(0, total)
-    yield save_figure_in(folder, COMPARISON_OVERVIEW, present.comparison_overview_figure(comparison), overwrite)
+    yield from save_figures(present.comparison_document(comparison), folder, overwrite=overwrite)
     table = folder / COMPARISON_TABLE
     if not overwrite:
         table = unused_path(table, table.suffix)

@@ -1,4 +1,4 @@
-"""Diagnose the gap between runs and model, of one campaign or many, and what to measure next.
+"""Diagnose the gap between runs and model, of one campaign or many, and find the next measurement.
 
 Amended model and report are written on the way; a plan or a campaign also says beforehand which effects it can isolate.
 """
@@ -97,7 +97,7 @@ class DiagnosedFolder:
 
 
 class DiagnosisChoices(TypedDict, total=False):
-    """What campaigns are diagnosed against, as in `dragrig.gap_diagnose`."""
+    """The choices of a diagnosis of campaigns, as in `dragrig.gap_diagnose`."""
 
     nominal: str | Path | NominalModel
     without: Sequence[str]
@@ -108,7 +108,7 @@ class DiagnosisChoices(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisRequest:
-    """What a campaign is diagnosed against, with the defaults of `DiagnosisChoices`, and its next runs."""
+    """The choices of a diagnosis, with the defaults of `DiagnosisChoices`, and its next runs."""
 
     nominal: str | Path | NominalModel = "capsule"
     without: Sequence[str] = ()
@@ -175,7 +175,7 @@ class DiagnosisRequest:
         return map_tasks(self.with_absolute_paths().diagnose_folder, tasks, workers, scheduler, progress)
 
     def evidence(self, campaign: "FolderToPool") -> "CampaignEvidence | str":
-        """Return what one campaign says, to be pooled; or why it cannot be diagnosed, a sentence."""
+        """Return the evidence of a campaign, to be pooled; or why it cannot be diagnosed, a sentence."""
         from dragrig.analysis.gap import campaign_evidence
 
         model, options = self.model(), self.options()
@@ -234,7 +234,7 @@ def gap_diagnose(
     calibration: str | Path | None = None,
     progress: Progress = no_progress,
 ) -> Diagnosis:
-    """Diagnose where a campaign differs from the nominal model, what causes it, and how far that closes the gap.
+    """Diagnose where a campaign differs from the nominal model, by which cause, and how far that closes the gap.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ class FolderToPool:
     Attributes
     ----------
     name, listing
-        As it was named, and what its runs state of themselves.
+        As it was named, and as its runs state it.
     counted_elsewhere
         Of runs that an earlier campaign has too: that campaign's name by their ids.
     """
@@ -340,7 +340,7 @@ def gap_diagnose_together(
 ) -> "PooledDiagnosis":
     """Diagnose campaigns of one rig together: which effects are in all of them, in some, or in one.
 
-    What belongs to the rig has one set of parameters, what belongs to specimens a population with a spread. A run that
+    Effects of the rig have one set of parameters, those of specimens a population with a spread. A run that
     several folders hold counts once. A campaign that cannot be diagnosed is told among the remarks.
 
     Parameters
@@ -384,7 +384,7 @@ def _require_one_rig(campaigns: Sequence[FolderToPool]) -> None:
 
 
 def _counted_once(campaigns: Sequence[FolderToPool]) -> tuple[list[FolderToPool], list[str]]:
-    """Return the campaigns with what earlier ones have of their runs, without those that have nothing else."""
+    """Return the campaigns, each run left to the earliest that has it, without those that have no other."""
     seen: dict[str, str] = {}
     counted, remarks = list[FolderToPool](), list[str]()
     for campaign in campaigns:
@@ -611,7 +611,7 @@ def gap_next(
 
 
 def require_minutes(minutes: float) -> None:
-    """Raise `SettingsError` for what is no rig time."""
+    """Raise `SettingsError` for a value that is no rig time."""
     if not (isfinite(minutes) and minutes > 0):
         raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
 

@@ -84,7 +84,7 @@ def _rig_findings(setup: RigSetup) -> Iterator[RigCheck]:
 
 
 def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[SetupChoices]) -> Preflight:
-    """Check what a plan would do and which limits it violates; nothing moves.
+    """Check the motions of a plan against the limits; nothing moves.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
 
 
 def check_setup(setup: Setup, folder: Path) -> Preflight:
-    """Check what a session would do and which limits it violates; nothing moves.
+    """Check the motions of a session against the limits; nothing moves.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def run(
 ) -> "Made":
     """Carry out a plan on the rig, one run file per run.
 
-    Everything is checked before anything moves; Ctrl-C stops the stage first and keeps what was recorded.
+    Everything is checked before anything moves; Ctrl-C stops the stage first and keeps the recorded samples.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def run(
         Answers prompts and observes (default: every prompt counts as done; the session ends where one needs hands).
     mirror
         Folder, on another disk, for a second copy of each finished file, verified by reading it back. It never delays a
-        run; `made.mirrored` lists what was copied and what was not.
+        run; `made.mirrored` lists the files that were copied and those that were not.
     tell
         Called with a sentence, from any thread, when a file cannot be mirrored (default: nobody is told).
     pause

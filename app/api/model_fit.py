@@ -55,14 +55,13 @@ from dragrig.setup import friction_model
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
 
 
 WallChoice = Literal["scaled", "fitted"]
 
 
 class FitChoices(TypedDict):
-    """What campaigns are identified against, as in `dragrig.identify`."""
+    """The choices of an identification, as in `dragrig.identify`."""
 
     nominal: str
     model: str
@@ -154,7 +153,7 @@ class IdentifiedCampaign:
 
 
 def _model_origin(result: Identification, joint: JointFit, campaign: str) -> IdentificationSummary:
-    """Return what the file of an identified model says of where its values come from."""
+    """Return the origin of the values of an identified model, as its file states it."""
     return IdentificationSummary(
         campaign=printable(campaign),
         specimen=result.specimen,
@@ -259,15 +258,7 @@ def save_identification_pictures(
         runs = {experiment.file: experiment.run for experiment in selection.experiments}
         yield save_figure_in(folder, "coulomb", present.coulomb_figure(runs[first.file], first), overwrite)
     if result.drag is not None and result.drag.points:
-        yield save_figure_in(folder, "drag", _drag_figure(identified), overwrite)
-
-
-def _drag_figure(identified: IdentifiedCampaign) -> "Figure":
-    drag, first = identified.result.drag, identified.selection.of_kind("drag")[0]
-    if drag is None or not isinstance(identified.nominal, CapsuleModel) or identified.result.joint is None:
-        raise AnalysisError(f"{identified.source}: has no drag to draw.")
-    model = identified_settings(identified.nominal, identified.result.joint)
-    return present.drag_figure(drag, model, first.capsule, first.wall_thickness_mm)
+        yield save_figure_in(folder, "drag", present.drag_figure(result.drag), overwrite)
 
 
 def _nominal_model(nominal: str | Path | NominalModel, model: str | Path | FrictionModelSettings) -> NominalModel:
@@ -400,7 +391,7 @@ def _specimen_fit(choices: FitChoices, task: tuple[str, PooledCampaign]) -> Spec
 
 
 def _rig_of(run_file: Path) -> str:
-    """Return what names the rig of a run, "" where its file does not say."""
+    """Return the name of a run's rig, "" where its file does not say."""
     try:
         record = session_record_of_run(run_file)
     except DragrigError:
@@ -419,7 +410,7 @@ def identify_together(
     scheduler: str | None = None,
     progress: Progress = no_progress,
 ) -> Population:
-    """Identify campaigns of one rig together: what is the rig's once, what is the specimens' with mean and spread.
+    """Identify campaigns of one rig together: parameters of the rig once, those of specimens with mean and spread.
 
     Each campaign is identified in parallel, as `dragrig.identify` does; a run that lies in several counts once.
 

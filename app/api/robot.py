@@ -1,4 +1,4 @@
-"""dragrig.robot: what a capsule robot with an inner mass reaches in the gut."""
+"""dragrig.robot: the reach of a capsule robot with an inner mass in the gut."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -48,7 +48,7 @@ def robot(
     diagnosis
         A campaign's folder, which is diagnosed, an amended model's file, or a diagnosis: its effects are priced.
     sensitivity
-        Whether to vary what is assumed of the robot; not with a drive of one's own.
+        Whether to vary the assumptions on the robot; not with a drive of one's own.
     seed
         Of the search.
 

@@ -1,6 +1,6 @@
 """Settle a gap: make runs, diagnose, choose the next runs, make them, until the answer is sure or the time is spent.
 
-What was decided is kept beside the runs after each step, so that whatever ends the program, it goes on from there.
+Decisions are kept beside the runs after each step, so that the loop goes on from there after any end of the program.
 """
 
 from collections.abc import Callable, Iterator
@@ -52,7 +52,7 @@ class Settlement:
     folder
         The campaign.
     record
-        What was decided after each batch, and why it ended.
+        The decision after each batch, and the reason of the end.
     diagnosed
         The last diagnosis.
     made
@@ -87,7 +87,7 @@ def gap_settle(
     step: Callable[[SettleRecord], None] | None = None,
     **choices: Unpack[SetupChoices],
 ) -> Settlement:
-    """Make the runs of a plan, and after them those that tell most of what causes the gap, until that is settled.
+    """Make the runs of a plan, and after them those that tell most of the cause of the gap, until that is settled.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def gap_settle(
 
     Returns
     -------
-    The last diagnosis, and what was decided on the way.
+    The last diagnosis, and the decisions on the way.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def gap_settle_resume(
 
 
 def read_settle_record(folder: Path) -> SettleRecord:
-    """Read what was decided in a campaign; raises `RunFileError` where nothing was, or it cannot be read."""
+    """Read the decisions of a campaign; raises `RunFileError` where nothing was, or it cannot be read."""
     path = folder / SETTLE_FILE
     try:
         return SettleRecord.model_validate_json(path.read_bytes())
@@ -210,7 +210,7 @@ def read_settle_record(folder: Path) -> SettleRecord:
 
 
 def write_settle_record(folder: Path, record: SettleRecord) -> None:
-    """Write what was decided into a campaign."""
+    """Write decisions into a campaign."""
     replace_text(folder / SETTLE_FILE, record.model_dump_json(indent=1))
 
 
@@ -218,7 +218,7 @@ def write_settle_record(folder: Path, record: SettleRecord) -> None:
 def mirrored_decisions(
     folder: Path, mirror: str | Path | None, tell: Callable[[str], None]
 ) -> Iterator[Callable[[SettleRecord], None]]:
-    """Yield what writes decisions into a campaign, and into its mirror as run files are: verified, and not waited for.
+    """Yield a writer of decisions into a campaign, and into its mirror as run files are: verified, and not waited for.
 
     At the end of the block the last copy is waited for. Of a session that never began, nothing is left in the mirror.
 
@@ -316,7 +316,7 @@ def settle_request(folder: Path, record: SettleRecord, nominal: str | Path = "ca
 
 
 def after_diagnosis(folder: Path, record: SettleRecord, diagnosis: Diagnosis) -> SettleRecord:
-    """Return the decisions with what follows from a diagnosis by `settle_request`: the next batch, or why to end."""
+    """Return the decisions with that on a diagnosis by `settle_request`: the next batch, or why to end."""
     left_min = record.left_min
     if len(record.steps) < len(record.batches):
         record = record.model_copy(update={"steps": (*record.steps, settle_step(diagnosis, record))})
@@ -369,7 +369,7 @@ class _Settling:
     write: Callable[[SettleRecord], None]
 
     def keep(self, record: SettleRecord) -> None:
-        """Write what was decided, and tell of it."""
+        """Write the decisions, and tell of them."""
         self.folder.mkdir(parents=True, exist_ok=True)
         self.write(record)
         self.step(record)

@@ -254,7 +254,7 @@ def run_on_bench(
     AbortedError
         When the operator ended it.
     DragrigError
-        What the work raises; also when the rig cannot be opened or switched off.
+        The errors of the work; also when the rig cannot be opened or switched off.
     """
     request = setup.request(pace)
     with opened_rig(setup.backend, request, double=setup.double) as backend:

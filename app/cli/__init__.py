@@ -1,7 +1,7 @@
 """The command line: `dragrig COMMAND`.
 
 `commands` lists every command with the module and attribute that hold it and loads none of them. Modules here print;
-what a command does is in `dragrig` and below.
+the work of a command is in `dragrig` and below.
 """
 
 from collections.abc import Sequence

@@ -66,7 +66,7 @@ GAP_SECTIONS: Sections = {
 
 
 class TypedText(click.types.StringParamType):
-    """A text on the command line: what is no UTF-8 can be no more than the name of a file that is there."""
+    """A text on the command line: bytes that are no UTF-8 can only be the name of an existing file."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Return the text; fails for bytes that no file could hold, and that name none."""
@@ -146,7 +146,7 @@ class LazyGroup(click.Group):
 @click.version_option(__version__, message="dragrig %(version)s")
 @click.pass_context
 def dragrig_group(ctx: click.Context) -> None:
-    """Run a linear-motor drag tester, real or simulated, and analyse what it records."""
+    """Run a linear-motor drag tester, real or simulated, and analyse its records."""
     if ctx.invoked_subcommand is None:
         echo(ctx.get_help())
 

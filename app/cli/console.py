@@ -1,4 +1,4 @@
-"""What all commands share: output, errors as one sentence and an exit code, progress, batches of files."""
+"""Common to all commands: output, errors as one sentence and an exit code, progress, batches of files."""
 
 import codecs
 import errno
@@ -44,7 +44,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 def echo(text: str = "", *, err: bool = False, newline: bool = True) -> None:
-    """Print a text; what would drive the terminal instead of being read is written out.
+    """Print a text; characters that would drive the terminal are written out.
 
     Everything that commands print goes through here, or through the text of `rich` (`present.terminal`), which does
     the same: texts of files and names of files may hold anything.
@@ -68,7 +68,7 @@ def print_document(document: "Document", *, as_json: bool) -> None:
 
 
 def print_warning(sentence: str) -> None:
-    """Print what must be known even with --quiet, such as a missing copy; from any thread."""
+    """Print a message needed even with --quiet, such as a missing copy; from any thread."""
     with suppress(OSError):  # the terminal may be closed; the work goes on
         echo(f"\n{sentence}", err=True)
 
@@ -234,7 +234,7 @@ _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")
 
 
 def legible(text: str, encoding: str) -> str:
-    """Return a text in the letters that an encoding has; what no others say is a question mark."""
+    """Return a text in the letters that an encoding has; a character without any likeness is a question mark."""
     try:
         text.encode(encoding)
     except UnicodeEncodeError:
@@ -248,11 +248,22 @@ def legible(text: str, encoding: str) -> str:
 
 
 def _replace_unencodable() -> None:
-    """Show what says the same in place of characters that the console lacks (− and μ on cp1252)."""
+    """Show letters of the same meaning in place of those that the console lacks (− and μ on cp1252)."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            codecs.register_error(f"dragrig.{stream.encoding}", partial(_legible, stream.encoding))
-            stream.reconfigure(errors=f"dragrig.{stream.encoding}")
+            encoding = stream.encoding if stream.isatty() else _redirected_encoding() or stream.encoding
+            codecs.register_error(f"dragrig.{encoding}", partial(_legible, encoding))
+            stream.reconfigure(encoding=encoding, errors=f"dragrig.{encoding}")
+
+
+def _redirected_encoding() -> str:
+    """Return the encoding in which PowerShell, `more` and `type` take what is no longer for the console; else empty."""
+    if sys.platform == "win32" and not sys.flags.utf8_mode and "PYTHONIOENCODING" not in os.environ:
+        import ctypes
+
+        with suppress(LookupError):  # without a console, and for a code page that Python lacks
+            return codecs.lookup(f"cp{ctypes.WinDLL('kernel32').GetConsoleOutputCP()}").name
+    return ""
 
 
 def _legible(encoding: str, error: UnicodeError) -> tuple[str, int]:
@@ -306,7 +317,7 @@ _FEW_S, _MINUTE_S = 5.0, 59.5
 class ProgressMeter:
     """Progress on standard error: a bar with the time left on a terminal, else a line now and then.
 
-    What is given as `above` stands above the bar, drawn anew with it. Nothing is shown in the first second, nor with
+    The text `above` stands above the bar, drawn anew with it. Nothing is shown in the first second, nor with
     `quiet` (default: that of the running command). Any thread may advance it, one at a time.
     """
 
@@ -348,7 +359,7 @@ class ProgressMeter:
             self._bar = None
 
     def advance(self, amount: float = 1.0, label: str | None = None) -> None:
-        """Add to what is done of the total, and name what is being done now."""
+        """Add to the finished part of the total, and name the present work."""
         self._done += amount
         self._label = self._label if label is None else label
         if self._paused_at is not None:
@@ -375,7 +386,7 @@ class ProgressMeter:
         self.advance(done - self._done, label)
 
     def at(self, done: float, total: float) -> None:
-        """Set how much is done, and of what total."""
+        """Set the finished part, and the total."""
         self._total = total
         self.to(done)
 
@@ -408,7 +419,7 @@ class ProgressMeter:
         return f"{f'{left_s:.0f} s' if left_s < _MINUTE_S else duration_text(left_s)} left"
 
     def _left_s(self, elapsed_s: float) -> float | None:
-        """Return the time left at the pace of the latter half of what is done; before a tenth nobody knows it.
+        """Return the time left at the pace of the latter half of the finished part; before a tenth nobody knows it.
 
         The first half may have been loading and starting processes, or another kind of work.
         """
@@ -505,7 +516,7 @@ class FileBatch:
                 yield path, result
 
     def close(self) -> None:
-        """Print what failed; the command then ends with the exit code of the first failure."""
+        """Print the failures; the command then ends with the exit code of the first failure."""
         for error in self._failures:
             print_error(str(error))
         if self._failures:

@@ -22,7 +22,7 @@ from dragrig.cli.console import (
 from dragrig.cli.options import NUMBER
 
 if TYPE_CHECKING:
-    from dragrig.api import DiagnosedFolder, DiagnosisRequest
+    from dragrig.api import DiagnosedFolder
     from dragrig.rig import Campaign
     from dragrig.setup import SetupChoices
 
@@ -92,35 +92,35 @@ def diagnose_command(
     from dragrig.analysis import parts_of
     from dragrig.api import DiagnosisRequest, save_amended_model
     from dragrig.parallel import worker_count
-    from dragrig.present import diagnosis_document, save_figures
+    from dragrig.present import diagnosis_document, pooled_document, save_figures
 
     worker_count(workers, scheduler)
-    request = DiagnosisRequest(nominal, without, tolerance_mN, specimen, calibration)
+    request, count = DiagnosisRequest(nominal, without, tolerance_mN, specimen, calibration), len(campaigns)
     if together:
-        options.require_single_campaign(len(campaigns), save_model=save_model)
-        _diagnose_together(
-            campaigns, request, report, figures, workers, scheduler, overwrite=overwrite, as_json=as_json
-        )
-        return
-    if len(campaigns) > 1:
-        options.require_single_campaign(len(campaigns), save_model=save_model, report=report, figures=figures)
-        with ProgressMeter(f"diagnosing {len(campaigns)} campaigns") as meter:
+        options.require_single_campaign(count, save_model=save_model)
+    elif count > 1:
+        options.require_single_campaign(count, save_model=save_model, report=report, figures=figures)
+        with ProgressMeter(f"diagnosing {count} campaigns") as meter:
             several = request.diagnose_many(campaigns, workers, scheduler, meter.at)
         _print_diagnoses(several, as_json=as_json)
         return
-    [campaign] = campaigns
-    with ProgressMeter("diagnosing") as meter:
-        finding, reporting, drawing = parts_of(
-            meter.at, DIAGNOSE_COST, PAGE_COST * (report is not None), FIGURES_COST * (figures is not None)
-        )
-        if scheduler is None or listing is not None:
-            diagnosed = request.diagnose(listing or campaign, finding)
+    model: Path | None = None
+    with ProgressMeter(f"diagnosing {count} campaigns together" if together else "diagnosing") as meter:
+        costs = DIAGNOSE_COST * count, PAGE_COST * (report is not None), FIGURES_COST * (figures is not None)
+        finding, reporting, drawing = parts_of(meter.at, *costs)
+        if together:
+            document = pooled_document(request.diagnose_together(campaigns, workers, scheduler, finding))
         else:
-            diagnosed = request.diagnose_on_cluster(campaign, scheduler)
-        diagnosis = diagnosed.result
-        model = None if save_model is None else save_amended_model(diagnosis, save_model, overwrite=overwrite)
-        model_name = None if model is None else str(model)
-        document = diagnosis_document(diagnosis, source=diagnosed.source, model=model_name, run_ids=diagnosed.run_ids)
+            if scheduler is None or listing is not None:
+                diagnosed = request.diagnose(listing or campaigns[0], finding)
+            else:
+                diagnosed = request.diagnose_on_cluster(campaigns[0], scheduler)
+            if save_model is not None:
+                model = save_amended_model(diagnosed.result, save_model, overwrite=overwrite)
+            named = None if model is None else str(model)
+            document = diagnosis_document(
+                diagnosed.result, source=diagnosed.source, model=named, run_ids=diagnosed.run_ids
+            )
         # Written before anything is printed: a reader such as head ends the command.
         write_report(document, report, overwrite=overwrite, progress=reporting)
         drawn: list[Path] = []
@@ -131,32 +131,6 @@ def diagnose_command(
         print_remark(f"{display_path(save_model)} is not written: the verdict gives no model")
     print_document(document, as_json=as_json)
     print_written(as_json=as_json, model=model, report=report)
-    for path in drawn if not as_json else ():
-        echo(f"figure  {display_path(path)}")
-
-
-def _diagnose_together(
-    campaigns: tuple[Path, ...],
-    request: "DiagnosisRequest",
-    report: Path | None,
-    figures: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    *,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
-    """Diagnose campaigns of one rig together and print what they share."""
-    from dragrig.analysis import parts_of
-    from dragrig.present import pooled_document, save_figures
-
-    with ProgressMeter(f"diagnosing {len(campaigns)} campaigns together") as meter:
-        finding, reporting = parts_of(meter.at, DIAGNOSE_COST * len(campaigns), PAGE_COST * (report is not None))
-        document = pooled_document(request.diagnose_together(campaigns, workers, scheduler, finding))
-        write_report(document, report, overwrite=overwrite, progress=reporting)
-        drawn = () if figures is None else tuple(save_figures(document, figures, overwrite=overwrite))
-    print_document(document, as_json=as_json)
-    print_written(as_json=as_json, report=report)
     for path in drawn if not as_json else ():
         echo(f"figure  {display_path(path)}")
 

@@ -128,7 +128,7 @@ def find_command(
 
 
 def _found_or_hint(listing: "RunListing", query: "RunQuery") -> "tuple[Mapping[Path, tuple[str, ...]], str]":
-    """Return the runs found; where there are none, also what was asked for and no run has."""
+    """Return the runs found; where there are none, also the requests that no run meets."""
     from dragrig.config import suggestion
 
     found = listing.found(query)
@@ -162,10 +162,11 @@ def show_command(
 ) -> None:
     """Draw runs: force, raw and filtered, position and speed, with the phases. Prints the paths of the pictures.
 
-    RUN is a run file, a pattern, as runs/first/*.h5, or a campaign's folder, of which an overview is drawn (default:
-    the newest campaign). An existing name gets a number, unless it was given with --out: then it is refused. With
-    --column, pictures are as journals take them: 85 mm (single), 180 mm (double) or so many mm wide, without a title,
-    letters of 6 to 7 pt, PNG with 600 dpi. Panels side by side take 180 mm where less than 120 mm are asked for.
+    RUN is a run file, a pattern, as runs/first/*.h5, or a campaign's folder, of which an overview is drawn, or with
+    --column its steady forces against speed (default: the newest campaign). An existing name gets a number, unless it
+    was given with --out: then it is refused. With --column, pictures are as journals take them: 85 mm (single), 180 mm
+    (double) or so many mm wide, without title and badge, letters of 6 to 7 pt, PNG with 600 dpi. Panels side by side
+    take 180 mm where less than 120 mm are asked for.
     """
     from dragrig.api import show
     from dragrig.rig import run_name

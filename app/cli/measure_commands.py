@@ -72,7 +72,7 @@ def check_command(
     Without: limits, calibrations and every device in turn, each ok or FAILED; exit code 5 when one failed.
 
     With --live, signal by signal: push the carriage, press the sensor, press each switch; volts, counts and switches
-    are shown as they change. Then what stops the drive is taken away from it: at a standstill, and, unless skipped, at
+    are shown as they change. Then its stops are taken away from the drive: at a standstill, and, unless skipped, at
     1 mm/s. The result is stored as commissioning.toml in the lab folder.
     """
     from dragrig.api import check
@@ -186,8 +186,8 @@ def run_command(
 
     Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, first, paper, relaxation.
 
-    Everything is checked before anything moves. Ctrl-C stops the stage first and keeps what was recorded; p, typed at
-    the terminal, pauses the session after the run in progress. The campaign's folder is printed at the end.
+    Everything is checked before anything moves. Ctrl-C stops the stage first and keeps the recorded samples; p, typed
+    at the terminal, pauses the session after the run in progress. The campaign's folder is printed at the end.
 
     Exit codes: 0 done, 2 bad input, 3 aborted, 4 guard tripped, 5 device fault.
     """

@@ -1,4 +1,4 @@
-"""Commands on the friction model: model (what it predicts), robot, identify (parameters from runs), paper."""
+"""Commands on the friction model: model (its predictions), robot, identify (parameters from runs), paper."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +14,7 @@ from dragrig.cli.console import (
     print_document,
     print_json,
     print_remark,
+    print_written,
     write_report,
 )
 from dragrig.cli.options import NUMBER
@@ -311,25 +312,33 @@ def identify_command(
     model is written then, nor where the runs determine none of its parameters.
 
     Several campaigns are identified in parallel and printed as a table, or with --json as one line each; each has its
-    own folder in that of --out. With --together they are one population: what belongs to the rig is one value for all,
-    what belongs to specimens has a mean and a spread between them; a run that lies in several campaigns counts once.
+    own folder in that of --out. With --together they are one population: parameters of the rig have one value for all,
+    those of specimens a mean and a spread between them; a run that lies in several campaigns counts once.
     """
     from dragrig.analysis import parts_of
     from dragrig.api import (
         identified_folder,
         identify,
         identify_many,
+        identify_together,
         save_identified_model,
         write_identified_files,
     )
     from dragrig.parallel import worker_count
-    from dragrig.present import identification_document, identification_json
+    from dragrig.present import identification_document, identification_json, population_document
 
     worker_count(workers, scheduler)
     choices: FitChoices = {"nominal": nominal, "model": model, "wall": wall, "specimen": specimen}
     if together:
-        _require_no_model(save_model, out)
-        _identify_together(campaigns, choices, workers, scheduler, report, overwrite=overwrite, as_json=as_json)
+        if named := [name for name, path in (("--save-model", save_model), ("--out", out)) if path is not None]:
+            raise SettingsError(f"{' '.join(named)}: a population has no model of its own to write; leave it out.")
+        with ProgressMeter(f"identifying {len(campaigns)} campaigns") as meter:
+            fitting, reporting = parts_of(meter.at, IDENTIFY_COST * len(campaigns), PAGE_COST * (report is not None))
+            population = identify_together(campaigns, **choices, workers=workers, scheduler=scheduler, progress=fitting)
+            document = population_document(population)
+            write_report(document, report, overwrite=overwrite, progress=reporting)
+        print_document(document, as_json=as_json)
+        print_written(as_json=as_json, report=report)
         return
     if len(campaigns) > 1:
         options.require_single_campaign(len(campaigns), save_model=save_model, report=report)
@@ -347,7 +356,8 @@ def identify_command(
         _print_identifications(several, as_json=as_json)
         return
     [campaign] = campaigns
-    _require_no_cluster(scheduler)
+    if scheduler is not None:
+        raise SettingsError(f"--scheduler {scheduler}: is for several campaigns, and one was given; leave it out.")
     draws = out is not None or not as_json
     with ProgressMeter("identifying") as meter:
         fitting, reporting, drawing = parts_of(
@@ -375,40 +385,6 @@ def identify_command(
             echo(display_path(path))
     if result.joint is not None and not result.joint.converged:
         raise AnalysisError(f"{campaign}: {identified.why_no_model}.")
-
-
-def _require_no_cluster(scheduler: str | None) -> None:
-    if scheduler is not None:
-        raise SettingsError(f"--scheduler {scheduler}: is for several campaigns, and one was given; leave it out.")
-
-
-def _require_no_model(save_model: Path | None, out: Path | None) -> None:
-    if named := [name for name, path in (("--save-model", save_model), ("--out", out)) if path is not None]:
-        raise SettingsError(f"{' '.join(named)}: a population has no model of its own to write; leave it out.")
-
-
-def _identify_together(
-    campaigns: tuple[Path, ...],
-    choices: "FitChoices",
-    workers: int | None,
-    scheduler: str | None,
-    report: Path | None,
-    *,
-    overwrite: bool,
-    as_json: bool,
-) -> None:
-    from dragrig.analysis import parts_of
-    from dragrig.api import identify_together
-    from dragrig.present import population_document
-
-    with ProgressMeter(f"identifying {len(campaigns)} campaigns") as meter:
-        fitting, reporting = parts_of(meter.at, IDENTIFY_COST * len(campaigns), PAGE_COST * (report is not None))
-        population = identify_together(campaigns, **choices, workers=workers, scheduler=scheduler, progress=fitting)
-        document = population_document(population)
-        write_report(document, report, overwrite=overwrite, progress=reporting)
-    print_document(document, as_json=as_json)
-    if report is not None and not as_json:
-        echo(display_path(report))
 
 
 def _print_identifications(folders: "Sequence[IdentifiedFolder]", *, as_json: bool) -> None:

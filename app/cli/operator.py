@@ -78,7 +78,7 @@ class TerminalOperator:
 
     @property
     def attended(self) -> bool:
-        """Whether a person answers what needs no hands."""
+        """Whether a person answers prompts that need no hands."""
         return not self._yes or self._pause_wanted
 
     def ask(self, prompt: Prompt) -> Answer:
@@ -118,7 +118,7 @@ class TerminalOperator:
                     return answer
 
     def show_finding(self, finding: RigCheck) -> None:
-        """Print what was found of a signal."""
+        """Print the finding on a signal."""
         if not self._quiet:
             echo(f"  {'ok' if finding.passed else 'FAILED'}: {finding.name}: {finding.detail}.", err=True)
 
@@ -373,7 +373,7 @@ def _typed_keys(ended: Signal) -> Iterator[str]:
 
 
 def _take_single_keys() -> Callable[[], None]:
-    """Have the terminal pass keys on without Enter and without showing them; return what ends that."""
+    """Have the terminal pass keys on without Enter and without showing them; return the end of that."""
     if sys.platform == "win32":
         return lambda: None
     import termios
@@ -392,7 +392,7 @@ def _take_single_keys() -> Callable[[], None]:
 
 
 def _discard_typed_input() -> None:
-    """Discard what was typed before the prompt: an Enter too many must not start a motion."""
+    """Discard keys typed before the prompt: an Enter too many must not start a motion."""
     if not sys.stdin.isatty():
         return
     if sys.platform == "win32":

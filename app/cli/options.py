@@ -195,7 +195,7 @@ pace = click.option(
 
 
 def session_notes(place: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Add `--operator` and `--note`, stored with what the command makes."""
+    """Add `--operator` and `--note`, stored with the command's runs."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         function = click.option("--note", metavar="TEXT", default="", help=f"Note, stored {place}.")(function)

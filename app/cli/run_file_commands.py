@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @options.quiet
 @click.pass_context
 def info_command(ctx: click.Context, inputs: tuple[str, ...], verify: bool, as_json: bool) -> None:
-    """Print what run files contain. RUN is a run file, a pattern or a campaign's folder (default: the newest).
+    """Print the content of run files. RUN is a run file, a pattern or a campaign's folder (default: the newest).
 
     With --verify the exit code is 2 when the samples of a file are not those that were recorded.
     """
@@ -215,8 +215,8 @@ def import_command(
     Tables with the same columns (sheets, groups, trials, blocks) become a run each, and so do the stretches of a clock
     that begins anew. Remarks name all else that the file holds.
 
-    Capsule, wall and fixture make a measurement one that gap diagnose compares with the capsule model. What a kind
-    of run must state (speed, travel, …) and --set does not is taken from the position.
+    Capsule, wall and fixture make a measurement one that gap diagnose compares with the capsule model. Settings that a
+    kind of run must state (speed, travel, …) and --set does not are taken from the position.
     """
     from dragrig.analysis import import_runs
     from dragrig.api import import_settings, next_run_order

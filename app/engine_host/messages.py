@@ -1,4 +1,4 @@
-"""What client and engine host exchange: pickled frozen values, and live samples through a ring in shared memory."""
+"""Messages between client and engine host: pickled frozen values, and live samples through a ring in shared memory."""
 
 import ctypes
 from dataclasses import dataclass, field
@@ -332,7 +332,7 @@ class RigIdle:
 
 @dataclass(frozen=True, slots=True)
 class StageMoved:
-    """A motion by hand is over: where the stage is, or what the contact is, in a sentence; or why it failed."""
+    """A motion by hand is over: the place of the stage, or the contact, in a sentence; or why it failed."""
 
     sentence: str
     problem: str = ""

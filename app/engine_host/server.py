@@ -139,7 +139,7 @@ class RequestReceiver:
     gone
         Set once the client is gone, or wants the host to end.
     stands
-        Whether the stage stands, for the moment, though what is done can be aborted; set by whoever does it.
+        Whether the stage stands, for the moment, though the work can be aborted; set by whoever does it.
     pause
         Set to have the session wait for a person before its next run.
     """
@@ -173,7 +173,7 @@ class RequestReceiver:
         return request
 
     def stops(self, abort: Callable[[str], None] | None) -> None:
-        """Set what aborts the current request, which may move from now on; an abort received before is applied now."""
+        """Set the abort of the current request, which may move from now on; an abort received before is applied now."""
         self.stands = False
         with self._lock:
             self._abort, reason = abort, self._abort_reason if self._is_aborted else ""
@@ -384,15 +384,15 @@ class IdleRig:
         if not self.on:
             return None
         try:
-            backend = self._backend = self._backend or self._open()
+            if self._backend is None:
+                self._open()
         except DragrigError as error:
             self._failed = True
             return IdleReading(None, None, reason_of(error))
         reading = self._look()
-        self._failed = reading.force_mN is None
-        if self._failed:
-            backend.close()
-            self._backend = None
+        if failed := reading.force_mN is None:
+            self.close()
+        self._failed = failed
         return reading
 
     def close(self) -> None:
@@ -401,12 +401,12 @@ class IdleRig:
         if backend is not None:
             backend.close()
 
-    def _open(self) -> Backend:
+    def _open(self) -> None:
         setup = resolve_rig(**self._rig.choices())
         request = setup.request(self._rig.pace if setup.double else None)
-        backend = open_backend(setup.backend, request, double=setup.double)
+        # Known before it is asked anything: whatever goes wrong from here on, `close` gives it back.
+        backend = self._backend = open_backend(setup.backend, request, double=setup.double)
         self._look = idle_reader(backend, timed=request.real_time or backend.needs_hands)
-        return backend
 
 
 class EngineHost:
@@ -473,7 +473,9 @@ class EngineHost:
         finished = SessionFinished(job.number, RunStatus.FAILED, "the engine met a bug")
         try:
             made = self._run_session(job)
-            session, mirror = made.session, _mirror_status(made)
+            session, mirror = made.session, None
+            if report := made.mirrored:
+                mirror = MirrorStatus(report.folder, len(report.copied), tuple(report.missing.items()))
             finished = SessionFinished(job.number, session.status, session.reason, made.folder, mirror)
         except DragrigError as error:
             finished = SessionFinished(job.number, None, str(error))
@@ -597,8 +599,3 @@ class EngineHost:
         except DragrigError as error:
             return RigExamined(tuple(checks), str(error))
         return RigExamined(tuple(checks))
-
-
-def _mirror_status(made: Made) -> MirrorStatus | None:
-    report = made.mirrored
-    return None if report is None else MirrorStatus(report.folder, len(report.copied), tuple(report.missing.items()))

@@ -51,7 +51,7 @@ class CampaignOrder:
 
 
 def simulate_campaign(order: CampaignOrder) -> None:
-    """Simulate what does not exist yet; a folder exists with all its runs or not at all.
+    """Simulate the campaigns that do not exist yet; a folder exists with all its runs or not at all.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def simulate_campaign(order: CampaignOrder) -> None:
 
 
 def remove_unfinished(orders: Iterable[CampaignOrder]) -> None:
-    """Remove what killed workers left; no other program may work in the exam's folder."""
+    """Remove the remains of killed workers; no other program may work in the exam's folder."""
     for folder in chain.from_iterable((order.campaign, order.fresh) for order in orders):
         for unfinished in folder.parent.glob(f".{folder.name}-*{UNFINISHED_SUFFIX}"):
             shutil.rmtree(unfinished, ignore_errors=True)
@@ -205,7 +205,7 @@ def _replace_file(path: Path, text: str) -> None:
 
 
 def read_json(path: Path) -> Mapping[str, object]:
-    """Return what `write_json` wrote."""
+    """Return the content that `write_json` wrote."""
     content: Mapping[str, object] = json.loads(path.read_text("utf-8"))
     return content
 
@@ -225,7 +225,7 @@ class BlindExam:
     timings_s
         Of this call; the only part that differs between two exams with the same seed.
     plant
-        What made the campaigns: `written` or `drawn`.
+        The plant of the campaigns: `written` or `drawn`.
     """
 
     cases: int
@@ -366,7 +366,7 @@ class _RunningExam:
     meter: _WeightedProgress
 
     def run(self, *, without_true: bool, sizes: bool) -> tuple[str, Mapping[str, Mapping[str, object]]]:
-        """Do what is not done yet; return the hash of the answers, and the diagnoses by the campaigns' names."""
+        """Do the open tasks; return the hash of the answers, and the diagnoses by the campaigns' names."""
         folder, names = self.folder, [case.name for case in self.cases]
         single = [case for case in self.cases if case.single] if without_true else []
         measured = [case for case in self.cases if sizes and (case.single or case.plant != WRITTEN_PLANT)]

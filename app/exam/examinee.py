@@ -1,6 +1,6 @@
 """Diagnoses a campaign of an exam from its folder of runs alone.
 
-This module and what it imports know nothing of the plant.
+This module and its imports know nothing of the plant.
 """
 
 from collections.abc import Mapping

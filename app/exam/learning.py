@@ -59,7 +59,7 @@ def gap_cross_validate(exams: Sequence[str | Path], folds: int = 10, tolerance_m
     exams
         Folders that `dragrig gap blind --out` wrote.
     folds
-        Number of folds; the campaigns of each are judged by what the others teach.
+        Number of folds; the campaigns of each are judged by the teaching of the others.
     tolerance_mN
         Force change below which an effect does not matter.
 

@@ -1,10 +1,10 @@
 """Figures of campaigns: overview of a campaign, differences of two, and a pair of runs on a common clock."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from operator import itemgetter
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,6 @@ from dragrig.analysis import (
     MeasureDifference,
     RunMeasures,
     RunPair,
-    mean_of_specimens,
-    means_of_repeats,
     measure,
     set_values,
     value_with_error,
@@ -30,37 +28,40 @@ from dragrig.analysis import (
 from dragrig.present import (
     BLACK,
     BLUE,
+    CHANNEL_LABELS,
     GREY,
+    KIND_MARKERS,
     PURPLE,
+    RAW_FORCE,
     SMALL_PT,
     VERMILLION,
+    WIDTH_IN,
     CurveLabel,
+    Differences,
     LineStyle,
     PanelLayout,
+    SteadyForces,
+    TraceCurve,
+    TracePanel,
+    current_figure_form,
+    draw_forces,
+    draw_panel_column,
     figure_style,
     fit_y_range,
+    gaps_after_samples,
+    kind_label,
     label_curves,
     new_figure,
+    relaxation_ramp,
     sequential_colours,
     set_log_x,
     set_time_range,
-)
-from dragrig.present.model_figures import spread_selection
-from dragrig.present.run_figures import (
-    CHANNEL_LABELS,
-    RAW_FORCE,
-    WIDTH_IN,
-    TraceCurve,
-    TracePanel,
-    draw_panel_column,
-    gaps_after_samples,
-    relaxation_ramp,
+    speed_figure,
+    spread_selection,
 )
 from dragrig.rig import AnyFloatArray, FloatArray, Phase, Run, RunStatus, specimen_key
 
-STEADY_KINDS = ("drag", "coulomb", "blank")
-"""Kinds of run with a steady force that stands in a campaign's picture."""
-
+STEADY_ABOVE_REST = "Steady − rest (mN)"
 POSITION_BINS = 250
 
 
@@ -101,7 +102,7 @@ def summarise_run(run: Run, bad: Collection[Path] = (), measures: RunMeasures | 
     if info.kind == "relaxation":
         x, force = _force_since_ramp(run)
         return RunSummary(*head, strain=_protocol_number(run, "shear_strain"), x=x, force_mN=force)
-    if info.kind not in STEADY_KINDS:
+    if info.kind not in KIND_MARKERS:
         return RunSummary(*head)
     measures = measures or measure(run)
     speed = _protocol_number(run, "speed_mm_s") or measures.speed.value or 0.0
@@ -143,12 +144,8 @@ def _protocol_number(run: Run, name: str) -> float:
     return float(value) if isinstance(value, int | float) else 0.0
 
 
-KIND_MARKERS = {"drag": (BLUE, "o"), "coulomb": (VERMILLION, "s"), "blank": (GREY, "^")}
-"""Colour and marker of each kind."""
-
-
 def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] = ()) -> Figure:
-    """Draw an overview of a campaign.
+    """Draw an overview of a campaign or, for the column of a journal, its steady forces against speed.
 
     Parameters
     ----------
@@ -159,26 +156,25 @@ def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] =
     bad
         Files of runs that were marked bad; they are counted and not drawn, as are those that ended early.
     """
-    return overview_figure([summarise_run(run, bad) for run in runs], name)
+    digests = [summarise_run(run, bad) for run in runs]
+    if current_figure_form().width_mm is not None and any(map(_is_sliding, digests)):
+        return campaign_speed_figure(digests, name)
+    return overview_figure(digests, name)
 
 
-def overview_figure(digests: Sequence[RunSummary], name: str = "") -> Figure:
-    """Draw an overview of a campaign from what `summarise_run` kept of its runs."""
+def overview_figure(digests: Sequence[RunSummary], name: str = "", *, steady: bool = True) -> Figure:
+    """Draw an overview of a campaign from what `summarise_run` kept of its runs, with or without steady forces."""
     title = " · ".join(part for part in ("Campaign", name) if part)
     backends = ", ".join(sorted({run.backend for run in digests}))
-    chosen = [(draw, [run for run in digests if has(run)]) for draw, has in _OVERVIEW_PANELS]
+    chosen = [(draw, [run for run in digests if has(run)]) for draw, has in _OVERVIEW_PANELS[not steady :]]
     drawn = [(draw, panel_runs) for draw, panel_runs in chosen if panel_runs]
     with figure_style():
-        figure = _overview_sheet(title, _overview_subtitle(digests), _overview_problem(digests), backends)
+        figure = new_figure(14.0, 8.2, title, _overview_subtitle(digests), _overview_problem(digests), backends)
         if not drawn:
             figure.text(0.5, 0.45, "no complete drag, Coulomb, blank or relaxation run", ha="center", color=GREY)
         for axes, (draw, panel_runs) in zip(_overview_panels(figure, len(drawn)), drawn, strict=True):
             draw(axes, panel_runs)
         return figure
-
-
-def _overview_sheet(title: str, subtitle: str, problem: str, backends: str) -> Figure:
-    return new_figure(14.0, 8.2, title, subtitle, problem, backends)
 
 
 def _overview_panels(figure: Figure, count: int) -> list[Axes]:
@@ -189,85 +185,53 @@ def _overview_panels(figure: Figure, count: int) -> list[Axes]:
     return list(panels.values())
 
 
+def campaign_speed_figure(digests: Sequence[RunSummary], name: str = "") -> Figure:
+    """Draw the steady forces of a campaign against speed, from what `summarise_run` kept of its runs."""
+    backends = ", ".join(sorted({run.backend for run in digests}))
+    title = " · ".join(("Steady force against speed", *filter(None, (name,))))
+    sliding = list(filter(_is_sliding, digests))
+    subtitle = f"steady − rest; {_intervals_text(sliding)}"
+    return speed_figure(
+        _steady_forces(sliding), title=title, subtitle=subtitle, backend=backends, quantity=STEADY_ABOVE_REST
+    )
+
+
 def _draw_steady_forces(axes: Axes, digests: Sequence[RunSummary]) -> None:
-    labels: list[CurveLabel] = []
-    shown: list[FloatArray] = [np.zeros(1)]
-    for kind, (colour, marker) in KIND_MARKERS.items():
-        for runs, way in _split_by_direction([run for run in digests if run.kind == kind]):
-            forces = _forces_at_speeds(runs)
-            every = [(speed, force) for speed, of in forces.items() for values in of.values() for force in values]
-            speed, force = (np.array(column) for column in zip(*every, strict=True))
-            axes.plot(speed, force, marker, color=colour, markersize=4.5, alpha=0.45, markeredgecolor="none")
-            means = _means_at_speeds(dict(sorted(forces.items())))
-            levels, half = np.array([mean for mean, _ in means.values()]), np.array([h for _, h in means.values()])
-            axes.errorbar(
-                list(means), levels, yerr=half, fmt=marker, color=colour, markersize=8,
-                linestyle="--" if way else "-", linewidth=1.3,
-                markerfacecolor="white" if way else colour, markeredgecolor=colour if way else "white",
-            )  # fmt: skip
-            shown += [force, levels - np.nan_to_num(half), levels + np.nan_to_num(half)]
-            labels.append(CurveLabel(float(levels[-1]), _kind_label(kind) + way, colour))
-    _finish_speed_panel(axes, [run.speed_mm_s for run in digests], shown, "Steady − rest (mN)")
+    draw_forces(axes, _steady_forces(digests), quantity=STEADY_ABOVE_REST)
+    _write_panel_heading(axes, "Steady force", f"less that at rest; {_intervals_text(digests)}")
+
+
+def _is_sliding(run: RunSummary) -> bool:
+    return run.steady is not None and run.speed_mm_s > 0
+
+
+def _intervals_text(digests: Sequence[RunSummary]) -> str:
     over = "specimens" if len({run.specimen for run in digests}) > 1 else "repeats"
-    _write_panel_heading(axes, "Steady force", f"less that at rest; bars 95 %, Student's t over {over}")
-    label_curves(axes, labels)
+    return f"bars 95 %, Student's t over {over}"
 
 
-def _forces_at_speeds(runs: Sequence[RunSummary]) -> dict[float, dict[str, list[float]]]:
-    """Return the sizes of the steady forces by speed and specimen."""
-    forces: dict[float, dict[str, list[float]]] = {}
-    for run, speed_mm_s in zip(runs, set_values(run.speed_mm_s for run in runs), strict=True):
-        if run.steady is not None and run.steady.value is not None:
-            value = run.steady.value if run.kind == "blank" else abs(run.steady.value)
-            forces.setdefault(speed_mm_s, {}).setdefault(run.specimen, []).append(value)
-    return forces
+def _steady_forces(digests: Sequence[RunSummary]) -> list[SteadyForces]:
+    """Return the sizes of the steady forces of each kind and direction."""
+    return [
+        SteadyForces.of_runs(
+            kind_label(kind) + way,
+            colour,
+            [(run.speed_mm_s, run.specimen, force if kind == "blank" else abs(force)) for run, force in runs],
+            marker,
+            hollow=bool(way),
+        )
+        for kind, (colour, marker) in KIND_MARKERS.items()
+        for runs, way in _split_by_direction([run for run in digests if run.kind == kind])
+    ]
 
 
-def _means_at_speeds(forces: Mapping[float, Mapping[str, Sequence[float]]]) -> dict[float, tuple[float, float]]:
-    """Return mean and half of its 95 % interval over specimens or, of one, over its repeats; NaN for no interval."""
-    specimens = {specimen for of in forces.values() for specimen in of}
-    if len(specimens) > 1:
-        found = [mean_of_specimens([float(np.mean(values)) for values in of.values()]) for of in forces.values()]
-    else:
-        found = means_of_repeats([next(iter(of.values())) for of in forces.values()])
-    return {speed: (mean, np.nan if half is None else half) for speed, (mean, half) in zip(forces, found, strict=True)}
-
-
-def _draw_points(
-    axes: Axes, speed: FloatArray, force: FloatArray, half: FloatArray, colour: str, marker: str, *,
-    hollow: bool, beside: float = 1.0,
-) -> float:  # fmt: skip
-    """Draw forces with their 95 % bars and a line through their means; return the mean at the highest speed."""
-    level_of = np.array(set_values(speed))
-    levels = np.unique(level_of)
-    means = [float(force[level_of == level].mean()) for level in levels]
-    axes.plot(levels, means, color=colour, linewidth=1.3, alpha=0.55, linestyle="--" if hollow else "-")
-    axes.errorbar(
-        speed * beside, force, yerr=half, fmt=marker, color=colour, markersize=8,
-        markerfacecolor="white" if hollow else colour, markeredgecolor=colour if hollow else "white",
-    )  # fmt: skip
-    return means[-1]
-
-
-def _finish_speed_panel(axes: Axes, speeds: Sequence[float], shown: Sequence[FloatArray], quantity: str) -> None:
-    """Make the speed axis logarithmic, centred on the speeds and at least a decade long."""
-    middle = float(np.sqrt(min(speeds) * max(speeds)))
-    half = max(1.3 * max(speeds) / middle, float(np.sqrt(10.0)))
-    set_log_x(axes, middle / half, middle * half)
-    fit_y_range(axes, shown, 1.0)
-    axes.set_xlabel("Speed (mm/s)")
-    axes.set_ylabel(quantity)
-
-
-def _split_by_direction(runs: Sequence[RunSummary]) -> Iterator[tuple[Sequence[RunSummary], str]]:
-    """Separate runs forward and backward by the sign of their force."""
-    known = [(run, run.steady.value or 0.0) for run in runs if run.steady is not None]
-    backward = [run for run, force in known if run.kind != "blank" and force < 0]
-    forward = [run for run, force in known if run.kind == "blank" or force >= 0]
-    if forward:
-        yield forward, ""
-    if backward:
-        yield backward, " back"
+def _split_by_direction(runs: Sequence[RunSummary]) -> Iterator[tuple[Sequence[tuple[RunSummary, float]], str]]:
+    """Separate runs, with their forces, forward and backward by the sign of their force."""
+    known = [(run, run.steady.value) for run in runs if run.steady is not None and run.steady.value is not None]
+    for way in ("", " back"):
+        chosen = [(run, force) for run, force in known if (run.kind != "blank" and force < 0) == bool(way)]
+        if chosen:
+            yield chosen, way
 
 
 def _draw_relaxations(axes: Axes, digests: Sequence[RunSummary]) -> None:
@@ -331,7 +295,7 @@ def _overview_problem(digests: Sequence[RunSummary]) -> str:
 
 
 _OVERVIEW_PANELS: tuple[tuple[Callable[[Axes, Sequence[RunSummary]], None], Callable[[RunSummary], bool]], ...] = (
-    (_draw_steady_forces, lambda run: run.steady is not None and run.speed_mm_s > 0),
+    (_draw_steady_forces, _is_sliding),
     (_draw_relaxations, lambda run: run.kind == "relaxation" and run.x.size > 1),
     (_draw_drags, lambda run: run.kind == "drag" and run.x.size > 1),
 )
@@ -481,29 +445,49 @@ SIDE_COLOURS = (BLUE, VERMILLION)
 SPEED_OFFSET_FACTOR = 1.02
 """Factor on the speed axis between B's points and A's, so that neither hides the other."""
 
-RELAXATION_MEASURES = {"peak": ("peak", PURPLE, "v", -1.5), "hold": ("hold", BLUE, "D", 1.5)}
-"""Label, colour, marker and place beside the strain [%]."""
+RELAXATION_MEASURES = {"peak": (PURPLE, "v", -1.5), "hold": (BLUE, "D", 1.5)}
+"""Colour, marker and place beside the strain [%]."""
 
 
-def comparison_overview_figure(comparison: Comparison) -> Figure:
-    """Draw steady force against speed of both sides with its errors, and B − A by kind, speed and strain.
+def comparison_speed_figure(comparison: Comparison) -> Figure:
+    """Draw the steady forces of both sides against speed, and below them B − A.
 
-    Bars hold 95 %: of noise in the left panel, of noise and run-to-run scatter in the others.
+    Bars hold 95 %: above by Student's t over repeats, below of noise and run-to-run scatter.
     """
-    drawn = [draw for draw, has in _DIFFERENCE_PANELS if has(comparison)]
-    title = f"A: {comparison.a.name}  ·  B: {comparison.b.name}"
-    with figure_style():
-        figure = _overview_sheet(
-            title, _differences_subtitle(comparison), _differences_problem(comparison), " / ".join(comparison.backends)
-        )
-        if not drawn:
-            figure.text(0.5, 0.45, "no steady, peak or hold force to be compared", ha="center", color=GREY)
-        for axes, draw in zip(_overview_panels(figure, len(drawn)), drawn, strict=True):
-            draw(axes, comparison)
-        return figure
+    measured, differences = list[SteadyForces](), list[SteadyForces]()
+    for (kind, (colour, marker)), way in product(KIND_MARKERS.items(), (1, -1)):
+        sign = way if kind != "blank" else 1
+        pairs = [pair for pair in sliding_pairs(comparison) if _is_like(pair, kind, way)]
+        for side, side_colour in enumerate(SIDE_COLOURS if pairs else ()):
+            forces = [
+                (
+                    pair.condition.speed_mm_s or 0.0,
+                    specimen_key((pair.a, pair.b)[side].info),
+                    sign * (pair.main[0].compared[side] or 0.0),
+                )
+                for pair in pairs
+            ]
+            name = f"{'AB'[side]} {kind_label(kind)}{' back' * (way < 0)}"
+            beside = SPEED_OFFSET_FACTOR ** (2 * side - 1)
+            measured.append(SteadyForces.of_runs(name, side_colour, forces, marker, hollow=bool(side), beside=beside))
+        alike = [group for group in comparison.groups if _is_like(group, kind, way)]
+        for beyond in (True, False):
+            chosen = [group for group in alike if (group.verdict is DifferenceVerdict.BEYOND) == beyond]
+            rows = [(group.condition.speed_mm_s, sign * group.value, NORMAL_95 * group.error) for group in chosen]
+            speeds, values, halves = np.array(rows, dtype=float).reshape(-1, 3).T
+            differences.append(
+                SteadyForces("", colour, speeds, values, halves, marker, hollow=not beyond, joined=False)
+            )
+    return speed_figure(
+        measured,
+        differences=Differences("B − A (mN)", differences),
+        title=f"A: {comparison.a.name}  ·  B: {comparison.b.name}",
+        subtitle="A filled, B open; bars 95 %, Student's t; below, filled: beyond noise and scatter",
+        backend=" / ".join(comparison.backends),
+    )
 
 
-def _sliding_pairs(comparison: Comparison) -> list[RunPair]:
+def sliding_pairs(comparison: Comparison) -> list[RunPair]:
     """Pairs with a steady force of both at a known speed, of the kinds that have a look of their own."""
     return [
         pair
@@ -514,104 +498,40 @@ def _sliding_pairs(comparison: Comparison) -> list[RunPair]:
     ]
 
 
-def _draw_steady_pairs(axes: Axes, comparison: Comparison) -> None:
-    labels: list[CurveLabel] = []
-    shown = [np.zeros(1)]
-    pairs = _sliding_pairs(comparison)
-    for kind, (_, marker) in KIND_MARKERS.items():
-        alike = [pair for pair in pairs if pair.condition.kind == kind]
-        for side, colour in enumerate(SIDE_COLOURS if alike else ()):
-            speed = np.array([pair.condition.speed_mm_s for pair in alike], dtype=float)
-            force = np.array([pair.main[0].compared[side] for pair in alike], dtype=float)
-            errors = [(pair.main[0].a, pair.main[0].b)[side].standard_error or 0.0 for pair in alike]
-            half = NORMAL_95 * np.array(errors, dtype=float)
-            beside = SPEED_OFFSET_FACTOR ** (2 * side - 1)
-            last = _draw_points(axes, speed, force, half, colour, marker, hollow=bool(side), beside=beside)
-            shown += [force - half, force + half]
-            labels.append(CurveLabel(last, f"{'AB'[side]} {_kind_label(kind)}", colour))
-    _finish_speed_panel(axes, [pair.condition.speed_mm_s or 1.0 for pair in pairs], shown, "Force (mN)")
-    _write_panel_heading(axes, "Steady force", "A filled, B open; bars 95 %, noise")
-    label_curves(axes, labels)
+def _is_like(entry: RunPair | GroupDifference, kind: str, way: int) -> bool:
+    condition = entry.condition
+    return condition.kind == kind and bool(condition.speed_mm_s) and ((condition.travel_mm or 0.0) < 0) == (way < 0)
 
 
-def _draw_steady_differences(axes: Axes, comparison: Comparison) -> None:
-    groups = [
-        (group, group.condition.speed_mm_s, group.condition.kind)
-        for group in comparison.groups
-        if group.condition.kind in KIND_MARKERS and group.condition.speed_mm_s
-    ]
-    looks = {kind: (_kind_label(kind), *look, 0.0) for kind, look in KIND_MARKERS.items()}
-    shown = _draw_differences(axes, groups, looks, percent=False)
-    _finish_speed_panel(axes, [speed for _, speed, _ in groups], shown, "B − A (mN)")
-    _write_panel_heading(axes, "Difference of steady forces", "filled: beyond scatter; bars 95 %")
+def relaxation_differences_figure(comparison: Comparison) -> Figure:
+    """Draw by how much the peaks and holds of B exceed those of A, against the shear strain."""
+    shown, labels = [np.zeros(1)], list[CurveLabel]()
+    with figure_style():
+        subtitle = "filled: beyond scatter; bars 95 %, noise and run-to-run scatter"
+        figure = new_figure(12.4, 5.0, "Difference of relaxations", subtitle, narrow=True)
+        axes = figure.add_subplot()
+        for measure_name, (colour, marker, offset) in RELAXATION_MEASURES.items():
+            for group in relaxation_groups(comparison):
+                if group.measure != measure_name:
+                    continue
+                scale, place = 100 / abs(group.a), 100 * (group.condition.shear_strain or 0.0) + offset
+                ends = scale * (group.value + NORMAL_95 * group.error * np.array([-1.0, 1.0]))
+                fill = colour if group.verdict is DifferenceVerdict.BEYOND else "white"
+                axes.errorbar(place, scale * group.value, NORMAL_95 * scale * group.error, fmt=marker, color=colour,
+                              markersize=8, markerfacecolor=fill)  # fmt: skip
+                shown.append(ends)
+                labels = [label for label in labels if label.text != measure_name]
+                labels.append(CurveLabel(scale * group.value, measure_name, colour))
+        axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=1)
+        axes.margins(x=0.08)
+        fit_y_range(axes, shown, 1.0)
+        axes.set_xlabel("Shear strain (%)")
+        axes.set_ylabel("B over A (%)")
+        label_curves(axes, labels)
+        return figure
 
 
-def _draw_relaxation_differences(axes: Axes, comparison: Comparison) -> None:
-    groups = [
-        (group, 100 * group.condition.shear_strain, group.measure)
-        for group in comparison.groups
-        if group.condition.shear_strain is not None and group.relative is not None
-    ]
-    shown = _draw_differences(axes, groups, RELAXATION_MEASURES, percent=True)
-    axes.margins(x=0.08)
-    fit_y_range(axes, shown, 1.0)
-    axes.set_xlabel("Shear strain (%)")
-    axes.set_ylabel("B over A (%)")
-    _write_panel_heading(axes, "Difference of relaxations", "filled: beyond scatter; bars 95 %")
-
-
-def _draw_differences(
-    axes: Axes,
-    groups: Sequence[tuple[GroupDifference, float, str]],
-    looks: Mapping[str, tuple[str, str, str, float]],
-    *,
-    percent: bool,
-) -> list[FloatArray]:
-    """Draw groups at their places, with label, colour, marker and offset of their kind; return all that is shown."""
-    shown, labels = [np.zeros(1)], []
-    for name, (label, colour, marker, offset) in looks.items():
-        alike = sorted(((group, place) for group, place, look in groups if look == name), key=itemgetter(1))
-        if not alike:
-            continue
-        x = np.array([place + offset for _, place in alike])
-        scale = np.array([100 / abs(group.a) if percent else 1.0 for group, _ in alike])
-        value = scale * np.array([group.value for group, _ in alike])
-        half = scale * NORMAL_95 * np.array([group.error for group, _ in alike])
-        axes.plot(x, value, color=colour, linewidth=1.2, alpha=0.5)
-        axes.errorbar(x, value, yerr=half, fmt="none", color=colour)
-        beyond = np.array([group.verdict is DifferenceVerdict.BEYOND for group, _ in alike])
-        axes.plot(x[beyond], value[beyond], marker, color=colour, markersize=8, markeredgecolor="white")
-        axes.plot(x[~beyond], value[~beyond], marker, color=colour, markersize=8, markerfacecolor="white")
-        shown += [value - half, value + half]
-        labels.append(CurveLabel(float(value[-1]), label, colour))
-    axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=1)
-    label_curves(axes, labels)
-    return shown
-
-
-_DIFFERENCE_PANELS: tuple[tuple[Callable[[Axes, Comparison], None], Callable[[Comparison], bool]], ...] = (
-    (_draw_steady_pairs, lambda comparison: bool(_sliding_pairs(comparison))),
-    (_draw_steady_differences, lambda comparison: bool(_sliding_pairs(comparison))),
-    (
-        _draw_relaxation_differences,
-        lambda comparison: any(group.condition.shear_strain is not None for group in comparison.groups),
-    ),
-)
-
-
-def _kind_label(kind: str) -> str:
-    return "Coulomb" if kind == "coulomb" else kind
-
-
-def _differences_subtitle(comparison: Comparison) -> str:
-    count = len(comparison.pairs)
-    beyond = sum(pair.verdict is DifferenceVerdict.BEYOND for pair in comparison.pairs)
-    return f"{count} pair{'' if count == 1 else 's'} of runs, {beyond} of them differ by more than noise and scatter"
-
-
-def _differences_problem(comparison: Comparison) -> str:
-    alone = len(comparison.alone_a) + len(comparison.alone_b)
-    left_out = len(comparison.a.left_out) + len(comparison.b.left_out)
-    problems = [f"{alone} runs have no partner"] if alone else []
-    problems += [f"{left_out} runs are left out"] if left_out else []
-    return "; ".join((*problems, *comparison.remarks))
+def relaxation_groups(comparison: Comparison) -> list[GroupDifference]:
+    """Differences of relaxations that have a size beside A's force, by rising strain."""
+    known = [group for group in comparison.groups if group.relative is not None and group.condition.shear_strain]
+    return sorted(known, key=lambda group: group.condition.shear_strain or 0.0)

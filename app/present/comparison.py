@@ -43,11 +43,22 @@ def comparison_document(comparison: Comparison) -> Document:
     """Lay out a comparison; differences are B − A, forces in mN."""
     pairing, *findings = comparison.sentences
     answer, *lead = (*map(capitalise, findings), pairing)
-    overview = Figure(
-        "overview",
-        "Steady force against speed of both sides, and the differences by kind, speed and strain.",
-        "Bars hold 95 %: of noise in the left panel, of noise and run-to-run scatter in the others.",
-        lambda: present.comparison_overview_figure(comparison),
+    speed = Figure(
+        "steady-force",
+        "Steady force against speed of both sides, and below it their differences.",
+        "Large markers are means, small ones runs; bars hold 95 %: above by Student's t over repeats, below of noise "
+        "and run-to-run scatter.",
+        lambda: present.comparison_speed_figure(comparison),
+    )
+    relaxations = Figure(
+        "relaxations",
+        "By how much peak and hold of B exceed those of A, against the shear strain.",
+        "Bars hold 95 %, of noise and run-to-run scatter.",
+        lambda: present.relaxation_differences_figure(comparison),
+    )
+    figures = (
+        *((speed,) if present.sliding_pairs(comparison) else ()),
+        *((relaxations,) if present.relaxation_groups(comparison) else ()),
     )
     unpaired = _exclusions("without-partner", comparison.alone_a, comparison.alone_b)
     left_out = _exclusions("left-out", comparison.a.left_out, comparison.b.left_out)
@@ -57,7 +68,7 @@ def comparison_document(comparison: Comparison) -> Document:
         answer=answer,
         lead=tuple(lead),
         sections=(
-            Section("sides", "", (Facts({"A": comparison.a.name, "B": comparison.b.name}), overview)),
+            Section("sides", "", (Facts({"A": comparison.a.name, "B": comparison.b.name}), *figures)),
             Section("conditions", "Largest differences first, in standard errors", (_group_table(comparison.groups),)),
             Section("pairs", "Pairs of runs", (_pair_table(comparison.pairs),)),
             Section("unpaired", "Without a partner", (unpaired,)),

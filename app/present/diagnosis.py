@@ -58,7 +58,6 @@ from dragrig.present.diagnosis_sentences import (
     is_stated_verdict,
     open_text,
     shrink_sentences,
-    sizes_differ_sentence,
     verdict_sentences,
 )
 from dragrig.present.gap_budget import (
@@ -120,6 +119,7 @@ def diagnosis_document(
         answer=answer,
         lead=tuple(lead),
         sections=(
+            Section("speed", "Steady force against speed", _speed_figures(diagnosis)),
             _budget_section(diagnosis),
             _no_gap_section(diagnosis),
             _confidence_section(diagnosis, source),
@@ -215,6 +215,24 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
             Text(in_position if budget.held_out else "", TextKind.EXPLANATION),
             Text("" if budget.held_out else fitted, TextKind.CAUTION),
             budget_table(diagnosis),
+        ),
+    )
+
+
+def _speed_figures(diagnosis: Diagnosis) -> tuple[Figure, ...]:
+    if not any(view.steady is not None for view in diagnosis.traces):
+        return ()
+    floor_mN = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
+    named = bool(diagnosis.effects)
+    both = "without an effect (before) and with the effects (after)" if named else "without an effect"
+    return (
+        Figure(
+            "steady-force",
+            "Steady force against speed, measured with intervals and by the model; below, measured less the model.",
+            "Large markers are means, small ones runs; bars are 95 % intervals by Student's t over repeats. The "
+            f"model, {both}, predicts each run from the others, but for what a run is off by itself. The grey band is "
+            "noise and scatter of repeats.",
+            lambda: present.diagnosis_speed_figure(diagnosis.traces, floor_mN, named=named),
         ),
     )
 
@@ -389,7 +407,6 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         "3. How much",
         (
             _parameter_table(diagnosis),
-            Text(sizes_differ_sentence(diagnosis), TextKind.EXPLANATION),
             Text(reduction or "Too few runs or conditions to hold any out: how much of a gap closes is not known."),
             Section("model", "The model with the effect", amended if model else ()),
             *((_before_after_figure(diagnosis),) if drawn_here else ()),

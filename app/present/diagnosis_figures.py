@@ -1,7 +1,7 @@
 """Figures of a gap diagnosis: budget, location map, ranking, runs before and after."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import PurePath
 from textwrap import wrap
@@ -38,6 +38,7 @@ from dragrig.present import (
     BLUE,
     CYCLE,
     GREY,
+    KIND_MARKERS,
     ORANGE,
     PALE,
     PAPER,
@@ -48,10 +49,14 @@ from dragrig.present import (
     Bar,
     BarPart,
     CurveLabel,
+    Differences,
     LineStyle,
+    ModelForces,
+    SteadyForces,
     draw_line,
     figure_style,
     fit_y_range,
+    kind_label,
     label_times,
     new_figure,
     p_value_text,
@@ -60,6 +65,7 @@ from dragrig.present import (
     set_time_range,
     shortened_to_width,
     significant,
+    speed_figure,
     text_width_in,
     tint,
     write_legend,
@@ -613,6 +619,38 @@ def _rms_before(view: RunTraces) -> float:
 
 MIN_SPAN = {"mN": 4.0, "mm": 0.004, "µm": 4.0}
 """Smallest range of an ordinate by its unit: noise is not blown up."""
+
+
+def diagnosis_speed_figure(traces: Sequence[RunTraces], floor_mN: float | None = None, *, named: bool = True) -> Figure:
+    """Draw the steady forces of a diagnosis' sliding runs beside the model without and with the effects.
+
+    Parameters
+    ----------
+    traces
+        Runs, at least one of them with a steady force.
+    floor_mN
+        Noise and scatter of repeats, marked in grey.
+    named
+        Whether an effect is named; otherwise only the model without effects is drawn.
+    """
+    pens = (BEFORE_LINE, AFTER_LINE) if named else (MODEL_LINE,)
+    measured, models, left_over = list[SteadyForces](), list[ModelForces](), list[SteadyForces]()
+    for kind, (_, marker) in KIND_MARKERS.items():
+        levels = [view.steady for view in traces if view.kind == kind and view.steady is not None]
+        if not levels:
+            continue
+        of_kind = [(level.speed_mm_s, "", level.measured_mN) for level in levels]
+        measured.append(replace(SteadyForces.of_runs(kind_label(kind), BLACK, of_kind, marker), joined=False))
+        for number, pen in enumerate(pens):
+            forces = [(level.speed_mm_s, "", level.models_mN[number]) for level in levels]
+            model = SteadyForces.of_runs("", pen.colour, forces)
+            words = "" if any(line.name == pen.word for line in models) else pen.word
+            dash = (5, 3) if pen.dashed else ()
+            models.append(ModelForces(words, pen.colour, model.speed_mm_s, model.force_mN, dash))
+            off = [(level.speed_mm_s, "", level.measured_mN - level.models_mN[number]) for level in levels]
+            left_over.append(SteadyForces.of_runs("", pen.colour, off, marker, hollow=pen.dashed))
+    below = Differences("Measured − model (mN)", left_over, (), floor_mN)
+    return speed_figure(measured, models, below, quantity="Steady − rest (mN)")
 
 
 MAX_POOLED_PANELS, MAX_LABELLED_CAMPAIGNS = 6, 12

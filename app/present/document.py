@@ -231,8 +231,8 @@ class FigureForm:
     """The form in which figures are drawn and written: for a screen, or for the column of a journal."""
 
     width_mm: float | None = None
-    """Width in print. Such a figure has no title, which a journal wants in the caption, letters of 6 to 7 pt, and 600
-    dpi. None: as wide as it was designed, for a screen.
+    """Width in print. Such a figure has no title and no badge, which a journal wants in the caption, letters of 6 to
+    7 pt, and 600 dpi. None: as wide as it was designed, for a screen.
     """
     suffix: str = ".png"
     """Ending of pictures whose names nobody chose."""

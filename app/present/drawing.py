@@ -270,7 +270,7 @@ def new_figure(
         What is wrong with the data shown, below the subtitle.
     backend
         Whether simulated, measured or foreign data are shown, for the figure's corner; by default the badge of the
-        current `FigureForm`, whose width, where it has one, comes before `width_in`, and has no title.
+        current `FigureForm`, whose width, where it has one, comes before `width_in`, and has no title and no badge.
     narrow
         Whether it fits a single column: it has no panels side by side.
     layout
@@ -281,7 +281,7 @@ def new_figure(
     if form.width_mm is not None:
         fits = narrow or form.width_mm >= MIN_SIDE_BY_SIDE_MM
         width_in = (form.width_mm if fits else DOUBLE_COLUMN_MM) / MM_PER_INCH / PRINT_SCALE
-        title = subtitle = ""
+        title = subtitle = backend = ""
     header_in = 0.32 * bool(subtitle) + 0.32 * bool(problem) + (0.62 if title else 0.5 if backend else 0.0)
     height = height_in + header_in
     figure = Figure(figsize=(width_in, height), dpi=DPI)

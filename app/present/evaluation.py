@@ -91,7 +91,7 @@ def _size_text(size: RelativeEffectSize) -> str:
     value, low, high = map(decimals(2), (size.size, size.low, size.high))
     interval = f"{value} of the promised size, 95 % interval {low} to {high}"
     if size.verdict is PromiseVerdict.NO_POWER:
-        return f"could be absent as well as there ({interval})"
+        return f"could be of this size or of another ({interval})"
     if size.verdict is PromiseVerdict.KEPT:
         return f"is there ({interval})"
     if size.size < -ABSENT_SIZE:

@@ -76,6 +76,8 @@ def identification_document(identification: Identification) -> Document:
 
     runs = f"{used} of {used + len(identification.left_out)} runs used"
     figures = () if joint is None else (joint_figure(joint),)
+    if identification.drag is not None and identification.drag.model is not None:
+        figures = (_drag_figure(identification.drag), *figures)
     return Document(
         title=f"Identification of specimen {identification.specimen}",
         badges=identification.backends,
@@ -127,6 +129,17 @@ def _answer(identification: Identification) -> str:
     return (
         f"Specimen {name}: {doubt}the runs determine {len(known)} of {len(joint.parameters)} parameters. "
         f"Best known: {best}."
+    )
+
+
+def _drag_figure(drag: DragResult) -> Figure:
+    return Figure(
+        "drag",
+        "Steady drag against speed, measured with intervals, and by the model before and after the fit; below, "
+        "measured less the model.",
+        "Bars hold 95 %. The areas are the parts of the identified model; the sensor's zero is taken off, and forces "
+        "count along the motion.",
+        lambda: present.drag_figure(drag),
     )
 
 

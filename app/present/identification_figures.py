@@ -15,7 +15,6 @@ from dragrig.analysis import (
     NORMAL_95,
     CoulombRun,
     DragResult,
-    DragSetup,
     EstimatedQuantity,
     Experiment,
     JointFit,
@@ -32,10 +31,9 @@ from dragrig.analysis import (
     estimate_noise,
     evaluate_strain_law,
     relaxation_residuals,
-    steady_force_parts,
     value_with_error,
 )
-from dragrig.config import AnalysisError, Capsule, FrictionModelSettings
+from dragrig.config import AnalysisError
 from dragrig.present import (
     BLACK,
     BLUE,
@@ -45,30 +43,31 @@ from dragrig.present import (
     PALE,
     PURPLE,
     SMALL_PT,
+    TABLE1_DASHES,
     TEXT_PT,
     VERMILLION,
     CurveLabel,
+    Differences,
     LineStyle,
-    figure_style,
-    fit_y_range,
-    label_curves,
-    new_figure,
-    set_log_x,
-    significant,
-)
-from dragrig.present.model_figures import TABLE1_DASHES, model_text
-from dragrig.present.run_figures import (
+    ModelForces,
+    SteadyForces,
     TraceCurve,
     draw_panel_column,
+    figure_style,
     filtered_trace,
+    fit_y_range,
     force_panel,
     gaps_after_samples,
     min_max_envelope,
+    new_figure,
     run_sheet,
+    set_log_x,
+    significant,
+    speed_figure,
     steady_level,
 )
 from dragrig.rig import FloatArray, Run
-from dragrig.sim_backend.friction import EQ14, TABLE1, TABLE1_STRAIN, SteadyFriction
+from dragrig.sim_backend.friction import EQ14, TABLE1, TABLE1_STRAIN
 
 JOINT_ROOMY_RUNS, JOINT_MAX_RUNS = 32, 60
 LONGEST_NAME = 32
@@ -468,124 +467,97 @@ def _without_zero(run: Run, coulomb: CoulombRun | None) -> Run:
     return replace(run, trace=replace(run.trace, channels=channels), filtered=None)
 
 
-DRAG_MARGIN = 1.25
-"""How far the speed axis goes beyond the measured speeds, as a factor."""
 DRAG_PART_TINTS = (("f_c", "$f_c$  Coulomb", VERMILLION, "#F8E0D3"), ("f_e", "$f_e$  environmental", BLUE, "#D8E8F3"),
          ("f_v", "$f_v$  viscous", GREEN, "#CDEBE0"))  # fmt: skip
 """The model's parts from below: name, words, colour of the words and of the area."""
-DRAG_MIN_NAME_SPACE = 0.12
-"""Room above the highest force, as a share of it."""
 
 
 def drag_figure(
     drag: DragResult,
-    model: FrictionModelSettings,
-    capsule: Capsule,
-    wall_thickness_mm: float,
+    *,
+    before: str = "model before",
     boundary_mm_s: float | None = None,
     accuracy_mN: float | None = None,
-    backend: str = "",
-    simulated: FrictionModelSettings | None = None,
 ) -> Figure:
-    """Draw the measured drag with its 95 % intervals over the model's parts, and the law of ln v; below, the residuals.
+    """Draw the measured drag with its 95 % intervals over the identified model's parts, and the law of ln v.
 
-    An estimated boundary is marked with its interval. Backward speeds are drawn hollow.
+    Below, the differences from the model. An estimated boundary is marked with its interval. Backward speeds are drawn
+    hollow.
 
     Parameters
     ----------
+    before
+        Name of the model that the runs were fitted from.
     boundary_mm_s
         The paper's boundary speed, to mark as well.
     accuracy_mN
         The sensor's accuracy, drawn as a band around no difference.
-    backend
-        Origin of the runs, shown in the corner.
-    simulated
-        The model that the runs were simulated with, drawn as a line beside the one that was identified.
+
+    Raises
+    ------
+    AnalysisError
+        Where there is no drag.
     """
-    points = [point for point in drag.points if point.force.value is not None]
-    speeds = [abs(point.speed_mm_s) for point in points] or [0.5, 60.0]
-    low, high = min(speeds) / DRAG_MARGIN, max(speeds) * DRAG_MARGIN
-    speed = np.geomspace(low, high, 400)
-    setup = DragSetup(capsule, wall_thickness_mm)
-    curve = steady_force_parts(setup, model, speed)
-    measured = "points: measured, 95 % intervals  ·  " if points else ""
-    subtitle = f"{measured}line: {model_text(model)}"
+    if drag.model is None:
+        raise AnalysisError("There is no drag to draw; name a campaign that has some")
+    curve, speed = drag.model, drag.model.speed_mm_s
+    lines = [ModelForces("model", BLACK, speed, curve.total, width=2.6)]
+    if drag.log_law is not None:
+        lines.append(ModelForces("law of ln v", PURPLE, speed, drag.log_law.force_mN(speed), (5, 2), 1.8))
+    if drag.before_mN is not None:
+        lines.append(ModelForces(before, GREY, speed, drag.before_mN, (2, 2), 1.6))
+    off = [
+        ModelForces("", line.colour, speed, line.force_mN - curve.total, line.dash, line.width) for line in lines[1:]
+    ]
+    band = "" if accuracy_mN is None else f"± {accuracy_mN:g} mN,\nsensor accuracy"
+    below = Differences("Measured − model (mN)", _drag_points(drag.points, less_model=True), off, accuracy_mN, band)
+    tops = np.cumsum([getattr(curve, name) for name, *_ in DRAG_PART_TINTS], axis=0)
+    feet = np.vstack((np.zeros_like(speed), tops[:-1]))
+    labels = [
+        CurveLabel(float(foot[-1] + top[-1]) / 2, words, colour, math=True)
+        for (_, words, colour, _), foot, top in zip(DRAG_PART_TINTS, feet, tops, strict=True)
+    ]
     with figure_style():
-        figure = new_figure(
-            12.4, 8.2, "Drag against speed, measured and by the model", subtitle, backend=backend, narrow=True
-        )
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4.9, 2.2))
-        figure.align_ylabels()
-        labels = _draw_model_parts(above, speed, curve)
-        law = None if drag.log_law is None else drag.log_law.force_mN(speed)
-        truth = None if simulated is None else steady_force_parts(setup, simulated, speed).total
-        for words, force, colour, width, dash in (
-            ("law of ln v", law, PURPLE, 1.8, (5, 3)),
-            ("as simulated", truth, GREY, 1.6, (2, 2)),
-        ):
-            if force is not None:
-                above.plot(speed, force, color=colour, linewidth=width, linestyle=(0, dash))
-                below.plot(speed, force - curve.total, color=colour, linewidth=width, linestyle=(0, dash))
-                labels.append(CurveLabel(float(force[-1]), words, colour))
-        _draw_drag_points(above, points, [0.0] * len(points))
-        _draw_drag_points(below, points, [point.model_mN for point in points])
-        _finish_drag_axes(above, below, (low, high), accuracy_mN)
-        _draw_boundaries(above, below, drag.boundary, boundary_mm_s)
-        label_curves(above, labels)
+        figure = speed_figure(
+            _drag_points(drag.points), lines, below,
+            title="Drag against speed, measured and by the model",
+            subtitle="points: measured, 95 % intervals; open: backwards  ·  areas: the model's parts",
+            labels=labels,
+        )  # fmt: skip
+        for (*_, tint), foot, top in zip(DRAG_PART_TINTS, feet, tops, strict=True):
+            figure.axes[0].fill_between(speed, foot, top, color=tint, linewidth=0, zorder=0.5)
+        figure.axes[0].set_ylim(bottom=0.0)
+        _draw_boundaries(figure.axes, drag.boundary, boundary_mm_s)
         return figure
 
 
-def _draw_model_parts(axes: Axes, speed: FloatArray, curve: SteadyFriction) -> list[CurveLabel]:
-    """Stack the areas of the model's parts under the line of their sum, and return their labels."""
-    foot, labels = np.zeros_like(speed), list[CurveLabel]()
-    for name, words, colour, tint in DRAG_PART_TINTS:
-        top = foot + getattr(curve, name)
-        axes.fill_between(speed, foot, top, color=tint, linewidth=0, zorder=0.5)
-        labels.append(CurveLabel(float(foot[-1] + top[-1]) / 2, words, colour, math=True))
-        foot = top
-    axes.plot(speed, curve.total, color=BLACK, linewidth=2.6)
-    labels.append(CurveLabel(float(curve.total[-1]), "model", BLACK))
-    return labels
+def _drag_points(points: Sequence[SpeedPoint], *, less_model: bool = False) -> list[SteadyForces]:
+    """Return the measured points, backward ones apart, or their differences from the model."""
+    shown = list[SteadyForces]()
+    for sign in (1, -1):
+        own = [point for point in points if sign * point.speed_mm_s > 0 and point.force.value is not None]
+        if own:
+            force = np.array([(point.force.value or 0.0) - less_model * point.model_mN for point in own])
+            half = NORMAL_95 * np.array([point.force.standard_error for point in own], dtype=float)
+            speed = np.array([abs(point.speed_mm_s) for point in own])
+            shown.append(SteadyForces("", BLACK, speed, force, half, hollow=sign < 0, joined=False))
+    return shown
 
 
-def _draw_drag_points(axes: Axes, points: Sequence[SpeedPoint], offsets_mN: Sequence[float]) -> None:
-    for point, offset in zip(points, offsets_mN, strict=True):
-        speed, value, interval = abs(point.speed_mm_s), (point.force.value or 0.0) - offset, point.force.interval
-        if interval is not None:
-            axes.plot([speed] * 2, [interval[0] - offset, interval[1] - offset], color=BLACK, linewidth=2.0, zorder=4)
-        fill = BLACK if point.speed_mm_s > 0 else "white"
-        axes.plot([speed], [value], "o", color=BLACK, markerfacecolor=fill, markersize=7, zorder=5)
-
-
-def _finish_drag_axes(above: Axes, below: Axes, speeds: tuple[float, float], accuracy_mN: float | None) -> None:
-    set_log_x(below, *speeds)
-    above.set_ylim(0, (1 + DRAG_MIN_NAME_SPACE) * above.dataLim.y1)
-    if accuracy_mN is not None:
-        below.axhspan(-accuracy_mN, accuracy_mN, color="#E8EBEE", linewidth=0, zorder=0)
-    below.axhline(0.0, color=BLACK, linewidth=1.2)
-    half_range = max(abs(limit) for limit in below.get_ylim())
-    below.set_ylim(-half_range, half_range)
-    if accuracy_mN is not None:
-        label_curves(below, [CurveLabel(0.0, f"± {accuracy_mN:g} mN,\nsensor accuracy", GREY)], SMALL_PT)
-    below.set_xlabel("Speed (mm/s)")
-    above.set_ylabel("Force (mN)")
-    below.set_ylabel("Measured − model (mN)")
-
-
-def _draw_boundaries(above: Axes, below: Axes, boundary: SpeedBoundary | None, printed_mm_s: float | None) -> None:
+def _draw_boundaries(panels: Sequence[Axes], boundary: SpeedBoundary | None, printed_mm_s: float | None) -> None:
     if boundary is not None and boundary.speed_mm_s is not None:
-        for axes in (above, below):
+        for axes in panels:
             if boundary.interval is not None:
                 axes.axvspan(*boundary.interval, color=ORANGE, alpha=0.22, linewidth=0, zorder=1)
             axes.axvline(boundary.speed_mm_s, color=ORANGE, linewidth=2.0, zorder=2)
         words = f"estimated boundary\n{boundary.speed_mm_s:.3g} mm/s"
         if boundary.interval is not None:
             words += f" ({boundary.interval[0]:.3g} to {boundary.interval[1]:.3g})"
-        _name_boundary(above, boundary.speed_mm_s, words, 0.94, 0.3)
+        _name_boundary(panels[0], boundary.speed_mm_s, words, 0.94, 0.3)
     if printed_mm_s is not None:
-        for axes in (above, below):
+        for axes in panels:
             axes.axvline(printed_mm_s, color=GREY, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)
-        _name_boundary(above, printed_mm_s, f"the paper's boundary\n{printed_mm_s:g} mm/s", 0.06, 0.78)
+        _name_boundary(panels[0], printed_mm_s, f"the paper's boundary\n{printed_mm_s:g} mm/s", 0.06, 0.78)
 
 
 def _name_boundary(axes: Axes, speed_mm_s: float, words: str, height: float, right_below: float) -> None:

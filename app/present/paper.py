@@ -645,13 +645,9 @@ def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "not contain, the model identified from all runs, and the simulated model. Bars are 95 % intervals.",
                 lambda: present.drag_figure(
                     drag,
-                    results.identified_model or results.model,
-                    results.capsule,
-                    results.wall_thickness_mm,
-                    published.BOUNDARY_MM_S,
-                    published.SENSOR_ACCURACY_MN,
-                    "simulated",
-                    results.model if results.identified_model is not None else None,
+                    before="as simulated",
+                    boundary_mm_s=published.BOUNDARY_MM_S,
+                    accuracy_mN=published.SENSOR_ACCURACY_MN,
                 ),
             ),
             tables["drag"].select(

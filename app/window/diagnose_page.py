@@ -24,7 +24,7 @@ from dragrig.views import (
     PlanForm,
     form_from_plan,
 )
-from dragrig.window.number_field import NumberField
+from dragrig.window.forms import NumberField
 from dragrig.window.plots import TimePlot
 from dragrig.window.session_queue import QueuedSession, QueueState
 from dragrig.window.widgets import (

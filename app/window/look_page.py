@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from PySide6.QtCore import QFileSystemWatcher, QSignalBlocker, Qt, QTimer, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
 from PySide6.QtWidgets import (
@@ -24,9 +23,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from dragrig.analysis import TableRow
+from dragrig.analysis import SpeedMean, TableRow, mean_per_speed
+from dragrig.api import mark
 from dragrig.config import NumberRange
-from dragrig.present import BLACK, CYCLE, PALE, VERMILLION, tint
+from dragrig.present import BLACK, CYCLE, PALE, VERMILLION, campaign_table_document, tint
 from dragrig.views import (
     FORMATS,
     RecoveredRuns,
@@ -36,19 +36,18 @@ from dragrig.views import (
     campaigns_below,
     export_shown_runs,
     filtered_anew,
-    mark_runs,
-    note_runs,
     recover_runs,
     shown_campaign,
     shown_trace,
     steady_rows,
 )
 from dragrig.window.background import FileWorker
-from dragrig.window.number_field import NumberField
+from dragrig.window.forms import NumberField
 from dragrig.window.plots import PlotCursor, TimePlot
 from dragrig.window.prepared_traces import DrawingKey, PreparedTraces
 from dragrig.window.trace_pyramid import TraceCrossings, TracePath, TracePyramid
 from dragrig.window.widgets import (
+    DocumentView,
     StoredSettings,
     bare_widget,
     button,
@@ -174,11 +173,11 @@ class RunBrowser(QWidget):
 
     def _mark(self, *, bad: bool = True) -> None:
         paths, reason = [run.path for run in self.selected()], self.words.text() if bad else None
-        self._marking.do_too(lambda: mark_runs(paths, reason), self._marked)
+        self._marking.do_too(lambda: mark(paths, bad=reason, good=reason is None), self._marked)
 
     def _note(self) -> None:
         paths, text = [run.path for run in self.selected()], self.words.text()
-        self._marking.do_too(lambda: note_runs(paths, text), self._marked)
+        self._marking.do_too(lambda: mark(paths, note=text), self._marked)
 
     def _marked(self, paths: Sequence[Path]) -> None:
         self.words.clear()
@@ -524,39 +523,55 @@ class TraceOverlay(QWidget):
             values = trace.filtered.get(name, trace.channels.get(name))
             if values is not None:
                 known = crossings.get(DrawingKey(index, "", "crossings", axis))
-                found = known.first if isinstance(known, TraceCrossings) else partial(_sample_at, trace, axis)
-                a, b = (_value_at(values, found(at)) for at in (first, second))
+                # Along another axis nothing can be looked up before its crossings are known.
+                places: tuple[int | None, ...] = (None, None)
+                if isinstance(known, TraceCrossings):
+                    places = known.first(first), known.first(second)
+                elif axis == "time":
+                    places = tuple(round((at - trace.start_s) * trace.rate_hz) for at in (first, second))
+                a, b = (
+                    float(values[at]) if at is not None and 0 <= at < len(values) else float("nan") for at in places
+                )
                 title = f"{trace.label}: {name} ({trace.units.get(name, '')})"
                 rows.append((title, _cursor_text(a), _cursor_text(b), _cursor_text(b - a)))
         fill_table(self.values, rows)
-
-
-def _sample_at(trace: ShownTrace, axis: str, time_s: float) -> int | None:
-    """Return the sample of a run at a time; None for another axis, in which nothing can be looked up."""
-    return round((time_s - trace.start_s) * trace.rate_hz) if axis == "time" else None
-
-
-def _value_at(values: npt.NDArray[np.float32], index: int | None) -> float:
-    return float(values[index]) if index is not None and 0 <= index < len(values) else float("nan")
 
 
 def _cursor_text(value: float) -> str:
     return f"{value:.3f}" if np.isfinite(value) else "no sample"
 
 
-_STEADY_HEADER = (
-    "Run",
-    "Speed (mm/s)",
-    "Steady force, as recorded (mN)",
-    "± standard error (mN)",
-    "At rest (mN)",
-    "Steady − rest (mN)",
-    "± standard error (mN)",
-    "Peak (mN)",
-    "Hold (mN)",
-    "Status",
-    "Remark",
-)
+class SteadyForces(QWidget):
+    """Steady forces of runs: means against speed, drawn with their intervals, and tables of means and runs."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.plot, self.view = TimePlot("Steady − rest", "mN"), DocumentView()
+        self.plot.set_x_quantity("Speed", "mm/s")
+        self.rows: Sequence[TableRow] = ()
+        self.setLayout(column(self.plot.widget, self.view, stretch={0: 1, 1: 1}))
+
+    def show_rows(self, rows: Sequence[TableRow]) -> None:
+        """Show what was measured of some runs."""
+        self.rows = rows
+        self.view.show_document(campaign_table_document(rows))
+        of_series: dict[str, list[SpeedMean]] = {}
+        for mean in mean_per_speed(rows):
+            way = "" if mean.direction > 0 else " back"
+            of_series.setdefault(f"{mean.specimen}, {mean.kind}{way}", []).append(mean)
+        self.plot.remove_lines()
+        legend = [(name, CYCLE[at % len(CYCLE)]) for at, name in enumerate(of_series)]
+        for name, colour in legend:
+            x = np.log10([mean.speed_mm_s for mean in of_series[name]])
+            y = np.array([abs(mean.steady_above_rest_mN) for mean in of_series[name]])
+            half = np.array([mean.half_width_95_mN or 0.0 for mean in of_series[name]])
+            self.plot.line("", colour, marked=True).points(x, y)
+            bars = np.column_stack((y - half, y + half, np.full(len(y), np.nan)))
+            self.plot.line("", colour, 1.0).points(np.repeat(x, 3), bars.ravel())
+        speeds = {mean.speed_mm_s for means in of_series.values() for mean in means}
+        self.plot.name_places({float(np.log10(speed)): f"{speed:.3g}" for speed in speeds})
+        self.plot.title(*legend)
+        self.plot.fit()
 
 
 class LookPage(QWidget):
@@ -573,7 +588,7 @@ class LookPage(QWidget):
         self.browser, self.overlay = RunBrowser(Path(stored.text("look folder", str(folder)))), TraceOverlay()
         self.overlay.window_ms.put(stored.number("filter window", 50.0))
         self.overlay.order.put(stored.number("filter order", 3))
-        self.steady = named(table(_STEADY_HEADER), "Steady forces of the selected runs")
+        self.steady = SteadyForces()
         self.state = label("Select runs on the left; several are overlaid.", "faint")
         self.export = QToolButton()
         self.export.setText("E&xport")
@@ -632,7 +647,7 @@ class LookPage(QWidget):
         self.export.setEnabled(bool(runs))
         self._load()
         paths = [run.path for run in runs]
-        self._table.do(lambda: steady_rows(paths), self._show_steady)
+        self._table.do(lambda: steady_rows(paths), self.steady.show_rows)
 
     def _filter(self) -> None:
         """Filter in another way what is shown; what is only selected is read first."""
@@ -665,9 +680,6 @@ class LookPage(QWidget):
         more = f" of {len(self._selected)}; at most {MAX_OVERLAID} are overlaid" if hidden else ""
         self.state.setText(f"{len(traces)} run{'' if len(traces) == 1 else 's'} shown{more}.")
 
-    def _show_steady(self, rows: Sequence[TableRow]) -> None:
-        fill_table(self.steady, [_steady_cells(row) for row in rows])
-
     def _exported(self, paths: Sequence[Path]) -> None:
         folder = paths[0].parent if paths else ""
         self.state.setText(f"{len(paths)} file{'' if len(paths) == 1 else 's'} written to {folder}.")
@@ -683,15 +695,3 @@ class LookPage(QWidget):
     def _store_and_export(self, path: str, name: str) -> None:
         self._stored.keep("export folder", path)
         self.export_to(Path(path), name)
-
-
-def _steady_cells(run: TableRow) -> tuple[str, ...]:
-    forces = (run.steady_force_mN, run.steady_force_error_mN, run.rest_offset_mN, run.steady_above_rest_mN,
-              run.steady_above_rest_error_mN, run.peak_force_mN, run.hold_force_mN)  # fmt: skip
-    status = f"BAD: {run.mark}" if run.bad else run.status
-    return (" ".join(filter(None, (f"{run.order} ", run.role, run.kind))), _decimal_text(run.speed_mm_s, 1),
-            *(_decimal_text(force, 2) for force in forces), status, run.remark)  # fmt: skip
-
-
-def _decimal_text(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"

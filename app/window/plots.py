@@ -1,7 +1,7 @@
 """Plots against time, or another quantity, with limits and cursors; the only module that uses pyqtgraph."""
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -64,11 +64,14 @@ class TimePlot:
         self._follow_data()
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
 
-    def line(self, name: str, colour: str, width: float = 2.0, *, dashed: bool = False) -> "PlotLine":
-        """Add a line."""
+    def line(
+        self, name: str, colour: str, width: float = 2.0, *, dashed: bool = False, marked: bool = False
+    ) -> "PlotLine":
+        """Add a line, with a mark at each of its points or without."""
         style = Qt.PenStyle.DashLine if dashed else Qt.PenStyle.SolidLine
         pen = pyqtgraph.mkPen(colour, width=width, style=style)
-        made = PlotLine(self._item.plot(pen=pen, name=name or None, connect="finite", skipFiniteCheck=False))
+        marks = {"symbol": "o", "symbolSize": 9, "symbolBrush": colour, "symbolPen": None} if marked else {}
+        made = PlotLine(self._item.plot(pen=pen, name=name or None, connect="finite", skipFiniteCheck=False, **marks))
         self.lines.append(made)
         return made
 
@@ -114,6 +117,10 @@ class TimePlot:
     def set_x_quantity(self, quantity: str, unit: str) -> None:
         """Change the label of the horizontal axis."""
         self._item.setLabel("bottom", _as_html(f"{quantity} ({unit})" if unit else quantity), **_LABEL_STYLE)
+
+    def name_places(self, names: Mapping[float, str]) -> None:
+        """Name places of the horizontal axis, in place of its numbers."""
+        self._item.getAxis("bottom").setTicks([list(names.items())])
 
     def clear(self) -> None:
         """Draw nothing; lines and limits stay."""

@@ -58,9 +58,9 @@ from dragrig.engine_host import (
 from dragrig.present import duration_text
 from dragrig.views import RIG_LIMIT, FurtherRuns, PlanForm, RigDescription, SessionPreview, last_heard
 from dragrig.window.background import EngineLink
+from dragrig.window.forms import NumberField
 from dragrig.window.live_view import LiveView
 from dragrig.window.new_session import NewSession, PlanPreview
-from dragrig.window.number_field import NumberField
 from dragrig.window.session_queue import ENGINE_LOST, QueuedSession, QueueState, SessionQueue
 from dragrig.window.widgets import (
     MessageText,

@@ -1,6 +1,7 @@
 """The hardware backend: opens card, drive, stage and sampler of a rig under one lock, checks and closes them."""
 
 import contextlib
+import ctypes
 import errno
 import gc
 import hashlib
@@ -125,9 +126,9 @@ def _holder_of(address: str) -> str:
 
 
 def hold_file(name: str, folder: Path) -> Callable[[], None]:
-    """Hold the lock of this name with a file in `folder`; return what releases it.
+    """Hold the lock of this name with a file in `folder`; return its release.
 
-    The process is named in a file beside it: Windows lets nobody read what is locked. Raises `HeldError` when another
+    The process is named in a file beside it: Windows lets nobody read a locked file. Raises `HeldError` when another
     program, or this one elsewhere, holds it, and `OSError` when there can be no such file.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -175,7 +176,7 @@ _MAX_JITTER_COUNTS = 2
 
 
 def identify_card(connection: Connection) -> dict[str, str]:
-    """Return what run files say of the card: its name, product and serial number.
+    """Return the card as run files state it: its name, product and serial number.
 
     Raises `DeviceError` when the driver or the card is not there.
     """
@@ -229,7 +230,7 @@ def _check_product(identity: dict[str, str]) -> RigCheck:
 
 
 def _describe_sampling(rig: RigSettings, sampler: CardSampler) -> dict[str, str | float]:
-    """Return what run files say of the card's clocks and filter; asks the card the first time."""
+    """Return the card's clocks and filter as run files state them; asks the card the first time."""
     return {
         "scan_order": ", ".join(_scan_order(rig)),
         "card_rate_hz": sampler.timing.rate_hz,
@@ -243,7 +244,7 @@ def _scan_order(rig: RigSettings) -> list[str]:
 
 
 def _check_sampling(rig: RigSettings, sampler: CardSampler) -> Iterator[RigCheck]:
-    """Say what the card makes of the rate that is asked, and how its inputs follow each other."""
+    """Say which rate the card has instead of the requested one, and how its inputs follow each other."""
     rate_hz, timing, factor = sampler.sample_rate_hz, sampler.timing, sampler.anti_alias.factor
     names = _scan_order(rig)
     made = f", {factor} samples of the card each" if factor > 1 else ""
@@ -266,7 +267,7 @@ def _check_sampling(rig: RigSettings, sampler: CardSampler) -> Iterator[RigCheck
 
 
 def _check_aliases(rig: RigSettings, scaling: Scaling, sampler: CardSampler, alias: Alias) -> RigCheck:
-    """Say what the input holds of frequencies that are too high for the recorded rate, and what keeps them out.
+    """Say how much of the input is too fast for the recorded rate, and which filter keeps that out.
 
     A tone fails even where the filter keeps it out: something oscillates that takes up range, and may drift.
     """
@@ -313,7 +314,7 @@ def _check_force(rig: RigSettings, scaling: Scaling, limits: NoiseLimits, readin
 
 
 def _liveness_remark(rig: RigSettings, limits: NoiseLimits, reading: RawReading) -> str:
-    """Say by what a dead sensor would show, and what is missing for that."""
+    """Say how a dead sensor would show, and which setting is missing for that."""
     noise_uV, least_uV, own_uV = 1e6 * reading.force_noise_V, 1e6 * limits.least_V, 1e6 * limits.converter_V
     alive = f"{noise_uV:.0f} µV of it from millisecond to millisecond, the converter's own {own_uV:.0f}, "
     if least_uV:
@@ -355,7 +356,7 @@ def check_drive(stage: Stage, link: DriveLink, rig: RigSettings) -> Iterator[Rig
 def _garbage_frozen() -> Iterator[None]:
     """Exempt all present objects from garbage collection.
 
-    A full collection of what the libraries loaded stops every thread for some 90 ms: long enough for the velocity
+    A full collection of the objects of the libraries stops every thread for some 90 ms: long enough for the velocity
     output's buffer to run empty, and for a motion to start late.
     """
     gc.collect()
@@ -364,24 +365,6 @@ def _garbage_frozen() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-
-
-@contextmanager
-def _fine_timer() -> Iterator[None]:
-    """Have Windows end waits to the millisecond.
-
-    By default it ends them every 15.6 ms, so that a look at the switches every 25 ms would come every 31.
-    """
-    if sys.platform == "win32":
-        import ctypes
-
-        ctypes.windll.winmm.timeBeginPeriod(1)
-        try:
-            yield
-        finally:
-            ctypes.windll.winmm.timeEndPeriod(1)
-    else:
-        yield
 
 
 class CardLook:
@@ -426,7 +409,7 @@ class HardwareBackend:
     Raises
     ------
     SettingsError
-        When the drive's dialect is not known, or lacks what nothing on the rig stands in for.
+        When the drive's dialect is not known, or lacks a function that nothing on the rig stands in for.
     """
 
     name = "hardware"
@@ -489,7 +472,11 @@ class HardwareBackend:
             self._open_card()
             # Before anything watches the drive: a full collection is longer than a heartbeat relay waits for an edge.
             self._open.enter_context(_garbage_frozen())
-            self._open.enter_context(_fine_timer())
+            if sys.platform == "win32":
+                # It ends waits every 15.6 ms otherwise, so that a look at the switches every 25 ms would come every 31.
+                timer = ctypes.WinDLL("winmm")
+                timer.timeBeginPeriod(1)
+                self._open.callback(timer.timeEndPeriod, 1)
             self._open_drive()
         except BaseException:
             self.close()
@@ -543,9 +530,9 @@ class HardwareBackend:
         yield from StopTrial(self._rig, stage, lines, self.clock, self._dialect).run(in_motion=in_motion)
 
     def close(self) -> None:
-        """Stop the stage and close every device, whatever happens to the others.
+        """Stop the stage and close every device, also where another one fails.
 
-        What a device refuses here is not raised: it would hide the session's own error.
+        The refusal of a device is not raised here: it would hide the session's own error.
         """
         if self._closed:
             return

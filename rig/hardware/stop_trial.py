@@ -1,4 +1,4 @@
-"""The trial of what stops the drive past its serial link: it is taken away, and the drive has to go off.
+"""The trial of the stops past the drive's serial link: they are taken away, and the drive has to go off.
 
 At a standstill, and over 2 mm at 1 mm/s: few drives show at a standstill that they would stop when they hear nothing.
 """

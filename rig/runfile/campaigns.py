@@ -163,7 +163,7 @@ def read_campaign(folder: Path) -> Campaign:
 
 
 def read_marked(path: Path) -> tuple[RunInfo, RunMark | None]:
-    """Read what a run file states about its run, and the mark on it; raises `RunFileError`."""
+    """Read a run file's facts about its run, and the mark on it; raises `RunFileError`."""
     return read_info(path), read_mark(path)
 
 
@@ -207,7 +207,7 @@ def is_same_recording(file: Path, copy: Path) -> bool:
 
 
 def specimen_key(info: RunInfo) -> str:
-    """Return what identifies a specimen: its id, or its name where it has none."""
+    """Return the identity of a specimen: its id, or its name where it has none."""
     identity = info.header.specimen.get("id") or UNSTATED
     return str(info.header.specimen.get("name", "") if identity == UNSTATED else identity)
 
@@ -284,7 +284,7 @@ def read_session_records(folder: Path) -> tuple[tuple[SessionRecord, ...], tuple
 
 
 def latest_session_record(folder: Path) -> tuple[SessionRecord, tuple[str, ...]]:
-    """Return a campaign's newest record that can be read, and what is wrong with newer ones.
+    """Return a campaign's newest record that can be read, and the faults of newer ones.
 
     Raises `RunFileError` when there is no record, `SettingsError` when none can be read.
     """

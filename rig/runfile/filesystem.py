@@ -1,4 +1,4 @@
-"""What run files need of the file system: one writer at a time, synced to disk, moved into place atomically."""
+"""Run files and the file system: one writer at a time, synced to disk, moved into place atomically."""
 
 import contextlib
 import errno
@@ -109,7 +109,7 @@ def move_into_place(part: Path, target: Path) -> None:
 def written_atomically(target: Path, *, synced: bool = True) -> Iterator[Path]:
     """Yield the path of a temporary file beside the target, which gets the target's name once it is complete.
 
-    Whatever ends the block removes it. What a killed program left in the folder goes here too, once it is old enough to
+    Whatever ends the block removes it. The remains of a killed program go here too, once it is old enough to
     belong to nobody. Raises as `move_into_place`.
     """
     _remove_abandoned(target.parent)
@@ -177,7 +177,7 @@ def _retry_while_shared(action: Callable[[], object], path: Path) -> None:
 
 
 def refusal_remedy(path: Path, system: str) -> str:
-    """Return what lets a file be replaced or removed that a system (`os.name`) refused; the last may come by itself."""
+    """Return the ways out where a system (`os.name`) refuses to replace a file; the last may come by itself."""
     if os.access(path, os.F_OK) and not path.stat().st_mode & stat.S_IWRITE:
         return "it is read-only: make it writable"
     return _UNSHARED if system == "nt" else "ask for permission to write in its folder"

@@ -2,8 +2,8 @@
 
 `python -m dragrig.rig.runfile.finisher` is the background worker: it reads recordings from standard input, a line of
 JSON each, answers each with a line of JSON and ends with its input. It is a process of its own because h5py works for
-one thread of a process at a time: a repack would stall the recorder of the next run. `recover` finishes what a crash
-left behind.
+one thread of a process at a time: a repack would stall the recorder of the next run. `recover` finishes the recordings
+that a crash left.
 """
 
 import json
@@ -150,7 +150,7 @@ def _expect_read_back(target: Path, recording: Path) -> None:
 def _copy_recorded_header(
     source: h5py.File, layout: schema.Layout, file: h5py.File, late_attributes: Mapping[str, Attribute]
 ) -> None:
-    """Copy what was known before the first sample, whole groups by HDF5 itself, and add what became known later.
+    """Copy the facts known before the first sample, whole groups by HDF5 itself, and add those known later.
 
     A recording of an older layout becomes a file of today's.
     """
@@ -189,7 +189,7 @@ def _copy_recorded_trace(source: h5py.File, file: h5py.File, samples: int, recor
 
 
 class RecoveryOutcome(StrEnum):
-    """What became of a recording that a crash left."""
+    """The fate of a recording that a crash left."""
 
     FINISHED = "finished"
     EMPTY = "empty"
@@ -275,7 +275,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class FinishResult:
-    """What became of a recording: its run file, or why it is still a recording."""
+    """The fate of a recording: its run file, or why it is still a recording."""
 
     recording: Path
     path: Path | None
@@ -286,8 +286,8 @@ class Finisher:
     """Finishes recordings in a worker process that is started when first needed.
 
     When this process dies, the worker finishes its current recording and exits. When the worker dies, `wait` finishes
-    what it left in this process. An interrupt from the terminal does not reach the worker. As a context it waits at its
-    end and raises the first error that no `wait` has returned.
+    its recordings in this process. An interrupt from the terminal does not reach the worker. As a context it waits at
+    its end and raises the first error that no `wait` has returned.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ class Finisher:
         return (*results, *finished_here)
 
     def close(self) -> None:
-        """Let the worker finish its current recording and exit; what is still queued stays a recording."""
+        """Let the worker finish its current recording and exit; a queued one stays a recording."""
         with self._change:
             if self._thread is not None:
                 self._jobs.put(None)

@@ -1,4 +1,4 @@
-"""HDF5 files in a bad state: damaged, open for writing, or on a full disk; what HDF5 itself would hang or crash on.
+"""HDF5 files in a bad state: damaged, open for writing, or on a full disk; HDF5 itself would hang or crash on them.
 
 Damaged text heaps: HDF5 stores text of variable length in global heaps and refers to it by length, heap and index
 (HDF5 File Format Specification, sections III.E and VIII). The library walks a heap without checking that it advances,
@@ -6,7 +6,7 @@ and allocates as much memory as a reference says: a damaged byte there hangs or 
 
 Files open for writing, or left open by a killed writer: HDF5's own way, `swmr=True`, retries damaged metadata with
 pauses that double, so that a recording cut by a power failure would hang the reader. A SWMR writer orders its writes
-so that what is on disk is consistent at any moment; so the file is presented to HDF5 as a closed one, and damage is an
+so that the file on disk is consistent at any moment; so the file is presented to HDF5 as a closed one, and damage is an
 error at once. Only the superblock differs: no writer, and an end of file as large as anything in it may claim (HDF5
 File Format Specification, section II.A, version 3).
 """

@@ -1,11 +1,11 @@
-"""The journal of a recording: what was synced of a run survives a power cut, whatever order the disk wrote in.
+"""The journal of a recording: the synced part of a run survives a power cut, in any order of the disk's writes.
 
 HDF5 changes its tables in place while a recording grows, and relies on the order of its writes. A power cut keeps no
 order: pages that were written later may be on the disk while earlier ones are not, and the file cannot be read or
 holds samples that were never taken. So everything that goes into a recording is also appended to a journal,
 `NAME.recording.journal`: frames of a head (magic number, kind, length, checksum) and a body. A checksum is the CRC-32
-of kind, length and body, continued from the frame before, so that neither a missing page nor what an older file left
-on the disk passes for a frame. The first frame is the recording as HDF5 made it, without samples.
+of kind, length and body, continued from the frame before, so that neither a missing page nor the remains of an older
+file on the disk passes for a frame. The first frame is the recording as HDF5 made it, without samples.
 """
 
 import struct
@@ -28,7 +28,7 @@ MAX_BODY_BYTES = 1 << 30
 
 
 class FrameKind(IntEnum):
-    """What a frame adds to the recording."""
+    """The additions of a frame to the recording."""
 
     EMPTY_RECORDING = 0
     SAMPLES = 1

@@ -1,4 +1,4 @@
-"""What a run file holds, as values. Units: mm, s, mN; names as in the file."""
+"""The content of a run file, as values. Units: mm, s, mN; names as in the file."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -49,7 +49,7 @@ class RunHeader:
     """Everything known before the first sample.
 
     `entry`, `protocol`, `capsule` and `specimen` hold the attributes of the groups of the same name (`/entry/run`
-    for `entry`), without `NX_class`, `default` and what the writer sets itself.
+    for `entry`), without `NX_class`, `default` and the writer's own.
     """
 
     run_id: str
@@ -83,7 +83,7 @@ class RunEvent:
 
 @dataclass(frozen=True, slots=True)
 class RunEnding:
-    """What is known once the last sample has been taken."""
+    """The facts known once the last sample has been taken."""
 
     status: RunStatus
     reason: str = ""
@@ -208,7 +208,7 @@ class Run:
         return pd.DataFrame({**columns, "phase": phases}, index=pd.Index(self.trace.time, name="time_s"))
 
     def to_xarray(self) -> "xr.Dataset":
-        """Return the samples as a dataset over time, units in `attrs`, the phase a coordinate, with what is known.
+        """Return the samples as a dataset over time, units in `attrs`, the phase a coordinate, with all known facts.
 
         Raises
         ------

@@ -1,6 +1,6 @@
 """Reading run files of every version, finished or still being recorded, checked against the layout.
 
-What breaks the layout is a `LayoutError` that names the place; the public functions turn it into a `RunFileError` that
+A breach of the layout is a `LayoutError` that names the place; the public functions turn it into a `RunFileError` that
 names the file as well.
 """
 
@@ -109,7 +109,7 @@ def attribute_of(holder: h5py.Group | h5py.Dataset, name: str) -> Attribute:
 
 
 def to_python(value: object) -> Attribute:
-    """Turn what h5py returns for an attribute into text, a number or a truth value."""
+    """Turn h5py's value of an attribute into text, a number or a truth value."""
     if isinstance(value, h5py.Empty):
         return ""
     if isinstance(value, np.ndarray):
@@ -218,7 +218,7 @@ def run_id_of(value: Attribute) -> str:
 
 
 def info_of(file: h5py.File, layout: schema.Layout, path: Path) -> RunInfo:
-    """Read what an open file states about its run: attributes and shapes only."""
+    """Read an open file's facts about its run: attributes and shapes only."""
     checked_attributes(file, "/")
     checked_attributes(file, schema.ENTRY)
     run = checked_attributes(file, layout.run, schema.RUN)
@@ -443,7 +443,7 @@ def _require_plausible_size(dataset: h5py.Dataset) -> None:
 
 
 def _require_plausible_total(group: h5py.Group) -> None:
-    """Refuse what unpacks to far more than a recording does, before memory is allocated for it."""
+    """Refuse a group that unpacks to far more than a recording does, before memory is allocated for it."""
     datasets = [dataset for dataset in group.values() if isinstance(dataset, h5py.Dataset) and dataset.size]
     claimed = sum(dataset.size * dataset.dtype.itemsize for dataset in datasets)
     held = sum(dataset.id.get_storage_size() for dataset in datasets)
@@ -452,7 +452,7 @@ def _require_plausible_total(group: h5py.Group) -> None:
 
 
 def read_info(path: Path) -> RunInfo:
-    """Read what a run file states about its run, without its samples.
+    """Read a run file's facts about its run, without its samples.
 
     Raises `RunFileError` when the file is missing, foreign, damaged, of a newer format, or lacks a required part.
     """
@@ -559,7 +559,7 @@ def as_run_file_error(path: Path) -> Iterator[None]:
 
 
 def layout_of(file: h5py.File) -> schema.Layout:
-    """Return where a file has what, by its version."""
+    """Return the places of a file's parts, by its version."""
     holder = schema.RUN if isinstance(file.get(schema.RUN), h5py.Group) else "/"
     marked = file[holder]
     marks = {name: attribute_of(marked, name) for name in ("format", "format_version") if name in marked.attrs}

@@ -1,8 +1,9 @@
 """The recorder: takes samples from the acquiring thread and has them on file within a flush interval.
 
 A ring buffer hands the samples to a thread that owns the recording: SWMR, uncompressed, every dataset created
-beforehand. Whatever moment its process dies at, what was flushed can be read up to `valid_samples`. Against a power cut
-everything goes into a journal as well, which a second thread syncs to the disk; `rebuild` makes the recording of it.
+beforehand. At whatever moment its process dies, all flushed samples can be read up to `valid_samples`. Against a power
+cut everything goes into a journal as well, which a second thread syncs to the disk; `rebuild` makes the recording of
+it.
 """
 
 import json
@@ -137,7 +138,7 @@ class SampleRing:
 class FileSyncer:
     """Calls `fsync` in threads of its own; an error is raised by the next request.
 
-    Several may be under way at once: what was written just after a long sync began would otherwise wait for two.
+    Several may be under way at once: frames written just after a long sync began would otherwise wait for two.
     Requests that find all of them busy become a single one.
     """
 
@@ -251,7 +252,7 @@ def _growing_dataset(file: h5py.File, path: str, dtype: np.dtype[np.generic], ch
 
 
 class RecordingFile:
-    """An open recording, owned by one thread; what is appended goes to its journal first, where it has any."""
+    """An open recording, owned by one thread; appended blocks go to its journal first, where it has any."""
 
     def __init__(self, path: Path, journal: Journal | None = None) -> None:
         self.path = path
@@ -281,12 +282,12 @@ class RecordingFile:
         self.append_frame(FrameKind.EVENTS, event_rows(events).tobytes())
 
     def append_annotations(self, annotations: Sequence[Mapping[str, object]]) -> None:
-        """Append what became known during the run, one line of JSON each."""
+        """Append facts that became known during the run, one line of JSON each."""
         text = "".join(f"{json.dumps(line)}\n" for line in annotations)
         self.append_frame(FrameKind.ANNOTATIONS, text.encode())
 
     def append_frame(self, kind: FrameKind, body: bytes) -> None:
-        """Append what a frame of a journal holds."""
+        """Append the content of a journal's frame."""
         if self._journal is not None:
             self._journal.append(kind, body)
         match kind:
@@ -308,7 +309,7 @@ class RecordingFile:
         self._file.flush()
 
     def close(self) -> None:
-        """Close the file; what was not flushed before does not count as valid."""
+        """Close the file; samples not flushed before do not count as valid."""
         self._file.close()
         if self._journal is not None:
             self._journal.close()
@@ -354,7 +355,7 @@ def ending_annotation(ending: RunEnding) -> dict[str, object]:
 
 
 def read_annotations(file: h5py.File, layout: schema.Layout) -> tuple[dict[str, Attribute], RunEnding | None]:
-    """Read what became known during the run: attributes of the run, and how the run ended if that was written."""
+    """Read the facts that became known during the run: its attributes, and its end where that is written."""
     entry: dict[str, Attribute] = {}
     ending: RunEnding | None = None
     if layout.annotations in file:
@@ -446,7 +447,7 @@ class Recorder:
     flush_s
         Wall time between flushes, also while no samples come.
     reserve_bytes
-        Free space that must be left besides what the run and its finished copy need.
+        Free space that must be left besides the room of the run and its finished copy.
     expected_samples
         Planned length of the run, for the check of free space.
 
@@ -553,7 +554,7 @@ class Recorder:
     def close(self, ending: RunEnding) -> Path:
         """Write what is left and how the run ended; return the recording, ready to be finished.
 
-        Raises `RecordingError` when the disk refused data; what was flushed before stays recoverable at `path`.
+        Raises `RecordingError` when the disk refused data; samples flushed before stay recoverable at `path`.
         """
         if not self._closed:
             self._closed = True

@@ -39,7 +39,7 @@ PHASE = "phase"
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where a version of the format has what the NeXus standard has no place for."""
+    """The places, by version of the format, of parts that the NeXus standard has no place for."""
 
     version: int
     marked: str
@@ -59,7 +59,7 @@ class Layout:
 
     @property
     def annotations(self) -> str:
-        """What became known during a recording, as lines of JSON."""
+        """Facts that became known during a recording, as lines of JSON."""
         return f"{self.run}/annotations"
 
     @property
@@ -230,7 +230,7 @@ def part_path(path: Path) -> Path:
 
 @cache
 def provenance() -> Mapping[str, str]:
-    """Return what made a file: versions of this software, of Python and of the libraries, and the git revision."""
+    """Return the makers of a file: versions of this software, of Python and of the libraries, and the git revision."""
     import platform
     from importlib.metadata import version
 

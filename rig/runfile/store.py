@@ -173,7 +173,7 @@ class FolderSink(Recorder):
 
 @dataclass(frozen=True, slots=True)
 class MirrorReport:
-    """What is in the mirror and what is not."""
+    """The files in the mirror, and those not there."""
 
     folder: Path
     """Folder of the copies."""
@@ -191,7 +191,7 @@ class MirrorReport:
 class Mirror:
     """Copies files into a folder of the mirror, one after the other, on a thread of its own.
 
-    Marks and notes follow what a person says: they are replaced, and removed at the end where they were withdrawn.
+    Marks and notes follow a person's word: they are replaced, and removed at the end where they were withdrawn.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ class Mirror:
         self._jobs.put(file)
 
     def close(self, max_stall_s: float = MAX_STALL_S, max_s: float = MAX_MIRROR_S) -> MirrorReport:
-        """Try once more what failed, and report what is in the mirror.
+        """Copy once more the files that failed, and report the state of the mirror.
 
         A mirror that hangs for `max_stall_s`, or is not done after `max_s`, is given up.
         """

@@ -129,7 +129,7 @@ def write_header(file: h5py.File, header: RunHeader, status: RunStatus) -> None:
 
 
 def mark_format(run: h5py.Group) -> None:
-    """Say what format a file has, and which version of it."""
+    """Write which format a file has, and which version of it."""
     run.attrs.update(
         NX_class=schema.NEXUS_CLASSES[schema.RUN], format=schema.FORMAT, format_version=schema.FORMAT_VERSION
     )
@@ -210,7 +210,7 @@ def clip_utf8(text: str, size: int) -> bytes:
 
 
 def write_ending(file: h5py.File, events: Sequence[RunEvent], ending: RunEnding, raw_sha256: str) -> None:
-    """Write what is known once the last sample has been taken."""
+    """Write the facts known once the last sample has been taken."""
     file.create_dataset(schema.LAYOUT.events, data=event_rows(events))
     run = file[schema.RUN].attrs
     run["status"] = str(ending.status)
@@ -231,7 +231,7 @@ def write_ending(file: h5py.File, events: Sequence[RunEvent], ending: RunEnding,
 
 
 def _write_nexus_fields(file: h5py.File) -> None:
-    """Write, from the attributes, what the NeXus standard has as fields and groups, for programs that look there."""
+    """Write, from the attributes, the fields and groups of the NeXus standard, for programs that look there."""
     entry, specimen = file[schema.ENTRY], file[schema.SPECIMEN].attrs
     attributes = {name: str(value) for name, value in file[schema.RUN].attrs.items()}
     fields = {
@@ -269,7 +269,7 @@ def _write_fields(group: h5py.Group, fields: Mapping[str, str]) -> None:
 
 
 def scale_time(group: h5py.Group) -> None:
-    """Make the time of a trace the dimension scale of its other datasets, in place of what a copy lost."""
+    """Make the time of a trace the dimension scale of its other datasets, in place of those that a copy lost."""
     time = group[schema.TIME]
     columns = [group[name] for name in group if name != schema.TIME]
     for dataset, name in ((time, "REFERENCE_LIST"), *((column, "DIMENSION_LIST") for column in columns)):
@@ -384,7 +384,7 @@ class Verification:
 
     @property
     def holds(self) -> bool:
-        """Whether the trace still is what was recorded."""
+        """Whether the trace still is the recorded one."""
         return self.stored == self.computed
 
 

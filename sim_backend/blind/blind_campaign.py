@@ -75,13 +75,13 @@ class RunVariation:
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevels:
-    """What sensor, converter and clock add to a record.
+    """The additions of sensor, converter and clock to a record.
 
     White and slow noise: standard deviations [mN] and the slow one's correlation time [s]. `pink_mN`: standard
     deviation of noise whose power falls as 1/f to the power `pink_power`. `hum_mN`, `hum_hz`: amplitude and frequency
     of mains pick-up. `bits`: of the converter over ±10 N. `jitter_s`: standard deviation of the samples' instants.
     `impulses_per_s`, `impulse_mN`: how often a sample or a few are off, and by how much. `dropouts_per_s`, `dropout_s`,
-    `dropout`: how often and how long the force is missing, and what stands there: `held`, `zero`, or nothing (`lost`).
+    `dropout`: how often and how long the force is missing, and the values there: `held`, `zero`, or nothing (`lost`).
     """
 
     white_mN: float
@@ -261,7 +261,7 @@ _Change = Callable[[Setting, np.random.Generator], Setting]
 
 
 def _noise(change: Callable[[NoiseLevels, np.random.Generator], NoiseLevels]) -> _Change:
-    """Make a condition of what it changes in the noise."""
+    """Make a condition of its changes to the noise."""
     return lambda setting, random: replace(setting, noise=change(setting.noise, random))
 
 
@@ -385,7 +385,7 @@ def draw_campaign(
         `practice`, or `fresh`: another session with the same specimen and effects at other speeds and strains.
     plant
         `written`: each effect has one of the two or three forms that are written down. `drawn`: its law is a function
-        drawn at random, and so is what it scales.
+        drawn at random, and so is the force that it scales.
     conditions
         Names from `CONDITIONS`, in any order, as `["drags only", "100 Hz", "1/f noise"]`.
 

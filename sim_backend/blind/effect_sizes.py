@@ -1,4 +1,4 @@
-"""How large hidden effects are: what each cause adds to the runs, and d′, its size against noise and specimens.
+"""How large hidden effects are: the part of each cause in the runs, and d′, its size against noise and specimens.
 
 d′ is the norm of the whitened signature with every direction projected out in which specimens and runs differ.
 """
@@ -20,7 +20,7 @@ from dragrig.sim_backend.blind.run_plans import RATE_HZ, Floats
 
 
 def effect_signatures(campaign: BlindCampaign) -> tuple[PlantRecord, ...]:
-    """Return what the hidden effects change in each run, noise-free and on the same specimen.
+    """Return the change of each run by the hidden effects, noise-free and on the same specimen.
 
     Force and position of these records are those with the effects minus those without.
     """
@@ -144,7 +144,7 @@ def residual_chi2(directions: NuisanceDirections, residuals: Sequence[Floats]) -
 
 
 def beyond_specimen(directions: NuisanceDirections, residuals: Sequence[Floats]) -> tuple[Floats, ...]:
-    """Return what of force residuals [mN], one per run, is left once the specimen and zero offsets are fitted.
+    """Return the rest of force residuals [mN], one per run, once the specimen and zero offsets are fitted.
 
     By least squares of the force itself, every run counting alike, and as exact as repeats are. Stiffness and μ of each
     run are not fitted: they would follow an ageing specimen far beyond how repeats differ.
@@ -171,7 +171,7 @@ def effect_size(campaign: BlindCampaign, directions: NuisanceDirections | None =
 
 @dataclass(frozen=True, slots=True)
 class HiddenShare:
-    """What one hidden cause adds to the runs, all others there: the plant's own budget.
+    """The contribution of a hidden cause to the runs, all others there: the plant's own budget.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class HiddenShare:
 
 
 def hidden_shares(campaign: BlindCampaign, directions: NuisanceDirections | None = None) -> tuple[HiddenShare, ...]:
-    """Return what each hidden cause adds to a campaign's runs, noise-free; empty where nothing is hidden."""
+    """Return the contribution of each hidden cause to a campaign's runs, noise-free; empty where nothing is hidden."""
     causes = [*_hidden_causes(campaign)]
     if not causes:
         return ()

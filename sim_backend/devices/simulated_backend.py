@@ -51,7 +51,7 @@ class VirtualClock:
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """What the rig's memory has of a simulated rig."""
+    """A simulated rig's part of the rig's memory."""
 
     position_mm: float
     homed: bool

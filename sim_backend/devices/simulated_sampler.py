@@ -1,7 +1,7 @@
 """The simulated sampler: force, position and motor force of an acquisition on one clock, delivered in blocks.
 
-From motion and load to what force sensor, encoder and motor report. Samples are computed a chunk ahead and dropped once
-delivered.
+From motion and load to the reports of force sensor, encoder and motor. Samples are computed a chunk ahead and dropped
+once delivered.
 """
 
 import math
@@ -278,7 +278,7 @@ STEADY_DWELL_S = 60.0
 def steady_effect_forces(
     speeds_mm_s: FloatArray, model: FrictionModelSettings, capsule: Capsule, wall_thickness_mm: float
 ) -> FloatArray:
-    """Return what the model's effects add to the force that the channel shows [mN], shape `(n,)` as the speeds.
+    """Return the contribution of the model's effects to the force of the channel [mN], shape `(n,)` as the speeds.
 
     The mean over the last half of a drag of 40 mm that is the first run on its specimen.
 
@@ -527,7 +527,7 @@ class SimulatedSampler:
         self._push_mm = distance_mm
 
     def measure(self, duration_s: float, cancel: Signal | None = None) -> RawReading:
-        """Sample what hangs or pulls on the sensor for a while, in volts according to the wiring in the settings.
+        """Sample the weight or pull on the sensor for a while, in volts according to the wiring in the settings.
 
         Raises `DeviceError` when the sampler is armed.
         """

@@ -103,7 +103,7 @@ def standstill_track(position_mm: float, sample_s: float, stopped_s: float = mat
 
 
 class Disturbances:
-    """What disturbs stage and sampler: nothing. Tests derive the faults of a rig from it; no setting can cause one.
+    """The disturbances of stage and sampler: none. Tests derive the faults of a rig from it; no setting can cause one.
 
     Times count from the first sample of an acquisition.
     """

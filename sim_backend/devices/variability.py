@@ -1,4 +1,4 @@
-"""What is random in a simulated rig: noise of the channels, and how specimens and runs vary.
+"""Randomness in a simulated rig: noise of the channels, and how specimens and runs vary.
 
 Each purpose has a random stream of its own, so that results repeat bit by bit.
 """
@@ -16,7 +16,7 @@ from dragrig.rig import Acquisition, FloatArray
 
 
 class RandomStream(IntEnum):
-    """What a random stream is for; the numbers enter the seed and never change."""
+    """The purpose of a random stream; the numbers enter the seed and never change."""
 
     SPECIMEN = 1
     RUN = 2

@@ -23,7 +23,7 @@ class DoubleBackend(HardwareBackend):
     Parameters
     ----------
     faults
-        What goes wrong; nothing unless given.
+        Faults (default: none).
     """
 
     name = "simulated"
@@ -59,7 +59,7 @@ class DoubleBackend(HardwareBackend):
             self.connect()
 
     def description(self) -> Mapping[str, str | float | int | bool]:
-        """Return what the real rig says of itself, and that it is none."""
+        """Return the real rig's description of itself, and that it is none."""
         return {**super().description(), **self._facts}
 
     def hang(self, load_mN: float) -> None:

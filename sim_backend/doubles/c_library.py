@@ -1,7 +1,8 @@
 """The card's double in place of NI's C library, so that plain `nidaqmx.Task()` runs its production code on it.
 
 The functions are real C function pointers. nidaqmx sets their argument types itself, as it does with NI's library, and
-thereby refuses arrays that are not C-contiguous float64; what the double lacks, nidaqmx reports as unsupported.
+thereby refuses arrays that are not C-contiguous float64; functions that the double lacks, nidaqmx reports as
+unsupported.
 """
 
 import ctypes
@@ -80,7 +81,7 @@ class _Library(ctypes.CDLL):
         return self._FuncPtr(ctypes.cast(callback, c_void_p).value or 0)
 
     def _status(self, call: Callable[..., int | None], *arguments: object) -> int:
-        """Return what a call gives, and its errors as status codes."""
+        """Return the result of a call, and its errors as status codes."""
         try:
             return call(*arguments) or 0
         except CardError as error:

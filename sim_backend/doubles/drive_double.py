@@ -1,6 +1,6 @@
-"""The drive's double: understands frames of any dialect, moves the bench's carriage and refuses what a drive refuses.
+"""The drive's double: understands frames of any dialect, moves the bench's carriage and refuses as a drive does.
 
-It observes what a drive observes by itself, whatever the program does: soft limits, thrust limit, limit switches,
+It observes by itself, as a drive does, independent of the program: soft limits, thrust limit, limit switches,
 e-stop, enable line, and the silence timeout, which runs in wall time. It remembers why its last motion ended. Without
 enable line or power, which the heartbeat relay takes, the motor has no current, and friction stops the carriage.
 """
@@ -88,7 +88,7 @@ class DriveDouble:
 
     @property
     def status(self) -> Status:
-        """What it reports."""
+        """Its report."""
         with self._lock:
             moving = self._moving()
             halt = Halt.NONE if moving else self._halt
@@ -101,11 +101,11 @@ class DriveDouble:
             return tuple(self._requests)
 
     def parameter(self, parameter: Parameter) -> float:
-        """Return what is set."""
+        """Return the settings."""
         return self._parameters[parameter]
 
     def frame_length(self, received: bytes) -> int:
-        """Length of the first whole frame in what was received so far; 0 while there is none."""
+        """Length of the first whole frame among the bytes received so far; 0 while there is none."""
         return self._side.frame_length(received)
 
     def answer(self, frame: bytes) -> bytes:
@@ -136,7 +136,7 @@ class DriveDouble:
             self._supervise()
 
     def _supervise(self) -> None:
-        """Look at what ends a motion while the drive has power."""
+        """Look for the causes that end a motion while the drive has power."""
         if not self.bench.moving:
             if not self.bench.faults.active.carriage_blocked:
                 self._continue_homing()

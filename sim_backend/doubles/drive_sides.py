@@ -1,4 +1,4 @@
-"""The drive's side of the dialects: what the double of a drive hears and says.
+"""The drive's side of the dialects: the requests and replies of a drive's double.
 
 Each is written from the description of the protocol and not from the program's codec, so that the two do not agree on a
 mistake; only numbers that a manual would give (register map, units) are shared. A dialect of one's own brings its
@@ -38,7 +38,7 @@ class DriveSide(Protocol):
     """One drive at the far end of the line."""
 
     def frame_length(self, received: bytes) -> int:
-        """Length of the program's first whole frame in what was received so far; 0 while there is none."""
+        """Length of the program's first whole frame among the bytes received so far; 0 while there is none."""
 
     def answer(self, frame: bytes, act: Act) -> bytes:
         """Carry a frame out and return the reply; nothing for a damaged frame or another station's."""
@@ -81,7 +81,7 @@ class NikkiDrive:
         return end + 5 if 0 <= end <= len(received) - 5 else 0
 
     def answer(self, frame: bytes, act: Act) -> bytes:
-        """Answer with what was asked, "=" and the result, or "!" and why not."""
+        """Answer with the request, "=" and the result, or "!" and why not."""
         match = self._FRAME.fullmatch(frame)
         if match is None or match[1] != self._station or b"%04X" % crc_hqx(frame[:-4], 0) != match[5]:
             return b""
@@ -236,7 +236,7 @@ class ModbusDrive:
         self._target = self._refusal = 0
 
     def frame_length(self, received: bytes) -> int:
-        """8 bytes for a reading; for a writing, what its byte count says."""
+        """8 bytes for a reading; for a writing, as its byte count says."""
         if len(received) < 8:
             return 0
         length = 9 + received[6] if received[1] == 16 else 8

@@ -66,12 +66,12 @@ class Serial:
         return len(self._received)
 
     def reset_input_buffer(self) -> None:
-        """Drop what has arrived."""
+        """Drop the bytes that have arrived."""
         if self.in_waiting:
             self._received = b""
 
     def read(self, size: int = 1) -> bytes:
-        """Return `size` bytes, or what there is after the timeout."""
+        """Return `size` bytes, or fewer after the timeout."""
         until_s = time.monotonic() + self._timeout_s
         while self.in_waiting < size and time.monotonic() < until_s:
             time.sleep(_POLL_S)

@@ -780,7 +780,7 @@ class SimulatedBench:
     def _force_volts(
         self, sampling: _Sampling, time_s: FloatArray, force_mN: FloatArray, before: dict[str, FloatArray] | None
     ) -> FloatArray:
-        """Return the force input's volts, with what is wrong with sensor, amplifier and wires."""
+        """Return the force input's volts, with the faults of sensor, amplifier and wires."""
         faults, wiring = self.faults.active, self.rig.hardware.card.force
         load_mN = force_mN + faults.force_added_mN
         if faults.force_tone_mN:
@@ -806,7 +806,7 @@ class SimulatedBench:
         return np.asarray(volts)
 
     def _seen_counts(self, sampling: _Sampling, counts: FloatArray, before: dict[str, FloatArray] | None) -> FloatArray:
-        """Return the counts that reach the card, with what is wrong with encoder and wires."""
+        """Return the counts that reach the card, with the faults of encoder and wires."""
         faults = self.faults.active
         if faults.encoder_stuck:
             return np.full_like(counts, 0.0 if before is None else before["encoder_counts"][-1])

@@ -1,7 +1,7 @@
 """The catalogue of candidate effects, which the nominal model leaves out: one file each.
 
-Each is a parameterised change to the simulator at one named place. `base` says what an effect declares, finds them and
-combines several, `run_state` is what they may depend on in a run.
+Each is a parameterised change to the simulator at one named place. `base` has the declarations of an effect, finds them
+and combines several, `run_state` holds the facts of a run that they may depend on.
 
 `__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """

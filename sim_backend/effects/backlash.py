@@ -1,4 +1,4 @@
-"""Play between the drive and what it moves."""
+"""Play between the drive and its load."""
 
 import numpy as np
 

@@ -1,7 +1,7 @@
-"""What an effect declares, the catalogue of all effects, and active effects combined to a chain.
+"""The declarations of an effect, the catalogue of all effects, and active effects combined to a chain.
 
 An effect declares where it acts, its parameters with units and priors, its source, and how a diagnosis finds it; its
-hooks say what it changes. Everything else in the program goes by these declarations and hooks: no other module knows an
+hooks make its changes. Everything else in the program goes by these declarations and hooks: no other module knows an
 effect by its id, by a parameter's name or by its class. The catalogue holds every effect
 class of this package's modules.
 
@@ -44,7 +44,7 @@ class Location(StrEnum):
 
 
 class Coordinate(StrEnum):
-    """What an effect is above all a function of."""
+    """The coordinate that an effect is above all a function of."""
 
     SPEED = "speed"
     POSITION = "position"
@@ -88,7 +88,7 @@ class PositionForm(StrEnum):
 
 
 class Role(StrEnum):
-    """What a parameter is to an effect."""
+    """The role of a parameter in an effect."""
 
     SIZE = "size"
     """How large the effect is: at 0 there is none, and what it changes grows in proportion or nearly so."""
@@ -210,12 +210,12 @@ class Effect(ABC):
 
     @property
     def phase(self) -> EffectParameter | None:
-        """Where its period begins; None for what is not periodic."""
+        """Where its period begins; None where it is not periodic."""
         return next((parameter for parameter in self.parameters if parameter.role is Role.PHASE), None)
 
     @property
     def period(self) -> EffectParameter | None:
-        """How long its period is, or its frequency; None for what is not periodic."""
+        """How long its period is, or its frequency; None where it is not periodic."""
         return next((parameter for parameter in self.parameters if parameter.name == self.period_parameter), None)
 
     @property
@@ -246,7 +246,7 @@ class Effect(ABC):
         return np.zeros_like(run.time_s)
 
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
-        """Return what the channel shows [mN] of a force at the run's times, shape `(n,)`."""
+        """Return the channel's reading [mN] of a force at the run's times, shape `(n,)`."""
         return force_mN
 
     def stage_position(self, time_s: FloatArray, command_mm: FloatArray, values: Values) -> FloatArray:
@@ -282,11 +282,11 @@ class ForceEffect(Effect):
 
 
 class SensorEffect(Effect):
-    """An effect in the force sensor or its acquisition: what the channel shows of a force."""
+    """An effect in the force sensor or its acquisition: the channel's reading of a force."""
 
     @abstractmethod
     def measured_force(self, run: RunState, force_mN: FloatArray, values: Values) -> FloatArray:
-        """Return what the channel shows of a force [mN]."""
+        """Return the channel's reading of a force [mN]."""
 
 
 class MotorEffect(Effect):
@@ -437,7 +437,7 @@ class EffectChain:
         return np.asarray(sum((active.effect.added_force(run, active.values) for active in gut), run.nominal))
 
     def measured_force(self, run: RunState, load_mN: FloatArray, force_gain: float) -> FloatArray:
-        """Return what the force channel shows [mN] of a true force, shapes `(n,)`, without noise."""
+        """Return the force channel's reading [mN] of a true force, shapes `(n,)`, without noise."""
         force = force_gain * load_mN
         for active in self.effects:
             force = active.effect.measured_force(run, force, active.values)

@@ -205,7 +205,7 @@ class SlipHistory:
 
 @dataclass(frozen=True, eq=False)
 class RunState:
-    """What an effect may depend on, at `n` rising times. Units mm, s, mN, kPa; arrays of shape `(n,)`."""
+    """The state that an effect may depend on, at `n` rising times. Units mm, s, mN, kPa; arrays of shape `(n,)`."""
 
     time_s: FloatArray
     """Times from the run's first sample on."""
@@ -461,7 +461,7 @@ def _since_break(motion: Motion, time_s: FloatArray) -> tuple[npt.NDArray[np.int
 
 
 def behind_by_play(driving_mm: FloatArray, play_mm: float, taken_up: float) -> FloatArray:
-    """Return by how much what is driven through a play is behind what drives it [mm], shape `(n,)`.
+    """Return how far a part driven through a play is behind its driver [mm], shape `(n,)`.
 
     It starts with 0, is left behind until the play is taken up, follows then, and is left behind anew after each
     reversal, however fast the motion is.

@@ -24,7 +24,7 @@ SignArray = npt.NDArray[np.int8]
 
 
 class _BitwiseValue:
-    """What is equal where all fields are the same, bit for bit: prepared forces are cached by motions."""
+    """Values that are equal where all fields are, bit for bit: prepared forces are cached by motions."""
 
     __slots__: tuple[str, ...] = ()
 

@@ -213,6 +213,8 @@ def test_whatever_changes_the_catalogue_answers_as_the_files(
 )
 def test_every_change_is_seen(what: str, small_root: Path, settled: None) -> None:
     del settled
+    if what == "overwritten" and sys.platform == "win32":
+        pytest.skip("there nothing but its dates and size, which are the same, tells that a file was written to")
     remarks_on(small_root)
     before = answers(FileListing(small_root))
     change(small_root, what, 0)

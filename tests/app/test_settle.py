@@ -1,9 +1,7 @@
 """`dragrig gap settle`: one campaign of batches, each with its reason, that goes on after a kill and ends for one."""
 
 import json
-import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -43,6 +41,7 @@ from dragrig.rig import mark_bad
 from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
 from dragrig.session_state import session_lock
 from dragrig.setup import create_lab, resolve
+from ending import kill
 from engine_clients import listening
 from loaded_processes import loaded_processes
 from rig_faults import Person
@@ -120,7 +119,7 @@ def test_a_killed_loop_goes_on_where_it_was(tmp_path: Path, shared_folder: Path)
     while len([file for file in folder.glob("*.h5") if ".recording" not in file.name]) <= first:
         assert loop.poll() is None
         time.sleep(0.02)
-    os.kill(loop.pid, signal.SIGKILL if hasattr(signal, "SIGKILL") else signal.SIGTERM)
+    kill(loop.pid)
     loop.wait()
     before = read_settle_record(folder)
     assert before.ending is None

@@ -1,7 +1,6 @@
 """Pieces of work side by side: the same results, nothing lost, nothing twice, whoever is killed."""
 
 import os
-import signal
 import sys
 import threading
 import time
@@ -15,6 +14,7 @@ from clusters import dask_cluster
 from dragrig import parallel as processes
 from dragrig.config.errors import SettingsError, WorkerError
 from dragrig.parallel import SerialExecutor, available_cores, open_executor, parallel_map
+from ending import kill
 from loaded_processes import loaded_processes
 from spreading_pieces import PATIENCE_S, deadly, failing, loaded, product, traced
 
@@ -37,7 +37,7 @@ def kill_when_begun(folder: Path, answer: list[int], done_before: list[int]) -> 
         while time.monotonic() < deadline:
             if trace.exists() and (pid := trace.read_text("utf-8")):
                 done_before.extend(answer)
-                os.kill(int(pid), signal.SIGKILL)
+                kill(int(pid))
                 return
             time.sleep(0.01)
 
@@ -81,7 +81,7 @@ def test_a_process_killed_while_it_waits_is_replaced() -> None:
     with open_executor(1, own_process=True) as entry:
         [(pid, _)] = parallel_map(entry, loaded, ["dragrig"])
         assert pid != os.getpid()
-        os.kill(pid, signal.SIGKILL)
+        kill(pid)
         [(second, _)] = parallel_map(entry, loaded, ["dragrig"])
     assert second not in {pid, os.getpid()}
 
@@ -170,7 +170,7 @@ def test_a_cluster_that_goes_away_is_told(monkeypatch: pytest.MonkeyPatch, tmp_p
 
         def told(piece: tuple[Path, int], _: bytes) -> None:
             finished.append(piece[1])
-            os.kill(scheduler, signal.SIGKILL)
+            kill(scheduler)
 
         with pytest.raises(WorkerError, match="the cluster went away"), open_executor(scheduler=address) as workers:
             parallel_map(workers, traced, [(tmp_path, seed) for seed in SEEDS], told)

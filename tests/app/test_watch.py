@@ -164,7 +164,6 @@ def test_a_session_whose_process_is_gone_has_died(seen: Onlooker, tmp_path: Path
     assert "dragrig recover" in result.message
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="its locks are other calls")
 def test_without_locks_the_last_state_is_shown(seen: Onlooker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def flock(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
@@ -175,7 +174,7 @@ def test_without_locks_the_last_state_is_shown(seen: Onlooker, tmp_path: Path, m
     (tmp_path / LOCK_FILE).touch()
     (tmp_path / STATE_FILE).write_text(state.model_copy(update={"doing": "waiting"}).model_dump_json(), "utf-8")
     assert CampaignWatch(tmp_path).look().doing == "died"
-    monkeypatch.setattr("fcntl.flock", flock)
+    monkeypatch.setattr("msvcrt.locking" if sys.platform == "win32" else "fcntl.flock", flock)
     assert CampaignWatch(tmp_path).look().doing == "waiting"
 
 

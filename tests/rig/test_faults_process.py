@@ -3,7 +3,6 @@
 import io
 import json
 import mmap
-import os
 import shutil
 import signal
 import struct
@@ -15,6 +14,7 @@ from ctypes.util import find_library
 from datetime import datetime, timedelta
 from pathlib import Path
 
+import psutil
 import pytest
 
 from dragrig.cli import main
@@ -23,6 +23,7 @@ from dragrig.rig.hardware.dialects.base import Halt
 from dragrig.rig.reading import Reading
 from dragrig.rig.runfile import read_campaign, read_info, read_run
 from dragrig.rig.runfile.model import RunStatus
+from ending import press
 from places import SUPPORT, TESTS
 from remote_doubles import StageStatus
 from rig_faults import (
@@ -43,8 +44,6 @@ from rig_faults import (
     only_run,
     sentence,
 )
-
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the signals that this is about are POSIX's")
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +157,7 @@ def test_sigterm_ends_a_run_in_good_order(
     def strike() -> None:
         near_rig.until_under_way()
         struck.append(near_rig.until(lambda _: recorded(folder) > ON_DISK))
-        os.kill(os.getpid(), signal.SIGTERM)
+        press(signal.SIGTERM)
 
     # A run that has ended before must not take the tests with it.
     earlier = signal.signal(signal.SIGTERM, lambda *_: None)
@@ -187,10 +186,10 @@ def test_a_program_that_is_frozen_lets_the_drive_stop_by_itself(faulty_rig: Benc
     program = start("plan.toml", *settings_words(*SOON_SILENT), "--out", folder := faulty_rig.folder())
     struck = program.until_under_way()
     remaining = recorded(folder)
-    program.process.send_signal(signal.SIGSTOP)
+    psutil.Process(program.process.pid).suspend()
     look = faulty_rig.until(lambda look: not look.moving)
     assert_stopped(struck, look, Halt.SILENCE, FAR_MM)
-    program.process.send_signal(signal.SIGCONT)
+    psutil.Process(program.process.pid).resume()
     code, printed, answer = program.end()
     run = only_run(folder)
     assert (code, printed["status"], run.info.status) == (4, "tripped", RunStatus.TRIPPED)

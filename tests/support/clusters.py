@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -13,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ending import kill
 from places import SUPPORT
 
 POLL_INTERVAL_S = 0.05
@@ -131,7 +131,7 @@ def worker_killed_at_its_second(
                 at = next((worker for worker in now if len(seen[worker]) == 2), "")
                 if at and stored() >= len(finished) and not client.has_what([at])[at]:
                     watched.killed, watched.kept = at, stored()
-                    os.kill(pids[at], signal.SIGKILL)
+                    kill(pids[at])
                     return
 
         with get_task_stream(client) as stream:  # type: ignore[no-untyped-call]

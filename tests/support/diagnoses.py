@@ -20,6 +20,7 @@ from dragrig.analysis.gap.diagnosis import (
     RankedHypothesis,
     RunContributions,
     RunTraces,
+    SteadyLevels,
     UnexplainedGap,
     Verdict,
 )
@@ -134,7 +135,9 @@ def view(file: str, kind: str, speed_mm_s: float, level_mN: float, gap_mN: float
     measured = after + np.random.default_rng(int(10 * speed_mm_s)).normal(0.0, 0.8, time.size)
     label = {"drag": f"drag at {speed_mm_s:g} mm/s", "coulomb": f"Coulomb friction at {speed_mm_s:g} mm/s",
              "relaxation": "relaxation at 200 %", "blank": f"blank run at {speed_mm_s:g} mm/s"}[kind]  # fmt: skip
-    return RunTraces(file, kind, label, "force", "mN", time, position, measured, before, after)
+    level = level_mN + measured[moving].mean() - after[moving].mean()
+    steady = None if kind == "relaxation" else SteadyLevels(speed_mm_s, level, (level_mN - gap_mN, level_mN))
+    return RunTraces(file, kind, label, "force", "mN", time, position, measured, before, after, steady)
 
 
 VIEWS = (

@@ -1,10 +1,10 @@
 """Who is examined at no cost: answers that follow from the runs alone, given by other processes."""
 
 import os
-import signal
 from hashlib import sha256
 
 from dragrig.exam.examinee import BlindDiagnosis, BlindTask
+from ending import kill
 
 
 def quick_diagnosis(task: BlindTask) -> BlindDiagnosis:
@@ -20,5 +20,5 @@ def diagnosis_killed_once(task: BlindTask) -> BlindDiagnosis:
     trace = task.campaign.parents[1].with_suffix(".killed")
     if task.campaign.name == "0002" and not trace.exists():
         trace.write_text(str(os.getpid()), "utf-8")
-        os.kill(os.getpid(), signal.SIGKILL)
+        kill()
     return quick_diagnosis(task)

@@ -1,13 +1,12 @@
 """Recording processes that are killed, and what is left of their runs.
 
 `python killed.py PATH [JSON]` is the victim: it records at a real-time pace and says on standard output
-when it had handed over which sample. `kill_after` ends it with SIGKILL from outside; `die_at` has it send
-SIGKILL to itself in the middle of a named step.
+when it had handed over which sample. `kill_after` kills it from outside; `die_at` has it kill itself in the
+middle of a named step.
 """
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -22,6 +21,7 @@ from dragrig.rig import recover
 from dragrig.rig.runfile import finish, finisher, read_run, recorder, schema, writer
 from dragrig.rig.runfile.model import RunEnding, RunEvent, RunStatus
 from dragrig.rig.runfile.recorder import Recorder
+from ending import kill, was_killed
 from runfiles import START, arrays, header
 
 BLOCK_S = 0.005
@@ -89,7 +89,7 @@ def _die(owner: object, name: str, times: int) -> None:
         taken += 1
         result = step(*text, **named)
         if taken >= times:
-            os.kill(os.getpid(), signal.SIGKILL)
+            kill()
         return result
 
     setattr(owner, name, deadly)
@@ -124,7 +124,7 @@ def run_victim(
         rest = process.stdout.read()
         if kill_after_s is None:
             killed = time.monotonic()
-    assert process.returncode == -signal.SIGKILL, process.returncode
+    assert was_killed(process.returncode), process.returncode
     lines = [line.split() for line in (first + rest).decode().splitlines()]
     return [(int(samples), float(moment)) for samples, moment in lines], killed
 

@@ -1,12 +1,13 @@
 """Pieces of work for other processes, which leave traces in a folder."""
 
 import os
-import signal
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+
+from ending import kill
 
 PATIENCE_S = 600.0
 
@@ -36,7 +37,7 @@ def traced(folder_and_number: tuple[Path, int]) -> bytes:
 def deadly(number: int) -> int:
     """Take the process along for number 1."""
     if number == 1:
-        os.kill(os.getpid(), signal.SIGKILL)
+        kill()
     return number
 
 

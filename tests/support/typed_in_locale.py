@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from PySide6.QtWidgets import QAbstractButton, QLineEdit, QWidget
 
-    from dragrig.window.number_field import NumberField
+    from dragrig.window.forms import NumberField
 
 LOCALES = ("de_DE", "fr_FR", "pt_BR", "en_US")
 _MINUS, _NO_BREAK, _NARROW = "\u2212", "\u00a0", "\u202f"

@@ -57,12 +57,12 @@ class Connection:
         self._channel: grpc.Channel | None = None
 
     def task(self, role: str = "") -> nidaqmx.Task:
-        """Return a new task, which its caller closes; raises what the driver raises.
+        """Return a new task, which its caller closes; raises the driver's errors.
 
         Parameters
         ----------
         role
-            What the task is for. A server keeps the tasks of a program that was killed; by its role the task that this
+            Purpose of the task. A server keeps the tasks of a program that was killed; by its role the task that this
             computer left there is found and closed first. Without a role it is not.
         """
         if not self.card.server:
@@ -135,7 +135,7 @@ def _time_was_up(outcome: object) -> bool:
 
 
 def has_lost_reply(error: RpcError) -> bool:
-    """Whether a server's reply did not come in time, so that what it read may be lost with it."""
+    """Whether a server's reply did not come in time, so that its samples may be lost with it."""
     return getattr(error.rpc_code, "name", "") == "DEADLINE_EXCEEDED"
 
 
@@ -177,12 +177,12 @@ _MESSAGES = {
 
 @contextmanager
 def driver_errors_wrapped(card: CardSettings, doing: str) -> Iterator[None]:
-    """Turn what the driver raises inside into a `DeviceError`.
+    """Turn the driver's errors inside into a `DeviceError`.
 
     Parameters
     ----------
     doing
-        What is being done, to follow the word while: "it is armed", "it samples", ….
+        The present action, to follow the word while: "it is armed", "it samples", ….
     """
     try:
         yield
@@ -191,7 +191,7 @@ def driver_errors_wrapped(card: CardSettings, doing: str) -> Iterator[None]:
 
 
 def driver_errors() -> tuple[type[Exception], ...]:
-    """Return what a call of `nidaqmx` may raise; gRPC's own error only where gRPC is in use."""
+    """Return the errors that a call of `nidaqmx` may raise; gRPC's own error only where gRPC is in use."""
     grpc = sys.modules.get("grpc")
     return (Error,) if grpc is None else (Error, grpc.RpcError)
 

@@ -1,7 +1,7 @@
 """Oversampling: the card takes several samples for each recorded one, and a digital filter keeps aliases out of them.
 
 The filter is a low-pass of linear phase (a Kaiser window, `scipy.signal.firwin`). Its delay is compensated: a recorded
-sample is the filter's output about the very sample of the card whose count is recorded with it. It needs samples on
+sample is the filter's output about the very sample of the card that its count was read at. It needs samples on
 both sides for that, so that a recorded sample is there `WINGS` sample times after its instant; before the first sample
 the inputs count as constant.
 """
@@ -34,7 +34,7 @@ _MAX_RATE_HZ = 25_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AntiAliasFilter:
-    """What makes a recorded sample of `factor` samples of the card; with a factor of 1 nothing is filtered.
+    """The filter from `factor` samples of the card to a recorded one; with a factor of 1 nothing is filtered.
 
     Attributes
     ----------
@@ -94,12 +94,12 @@ class OversampledFetcher:
     """Fetches the card's samples and returns recorded ones. Belongs to one thread.
 
     Indices and numbers of samples are those of recorded samples. Where samples are lost, recording goes on with the
-    first recorded sample whose instant was sampled.
+    first recorded sample with a sampled instant.
 
     Parameters
     ----------
     fetcher
-        Fetches what a block of recorded samples and a wing of the filter take.
+        Fetches the samples of a block and of a wing of the filter.
     """
 
     def __init__(self, fetcher: SampleFetcher, anti_alias: AntiAliasFilter, inputs: int) -> None:
@@ -143,7 +143,7 @@ class OversampledFetcher:
         return SampleBatch(first, lost, volts, counts, batch.force_input)
 
     def skip_to_newest(self) -> None:
-        """Pass over what the card holds, which counts as lost."""
+        """Pass over the samples in the card, which count as lost."""
         self._fetcher.skip_to_newest()
 
     def _append(self, batch: SampleBatch) -> None:
@@ -173,7 +173,7 @@ class Tone:
 
 @dataclass(frozen=True, slots=True)
 class Alias:
-    """What the force input holds beyond half the recorded rate, and what the recorded force would hold of it."""
+    """Force beyond half the recorded rate at the input, and its share in the recorded force."""
 
     input_V: float
     """All of it at the input (root of the mean square)."""
@@ -190,7 +190,7 @@ _LINE_BINS = 3
 
 
 def find_aliases(volts: FloatArray, rate_hz: float, anti_alias: AntiAliasFilter, recorded_hz: float) -> Alias:
-    """Return what is beyond half of a recording's rate, and what the recording would fold down of it.
+    """Return the force beyond half of a recording's rate, and the part that the recording would fold down.
 
     Parameters
     ----------

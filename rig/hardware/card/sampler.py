@@ -55,7 +55,7 @@ _POST_STOP_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class ReadSettings:
-    """How much to sample, in what blocks, and how long without samples counts as stale."""
+    """How much to sample, in which blocks, and how long without samples counts as stale."""
 
     samples: int
     block_samples: int
@@ -76,7 +76,7 @@ class ReaderThread:
     Parameters
     ----------
     fetcher, monitor, close
-        The started tasks' samples, what judges the force input, and what closes the tasks. They belong to the thread
+        The started tasks' samples, the judge of the force input, and the end of the tasks. They belong to the thread
         from here on.
     """
 
@@ -114,9 +114,9 @@ class ReaderThread:
         ------
         StaleDataError
             When the newest sample is older than `ReadSettings.stale_s`, in wall time; `OverrunError` where those after
-            it are lost. What arrives later can still be read.
+            it are lost. Samples that arrive later can still be read.
         DeviceError
-            What ended the thread; again at every call.
+            The error that ended the thread; again at every call.
         """
         while not (cancel.is_set() or self._end_requested.is_set()):
             feed_watchdog()
@@ -414,7 +414,7 @@ class CardSampler:
     def measure(self, duration_s: float, cancel: Signal | None = None) -> RawReading:
         """Sample for a while without moving, and return the raw voltages and counts, for a calibration.
 
-        Once `cancel` is set, what was sampled until then is returned.
+        Once `cancel` is set, the samples until then are returned.
 
         Raises
         ------
@@ -437,7 +437,7 @@ class CardSampler:
 
         Yields
         ------
-        What returns the next block from now on: the force input's volts, and the encoder's counts since the
+        Returns the next block from now on: the force input's volts, and the encoder's counts since the
         beginning, rising where the stage moves up, shape `(n,)` each. Nothing is counted twice or missed between two
         calls. Raises as `measure`.
 
@@ -476,7 +476,7 @@ class CardSampler:
                 tasks.close()
 
     def probe_aliases(self) -> Alias:
-        """Sample the force input alone, as fast as the card can, and return what a recording would fold down of it.
+        """Sample the force input alone, as fast as the card can, and return the part that a recording would fold down.
 
         Raises `DeviceError` when the sampler is armed, or the card fails.
         """
@@ -497,7 +497,7 @@ class CardSampler:
     ) -> tuple[FloatArray, FloatArray, Trip | None]:
         """Return the force's volts and the encoder's counts of the next samples, shape `(samples,)` or shorter each.
 
-        Last comes what the force input showed of the sensor.
+        Last comes the state of the sensor as the force input showed it.
         """
         volts, counts = np.empty(samples), np.empty(samples)
         stale_s, last_data_s = self._rig.guard.stale_data_s, time.monotonic()

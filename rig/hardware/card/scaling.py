@@ -1,4 +1,4 @@
-"""Scaling of volts and counts to forces, positions and further quantities, and what volts show of the force sensor."""
+"""Scaling of volts and counts to forces, positions and further quantities, and the sensor's state by its volts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -103,7 +103,7 @@ class NoiseLimits:
     bin_samples
         Samples in a mean.
     converter_V
-        What the converter's own noise leaves in the means.
+        The converter's own noise in the means.
     least_V
         Noise of the means below which the sensor is dead; 0 where that is not known.
     least_sample_V
@@ -141,7 +141,7 @@ class ForceInputMonitor:
         return self._means.noise
 
     def add(self, volts: FloatArray) -> Trip | None:
-        """Take the next volts, shape `(n,)`; return what is wrong with the sensor, None when nothing is."""
+        """Take the next volts, shape `(n,)`; return the sensor's fault, None where there is none."""
         if not len(volts):
             return None
         limits, last_V = self._limits, float(volts[-1])

@@ -4,7 +4,7 @@ The encoder's counter counts from its own start on, and the analog inputs' sampl
 started first, and sample `k` of both tasks is the same instant.
 
 A voltage output is a waveform that is generated while it is written: clocked by the card, never repeated. The card
-holds its last voltage when a task ends, for whatever reason; so a waveform ends at 0 V, and an underflow is followed by
+holds its last voltage when a task ends, for any reason; so a waveform ends at 0 V, and an underflow is followed by
 a single write of 0 V.
 """
 
@@ -68,7 +68,7 @@ class LostReplyError(Exception):
 
 
 class BufferedInput:
-    """A continuous task whose samples are counted from its first one. Belongs to one thread at a time.
+    """A continuous task with its samples counted from the first. Belongs to one thread at a time.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ class SampleFetcher:
         return self._complete_batch()
 
     def skip_to_newest(self) -> None:
-        """Pass over what the card holds, which counts as lost."""
+        """Pass over the samples in the card, which count as lost."""
         newest = max(self._analog.acquired, self._encoder.acquired, self.next_index + 1)
         self.lost += newest - self.next_index
         self.next_index = newest
@@ -242,7 +242,7 @@ class SampleFetcher:
 
 @dataclass(frozen=True, slots=True)
 class ScanTiming:
-    """The clocks that the card made of what was asked: whole fractions of its time bases."""
+    """The card's clocks, nearest to the requested ones: whole fractions of its time bases."""
 
     rate_hz: float
     """Samples per second of every input."""
@@ -282,12 +282,12 @@ class SampledTasks:
             self._tasks = stack.pop_all()
 
     def start(self, start_clock: Callable[[Callable[[], None]], None]) -> None:
-        """Start the counter, then let `start_clock` start the analog inputs, whose clock latches it."""
+        """Start the counter, then let `start_clock` start the analog inputs; their clock latches it."""
         self.encoder.start()
         start_clock(self.analog.start)
 
     def close(self) -> None:
-        """Stop both tasks and release their resources; raises what the driver raises, after both are closed."""
+        """Stop both tasks and release their resources; raises the driver's errors, after both are closed."""
         self._tasks.close()
 
 
@@ -496,7 +496,7 @@ class VoltageOutput:
         Parameters
         ----------
         volts
-            Contiguous, shape `(n,)`, at least what is to be written ahead.
+            Contiguous, shape `(n,)`, at least as many as are to be written ahead.
         trigger
             Such as ai/StartTrigger; empty for at once.
 
@@ -525,7 +525,7 @@ class VoltageOutput:
         self._task, self._writer, self.written = task, writer, len(volts)
 
     def write(self, volts: FloatArray) -> None:
-        """Append voltages, a contiguous array of shape `(n,)`; raises what `generated` raises."""
+        """Append voltages, a contiguous array of shape `(n,)`; raises as `generated` does."""
         if self._writer is None:
             raise DeviceError("the velocity output has no waveform to append to: begin one first.")
         with self._errors_wrapped("the velocity is written"):

@@ -1,7 +1,8 @@
-"""What is said between program and drive, and what a dialect has to do: turn it into bytes and back.
+"""Requests and replies between program and drive, and the task of a dialect: to turn them into bytes and back.
 
-A dialect is a value with pure functions; it knows no port, no time and no thread. What its drive lacks it declares, and
-the settings are refused when nothing on the rig stands in for it. How to fit another one: docs/drive-dialect.md.
+A dialect is a value with pure functions; it knows no port, no time and no thread. It declares the functions that its
+drive lacks, and the settings are refused when nothing on the rig stands in for it. How to fit another one:
+docs/drive-dialect.md.
 """
 
 import importlib
@@ -17,7 +18,7 @@ from dragrig.config import DriveSettings, HardwareSettings, SettingsError
 
 
 class Command(StrEnum):
-    """What a drive can be asked for."""
+    """The requests to a drive."""
 
     STATUS = "status"
     POSITION = "position"
@@ -34,7 +35,7 @@ class Command(StrEnum):
 
 
 class Parameter(StrEnum):
-    """What is set in a drive and read back; the unit is part of the name."""
+    """The settings of a drive, written and read back; the unit is part of the name."""
 
     THRUST_LIMIT_N = "thrust limit"
     LOWEST_MM = "lower soft limit"
@@ -48,7 +49,7 @@ class Parameter(StrEnum):
 
 
 class Refusal(StrEnum):
-    """Why a drive does not do what it is told, in words that go on after "the drive refuses, for"."""
+    """Why a drive refuses a command, in words that go on after "the drive refuses, for"."""
 
     DISABLED = "it is switched off"
     NOT_HOMED = "it does not know where it is"
@@ -102,7 +103,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What a drive says of itself."""
+    """A drive's own state."""
 
     enabled: bool
     homed: bool
@@ -130,7 +131,7 @@ class FrameError(Exception):
 
 
 class Lack(StrEnum):
-    """What a drive or its protocol does not have, in words that go on after "the drive"."""
+    """Functions that a drive or its protocol may lack, in words that go on after "the drive"."""
 
     SILENCE_TIMEOUT = "does not stop by itself when it hears nothing"
     """`Parameter.SILENCE_S` is then neither written nor read."""
@@ -158,33 +159,33 @@ class Dialect(ABC):
     @property
     @abstractmethod
     def lacks(self) -> frozenset[Lack]:
-        """What the drive does not have."""
+        """The functions that the drive lacks."""
 
     @abstractmethod
     def frame_length(self, received: bytes) -> int:
-        """Length of the drive's first whole frame in what was received so far; 0 while there is none."""
+        """Length of the drive's first whole frame among the bytes received so far; 0 while there is none."""
 
     @abstractmethod
     def encode(self, request: Request, drive: DriveSettings) -> tuple[bytes, ...]:
-        """Return the frames of a request, of which each is sent once the one before is answered.
+        """Return the frames of a request, each to be sent once the one before is answered.
 
         The frame that starts a motion is the last.
         """
 
     @abstractmethod
     def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | bytes | None:
-        """Return what the drive's replies to a request's frames, so far, say.
+        """Return the content of the drive's replies to a request's frames so far.
 
         None when the next frame is due, and a frame of its own when that has to be asked first, such as why the drive
         refuses.
 
-        The last of `replies` may be anything that came over the line: what is damaged, comes from another station or
-        answers something else is refused.
+        The last of `replies` may be anything that came over the line: a reply that is damaged, comes from another
+        station or answers something else is refused.
         """
 
     @abstractmethod
     def resolution(self, parameter: Parameter, drive: DriveSettings) -> float:
-        """Smallest step of a parameter, in its unit: what is read back may differ by so much from what was set."""
+        """Smallest step of a parameter, in its unit: a setting read back may differ by so much from the written one."""
 
     @abstractmethod
     def alarm(self, code: int) -> str:

@@ -3,7 +3,7 @@
 Checked against public documents: form of commands and replies, codes of errors, bits of the registers 0xa0, 0xa4 and
 0xc9, numbers and units of the parameters used here (Copley ASCII Programmer's Guide 16-01196, Copley ASCII Interface
 CC95-00404, and the examples that Copley publishes as CopleyControlsOfficial/Serial_Examples). Followed from them and
-seen nowhere as such: the homing methods 545 and 561, put together from their bits, and what a drive answers to a move
+seen nowhere as such: the homing methods 545 and 561, put together from their bits, and the answer of a drive to a move
 that it will not make.
 
 ::
@@ -14,12 +14,13 @@ that it will not make.
                                                  refusal e code    CR
 
 A frame has no checksum, a reply names neither command nor node, and nothing stops the drive when its line falls silent:
-`lacks` says so. A damaged digit of a reading is therefore not noticed; what is written, target included, is read back.
+`lacks` says so. A damaged digit of a reading is therefore not noticed; every written value, the target included, is
+read back.
 
 Values are whole numbers of counts of the drive's encoder, tenths of a count per second, tens of counts per second
 squared and hundredths of an ampere. `hardware.drive.counts_per_mm` and `thrust_N_per_A` turn them into ours. The thrust
 limit is the peak current (0x21); the continuous current (0x22), the homing acceleration (0xc5) and the home offset
-(0xc6) keep what was set when the drive was commissioned.
+(0xc6) keep their settings of the time when the drive was commissioned.
 """
 
 import re
@@ -132,7 +133,7 @@ class CopleyDialect(Dialect):
         return frozenset(Lack)
 
     def frame_length(self, received: bytes) -> int:
-        """Length up to and with the carriage return; what never ends is given up after 64 bytes."""
+        """Length up to and with the carriage return; a frame without end is given up after 64 bytes."""
         end = received.find(_END) + 1
         return end or (_MAX_FRAME_BYTES if len(received) >= _MAX_FRAME_BYTES else 0)
 
@@ -141,7 +142,7 @@ class CopleyDialect(Dialect):
         return tuple(_framed(command, drive) for command in _commands(request, drive))
 
     def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | bytes | None:
-        """Return what the drive says once it has said all that the request needs."""
+        """Return the drive's answer once it has all that the request needs."""
         commands = _commands(request, drive)
         kind = commands[len(replies) - 1][0] if len(replies) <= len(commands) else "g"
         value = _parse(replies[-1], with_value=kind == "g")
@@ -164,7 +165,7 @@ class CopleyDialect(Dialect):
 
 
 def _result(request: Request, values: list[int], drive: DriveSettings) -> Reply:
-    """Return what all the values of a request's replies say."""
+    """Return the answer that all the values of a request's replies make."""
     if request.command is Command.STATUS:
         return Reply(status=_decode_status(*values))
     if request.command is Command.ENABLE:

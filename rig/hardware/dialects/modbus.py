@@ -46,7 +46,7 @@ _EXCEPTIONS: Mapping[int, Refusal] = MappingProxyType({3: Refusal.BAD_VALUE, 6: 
 
 @dataclass(frozen=True, slots=True)
 class RegisterMap:
-    """Where a drive holds what; 32-bit numbers are signed, high word first, and take two registers.
+    """The registers of a drive; 32-bit numbers are signed, high word first, and take two registers.
 
     To be set to the drive's manual: the defaults are no product's.
     """
@@ -119,7 +119,7 @@ class ModbusDialect(Dialect):
         return frozenset({Lack.REPEATED_COMMAND} | ({Lack.SILENCE_TIMEOUT} if silent else set()))
 
     def frame_length(self, received: bytes) -> int:
-        """Length as the function code says; whatever has none of the known codes is given up as a whole."""
+        """Length as the function code says; a frame with none of the known codes is given up as a whole."""
         if len(received) < _READ_HEADER_BYTES:
             return 0
         function = received[1]
@@ -134,11 +134,11 @@ class ModbusDialect(Dialect):
         return length if len(received) >= length else 0
 
     def encode(self, request: Request, drive: DriveSettings) -> tuple[bytes, ...]:
-        """Return the frames of a request: a reading, or what is written, a target before the command to go there."""
+        """Return the frames of a request: a reading, or values to write, a target before the command to go there."""
         return tuple(_framed(body, drive.station) for body in self._bodies(request))
 
     def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply | bytes | None:
-        """Return what the drive says; after a "device failure" of a command, ask why."""
+        """Return the drive's answer; after a "device failure" of a command, ask why."""
         bodies, reply = self._bodies(request), _body(replies[-1], drive.station)
         if len(replies) > len(bodies):
             _require_answer(_read(self.registers.refusal, 1), reply)

@@ -1,8 +1,8 @@
 """A dialect for the NLA-7SL's NIKKI DENSO drive, UNVERIFIED: it was never used with a drive.
 
 No public description of the drive's serial link was found, so that frame, checksum, command names, parameter numbers,
-units and codes below are placeholders of a usual kind, all in this one module. docs/drive-dialect.md says what to
-change once the drive's manual is at hand.
+units and codes below are placeholders of a usual kind, all in this one module. docs/drive-dialect.md has the list of
+changes once the drive's manual is at hand.
 
 ::
 
@@ -91,7 +91,7 @@ class NikkiDialect(Dialect):
         return frozenset()
 
     def frame_length(self, received: bytes) -> int:
-        """Length up to and with the checksum; what never ends is given up after 64 bytes."""
+        """Length up to and with the checksum; a frame without end is given up after 64 bytes."""
         end = received.find(_ETX)
         if end < 0:
             return _MAX_FRAME_BYTES if len(received) >= _MAX_FRAME_BYTES else 0
@@ -109,7 +109,7 @@ class NikkiDialect(Dialect):
         return (_build_frame(drive.station, request.command, request.parameter, text),)
 
     def decode(self, request: Request, replies: tuple[bytes, ...], drive: DriveSettings) -> Reply:
-        """Return what the drive says."""
+        """Return the drive's answer."""
         part, command, parameter = _parse_frame(replies[-1], drive.station)
         if (command, parameter) != (request.command, request.parameter):
             raise FrameError(f"it answered '{command}' instead")

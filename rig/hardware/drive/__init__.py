@@ -1,4 +1,4 @@
-"""What goes through the drive's serial link, and the stages made of it.
+"""The drive's serial link, and the stages that move by it.
 
 `__init__.pyi` lists the public names and their modules, which are loaded on first use.
 """

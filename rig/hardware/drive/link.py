@@ -66,8 +66,8 @@ class _StopFirstError(Exception):
 class _TurnLock:
     """A re-entrant lock that threads get in the order in which they asked for it.
 
-    Python's own goes to whoever asks first once it is free. A thread with many requests in a row asks again at once,
-    and would keep the monitor from polling for as long as they take.
+    Python's own goes to the thread that asks first once it is free. A thread with many requests in a row asks again at
+    once, and would keep the monitor from polling for as long as they take.
     """
 
     def __init__(self) -> None:
@@ -156,7 +156,7 @@ class DriveLink:
 
     @property
     def stop_count(self) -> int:
-        """Number of stops requested so far: `exchange` drops what was planned at a lower count."""
+        """Number of stops requested so far: `exchange` drops requests planned at a lower count."""
         return self._stop_count
 
     def on_stop(self, listener: Callable[[], None]) -> None:
@@ -216,7 +216,7 @@ class DriveLink:
     def prepare(self, request: Request, planned_at: int) -> None:
         """Send all frames of a request but the last, so that its `exchange`, if it is the next, is short.
 
-        Nothing moves by it. A refusal is left for the exchange to tell; raises what else `exchange` raises.
+        Nothing moves by it. A refusal is left for the exchange to tell; raises the other errors of `exchange`.
         """
         with self._lock:
             self._send_stop_if_due()
@@ -225,7 +225,7 @@ class DriveLink:
                     self._exchange_once(request, only_prepare=True)
 
     def set(self, parameter: Parameter, value: float) -> None:
-        """Set a parameter; raises what `exchange` raises."""
+        """Set a parameter; raises as `exchange` does."""
         self.exchange(Request(Command.SET, parameter, value))
 
     def set_and_verify(self, parameter: Parameter, value: float, key: str) -> None:
@@ -239,7 +239,7 @@ class DriveLink:
         Raises
         ------
         DeviceError
-            When the drive holds another value than the one that was written, and whatever `exchange` raises.
+            When the drive holds another value than the one that was written, and as `exchange` does.
         """
         self.set(parameter, value)
         held = self.exchange(Request(Command.READ, parameter)).value
@@ -344,7 +344,7 @@ class DriveLink:
     def _transceive(
         self, frame: bytes, request: Request, replies: tuple[bytes, ...]
     ) -> tuple[tuple[bytes, ...], Reply | bytes | None]:
-        """Send a frame; return the replies with the one to it, and what they say."""
+        """Send a frame; return the replies with the one to it, and their content."""
         if self._unheard_since_s is None:
             self._unheard_since_s = time.monotonic()
         # A reply that came too late for its own request would be taken for the reply to this one.
@@ -381,7 +381,7 @@ class DriveLink:
         self._used_s = time.perf_counter()
 
     def _describe_failure(self, count: int, problem: str) -> str:
-        """Return what came in place of a reply, and what to check in which order."""
+        """Return the bytes that came in place of a reply, and the checks to make, in order."""
         drive, understood_before = self._settings, bool(self._round_trips_s)
         if not count and understood_before:
             return "nothing came): check its power, cable and settings (hardware.drive.reply_s of the rig file)."
@@ -459,7 +459,7 @@ def _open_port(settings: DriveSettings) -> serial.Serial:
 
 
 def serial_ports() -> dict[str, str]:
-    """Return the serial ports of this computer and what they say of themselves, by name."""
+    """Return the serial ports of this computer and their own descriptions, by name."""
     from serial.tools.list_ports import comports
 
     return {found.device: found.description for found in sorted(comports(), key=lambda found: str(found.device))}

@@ -2,11 +2,11 @@
 
 A drive that receives nothing for `hardware.drive.silence_s` stops by itself, and so does one whose heartbeat relay sees
 no edge. Both signals come from the monitor's threads, so that neither outlives the program; and both end when the
-program no longer reads its data (`Watchdog`), or when what it reads is stale, so that neither a hung program nor a
+program no longer reads its data (`Watchdog`), or when its samples are stale, so that neither a hung program nor a
 blind guard keeps the stage moving.
 
 A drive that answers nothing for `silence_s` may have a silence timeout or not: then the heartbeat ends and the enable
-line is cleared. What decides that is a thread of its own, because the one that polls waits for the serial line; it also
+line is cleared. A thread of its own decides that, because the one that polls waits for the serial line; it also
 looks at the switches while the other waits.
 """
 
@@ -38,7 +38,7 @@ _STALE_GRACE_S = 0.05
 class Watchdog:
     """Time since the program last showed that it reads its data: it feeds the watchdog, the monitor looks at it.
 
-    The time is wall time, whatever clock the rig uses: a hung program is a matter of this computer.
+    The time is wall time, also where the rig has another clock: a hung program is a matter of this computer.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class Watchdog:
 
 @dataclass(frozen=True, slots=True)
 class StageDevices:
-    """What a stage works with."""
+    """The parts that a stage works with."""
 
     settings: RigSettings
     link: DriveLink
@@ -69,19 +69,19 @@ class StageDevices:
 
 
 class Monitor:
-    """The one owner of what forbids motion. `fault` may be read by any thread and never blocks.
+    """The one owner of the reason that forbids motion. `fault` may be read by any thread and never blocks.
 
     Parameters
     ----------
     poll_drive
-        Requests the drive's status, which feeds its silence timeout; returns what forbids motion, or None. May raise
-        `DeviceError`.
+        Requests the drive's status, which feeds its silence timeout; returns the reason that forbids motion, or None.
+        May raise `DeviceError`.
     stop
         Stops the stage; must return at once.
     may_beat
         Whether the heartbeat goes on; without it the relay opens.
     ending
-        Held while a movement and the tolerance of a switch end, which are one step for whoever holds it.
+        Held while a movement and the tolerance of a switch end, which are one step for the thread that holds it.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class Monitor:
 
     @property
     def fault(self) -> Trip | None:
-        """What forbade motion at the last poll; what has stopped a motion is latched until `clear`."""
+        """The fault at the last poll; a fault that has stopped a motion is latched until `clear`."""
         return self._fault
 
     def start(self) -> None:
@@ -139,7 +139,7 @@ class Monitor:
             thread.start()
 
     def poll(self) -> Trip | None:
-        """Read switches and drive now, and return what forbids motion."""
+        """Read switches and drive now, and return the fault that forbids motion."""
         with self._polling:
             # Read before the drive answers, which may have stopped by itself already: the program's own stop follows.
             moved, tolerated = self._moving_and_tolerated()
@@ -160,9 +160,9 @@ class Monitor:
         self._drive_on = on
 
     def latch(self, trip: Trip) -> None:
-        """Latch a fault until `clear`, and stop what moves; the first one is kept.
+        """Latch a fault until `clear`, and stop the motion; the first one is kept.
 
-        An emergency stop is what it then is, whatever it looked like to the thread that saw its effects first.
+        An emergency stop is named as such, also where the thread that saw its effects first took it for something else.
         """
         first, self._latched = self._latched is None, self._latched or trip
         self._report(self._latched, moved=self._sync.moving)
@@ -170,7 +170,7 @@ class Monitor:
             self._fault = self._latched = pressed
 
     def clear(self) -> None:
-        """Drop what was latched; what is still wrong comes back at the next poll."""
+        """Drop the latched fault; a fault that persists comes back at the next poll."""
         self._latched = None
         self._power_released = False
 
@@ -292,7 +292,7 @@ class Monitor:
             self.latch(Trip(TripCause.CARD_FAULT, reason_of(error)))
 
     def _guard_blind(self) -> Trip | None:
-        """Return why the guard does not see what moves: the program hangs, or the samples that it has are stale."""
+        """Return why the guard does not see the motion: the program hangs, or the samples that it has are stale."""
         if not (self._sync.moving and self._sync.armed and self._sync.first_sample is not None):
             self._sampled_motion_since_s = None
             return None

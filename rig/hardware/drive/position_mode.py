@@ -1,7 +1,8 @@
 """The stage in position mode: the drive takes position commands over the serial link and makes trapezoidal strokes.
 
-A profile is split at its standstills into strokes; a thread of the motion's own sends each at its time. What the drive
-must observe by itself (thrust limit, soft limits, silence timeout) is written to it and read back before every motion.
+A profile is split at its standstills into strokes; a thread of the motion's own sends each at its time. The limits that
+the drive must observe by itself (thrust limit, soft limits, silence timeout) are written to it and read back before
+every motion.
 """
 
 import threading
@@ -120,7 +121,7 @@ class StrokeMovement(Movement):
     round_trip_s
         Time between a request and its reply, in the rig's time: a request takes half of it to the drive.
     on_failure
-        Called from the thread with what the drive did not accept.
+        Called from the thread with the error of a stroke that the drive did not accept.
     on_all_sent
         Called once no stroke is left to be sent.
     """

@@ -1,4 +1,4 @@
-"""What the stages of both drive modes share: drive state, limits, override of a limit switch, checks before motion.
+"""Common to the stages of both drive modes: drive state, limits, override of a limit switch, checks before motion.
 
 `DriveTracker` polls the drive and knows when a movement is over; `MonitoredStage` is the base of the two stages.
 """
@@ -69,7 +69,7 @@ class Movement:
         return 0.0
 
     def mark_started(self) -> None:
-        """Record that the drive has accepted the command; only what it reports from here on counts."""
+        """Record that the drive has accepted the command; only its reports from here on count."""
         self._started_s, self._seen_moving = time.monotonic(), False
 
     def mark_complete(self) -> None:
@@ -147,7 +147,7 @@ class DriveTracker:
             movement.cancel()
 
     def drop_movement(self) -> None:
-        """End the movement, of which the drive never got a command."""
+        """End a movement that the drive never got a command for."""
         with self._lock:
             self._end_movement()
 
@@ -164,7 +164,7 @@ class DriveTracker:
                 self._stop_trip = None
 
     def poll(self) -> Trip | None:
-        """Request the drive's status and return what forbids motion.
+        """Request the drive's status and return the fault that forbids motion.
 
         Raises `DeviceError` when it does not answer, or its port fails. After `self_stop_s` without an answer it counts
         as standing.
@@ -240,7 +240,7 @@ def write_travel(link: DriveLink, limits: StageLimits) -> None:
 
 
 class MonitoredStage(ABC):
-    """A stage whose drive and switches are monitored from the monitor's start until `close`.
+    """A stage with drive and switches monitored from the monitor's start until `close`.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ class MonitoredStage(ABC):
 
     @property
     def fault(self) -> Trip | None:
-        """What drive and switches reported at the last poll; what was latched stays until `disable`."""
+        """The fault that drive and switches reported at the last poll; a latched one stays until `disable`."""
         return self._monitor.fault
 
     @property
@@ -294,7 +294,7 @@ class MonitoredStage(ABC):
         return StageState(position_mm, self._is_enabled, self._is_homed, self._sync.moving, fault, drive_mm)
 
     def _drive_position_mm(self, position_mm: float) -> float:
-        """Return the drive's own position; `position_mm` is what `_position_mm` gave."""
+        """Return the drive's own position; `position_mm` is that of `_position_mm`."""
         return position_mm
 
     @abstractmethod
@@ -442,7 +442,7 @@ class MonitoredStage(ABC):
         """Wait for standstill after a stop, for a limited time, and hold the stage no longer."""
 
     def disable(self) -> None:
-        """Stop, switch the drive off, and clear its alarm and whatever was latched.
+        """Stop, switch the drive off, and clear its alarm and the latched fault.
 
         Raises `DeviceError` when the drive does not answer; its enable line is cleared all the same.
         """
@@ -523,7 +523,7 @@ class MonitoredStage(ABC):
     def _checked_limits(self, profile: MotionProfile, origin_mm: float) -> StageLimits:
         """Return the limits of a profile from a position, with an override; raises `DeviceError` beyond them.
 
-        With an overridden limit switch, whatever goes towards it or leaves it fast is refused.
+        With an overridden limit switch, a motion towards it, or away from it in haste, is refused.
         """
         if self._override is not None:
             extremes, max_mm_s = profile.extremes(), self._drive.homing_speed_mm_s

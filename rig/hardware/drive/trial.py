@@ -22,7 +22,7 @@ _MAX_VOLTAGE_SCALE_ERROR = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """What a pulse was to be, and what became of it; signed travels from standstill to standstill [mm]."""
+    """A pulse as planned and as made; signed travels from standstill to standstill [mm]."""
 
     commanded_mm: float | None
     """None where the drive homed by itself, and chose the travel."""
@@ -34,7 +34,7 @@ class Pulse:
     """Whether a drive that was to home by itself went the wrong way."""
 
     def problem(self, rig: RigSettings) -> str:
-        """Say what is wired or set wrongly, without a full stop; empty when command, drive and encoder agree."""
+        """Say which wire or setting is wrong, without a full stop; empty when command, drive and encoder agree."""
         card, velocity = rig.hardware.card, rig.hardware.drive.velocity
         by_voltage = rig.hardware.drive.mode == "velocity"
         resolution_um, wires = rig.encoder.resolution_um, f"{card.encoder.a} and {card.encoder.b}"
@@ -96,7 +96,7 @@ class Pulse:
 
 
 def homing_remedy(rig: RigSettings) -> str:
-    """Say what to do about a drive that homes the wrong way."""
+    """Return the remedy for a drive that homes the wrong way."""
     return (
         f"hardware.drive.homing_direction is '{rig.hardware.drive.homing_direction}': set homing method and sense of "
         "motion in the drive to it, or the setting to the drive"

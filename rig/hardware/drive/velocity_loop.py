@@ -1,8 +1,8 @@
 """The velocity loop: a thread that streams speed setpoints as voltages and corrects them by the encoder.
 
 All times are counted in samples of the analog output, as the card counts them, so that neither this computer's clock
-nor its scheduling shifts the setpoint. What is written is put out `ahead` updates later at most; a stop takes as long
-to begin.
+nor its scheduling shifts the setpoint. A voltage is put out `ahead` updates after its writing at most; a stop takes as
+long to begin.
 """
 
 import itertools
@@ -22,7 +22,7 @@ _ZERO_MOTION = MotionProfile.from_pieces([stationary_piece(1.0, Phase.HOLD)])
 
 @dataclass(frozen=True, slots=True)
 class MotionCommand:
-    """What the stage is to do."""
+    """The controller of the stage's speed."""
 
     profile: MotionProfile
     origin_mm: float
@@ -45,7 +45,7 @@ class MotionCommand:
 
     @classmethod
     def rest(cls) -> "MotionCommand":
-        """Return the command to have no speed, at whatever position."""
+        """Return the command to have no speed, at any position."""
         return cls(_ZERO_MOTION, 0.0, closed=False)
 
 
@@ -80,7 +80,7 @@ class SpeedController:
         self.command, self.braking = command, False
 
     def brake(self) -> None:
-        """Come to a standstill from the next sample on, whatever the position is, and stay at speed 0."""
+        """Come to a standstill from the next sample on, at any position, and stay at speed 0."""
         self.command, self.braking = MotionCommand.rest(), True
 
     def following_error_mm(self, sample: float, position_mm: float) -> float:
@@ -136,7 +136,7 @@ _CHECKS_PER_UPDATE = 4
 
 
 class AOStreamer:
-    """Keeps the velocity output a little ahead of what is put out: speeds from a controller, as voltages.
+    """Keeps the velocity output a little ahead of its output: speeds from a controller, as voltages.
 
     Belongs to one thread at a time.
     """
@@ -159,7 +159,7 @@ class AOStreamer:
         self._output.begin(self._volts(self._ahead), trigger)
 
     def fill(self, generated: int) -> float:
-        """Write what is due, and return for how long nothing will be due [s].
+        """Write the voltages that are due, and return for how long none will be [s].
 
         Raises
         ------
@@ -211,7 +211,7 @@ class StandstillDetector:
     count_mm
         Length of a count.
     velocity
-        The output, whose update time is the time between two readings.
+        The output; its update time is the time between two readings.
     """
 
     def __init__(self, count_mm: float, velocity: VelocityOutputSettings) -> None:
@@ -269,7 +269,7 @@ class VelocityLoop:
     Parameters
     ----------
     on_fault
-        Called with what ended the loop or forbids motion, from whatever thread noticed it.
+        Called with the fault that ended the loop or forbids motion, from the thread that noticed it.
     cut_power
         Called when the stage cannot be braked by its voltage: takes the drive's power, and must not raise.
     on_rest
@@ -309,7 +309,7 @@ class VelocityLoop:
 
     @property
     def stop_count(self) -> int:
-        """Number of stops requested so far: `follow` drops what was planned at a lower count."""
+        """Number of stops requested so far: `follow` drops motions planned at a lower count."""
         return self._stop_count
 
     def start(self, *, closed: bool = True) -> None:
@@ -351,7 +351,7 @@ class VelocityLoop:
             self._controller.follow(MotionCommand.hold(self._counter.read()))
 
     def brake(self) -> int:
-        """Come to a standstill, beginning once what is written is put out; return the new `stop_count`.
+        """Come to a standstill, beginning once the written voltages are put out; return the new `stop_count`.
 
         Safe in any thread and in signal handlers.
         """

@@ -41,7 +41,7 @@ class VelocityModeStage(MonitoredStage):
     Parameters
     ----------
     connection
-        The card whose output and counter are used.
+        The card that has the output and the counter.
     calibrations
         The calibrations in force, by quantity; the encoder's is used.
 
@@ -86,7 +86,7 @@ class VelocityModeStage(MonitoredStage):
             self._loop.start(closed=not self.trial_due)
 
     def stop(self) -> None:
-        """Brake to a standstill; the voltage goes down as soon as what is written is put out."""
+        """Brake to a standstill; the voltage goes down as soon as the written voltages are put out."""
         self._sync.set_stop_requested()
         self._loop.brake()
 

@@ -56,7 +56,7 @@ FOREIGN = (
 
 
 def _forms_by_name(*modules: ModuleType) -> dict[str, tuple[type[HiddenEffect], ...]]:
-    """Return the forms that modules define, in the order of their definition, which decides what a seed draws."""
+    """Return the forms that modules define, in the order of their definition, which decides the draws of a seed."""
     forms: dict[str, tuple[type[HiddenEffect], ...]] = {}
     for module in modules:
         for form in vars(module).values():

@@ -1,7 +1,8 @@
 """Every effect of the catalogue with a law drawn at random, and effects outside it by random combination.
 
-A form keeps what the catalogue says of its effect: where it acts, of which coordinate it is a function, and whether
-that function is monotone, periodic or fading. All else is drawn: the function, what it scales, and when it acts.
+A form keeps the catalogue's facts about its effect: where it acts, of which coordinate it is a function, and whether
+that function is monotone, periodic or fading. All else is drawn: the function, the force that it scales, and when it
+acts.
 """
 
 from collections.abc import Mapping
@@ -56,7 +57,7 @@ def in_motion(run: RunConditions, speed_mm_s: float = 0.1) -> Floats:
 
 
 def scaled(effect: HiddenEffect, forces: CapsuleForces) -> Floats:
-    """Return what a drawn law is multiplied by, about 1: `on` is 0 for the elastic force, 1 for all of it, 2 for 1."""
+    """Return the factor of a drawn law, about 1: `on` is 0 for the elastic force, 1 for all of it, 2 for 1."""
     whole = forces.elastic + forces.viscous + np.abs(forces.coulomb)
     return (forces.elastic / TYPICAL_ELASTIC_MN, whole / TYPICAL_MN, np.ones_like(whole))[int(effect.on)]
 
@@ -420,7 +421,7 @@ def scale_drawn(effect: HiddenEffect, position: Floats, force: Floats, run: RunC
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """Where an effect outside the catalogue acts, of what it is a function, and of which kind that function is."""
+    """Where an effect outside the catalogue acts, its coordinate, and the kind of its function of that."""
 
     place: str
     coordinate: str
@@ -493,7 +494,7 @@ class OutsideDrawn(HiddenEffect):
         return f"{one.place} by {one.coordinate}, {one.course}, {one.while_}"
 
     def change(self, place: str, force: Floats, run: RunConditions) -> Floats | float:
-        """Return what is added at a place, shape `(N,)`; 0 where this effect does not act."""
+        """Return the addition at a place, shape `(N,)`; 0 where this effect does not act."""
         one = self.combined
         if one.place != place:
             return 0.0

@@ -1,4 +1,4 @@
-"""What a hidden effect is: a frozen value with an amplitude, shape parameters, and hooks where it acts.
+"""A hidden effect: a frozen value with an amplitude, shape parameters, and hooks where it acts.
 
 Also the linear systems and the rate-independent hysteresis that several share, sampled with the record.
 """
@@ -58,7 +58,7 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class RunConditions:
-    """What a hidden effect may depend on in one run: its plan, the commanded and the true motion."""
+    """The facts of a run that a hidden effect may depend on: its plan, the commanded and the true motion."""
 
     plan: RunPlan
     seed: int

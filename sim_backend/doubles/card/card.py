@@ -1,4 +1,4 @@
-"""The PCI-6229's double: what NI's driver does with it, call for call, on a simulated bench.
+"""The PCI-6229's double: the behaviour of NI's driver with it, call for call, on a simulated bench.
 
 It has the calls, options and attributes that this program uses. The C library (`c_library`) is a thin interface to it,
 and so is a gRPC server in the tests. Handles are positive integers. Every method raises `CardError`, which carries the

@@ -166,7 +166,7 @@ class EncoderChannel:
 def analog_channels(
     device: str, kind: ChannelType, physical: str, name: str, terminals: int, min_V: float, max_V: float
 ) -> list[VirtualChannel]:
-    """Return voltage inputs or outputs; raises `CardError` for what the card does not have."""
+    """Return voltage inputs or outputs; raises `CardError` for channels that the card does not have."""
     if min_V >= max_V:
         raise CardError(Status.MIN_NOT_LESS_THAN_MAX, f"Minimum {min_V:g} V is not less than maximum {max_V:g} V.")
     is_input = kind is ChannelType.ANALOG_INPUT
@@ -250,7 +250,7 @@ def convert_interval(rate_hz: float, inputs: int) -> float:
 
 
 def with_ghosts(volts: list[FloatArray], interval_s: float) -> list[FloatArray]:
-    """Return the inputs of scans as the converter sees them: each with what is left of the one before it."""
+    """Return the inputs of scans as the converter sees them: each with the remainder of the one before it."""
     if len(volts) < 2 or interval_s >= SETTLING[-1][0]:
         return volts
     times_s, shares = np.array(SETTLING).T
@@ -264,7 +264,7 @@ def nearest_rate(rate_hz: float) -> float:
 
 
 def _places(physical: str, names: tuple[str, ...], device: str) -> list[str]:
-    """Return what a list of physical channels names on `device`: DEVICE/ai0:2 gives ai0, ai1, ai2."""
+    """Return the names of a list of physical channels on `device`: DEVICE/ai0:2 gives ai0, ai1, ai2."""
     try:
         channels = unflatten_channel_string(physical)
     except DaqError as error:

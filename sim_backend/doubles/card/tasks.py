@@ -102,7 +102,7 @@ class EncoderCounter:
         self._clock = clock
 
     def end_clock(self, oldest: int) -> int:
-        """Hold what was latched since `oldest`, as the inputs' clock stops; return the first sample that is held."""
+        """Hold the counts latched since `oldest`, as the inputs' clock stops; return the first sample that is held."""
         total = self.total()
         first = min(max(oldest, self._held_first), total)
         self._held = self._counts(first, total)
@@ -280,7 +280,7 @@ class OutputWaveform:
         self.written += len(volts)
 
     def buffered(self) -> FloatArray:
-        """Return what was written before the start."""
+        """Return the values written before the start."""
         return self._ring[: self.written]
 
     def voltage(self, now_s: float) -> float | None:
@@ -303,7 +303,7 @@ class SampleClock:
 
 @dataclass(slots=True, eq=False)
 class CardTask:
-    """A task: its configuration, and what runs. Only the `TaskEngine` changes it, under its lock."""
+    """A task: its configuration, and its state. Only the `TaskEngine` changes it, under its lock."""
 
     handle: int
     name: str
@@ -324,7 +324,7 @@ class CardTask:
 
     @property
     def kind(self) -> ChannelType | None:
-        """What its channels do; None without channels."""
+        """The kind of its channels; None without channels."""
         return self.channels[0].kind if self.channels else None
 
     def failure(self, code: Status, sentence: str, samples: int = 0) -> CardError:
@@ -335,12 +335,12 @@ class CardTask:
 class TaskEngine:
     """Tasks on a bench.
 
-    Any thread may call what the driver's clients call; the caller of any other method holds `changed`.
+    Any thread may call the functions of the driver's clients; the caller of any other method holds `changed`.
 
     Parameters
     ----------
     bench
-        What the card is wired to.
+        The parts that the card is wired to.
     """
 
     def __init__(self, bench: SimulatedBench) -> None:
@@ -390,7 +390,7 @@ class TaskEngine:
         return task
 
     def check_card(self, *, listed: bool = False) -> None:
-        """Raise what keeps the card from answering; with `listed`, also when the driver knows no such card."""
+        """Raise the fault that keeps the card silent; with `listed`, also when the driver knows no such card."""
         faults, device = self.bench.faults.active, f"\n\nDevice: {self.card.device}"
         if faults.card_gone:
             raise CardError(

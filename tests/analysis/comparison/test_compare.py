@@ -33,7 +33,8 @@ from dragrig.analysis.comparison.comparison import (
 )
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError, RunFileError
-from dragrig.present.campaign_figures import comparison_figure, comparison_overview_figure
+from dragrig.present.campaign_figures import comparison_figure, comparison_speed_figure, relaxation_differences_figure
+from dragrig.present.comparison import comparison_document
 from dragrig.rig import mark_bad
 from dragrig.rig.protocols.motion import MotionProtocol
 from dragrig.rig.runfile import read_run
@@ -319,8 +320,8 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(tmp_path: Path) -> Non
     assert dragrig.compare(both, model="paper", specimen="two").a.specimens == ("two",)
 
 
-def texts(figure: Figure) -> str:
-    return " ".join(text.get_text() for text in figure.findobj(Text))
+def texts(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(Text)]
 
 
 def test_pictures_show_both_sides() -> None:
@@ -331,11 +332,10 @@ def test_pictures_show_both_sides() -> None:
             labels = [line.get_label() for line in figure.axes[0].lines]
             assert {"A raw", "A", "B"} <= set(labels)
             assert figure.axes[1].get_xlabel() or figure.axes[-1].get_xlabel()
-    overview = comparison_overview_figure(comparison)
-    assert "Steady force" in texts(overview)
-    assert "Difference of relaxations" in texts(overview)
+    assert {"A drag", "B drag", "B − A (mN)"} <= set(texts(comparison_speed_figure(comparison)))
+    assert {"peak", "hold", "B over A (%)"} <= set(texts(relaxation_differences_figure(comparison)))
     alone = dragrig.compare(CAMPAIGN / "001-relaxation.h5", model="paper")
-    assert "Steady force" not in texts(comparison_overview_figure(alone))
+    assert [figure.name for figure in comparison_document(alone).figures()] == ["relaxations"]
 
 
 def test_the_command_prints_writes_changes_no_run_and_ends_well_when_they_differ(
@@ -355,7 +355,7 @@ def test_the_command_prints_writes_changes_no_run_and_ends_well_when_they_differ
     assert main(["compare", "a", "b", "--out", "c"]) == 0
     assert "2 pictures of pairs in c" in capsys.readouterr().out
     written = {path.name for path in folder.iterdir()}
-    assert written == {"005-blank.png", "010-drag.png", "comparison.csv", "overview.png"}
+    assert written == {"005-blank.png", "010-drag.png", "comparison.csv", "steady-force.png"}
     frame = pd.read_csv(folder / "comparison.csv")
     assert list(frame.columns) == list(comparison_frame(dragrig.compare("a", "b")).columns)
     assert main(["compare", "a/010-drag.h5", "--model", "table1", "--json"]) == 0

@@ -11,7 +11,7 @@ import pytest
 from diagnosed import UNADVISED
 from dragrig.analysis.gap import GapReduction, ModelEvaluation, PromiseVerdict, R2BeforeAfter, RelativeEffectSize
 from dragrig.analysis.gap.diagnose import diagnose
-from dragrig.analysis.gap.evaluation import run_weights
+from dragrig.analysis.gap.gap_reduction import run_weights
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.models.capsule_model import MODEL as CAPSULE
 from dragrig.api import gap_evaluate

@@ -20,7 +20,7 @@ from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.present.diagnosis import diagnosis_document
 from dragrig.present.terminal import document_text
 from dragrig.rig import read_run
-from dragrig.rig.profile import FloatArray
+from dragrig.rig.profile import FloatArray, Phase
 from dragrig.rig.runfile.model import Run
 from dragrig.rig.runfile.schema import SIGNALS
 from dragrig.sim_backend.effects import catalogue
@@ -28,6 +28,7 @@ from finishing import finished_here
 from property_tests import thorough
 
 COULOMB_MN, VISCOUS_MN_S_MM = 300.0, 4.0
+LOOP_MN_MM = 5e4
 RATE = "rig.sampling.rate_hz=500"
 
 
@@ -366,6 +367,27 @@ def cogging(runs: list[Run], amplitude_mN: float, pitch_mm: float) -> list[Run]:
     return changed
 
 
+def held_by_a_loop(runs: list[Run], amplitude_mN: float, pitch_mm: float) -> list[Run]:
+    """Let the motor force of rests be a sine of the place, and the position give way to it as under a loop."""
+    changed = []
+    for run in cogging(runs, amplitude_mN, pitch_mm):
+        plain = next(other for other in runs if other.info.path == run.info.path).trace.channels["motor_force"]
+        rests = (run.trace.phase == int(Phase.REST)) | (run.trace.phase == int(Phase.HOLD))
+        force = np.where(rests, run.trace.channels["motor_force"], plain)
+        position = np.round(run.trace.command - force / LOOP_MN_MM, 3)
+        channels = {**run.trace.channels, "motor_force": force, "position": position}
+        changed.append(replace(run, trace=replace(run.trace, channels=channels)))
+    return changed
+
+
+def test_nothing_is_read_from_the_force_with_which_a_loop_holds_the_stage(blanks: list[Run]) -> None:
+    without = all_but("cogging", "direction_asymmetry", "backlash", "servo_lag")
+    diagnosis = dragrig.gap_diagnose(held_by_a_loop(blanks, 100.0, 12.0), nominal="drive", without=without)
+    assert diagnosis.effects == ()
+    assert any("a position loop holds the stage" in text for text in diagnosis.limitations)
+    assert any("gives way to the motor force" in text and "(20 µm/N)" in text for text in diagnosis.remarks)
+
+
 @pytest.mark.parametrize(
     ("amplitude_mN", "pitch_mm", "without"),
     [
@@ -392,6 +414,7 @@ def test_cogging_is_named_with_its_pitch_and_found_again(
     assert file is not None
     assert judged(file, cogging(fresh_blanks, amplitude_mN, pitch_mm))[0] == "KEPT"
     assert judged(file, fresh_blanks) == ("NOT_KEPT", pytest.approx(0.0, abs=0.1))
+    assert judged(file, held_by_a_loop(fresh_blanks, 20 * amplitude_mN, pitch_mm))[0] == "NOT_KEPT"
 
 
 @pytest.mark.thorough

@@ -21,6 +21,7 @@ from dragrig.analysis.identification.speed_dependence import (
 )
 from dragrig.analysis.identification.steady_sliding import DragSetup, identify_drag, resting_force
 from dragrig.analysis.selection import RunSelection, select_loaded_runs, select_runs
+from dragrig.config.errors import AnalysisError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.specimen import Fixture
 from dragrig.present.identification_figures import drag_figure
@@ -300,7 +301,7 @@ def test_the_picture_shows_the_parts_the_law_and_the_boundary() -> None:
     back = [slid("drag", speed, 11, travel_mm=-40.0) for speed in (10.0, 20.0)]
     result = identify_drag(selected([*there, *back]), PAPER)
     assert result.boundary is not None
-    figure = drag_figure(result, PAPER, SMOOTH, 2.5, boundary_mm_s=20.0, accuracy_mN=5.0)
+    figure = drag_figure(result, boundary_mm_s=20.0, accuracy_mN=5.0)
     above, below = figure.axes[0], figure.axes[1]
     for axes in (above, below):
         lines = [line.get_xdata() for line in axes.lines]
@@ -310,10 +311,10 @@ def test_the_picture_shows_the_parts_the_law_and_the_boundary() -> None:
         assert text in shown
     assert f"{result.boundary.speed_mm_s:.3g} mm/s (" in shown
     dots = [line for line in above.lines if line.get_marker() == "o"]
-    assert sum(line.get_markerfacecolor() == "white" for line in dots) == 2
-    assert all(np.asarray(line.get_xdata())[0] > 0 for line in dots)
-    nothing = identify_drag(selected([slid("coulomb", 5.0)]), PAPER)
-    assert "model" in words(drag_figure(nothing, PAPER, SMOOTH, 2.5))
+    assert [len(np.asarray(line.get_xdata())) for line in dots if line.get_markerfacecolor() == "white"] == [2]
+    assert all((np.asarray(line.get_xdata()) > 0).all() for line in dots)
+    with pytest.raises(AnalysisError, match="no drag to draw"):
+        drag_figure(identify_drag(selected([slid("coulomb", 5.0)]), PAPER))
 
 
 def test_repeats_that_scatter_widely_widen_the_errors() -> None:

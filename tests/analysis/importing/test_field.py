@@ -1,6 +1,9 @@
 """Text and workbooks as people have them: each file of the field, and siblings of its kind."""
 
+import ctypes
 import json
+import sys
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -120,10 +123,11 @@ def told(run: ImportedRun) -> str:
 
 @pytest.fixture(autouse=True)
 def in_utc(monkeypatch: pytest.MonkeyPatch) -> None:
-    import time
-
     monkeypatch.setenv("TZ", "UTC")
-    time.tzset()
+    if sys.platform == "win32":
+        ctypes.CDLL("ucrtbase")._tzset()
+    else:
+        time.tzset()
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.file)

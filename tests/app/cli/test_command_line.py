@@ -135,7 +135,6 @@ def test_a_full_disk_behind_the_output_is_told_in_a_sentence(tmp_path: Path) -> 
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="pipes close otherwise there")
 def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
     code = (
         "import sys, click; from dragrig.cli.console import legible, echo, run_command_line\n"
@@ -168,6 +167,19 @@ def test_what_a_console_lacks_is_said_with_what_it_has(encoding: str, shown: str
     )
     assert done.returncode == 0, done.stderr
     assert shown in done.stdout.decode(encoding)
+
+
+@pytest.mark.skipif(sys.platform != "win32", reason="only on Windows do console and files have letters of their own")
+def test_what_is_redirected_has_the_letters_of_the_console_in_which_powershell_takes_it(tmp_path: Path) -> None:
+    code = "import ctypes, sys; from dragrig.cli import main; ctypes.windll.kernel32.SetConsoleOutputCP(850); " + (
+        "sys.exit(main(['check', 'drag', '--set', 'prompt=1 µm × 2 ä']))"
+    )
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path, env=plain, stdout=subprocess.PIPE, creationflags=subprocess.CREATE_NEW_CONSOLE, check=True,
+    )  # fmt: skip
+    assert "1 µm × 2 ä" in done.stdout.decode("cp850")
 
 
 @given(st.text(), st.sampled_from(["ascii", "cp1252", "cp850", "cp437", "utf-8", "cp932", "latin-1"]))
@@ -242,9 +254,9 @@ def test_a_file_that_exists_is_never_missing(
 def test_a_mistake_in_a_file_of_ones_own_names_file_and_line(capsys: pytest.CaptureFixture[str]) -> None:
     def raise_from(folder: str) -> Callable[[], None]:
         scope: dict[str, Callable[[], None]] = {}
-        exec(compile("def law():\n    return 1 / 0\n", f"/somewhere/{folder}/mine.py", "exec"), scope)
+        exec(compile("def law():\n    return 1 / 0\n", str(Path("/somewhere", folder, "mine.py")), "exec"), scope)
         return scope["law"]
 
     for folder in ("sim_backend/effects", "rig/protocols"):
         assert run_command_line(click.Command("c", callback=raise_from(folder)), []) == 1
-        assert f"{folder}/mine.py, line 2: ZeroDivisionError: division by zero" in capsys.readouterr().err
+        assert f"{Path(folder)}{os.sep}mine.py, line 2: ZeroDivisionError: division by zero" in capsys.readouterr().err

@@ -2,8 +2,6 @@
 
 import io
 import json
-import os
-import signal
 import sys
 import threading
 from pathlib import Path
@@ -19,6 +17,7 @@ from dragrig.rig.devices import Block
 from dragrig.rig.runfile import read_campaign
 from dragrig.setup import create_lab
 from dragrig.sim_backend.devices.simulated_sampler import SimulatedSampler
+from ending import press
 
 
 @pytest.fixture
@@ -134,7 +133,6 @@ def test_a_trip_ends_a_jog_with_its_reason(lab: Path, capsys: pytest.CaptureFixt
     assert "over the limit" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="os.kill ends the process on Windows")
 def test_ctrl_c_ends_a_jog(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     read = SimulatedSampler.read
     blocks: list[int] = []
@@ -142,7 +140,7 @@ def test_ctrl_c_ends_a_jog(lab: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     def interrupted(self: SimulatedSampler, cancel: threading.Event) -> Block | None:
         blocks.append(len(blocks))
         if len(blocks) == 5:
-            os.kill(os.getpid(), signal.SIGINT)
+            press()
             # The handler runs on the main thread; the block after this one must find its word.
             cancel.wait(10.0)
         return read(self, cancel)

@@ -9,6 +9,8 @@ import numpy as np
 import psutil
 import pytest
 
+import add_ons
+from dragrig.config import HardwareSettings
 from dragrig.engine_host.messages import (
     AbortSession,
     ExamineRig,
@@ -28,7 +30,9 @@ from dragrig.engine_host.messages import (
     SilenceLimits,
     WatchRig,
 )
+from dragrig.engine_host.server import IdleRig
 from dragrig.rig import mark_bad
+from dragrig.rig.hardware.backend import RigLock
 from dragrig.rig.operator import Answer
 from dragrig.rig.profile import Phase
 from dragrig.rig.runfile import read_campaign, read_run
@@ -279,3 +283,39 @@ def test_looking_takes_no_time_where_time_is_simulated(heard: Listener, tmp_path
         files.append(only_run(folder))
     first, second = files
     np.testing.assert_array_equal(first.trace.force, second.trace.force)
+
+
+SULKY = """
+from contextlib import closing
+from dragrig.config import DeviceError, HardwareSettings
+from dragrig.rig.hardware.backend import RigLock
+from dragrig.sim_backend.devices import SimulatedBackend
+from dragrig.sim_backend.devices.simulated_backend import VirtualClock
+
+class Sulky(SimulatedBackend):
+    def __init__(self, request):
+        super().__init__(request.rig, request.model, VirtualClock(request.origin))
+        self._lock = RigLock(HardwareSettings(), "sulky")
+
+    @property
+    def needs_hands(self):
+        raise DeviceError("it does not say")
+
+    def close(self):
+        self._lock.close()
+
+hardware = double = Sulky
+"""
+
+
+def test_a_rig_that_fails_while_it_is_opened_to_be_read_is_given_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add_ons.install(tmp_path, monkeypatch, SULKY)
+    idle = IdleRig(RigSelection(backend="handed"))
+    idle.on = True
+    reading = idle.look()
+    assert reading is not None
+    assert "does not say" in reading.problem
+    idle.close()
+    RigLock(HardwareSettings(), "sulky").close()

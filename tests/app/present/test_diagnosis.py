@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from math import inf, nan
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -35,7 +36,13 @@ from dragrig.present.diagnosis import (
     round_probabilities,
     shrink_json,
 )
-from dragrig.present.diagnosis_figures import before_after_figure, location_figure, ranking_figure, representative_runs
+from dragrig.present.diagnosis_figures import (
+    before_after_figure,
+    diagnosis_speed_figure,
+    location_figure,
+    ranking_figure,
+    representative_runs,
+)
 from dragrig.present.diagnosis_sentences import shrink_sentences
 from dragrig.present.document import Document, Figure
 from dragrig.present.html_page import render_page
@@ -267,7 +274,7 @@ def test_nothing_is_cut_off_in_a_pipe() -> None:
 def test_a_page_stands_alone(verdict: str, shared_folder: Path) -> None:
     html = page_file(verdict, shared_folder).read_text("utf-8")
     assert not re.search(r'(src|href)="(?!data:|#)', html)
-    assert html.count('role="img"') == 3
+    assert html.count('role="img"') == 4
     assert "nan" not in words(html).lower().split()
 
 
@@ -448,6 +455,21 @@ def test_runs_are_shown_at_low_middle_and_high_speed_and_one_of_each_other_kind(
     fast = figure.axes[4].get_xlim()
     assert fast[0] > 0.5
     assert fast[1] < 3.0
+
+
+def test_steady_forces_stand_beside_the_model_before_and_after() -> None:
+    above, below = diagnosis_speed_figure(STRIBECK.traces, 1.4).axes
+    assert above.get_xscale() == "log"
+    drags = sorted({view.steady for view in STRIBECK.traces if view.kind == "drag"}, key=lambda level: level.speed_mm_s)
+    lines = [np.asarray(line.get_ydata(), dtype=float).tolist() for line in above.lines]
+    assert [level.measured_mN for level in drags] in [pytest.approx(line) for line in lines]
+    for number, words in enumerate(("model before", "model after")):
+        assert [level.models_mN[number] for level in drags] in [pytest.approx(line) for line in lines]
+        assert words in [text.get_text() for text in above.texts]
+    gaps = [level.measured_mN - level.models_mN[0] for level in drags]
+    assert gaps in [pytest.approx(np.asarray(line.get_ydata(), dtype=float).tolist()) for line in below.lines]
+    alone = diagnosis_speed_figure(STRIBECK.traces, named=False).axes[0]
+    assert "model after" not in [text.get_text() for text in alone.texts]
 
 
 def test_the_ranking_marks_the_verdict_and_what_cannot_be_told_from_it() -> None:

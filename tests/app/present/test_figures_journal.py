@@ -69,6 +69,15 @@ def width_of(made: Path) -> float:
     return float(size[1]) / PT_PER_MM
 
 
+def test_the_steady_forces_of_a_campaign_fill_a_column_without_title_or_badge(tmp_path: Path) -> None:
+    campaign, made = copied_runs(tmp_path / "mine", "010-drag.h5", "018-drag.h5"), tmp_path / "made.pdf"
+    assert main(["show", str(campaign), "--out", str(made), "--column", "single"]) == 0
+    assert width_of(made) == pytest.approx(85.0, abs=0.1)
+    words = PdfReader(made).pages[0].extract_text()
+    assert "Speed (mm/s)" in words
+    assert not any(word in words for word in ("SIMULATED", "mine", "Relaxation"))
+
+
 def test_panels_side_by_side_take_two_columns(tmp_path: Path) -> None:
     assert main(["show", RELAXATION, "--out", str(tmp_path / "wide.pdf"), "--column", "single"]) == 0
     page = PdfReader(tmp_path / "wide.pdf").pages[0]

@@ -14,8 +14,8 @@ from windows import Until, dressed, press, require_qt
 
 require_qt()
 
-from PySide6.QtCore import QSettings
-from PySide6.QtWidgets import QApplication, QLabel, QTreeWidgetItem
+from PySide6.QtCore import QSettings, Qt
+from PySide6.QtWidgets import QApplication, QLabel, QTableWidget, QTreeWidgetItem
 
 import dragrig
 from diagnoses import STRIBECK, without_pictures
@@ -61,7 +61,7 @@ def shared(qapp: QApplication, folder: Path, tmp_path_factory: pytest.TempPathFa
 def page(shared: LookPage, folder: Path, until: Until) -> LookPage:
     """A page on the two drags that shows nothing yet, as it is at first."""
     shared.browser.tree.clearSelection()
-    until(lambda: not shared.overlay.traces and not shared.steady.rowCount())
+    until(lambda: not shared.overlay.traces and not shared.steady.rows)
     if shared.browser.folder.text() != str(folder):
         shared.browser.open_folder(str(folder))
     overlay = shared.overlay
@@ -84,7 +84,7 @@ def choose(page: LookPage, until: Until, *places: int) -> None:
     page.browser.tree.clearSelection()
     for place in places:
         runs_of(page)[place].setSelected(True)
-    until(lambda: len(page.overlay.traces) == len(places) and page.steady.rowCount() == len(places))
+    until(lambda: len(page.overlay.traces) == len(places) and len(page.steady.rows) == len(places))
 
 
 def test_a_long_run_is_prepared_beside_the_gui_thread_and_then_drawn(
@@ -231,11 +231,20 @@ def test_drags_at_several_speeds_lie_over_each_other_along_the_way(page: LookPag
     assert page.overlay.speed_plot.shown()[1] > 2.0
 
 
-def test_steady_forces_are_those_of_the_table(page: LookPage, until: Until, folder: Path) -> None:
+def test_steady_forces_are_drawn_against_speed_and_are_those_of_the_table(
+    page: LookPage, until: Until, folder: Path
+) -> None:
     choose(page, until, 0, 2)
-    frame = dragrig.table(folder / "first")
-    for row, place in ((0, 0), (1, 2)):
-        assert float(page.steady.item(row, 2).text()) == pytest.approx(frame["steady_force_mN"][place], abs=0.01)
+    drags = dragrig.table(folder / "first").iloc[[0, 2]]
+    speeds, forces = page.steady.plot.lines[0].drawn.getOriginalDataset()
+    assert [float(10**place) for place in speeds] == pytest.approx([5.0, 20.0])
+    assert list(forces) == pytest.approx(drags["steady_above_rest_mN"].tolist())
+    shown = [
+        item.text()
+        for sheet in page.steady.view.findChildren(QTableWidget)
+        for item in sheet.findItems("", Qt.MatchFlag.MatchContains)
+    ]
+    assert drags["file"].tolist() == [text for text in shown if text.endswith(".h5")]
 
 
 @pytest.mark.parametrize("name", ["CSV", *(thorough(name) for name in FORMATS if name != "CSV")])
@@ -312,7 +321,7 @@ def test_runs_are_marked_bad_and_noted_in_the_list(page: LookPage, until: Until,
     page.browser.words.setText("the capsule slipped")
     press(page.browser.bad)
     until(lambda: [item.text(2) for item in runs_of(page)].count("BAD: the capsule slipped") == 2)
-    until(lambda: page.steady.item(0, 9).text() == "BAD: the capsule slipped")
+    until(lambda: [row.mark for row in page.steady.rows] == ["the capsule slipped"] * 2)
     assert not dragrig.campaign(tmp_path).good
     choose(page, until, 0)
     page.browser.words.setText("wall looked dry")

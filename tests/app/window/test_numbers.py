@@ -16,8 +16,8 @@ from pytestqt.qtbot import QtBot
 
 from dragrig.config import NumberRange
 from dragrig.rig.operator import Answer
+from dragrig.window.forms import NumberField
 from dragrig.window.main_window import MainWindow
-from dragrig.window.number_field import NumberField
 from dragrig.window.widgets import column
 from property_tests import thorough
 from typed_in_locale import LOCALES, typed_in

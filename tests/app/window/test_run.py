@@ -1,8 +1,6 @@
 """The page that runs plans, used as a person uses it: every button, with a real engine on the simulated rig."""
 
 import gc
-import os
-import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ending import kill
 from property_tests import thorough
 from windows import WAIT_MS, Until, dressed, opened, press, require_qt
 
@@ -490,7 +489,7 @@ def test_every_device_is_shown(window: MainWindow, until: Until) -> None:
 def test_a_dead_engine_is_reported_and_can_be_restarted(window: MainWindow, until: Until) -> None:
     pid = window.engine.pid
     assert pid is not None
-    os.kill(pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+    kill(pid)
     until(window.notices.lost.isVisible)
     fill(window)
     press(window.run.new.start)

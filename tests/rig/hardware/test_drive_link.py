@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -21,6 +22,7 @@ from dragrig.sim_backend.doubles.drive_double import DriveDouble
 from dragrig.sim_backend.doubles.protocol_double import DoublePort
 from drive_ports import DrivePort, PtyPort, SocketPort
 from driving import ANY_PORT, PORTS, linked, until
+from ending import press
 from property_tests import thorough
 
 STATUS, POSITION, STOP = Request(Command.STATUS), Request(Command.POSITION), Request(Command.STOP)
@@ -336,16 +338,16 @@ def test_what_was_planned_before_a_stop_is_dropped() -> None:
         assert GO not in drive.requests
 
 
-@pytest.mark.skipif(os.name == "nt", reason="no SIGUSR1 on Windows")
 def test_a_signal_handler_may_stop_whatever_it_interrupts() -> None:
     # A reply takes long on a busy computer with a signal every 0.5 ms; one that is lost never comes.
     with linked(reply_s=2.0) as (drive, link):
-        before = signal.signal(signal.SIGUSR1, lambda *_: link.stop())
+        number = signal.SIGBREAK if sys.platform == "win32" else signal.SIGUSR1
+        before = signal.signal(number, lambda *_: link.stop())
         ended = threading.Event()
 
         def shoot() -> None:
             while not ended.wait(0.0005):
-                os.kill(os.getpid(), signal.SIGUSR1)
+                press(number)
 
         shooter = threading.Thread(target=shoot)
         shooter.start()
@@ -356,7 +358,7 @@ def test_a_signal_handler_may_stop_whatever_it_interrupts() -> None:
         finally:
             ended.set()
             shooter.join()
-            signal.signal(signal.SIGUSR1, before)
+            signal.signal(number, before)
         assert drive.requests.count(STOP) >= 100
 
 

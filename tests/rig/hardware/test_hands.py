@@ -1,8 +1,6 @@
 """What a person does at the real rig, on the doubles of its devices: jogs, overrides, touching off, calibrating."""
 
-import ctypes
 import re
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -28,6 +26,7 @@ from dragrig.rig.runfile.model import RunStatus
 from dragrig.sim_backend.doubles.backend import DoubleBackend
 from dragrig.sim_backend.doubles.simulated_bench import FaultInjector
 from driving import Room, until
+from engine_clients import hold_the_interpreter
 from property_tests import thorough
 from simulated import acquire, stroke
 
@@ -129,7 +128,6 @@ def test_a_motion_that_is_not_over_long_after_its_time_is_stopped_and_said(room:
         assert not late.backend.stage.state().moving
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="its C library has no usleep")
 def test_a_program_that_stood_still_for_longer_than_the_buffer_says_that_samples_are_lost(
     room: Room[DoubleBackend],
 ) -> None:
@@ -143,7 +141,7 @@ def test_a_program_that_stood_still_for_longer_than_the_buffer_says_that_samples
     def stand_still(reading: Reading) -> None:
         if reading.channels["position"][-1] > 0.5 and not stood_still:
             stood_still.append(reading.end_index)
-            ctypes.PyDLL(None).usleep(1_500_000)  # without letting any other thread run
+            hold_the_interpreter(1.5)
 
     with another(room, rig, rig.guard) as late:
         outcome = late.engine.acquire(acquire(stroke(travel_mm=10.0, speed_mm_s=5.0)), view=stand_still)

@@ -1,7 +1,6 @@
 """One program per rig, held by the operating system: real processes, one of them killed."""
 
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,6 +11,7 @@ import pytest
 from dragrig.config.errors import DeviceError
 from dragrig.config.rig import CardSettings, DriveSettings, HardwareSettings
 from dragrig.rig.hardware.backend import HeldError, RigLock, hold_file, lock_name, port_name
+from ending import kill
 from property_tests import thorough
 
 FILE_HOLDER = """
@@ -62,7 +62,6 @@ def told(holder: "subprocess.Popen[str]") -> str:
     return holder.stdout.readline()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
 def test_a_second_program_is_refused_and_told_who_holds_the_rig_until_it_is_let_go_or_its_holder_killed(
     holder: "subprocess.Popen[str]", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,7 +83,7 @@ def test_a_second_program_is_refused_and_told_who_holds_the_rig_until_it_is_let_
     for _ in range(300):  # who asks in vain leaves no trace that would end the telling or the lock
         with pytest.raises(DeviceError, match="uses this rig"):
             RigLock(rig(), str(tmp_path))
-    os.kill(holder.pid, signal.SIGKILL)
+    kill(holder.pid)
     holder.wait()
     with RigLock(rig(), str(tmp_path)), pytest.raises(DeviceError, match=str(os.getpid())):
         RigLock(rig(), str(tmp_path))

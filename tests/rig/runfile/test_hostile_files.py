@@ -193,6 +193,12 @@ HOSTILE = (
     "<b>bold</b><script>alert(1)</script>{{ 1 }} [red]=1+1"
 )
 """What drives a terminal, turns letters round, is HTML, a template, rich's own markup, and begins a formula."""
+NOT_IN_NAMES = frozenset(map(chr, range(32))) | frozenset('<>:"|?*\\')
+
+
+def for_a_name(text: str) -> str:
+    """What of a text may be in a file's name: Windows takes neither controls nor some signs."""
+    return "".join(letter for letter in text if letter != "/" and not (os.name == "nt" and letter in NOT_IN_NAMES))
 
 
 def make_hostile(file: h5py.File) -> None:
@@ -227,12 +233,12 @@ def hostile_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, path in enumerate(sorted(folder.glob("*.h5"))):
         with h5py.File(path, "r+") as file:
             make_hostile(file)
-        path.rename(folder / f"={number}\x1b]0;x\x07\u202e.h5")
+        path.rename(folder / for_a_name(f"={number}\x1b]0;x\x07\u202e.h5"))
     first, second, *_ = sorted(folder.glob("*.h5"))
     mark_bad(first, HOSTILE)
     write_note(second, HOSTILE)
-    (folder / f"damaged{HOSTILE.replace('/', '')[:60]}.h5").write_bytes(b"no run")
-    (folder / f"cut{HOSTILE[:10]}.recording.h5").write_bytes(b"no recording")
+    (folder / f"damaged{for_a_name(HOSTILE)[:60]}.h5").write_bytes(b"no run")
+    (folder / for_a_name(f"cut{HOSTILE[:10]}.recording.h5")).write_bytes(b"no recording")
     state = SessionState(plan=HOSTILE, backend=HOSTILE, doing="asking", said=HOSTILE)
     (folder / "session-state.json").write_text(state.model_dump_json(), "utf-8")
     return folder

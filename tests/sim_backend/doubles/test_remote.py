@@ -1,6 +1,5 @@
 """The doubles in another process: NI's real client over gRPC, the control socket, and how the process ends."""
 
-import signal
 import subprocess
 import sys
 import threading
@@ -339,7 +338,6 @@ while True:
 
 
 @pytest.mark.thorough
-@pytest.mark.skipif(sys.platform == "win32", reason="processes cannot be stopped there")
 def test_a_program_that_stood_still_for_longer_than_a_call_may_take_loses_no_sample(tmp_path: Path) -> None:
     with RemoteDoubles(rig(1000.0)) as doubles:
         (tmp_path / "rig.toml").write_text(to_toml(doubles.rig()), "utf-8")
@@ -349,9 +347,9 @@ def test_a_program_that_stood_still_for_longer_than_a_call_may_take_loses_no_sam
             blocks = [reader.stdout.readline()]
             for place_s in (0.01, 0.02, 0.03):
                 time.sleep(place_s)  # into the wait for the next block
-                reader.send_signal(signal.SIGSTOP)
+                psutil.Process(reader.pid).suspend()
                 time.sleep(0.6)
-                reader.send_signal(signal.SIGCONT)
+                psutil.Process(reader.pid).resume()
                 blocks.append(reader.stdout.readline())
             blocks += reader.stdout
         assert reader.returncode == 0
