@@ -419,7 +419,10 @@ def _run_campaign(
     finally:
         publisher.ends(status, reason)
         if mirror is not None:
-            report = _close_mirror(mirror, folder)
+            for pattern in ("session-*.toml", "*.mark.toml", "*.note.txt"):
+                for file in sorted(folder.glob(pattern)):
+                    mirror.submit(file)
+            report = mirror.close()
     return Made(folder, session, report)
 
 
@@ -444,14 +447,6 @@ def require_mirror_in_reach(target: Path) -> None:
         why = f"its disk has not answered for {MIRROR_ANSWER_S:g} s"
     if why:
         raise OutputError(f"--mirror {target}: {why}; make it, mount the disk, or leave the mirror out.")
-
-
-def _close_mirror(mirror: Mirror, folder: Path) -> MirrorReport:
-    """Copy session records, marks and notes too, and wait for the last copy."""
-    beside = ("session-*.toml", "*.mark.toml", "*.note.txt")
-    for file in (file for pattern in beside for file in sorted(folder.glob(pattern))):
-        mirror.submit(file)
-    return mirror.close()
 
 
 def _open_store(

@@ -270,7 +270,9 @@ def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]
     """
     schema = model.model_json_schema()
     properties, shared = schema["properties"], schema.get("$defs", {})
-    order = [key for key in properties if key not in _HIDDEN_KEYS and not _is_group(model, key)]
+    kinds = {key: field.annotation for key, field in model.model_fields.items()}
+    groups = {key for key, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Settings)}
+    order = [key for key in properties if key not in _HIDDEN_KEYS | groups]
     if issubclass(model, RunProtocol):
         order.sort(key=lambda key: key in RunProtocol.model_fields)
     required, about = frozenset(schema.get("required", ())), field_descriptions(model)
@@ -280,11 +282,6 @@ def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]
         )
         for key in order
     )
-
-
-def _is_group(model: type[Settings], key: str) -> bool:
-    kind = model.model_fields[key].annotation
-    return isinstance(kind, type) and issubclass(kind, Settings)
 
 
 def _resolved_schema(entry: Mapping[str, object], shared: Mapping[str, object]) -> dict[str, object]:
