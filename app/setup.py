@@ -469,8 +469,8 @@ def _typed_changes(
         yield f"{key}={plain}", tuple(key.split(".")), list(plain) if isinstance(plain, tuple | range) else plain
 
 
-PlanLike = str | Path | Plan | RunProtocol
-"""A plan by name or file, a run file whose session is repeated, a plan, or the single run of a protocol."""
+PlanLike = str | Path | Plan | Mapping[str, object] | RunProtocol
+"""A plan by name or file, or as a table; a run file whose session is repeated; or the single run of a protocol."""
 
 
 class StepChoices(TypedDict, total=False):
@@ -655,6 +655,8 @@ def _load_plan(plan: PlanLike) -> tuple[Plan, str, Path | None]:
         return plan, f"plan {plan.name}", None
     if isinstance(plan, RunProtocol):
         return single_run_plan(plan), plan.kind, None
+    if isinstance(plan, Mapping):
+        return parse(Plan, plan, "the plan"), "plan", None
     data, source = find_table("plan", str(plan))
     return parse(Plan, data, source), source, settings_folder(source)
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import dragrig
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/steady")
-dragrig.simulate("drag", speed_mm_s=[2.0, 10.0, 40.0], repeats=2, out=folder)
+steps = [{"kind": "drag", "speed_mm_s": [2.0, 10.0, 40.0], "travel_mm": 20.0, "repeats": 2}]
+dragrig.simulate({"name": "steady", "steps": steps}, out=folder)
 table = dragrig.table(folder)
 steady = table[table["kind"] == "drag"].groupby("speed_mm_s")["steady_force_mN"].agg(["mean", "std", "count"])
 print(steady.round(1))

@@ -89,7 +89,7 @@ def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[Se
     Parameters
     ----------
     plan
-        A shipped plan's name, a file, a `Plan`, or a protocol.
+        A shipped plan's name, a file, a `Plan`, the table of one as a dict, or a protocol.
     out
         Folder whose free space is checked (default: the rig's data root).
     choices
@@ -150,7 +150,7 @@ def simulate(
     Parameters
     ----------
     plan
-        A shipped plan's name, a file, a `Plan`, or a protocol, as `Drag(speed_mm_s=5)`.
+        A shipped plan's name, a file, a `Plan`, the table of one as a dict, or a protocol, as `Drag(speed_mm_s=5)`.
     out
         Folder for run files, new or without runs (default: none, the runs stay in memory).
     progress
@@ -214,7 +214,7 @@ def run(
     Parameters
     ----------
     plan
-        A shipped plan's name, a file, a `Plan`, or a protocol.
+        A shipped plan's name, a file, a `Plan`, the table of one as a dict, or a protocol.
     out
         Folder of the campaign, new or without runs (default: a new one in the rig's data root).
     append

@@ -149,6 +149,14 @@ def test_keys_of_steps_are_keywords_and_assignments_may_be_a_dict(run: dragrig.R
     assert checked.findings == ()
 
 
+def test_a_plan_may_be_a_dict_and_its_mistakes_are_told_as_those_of_a_file() -> None:
+    steps = [{"kind": "drag", "speed_mm_s": [20.0, 40.0], "travel_mm": 5.0}]
+    found = dragrig.check({"name": "two", "steps": steps})
+    assert [preview.run.protocol.kind for preview in found.previews].count("drag") == 2
+    with pytest.raises(PlanError, match=r"travl_mm is not a key of a drag step; did you mean travel_mm"):
+        dragrig.check({"name": "two", "steps": [{"kind": "drag", "speed_mm_s": 20.0, "travl_mm": 5.0}]})
+
+
 def test_the_typed_keys_of_steps_are_those_of_the_shipped_kinds() -> None:
     keys = set().union(*(kind.model_fields for kind in protocol_kinds().values())) | set(PlanStep.model_fields)
     assert set(StepChoices.__annotations__) == keys - {"kind", "parameters", "capsule", "note"}

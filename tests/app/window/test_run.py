@@ -199,7 +199,6 @@ def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow,
     window.run.new.pace.setCurrentText("as fast as the real rig")
     cover = QWidget()
     press(window.run.new.start)
-    until(lambda: moving(window))
     moves = 0
 
     def pushed_about() -> bool:

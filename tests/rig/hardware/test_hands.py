@@ -119,10 +119,11 @@ def test_a_drive_that_sets_out_too_late_is_not_called_a_silent_encoder(
 
 
 def test_a_motion_that_is_not_over_long_after_its_time_is_stopped_and_said(room: Room[DoubleBackend]) -> None:
-    rig = RIG.model_copy(update={"guard": RIG.guard.model_copy(update={"stale_data_s": 1.0})})
+    hardware = RIG.hardware.model_copy(update={"hang_s": 10.0})
+    rig = RIG.model_copy(update={"hardware": hardware, "guard": RIG.guard.model_copy(update={"stale_data_s": 3.0})})
     with another(room, rig, rig.guard) as late:
-        late.faults.inject(drive_starts_late_s=5.0)
-        with pytest.raises(DeviceError, match="had not made its motion 1 s after"):
+        late.faults.inject(drive_starts_late_s=15.0)
+        with pytest.raises(DeviceError, match="had not made its motion 3 s after"):
             late.manual.jog(5.0)
         assert late.manual.position_mm < 1.0
         assert not late.backend.stage.state().moving
@@ -145,8 +146,9 @@ def test_a_program_that_stood_still_for_longer_than_the_buffer_says_that_samples
 
     with another(room, rig, rig.guard) as late:
         outcome = late.engine.acquire(acquire(stroke(travel_mm=10.0, speed_mm_s=5.0)), view=stand_still)
-    assert outcome.status is RunStatus.TRIPPED
-    lost = re.search(r"overrun: (\d+) samples from", outcome.reason)
+    # Where the computer stands still for longer, the motion is over by then, and its end is lost.
+    assert outcome.status in {RunStatus.TRIPPED, RunStatus.FAILED}
+    lost = re.search(r"(?:overrun: |the last )(\d+) samples", outcome.reason)
     assert lost is not None, outcome.reason
     assert int(lost[1]) >= 30_000
 

@@ -211,11 +211,11 @@ def test_a_speed_is_right_although_the_card_cannot_make_the_rate() -> None:
     with card_rig(wired(rate_hz=30_000.0), pace=PACE) as under_test:
         got = under_test.record(profile)
         rate_hz = under_test.sampler.sample_rate_hz
-        position = joined(got, "position")
+        position, time_s = joined(got, "position"), indices(got) / rate_hz
         detail = checks(under_test)["sampling rate"][1]
     assert "29985.01 Hz where 30000 are asked" in detail
-    moving = np.flatnonzero((position > 2.0) & (position < 8.0))
-    speed = np.polyfit(moving / rate_hz, position[moving], 1)[0]
+    moving = (position > 2.0) & (position < 8.0)
+    speed = np.polyfit(time_s[moving], position[moving], 1)[0]
     assert speed == pytest.approx(20.0, rel=2e-5)
 
 
