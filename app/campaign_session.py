@@ -19,12 +19,10 @@ from dragrig.config import (
     UNSTATED,
     DragrigError,
     OutputError,
-    RigSettings,
     SettingsError,
     Specimen,
     parse_toml,
     reason_of,
-    rig_file_of,
 )
 from dragrig.hosted_session import SessionOperator, SessionOptions, begins_at, run_session
 from dragrig.rig import (
@@ -58,11 +56,7 @@ from dragrig.setup import (
     PlanLike,
     Setup,
     SetupChoices,
-    contact_position,
-    load_settings,
-    require_shipped_dialect,
     resolve,
-    within_lab,
 )
 
 _POLL_S = 0.02
@@ -425,7 +419,10 @@ def _run_campaign(
     finally:
         publisher.ends(status, reason)
         if mirror is not None:
-            report = _close_mirror(mirror, folder)
+            for pattern in ("session-*.toml", "*.mark.toml", "*.note.txt"):
+                for file in sorted(folder.glob(pattern)):
+                    mirror.submit(file)
+            report = mirror.close()
     return Made(folder, session, report)
 
 
@@ -452,14 +449,6 @@ def require_mirror_in_reach(target: Path) -> None:
         raise OutputError(f"--mirror {target}: {why}; make it, mount the disk, or leave the mirror out.")
 
 
-def _close_mirror(mirror: Mirror, folder: Path) -> MirrorReport:
-    """Copy session records, marks and notes too, and wait for the last copy."""
-    beside = ("session-*.toml", "*.mark.toml", "*.note.txt")
-    for file in (file for pattern in beside for file in sorted(folder.glob(pattern))):
-        mirror.submit(file)
-    return mirror.close()
-
-
 def _open_store(
     folder: Path, make_folder: Callable[[], None], finished: Callable[[Path], None] | None, record: SessionRecord
 ) -> FolderStore:
@@ -475,27 +464,8 @@ def _open_store(
 
 
 def _setup_from_record(record: SessionRecord, folder: Path) -> Setup:
-    rig_file = rig_file_of(folder)
-    rig_folder = rig_file.parent if rig_file is not None else None
-    differences: tuple[str, ...] = ()
-    if rig_file is None:
-        rig = require_shipped_dialect(record.rig, str(folder))
-    else:
-        hardware = record.backend == HARDWARE_BACKEND
-        rig, differences = within_lab(record.rig, load_settings(RigSettings, "rig", rig_file)[0], hardware=hardware)
-    return Setup(
-        plan=record.plan,
-        plan_source=f"{folder}, plan {record.plan.name}",
-        plan_folder=record.beside,
-        rig=rig,
-        specimen=record.specimen,
-        model=record.model,
-        rig_folder=rig_folder,
-        contact_mm=contact_position(rig_folder, record.contact_mm),
-        backend=record.backend,
-        double=record.double,
-        differences=differences,
-    )
+    setup = resolve(record.plan, folder=folder, campaign=record, backend=record.backend, double=record.double)
+    return replace(setup, plan_source=f"{folder}, plan {record.plan.name}", plan_folder=record.beside)
 
 
 def _progress_done(before: Campaign, first_order: int) -> frozenset[int]:

@@ -187,7 +187,7 @@ class SpecimenForm(Form):
         if problems := self.misread(values):
             return problems
         (group,) = self.groups
-        for path, problem in mistakes_in(Specimen, {"name": group.name, **self._stated(values)}).items():
+        for path, problem in mistakes_in(Specimen, {"name": group.name, **group.parsed(values[0])}).items():
             key = path[0] if path else first_key_named(group, problem)
             problems[0, key or group.fields[0].key] = problem
         return problems
@@ -202,15 +202,11 @@ class SpecimenForm(Form):
         """
         for place, problem in self.problems(values).items():
             raise SettingsError(f"Specimen, {self.field_name(place)}: {problem}.")
-        stated = self._stated(values)
+        (group,) = self.groups
+        stated = group.parsed(values[0])
         # A time of day is of now, whenever the session is made.
-        dated = Specimen.model_validate({"name": self.groups[0].name, **stated}).model_dump(mode="json")
+        dated = Specimen.model_validate({"name": group.name, **stated}).model_dump(mode="json")
         return tuple(f"specimen.{key}={json.dumps(dated[key], ensure_ascii=False)}" for key in stated)
-
-    def _stated(self, values: Sequence[Mapping[str, str]]) -> dict[str, object]:
-        (group,), (texts,) = self.groups, values
-        read = {field.key: parse_field(field, texts[field.key].strip(), group.name) for field in group.fields}
-        return {key: value for key, value in read.items() if value is not None}
 
 
 def specimen_form(*, of_campaign: bool = False) -> SpecimenForm:

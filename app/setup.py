@@ -372,12 +372,6 @@ def choose_settings(
     return before if before is not None and not choice else load_settings(model, kind, choice)[0]
 
 
-def contact_position(rig_folder: Path | None, before_mm: float | None = None) -> float | None:
-    """Return the absolute position of the lab's contact, else the position known before."""
-    contact = read_contact(rig_folder) if rig_folder is not None else None
-    return before_mm if contact is None else contact.position_mm
-
-
 def settings_folder(source: str) -> Path | None:
     """Return the folder of a settings file; None for shipped settings."""
     path = Path(source)
@@ -594,7 +588,8 @@ def resolve(
     differences: tuple[str, ...] = ()
     if before is not None and not choices.get("rig"):
         if rig is None:
-            rig_settings, default_backend = require_shipped_dialect(before.rig, str(plan)), before.backend
+            rig_settings = require_shipped_dialect(before.rig, str(plan if campaign is None else folder))
+            default_backend = before.backend
         else:
             hardware = (choices.get("backend") or default_backend) == HARDWARE_BACKEND
             rig_settings, differences = within_lab(before.rig, rig_settings, hardware=hardware)
@@ -612,13 +607,14 @@ def resolve(
     specimen = choose_settings(Specimen, "specimen", specimen_choice, before.specimen if before else None)
     model = choose_settings(FrictionModelSettings, "model", choices.get("model"), before.model if before else None)
     model = changes.applied_to(model, "model")
+    contact = None if rig_folder is None else read_contact(rig_folder)
     return Setup(
         plan=_with_step_keys(changes.applied_to(base_plan, "plan"), changes),
         plan_source=source,
         plan_folder=plan_folder,
         rig=rig_changed,
         specimen=_of_the_past(changes.applied_to(specimen, "specimen")),
-        contact_mm=contact_position(rig_folder, before.contact_mm if before else None),
+        contact_mm=contact.position_mm if contact else before.contact_mm if before else None,
         model=with_allowed_effects(model, choices.get("effects", ()), backend=backend, double=double),
         rig_folder=rig_folder,
         backend=backend,

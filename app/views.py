@@ -19,17 +19,15 @@ import numpy.typing as npt
 
 from dragrig.analysis import (
     Progress,
-    SavgolSettings,
     TableRow,
     count_text,
-    default_filter_settings,
     filter_run,
     gap_starts,
     table_row,
     unreadable_row,
 )
 from dragrig.analysis.gap import Diagnosis, SettleRecord
-from dragrig.api import ExportFormatName, check, check_setup
+from dragrig.api import ExportFormatName, check, check_setup, filter_settings
 from dragrig.api import export as export_runs
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
@@ -145,6 +143,11 @@ class FormGroup:
     fields: tuple[FormField, ...]
     values: Mapping[str, str]
 
+    def parsed(self, texts: Mapping[str, str]) -> dict[str, object]:
+        """Return the values that texts state by key, without empty ones; raises `SettingsError` as `parse_field`."""
+        values = {field.key: parse_field(field, texts.get(field.key, "").strip(), self.name) for field in self.fields}
+        return {key: value for key, value in values.items() if value is not None}
+
 
 FieldPlace: TypeAlias = tuple[int, str]
 """Number of a group, from 0, and the key of one of its fields."""
@@ -211,9 +214,7 @@ class PlanForm(Form):
         PlanError, SettingsError
             For an invalid value.
         """
-        steps = [
-            {"kind": step.name, **_parse_values(step, texts)} for step, texts in zip(self.groups, values, strict=True)
-        ]
+        steps = [{"kind": step.name, **step.parsed(texts)} for step, texts in zip(self.groups, values, strict=True)]
         data = self.plan.model_dump(mode="json", exclude_unset=True)
         return parse(Plan, {**data, "steps": steps}, self.plan.name)
 
@@ -269,7 +270,9 @@ def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]
     """
     schema = model.model_json_schema()
     properties, shared = schema["properties"], schema.get("$defs", {})
-    order = [key for key in properties if key not in _HIDDEN_KEYS and not _is_group(model, key)]
+    kinds = {key: field.annotation for key, field in model.model_fields.items()}
+    groups = {key for key, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Settings)}
+    order = [key for key in properties if key not in _HIDDEN_KEYS | groups]
     if issubclass(model, RunProtocol):
         order.sort(key=lambda key: key in RunProtocol.model_fields)
     required, about = frozenset(schema.get("required", ())), field_descriptions(model)
@@ -279,11 +282,6 @@ def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]
         )
         for key in order
     )
-
-
-def _is_group(model: type[Settings], key: str) -> bool:
-    kind = model.model_fields[key].annotation
-    return isinstance(kind, type) and issubclass(kind, Settings)
 
 
 def _resolved_schema(entry: Mapping[str, object], shared: Mapping[str, object]) -> dict[str, object]:
@@ -346,11 +344,6 @@ def value_text(value: object) -> str:
     if isinstance(value, list | tuple):
         return ",\n".join("{" + ", ".join(f"{key} = {toml(item)}" for key, item in row.items()) + "}" for row in value)
     return str(value)
-
-
-def _parse_values(step: FormGroup, texts: Mapping[str, str]) -> dict[str, object]:
-    values = {field.key: parse_field(field, texts.get(field.key, "").strip(), step.name) for field in step.fields}
-    return {key: value for key, value in values.items() if value is not None}
 
 
 def parse_field(field: FormField, text: str, group: str) -> object:
@@ -690,10 +683,7 @@ def filtered_anew(
 
     Raises `AnalysisError` for an impossible filter.
     """
-    default = default_filter_settings(shown.rate_hz)
-    window = default.window_s if window_s is None else window_s
-    samples = default.window_samples if window is None else None
-    settings = SavgolSettings(window, samples, default.order if order is None else order)
+    settings = filter_settings(shown.rate_hz, window_s, None, order, 0)
     smooth = filter_run(shown.run, settings, None if force is None else (force,), for_display=True).trace
     return replace(
         shown,

@@ -259,7 +259,12 @@ class RunChecks:
         if self._clipped:
             warnings.append(f"{self._clipped} samples are at the end of the sensor's range")
         warnings += self._report_noise(values)
-        warnings += _report_late(late_replies, values)
+        if late_replies:
+            values["late_replies"] = late_replies
+            warnings.append(
+                f"{late_replies} repl{'y' if late_replies == 1 else 'ies'} of the drive came late "
+                "(hardware.drive.reply_s): this computer is busy; end other programs before a stop comes late"
+            )
         encoder_fault = self._report_travel(values)
         if encoder_fault:
             warnings.append(encoder_fault)
@@ -310,17 +315,6 @@ class RunChecks:
             f"encoder and drive differ by {off_mm:+.3f} mm after the motion, and may by {bound_mm:.3f} mm: counts "
             "were lost or came twice, or the resolution is wrong"
         )
-
-
-def _report_late(late_replies: int, values: dict[str, Attribute]) -> list[str]:
-    """Add how often the drive answered late, if it did; return the warning that is due for it."""
-    if not late_replies:
-        return []
-    values["late_replies"] = late_replies
-    return [
-        f"{late_replies} repl{'y' if late_replies == 1 else 'ies'} of the drive came late (hardware.drive.reply_s): "
-        "this computer is busy; end other programs before a stop comes late"
-    ]
 
 
 class _RestStatistics:

@@ -367,8 +367,11 @@ class RelaxationResiduals:
 
 def relaxation_residuals(fit: RelaxationFit, experiment: Experiment, noise: NoiseModel) -> RelaxationResiduals:
     """Evaluate a fit beside its run; raises `AnalysisError` where it has no elements."""
+    if not fit.elements or (zero := fit.zero.value) is None:
+        raise AnalysisError(f"{fit.file}: has no identified elements to predict from ({fit.remark})")
+    E1, E2, spring, eta1, eta2 = (element.value for element in fit.elements)
+    moduli, times = np.array([E1, E2]), np.array([eta1 / E1, eta2 / E2])
     record = ShearRecord.of(experiment, noise)
-    moduli, times, spring, zero = _branch_values(fit)
     blocks = record.blocks
     predicted = zero + spring * record.spring() + moduli @ record.branches(times)
     whitened = record.rows((blocks.mean - predicted)[None])[0, :-1]
@@ -376,13 +379,6 @@ def relaxation_residuals(fit: RelaxationFit, experiment: Experiment, noise: Nois
     time = start + np.geomspace(record.step_s, blocks.end_s[-1] - start, 400)
     force = zero + record.forces_at(times, moduli, spring, time)
     return RelaxationResiduals(record.ramp_s, blocks.middle_s, whitened, time, force)
-
-
-def _branch_values(fit: RelaxationFit) -> tuple[FloatArray, FloatArray, float, float]:
-    if not fit.elements or fit.zero.value is None:
-        raise AnalysisError(f"{fit.file}: has no identified elements to predict from ({fit.remark})")
-    E1, E2, E3, eta1, eta2 = (element.value for element in fit.elements)
-    return np.array([E1, E2]), np.array([eta1 / E1, eta2 / E2]), E3, fit.zero.value
 
 
 ELEMENT_NAMES = tuple(WALL_UNITS)

@@ -88,19 +88,15 @@ def read_export(path: Path) -> ExportedRun | None:
             exported = _read_npz(path)
         elif begin.startswith(b"MATLAB 5.0"):
             exported = _read_mat(path)
-    if exported is not None:
-        _require_known_version(exported)
-    return exported
-
-
-def _require_known_version(exported: ExportedRun) -> None:
-    metadata = exported.metadata
-    stated = metadata.get(EXPORT_FORMAT_KEY, metadata.get(EXPORT_PART_KEY))
+    if exported is None:
+        return None
+    stated = exported.metadata.get(EXPORT_FORMAT_KEY, exported.metadata.get(EXPORT_PART_KEY))
     if not isinstance(stated, int) or stated > EXPORT_FORMAT_VERSION:
         raise ImportDataError(
-            f"{exported.path}: is an export in version {stated!r:.20} of the format, and the last one known is "
+            f"{path}: is an export in version {stated!r:.20} of the format, and the last one known is "
             f"{EXPORT_FORMAT_VERSION}; install a newer dragrig, or map the columns."
         )
+    return exported
 
 
 def _metadata_of(text: str | bytes) -> dict[str, object]:

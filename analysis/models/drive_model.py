@@ -193,7 +193,7 @@ class DrivePredictor(Predictor):
         """Return the uncertainty by the times at which the motion changes, the acceleration, the load and rests."""
         by_joints = self.motion.joint_uncertainty(lambda times: values[:3] @ self._moving(times), time_s)
         by_inertia = values[0] * MILLINEWTONS_PER_G_MM_S2 * self.motion.acceleration_error(time_s)
-        in_motion = np.hypot(np.hypot(by_joints, by_inertia), self.load.uncertainty(time_s))
+        in_motion: FloatArray = np.hypot(np.hypot(by_joints, by_inertia), self.load.uncertainty(time_s))
         if not self.holds:
             return in_motion
         slow_mm_s = min(HELD_SPEED_SHARE * float(np.abs(self.motion.velocity_mm_s).max()), TURNING_SPEED_MM_S)

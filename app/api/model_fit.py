@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypedDict
@@ -104,10 +105,8 @@ class IdentifiedCampaign:
         rows = [
             {
                 **present.attributes_json(parameter, "unit", "value", "standard_error"),
-                "low": parameter.interval[0],
-                "high": parameter.interval[1],
-                "prior_low": parameter.prior[0],
-                "prior_high": parameter.prior[1],
+                **dict(zip(("low", "high"), parameter.interval, strict=True)),
+                **dict(zip(("prior_low", "prior_high"), parameter.prior, strict=True)),
                 **present.attributes_json(parameter, "learnt", "determined", "meaning"),
             }
             for parameter in parameters
@@ -169,16 +168,9 @@ def _model_origin(result: Identification, joint: JointFit, campaign: str) -> Ide
 
 
 def _identified_value(parameter: ParameterEstimate) -> IdentifiedValue:
-    return IdentifiedValue(
-        name=parameter.name,
-        unit=parameter.unit,
-        value=parameter.value,
-        standard_error=parameter.standard_error,
-        low=parameter.interval[0],
-        high=parameter.interval[1],
-        learnt=parameter.learnt,
-        determined=parameter.determined,
-    )
+    low, high = parameter.interval
+    same = present.attributes_json(parameter, "name", "unit", "value", "standard_error", "learnt", "determined")
+    return IdentifiedValue.model_validate({**same, "low": low, "high": high})
 
 
 def identify(
@@ -358,52 +350,44 @@ def identify_many(
     outputs = _output_folders(folders, out) if write else [None] * len(folders)
     nominal_name, model_name = absolute_if_file(str(nominal)), absolute_if_file(str(model))
     choices: FitChoices = {"nominal": nominal_name, "model": model_name, "wall": wall, "specimen": specimen}
-    request = _IdentificationRequest(choices, overwrite)
     tasks = list(zip(map(str, campaigns), folders, outputs, strict=True))
-    return map_tasks(request.identify_folder, tasks, workers, scheduler, progress)
+    return map_tasks(partial(_identify_folder, choices, overwrite), tasks, workers, scheduler, progress)
 
 
-@dataclass(frozen=True, slots=True)
-class _IdentificationRequest:
-    choices: FitChoices
-    overwrite: bool = False
-
-    def identify_folder(self, campaign: tuple[str, Path, Path | None]) -> IdentifiedFolder:
-        """Identify one of many campaigns (name, folder, output folder); an error becomes part of the result."""
-        name, folder, output = campaign
-        try:
-            identified = identify(folder, **self.choices)
-            files: tuple[Path, ...] = ()
-            why_not = identified.why_no_model or ""
-            if output is not None:
-                files = write_identified_files(identified, output, with_model=not why_not, overwrite=self.overwrite)
-        except DragrigError as error:
-            return IdentifiedFolder(name, None, (), str(error).replace(str(folder), name))
-        return IdentifiedFolder(name, identified.result, files, why_not.replace(str(folder), name))
+def _identify_folder(choices: FitChoices, overwrite: bool, campaign: tuple[str, Path, Path | None]) -> IdentifiedFolder:
+    """Identify one of many campaigns (name, folder, output folder); an error becomes part of the result."""
+    name, folder, output = campaign
+    try:
+        identified = identify(folder, **choices)
+        files: tuple[Path, ...] = ()
+        why_not = identified.why_no_model or ""
+        if output is not None:
+            files = write_identified_files(identified, output, with_model=not why_not, overwrite=overwrite)
+    except DragrigError as error:
+        return IdentifiedFolder(name, None, (), str(error).replace(str(folder), name))
+    return IdentifiedFolder(name, identified.result, files, why_not.replace(str(folder), name))
 
 
-@dataclass(frozen=True, slots=True)
-class _PooledIdentification(_IdentificationRequest):
-    def fit(self, task: tuple[str, PooledCampaign]) -> SpecimenFit | Exclusion:
-        """Identify one of the campaigns of a population; an error is the reason why it takes no part."""
-        name, pooled = task
-        campaign = pooled.campaign
-        try:
-            identified = identify(campaign, **self.choices)
-        except DragrigError as error:
-            return Exclusion(name, reason_of(error).removeprefix(f"{campaign.folder}: "))
-        infos = [experiment.run.info for experiment in identified.selection.experiments]
-        serials = {str(info.header.entry.get("sensor_serial", "")) for info in infos} - {"", UNSTATED}
-        result = identified.result
-        has_id = str(infos[0].header.specimen.get("id") or UNSTATED) != UNSTATED
-        return SpecimenFit(
-            source=name,
-            # Without an id nobody said that it is the piece of another campaign.
-            specimen=result.specimen if has_id else f"{result.specimen} in {name}",
-            identification=replace(result, left_out=(*pooled.copies, *result.left_out)),
-            rig=_rig_of(infos[0].path),
-            sensor=", ".join(sorted(serials)),
-        )
+def _specimen_fit(choices: FitChoices, task: tuple[str, PooledCampaign]) -> SpecimenFit | Exclusion:
+    """Identify one of the campaigns of a population; an error is the reason why it takes no part."""
+    name, pooled = task
+    campaign = pooled.campaign
+    try:
+        identified = identify(campaign, **choices)
+    except DragrigError as error:
+        return Exclusion(name, reason_of(error).removeprefix(f"{campaign.folder}: "))
+    infos = [experiment.run.info for experiment in identified.selection.experiments]
+    serials = {str(info.header.entry.get("sensor_serial", "")) for info in infos} - {"", UNSTATED}
+    result = identified.result
+    has_id = str(infos[0].header.specimen.get("id") or UNSTATED) != UNSTATED
+    return SpecimenFit(
+        source=name,
+        # Without an id nobody said that it is the piece of another campaign.
+        specimen=result.specimen if has_id else f"{result.specimen} in {name}",
+        identification=replace(result, left_out=(*pooled.copies, *result.left_out)),
+        rig=_rig_of(infos[0].path),
+        sensor=", ".join(sorted(serials)),
+    )
 
 
 def _rig_of(run_file: Path) -> str:
@@ -451,9 +435,9 @@ def identify_together(
     names = {Path(campaign).resolve(): str(campaign) for campaign in reversed(campaigns)}
     pooled = pool_campaigns([Path(campaign).absolute() for campaign in campaigns])
     nominal_name, model_name = absolute_if_file(str(nominal)), absolute_if_file(str(model))
-    request = _PooledIdentification({"nominal": nominal_name, "model": model_name, "wall": wall, "specimen": specimen})
+    choices: FitChoices = {"nominal": nominal_name, "model": model_name, "wall": wall, "specimen": specimen}
     tasks = [(names[each.campaign.folder.resolve()], each) for each in pooled]
-    fits = map_tasks(request.fit, tasks, workers, scheduler, progress)
+    fits = map_tasks(partial(_specimen_fit, choices), tasks, workers, scheduler, progress)
     identified = [fit for fit in fits if isinstance(fit, SpecimenFit)]
     left_out = [fit for fit in fits if isinstance(fit, Exclusion)]
     copies = [replace(copy, item=f"{name}/{copy.item}") for name, each in tasks for copy in each.copies]

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from statistics import median
@@ -367,19 +368,17 @@ class _RunningExam:
     def run(self, *, without_true: bool, sizes: bool) -> tuple[str, Mapping[str, Mapping[str, object]]]:
         """Do the open tasks; return the hash of the answers, and the diagnoses by the campaigns' names."""
         folder, names = self.folder, [case.name for case in self.cases]
-        single = [case for case in self.cases if case.single]
-        measured = [case for case in self.cases if case.single or case.plant != WRITTEN_PLANT]
-        orders = [CampaignOrder(case, folder.campaign(case.name), folder.fresh(case.name)) for case in self.cases]
-        to_simulate = [order for order in orders if not (order.campaign.is_dir() and order.fresh.is_dir())]
-        to_diagnose = {
-            BlindTask(folder.campaign(name)): name for name in names if not folder.result("said", name).exists()
+        single = [case for case in self.cases if case.single] if without_true else []
+        measured = [case for case in self.cases if sizes and (case.single or case.plant != WRITTEN_PLANT)]
+        orders = {
+            CampaignOrder(case, folder.campaign(case.name), folder.fresh(case.name)): case.name for case in self.cases
         }
-        to_repeat = {
-            BlindTask(folder.campaign(case.name), case.effects): case.name
-            for case in single
-            if without_true and not folder.result("withheld", case.name).exists()
-        }
-        to_measure = [case for case in measured if sizes and not folder.result("amounts", case.name).exists()]
+        to_simulate = {o: name for o, name in orders.items() if not (o.campaign.is_dir() and o.fresh.is_dir())}
+        to_diagnose = self._missing("said", {BlindTask(folder.campaign(name)): name for name in names})
+        to_repeat = self._missing(
+            "withheld", {BlindTask(folder.campaign(case.name), case.effects): case.name for case in single}
+        )
+        to_measure = self._missing("amounts", {case: case.name for case in measured})
         self.meter.expect(SIMULATE_COST_S, len(to_simulate))
         self.meter.expect(DIAGNOSE_COST_S, len(to_diagnose) + len(to_repeat))
         self.meter.expect(D_PRIME_COST_S, len(to_measure))
@@ -389,23 +388,11 @@ class _RunningExam:
         remove_unfinished(orders)
         self._map(SIMULATE_COST_S, simulate_campaign, to_simulate)
         remove_unfinished(orders)
-        self._map(
-            DIAGNOSE_COST_S, self.diagnose, to_diagnose, lambda task, result: self._store(to_diagnose[task], result)
-        )
+        self._map(DIAGNOSE_COST_S, self.diagnose, to_diagnose, partial(self._store_diagnosis, "said"))
         open_answers(folder, self.cases)
         self._evaluate_models()
-        self._map(
-            DIAGNOSE_COST_S,
-            self.diagnose,
-            to_repeat,
-            lambda task, result: write_json(folder.result("withheld", to_repeat[task]), result.json_or_failure()),
-        )
-        self._map(
-            D_PRIME_COST_S,
-            hidden_amounts,
-            to_measure,
-            lambda case, amounts: write_json(folder.result("amounts", case.name), amounts),
-        )
+        self._map(DIAGNOSE_COST_S, self.diagnose, to_repeat, partial(self._store_diagnosis, "withheld"))
+        self._map(D_PRIME_COST_S, hidden_amounts, to_measure, partial(self._store, "amounts"))
         return digest, {name: read_json(folder.result("said", name)) for name in names}
 
     def score(
@@ -432,43 +419,41 @@ class _RunningExam:
         self,
         weight: int,
         function: Callable[[TaskT], R],
-        tasks: Iterable[TaskT],
-        store: Callable[[TaskT, R], None] | None = None,
+        tasks: Mapping[TaskT, str],
+        store: Callable[[str, R], None] = lambda _name, _result: None,
     ) -> None:
-        waiting = list(tasks)
-        if not waiting:
+        """Work on tasks, each of the campaign of that name, and store their results as they come."""
+        if not tasks:
             return
 
         def finished(task: TaskT, result: R) -> None:
-            if store is not None:
-                store(task, result)
+            store(tasks[task], result)
             self.meter.advance(weight)
 
-        with open_executor(self.workers, self.scheduler, tasks=len(waiting), own_process=True) as executor:
-            parallel_map(executor, function, waiting, finished)
+        with open_executor(self.workers, self.scheduler, tasks=len(tasks), own_process=True) as executor:
+            parallel_map(executor, function, list(tasks), finished)
 
-    def _store(self, name: str, diagnosis: BlindDiagnosis) -> None:
+    def _missing(self, kind: str, tasks: Mapping[TaskT, str]) -> Mapping[TaskT, str]:
+        """Return the tasks whose result of a kind is not there yet."""
+        return {task: name for task, name in tasks.items() if not self.folder.result(kind, name).exists()}
+
+    def _store(self, kind: str, name: str, result: Mapping[str, object]) -> None:
+        write_json(self.folder.result(kind, name), result)
+
+    def _store_diagnosis(self, kind: str, name: str, diagnosis: BlindDiagnosis) -> None:
         """Store the model before the diagnosis, so that a stored diagnosis always has its model."""
-        if diagnosis.model is not None:
+        if diagnosis.model is not None and kind == "said":
             self.folder.model(name).parent.mkdir(parents=True, exist_ok=True)
             self.folder.model(name).write_text(diagnosis.model, "utf-8", newline="\n")
-        write_json(self.folder.result("said", name), diagnosis.json_or_failure())
+        self._store(kind, name, diagnosis.json_or_failure())
 
     def _evaluate_models(self) -> None:
         """Evaluate amended models on fresh runs."""
         folder = self.folder
-        names = {
-            (folder.model(case.name), folder.fresh(case.name)): case.name
-            for case in self.cases
-            if folder.model(case.name).exists() and not folder.result("achieved", case.name).exists()
-        }
-        self._map(
-            EVALUATE_COST_S,
-            evaluate_blind,
-            names,
-            lambda task, reduction: write_json(folder.result("achieved", names[task]), reduction),
-        )
-        self.meter.advance(EVALUATE_COST_S, len(self.cases) - len(names))
+        with_model = [case.name for case in self.cases if folder.model(case.name).exists()]
+        tasks = self._missing("achieved", {(folder.model(name), folder.fresh(name)): name for name in with_model})
+        self._map(EVALUATE_COST_S, evaluate_blind, tasks, partial(self._store, "achieved"))
+        self.meter.advance(EVALUATE_COST_S, len(self.cases) - len(tasks))
 
     def _existing(self, kind: str, key: str) -> dict[str, Mapping[str, object]]:
         """Return the contents of the files that exist and have a key, by the campaigns' names."""

@@ -453,7 +453,10 @@ class SimulatedSampler:
         """
         if self._reader is not None:
             raise DeviceError("the sampler is still armed for the previous acquisition: stop it first.")
-        session_start_s = self._session_start(acquisition)
+        now = self._clock.now()
+        if acquisition.recorded and self._first_run_at is None:
+            self._first_run_at = now
+        session_start_s = (now - (self._first_run_at or now)).total_seconds()
         disturbances = self._disturbances.during(acquisition)
         reader = BlockReader(
             SimulatedChannels(self._rig, self._model, acquisition, disturbances, session_start_s),
@@ -549,12 +552,6 @@ class SimulatedSampler:
         force_V = force_mN / wiring.per_V + wiring.zero_V
         counts = np.rint(np.array([begin_mm, end_mm]) * encoder.counts_per_mm)
         return RawReading.of(force_V, counts, float(np.mean(force_mN)))
-
-    def _session_start(self, acquisition: Acquisition) -> float:
-        now = self._clock.now()
-        if acquisition.recorded and self._first_run_at is None:
-            self._first_run_at = now
-        return 0.0 if self._first_run_at is None else (now - self._first_run_at).total_seconds()
 
     def _outlast_silence(self, cancel: Signal) -> bool:
         limit_s = self._rig.guard.stale_data_s
