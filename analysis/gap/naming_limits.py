@@ -253,8 +253,6 @@ def general_limitations(runs: Sequence[RunData]) -> Iterator[str]:
     """Yield limitations that hold for any model."""
     if len({(run.condition, run.direction) for run in runs}) == len(runs):
         yield "No condition was repeated: repeatability is assumed, not measured."
-    if len(runs) < MIN_RUNS_TO_HOLD_OUT:
-        yield "Too few runs to hold any out: the share of the gap that closes is not given."
     if not any(_has_own_command(run) for run in runs):
         yield "No command was recorded: nothing is known of motor effects."
 

@@ -68,14 +68,14 @@ class Trend:
         at_end = peak in {0, self.coordinate.size - 1}
         if abs(self.rank_correlation) >= (MONOTONIC_TO_END_CORRELATION if at_end else MONOTONIC_CORRELATION):
             verb = "grows" if self.rank_correlation > 0 else "falls"
-            first, last = (self._at_bin(index, unit, coordinate_unit) for index in (0, -1))
+            first, last = (
+                f"{_signed_two_digits(mean)} {unit} at {two_digits(coordinate)}{coordinate_unit}"
+                for mean, coordinate in ((self.mean[index], self.coordinate[index]) for index in (0, -1))
+            )
             return f"{verb} with {name}, from {first} to {last}"
         side = "highest" if self.mean[peak] > 0 else "lowest"
         place = f"{two_digits(self.coordinate[peak])}{coordinate_unit}"
         return f"is {side} at about {place}, {_signed_two_digits(self.mean[peak])} {unit}"
-
-    def _at_bin(self, index: int, unit: str, coordinate_unit: str) -> str:
-        return f"{_signed_two_digits(self.mean[index])} {unit} at {two_digits(self.coordinate[index])}{coordinate_unit}"
 
 
 def trend_of(region: GapRegion, domain: str) -> Trend | None:

@@ -106,7 +106,8 @@ class ForeignTable:
         if len(found) == 1:
             return found[0]
         if found:
-            places = " or ".join(f"{column.name!r} (number {self._number(column)})" for column in found)
+            numbers = [[known is column for known in self.columns].index(True) + 1 for column in found]
+            places = " or ".join(f"{column.name!r} (number {at})" for column, at in zip(found, numbers, strict=True))
             raise ImportDataError(f"{self.path}: {name!r} could be {places}; give the full name, or the number.")
         if name.isdecimal() and 1 <= int(name) <= len(self.columns):
             return self.columns[int(name) - 1]
@@ -115,9 +116,6 @@ class ForeignTable:
             raise ImportDataError(f"{self.path}: {told}.")
         names = [column.name for column in self.columns]
         raise ImportDataError(f"{self.path}: there is no column {name!r}; {suggestion(name, names)}")
-
-    def _number(self, column: ForeignColumn) -> int:
-        return next(number for number, known in enumerate(self.columns, start=1) if known is column)
 
     def require_numbers(self, column: ForeignColumn, *, throughout: bool) -> None:
         """Raise `ImportDataError` for a column of text, or one with any text if it must be of numbers `throughout`."""

@@ -113,6 +113,7 @@ def diagnosis_document(
     parts, verdict = budget_sentences(diagnosis.budget), verdict_sentences(diagnosis)
     # The conclusion and its probability come first, what limits them after that.
     answer, *lead = (*parts[:1], *verdict[:1], *parts[1:], *verdict[1:])
+    alike = diagnosis.verdict is Verdict.NO_GAP and diagnosis.traces
     return Document(
         title=f"Gap diagnosis: {diagnosis.specimen}",
         badges=diagnosis.backends,
@@ -120,7 +121,7 @@ def diagnosis_document(
         lead=tuple(lead),
         sections=(
             _budget_section(diagnosis),
-            _no_gap_section(diagnosis),
+            Section("no-gap", "The runs and the model", (_before_after_figure(diagnosis),) if alike else ()),
             _confidence_section(diagnosis, source),
             _location_section(diagnosis),
             _ranking_section(diagnosis),
@@ -216,13 +217,6 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
             budget_table(diagnosis),
         ),
     )
-
-
-def _no_gap_section(diagnosis: Diagnosis) -> Section:
-    """Show runs and model within noise and scatter where there is no gap to cut into parts."""
-    if diagnosis.verdict is not Verdict.NO_GAP or not diagnosis.traces:
-        return Section("no-gap", "The runs and the model", ())
-    return Section("no-gap", "The runs and the model", (_before_after_figure(diagnosis),))
 
 
 def _before_after_figure(diagnosis: Diagnosis) -> Figure:
