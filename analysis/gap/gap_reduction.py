@@ -316,7 +316,7 @@ MIN_RUNS = 4
 def folds_by_condition(study: Study) -> tuple[tuple[int, ...], ...]:
     """Return the runs of each fold: whole conditions, those of a kind dealt in the order of speed or strain.
 
-    Empty where runs or conditions are too few to hold any out.
+    Runs of a single condition are dealt in their order. Empty where runs are too few to hold any out.
     """
     conditions = sorted({run.condition for run in study.runs})
     fold_of_condition: dict[tuple[str, float], int] = {}
@@ -326,7 +326,7 @@ def folds_by_condition(study: Study) -> tuple[tuple[int, ...], ...]:
         fold_of_condition[kind, value] = counts[kind] % HELD_OUT_FOLDS
     members: list[list[int]] = [[] for _ in range(HELD_OUT_FOLDS)]
     for number, run in enumerate(study.runs):
-        members[fold_of_condition[run.condition]].append(number)
+        members[fold_of_condition[run.condition] if len(conditions) > 1 else number % HELD_OUT_FOLDS].append(number)
     folds = tuple(tuple(fold) for fold in members if fold)
     return folds if len(study.runs) >= MIN_RUNS and len(folds) > 1 else ()
 

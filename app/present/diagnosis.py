@@ -382,7 +382,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         "3. How much",
         (
             _parameter_table(diagnosis),
-            Text(reduction or "Too few runs or conditions to hold any out: how much of a gap closes is not known."),
+            Text(reduction or "Too few runs to hold any out: how much of a gap closes is not known."),
             Section("model", "The model with the effect", amended if model else ()),
             *((_before_after_figure(diagnosis),) if drawn_here else ()),
             *(() if shrink is None else (r2_table(shrink, named=named),)),
