@@ -195,7 +195,8 @@ def fit_decay(region: GapRegion) -> ExponentialDecay | None:
     ]
     if not runs:
         return None
-    in_travel = _best_decay(runs, [_distance_from_start(blocks, _travel_mm(blocks)) for blocks in runs])
+    ways_mm = [np.cumsum(np.abs(np.diff(blocks.position_mm, prepend=blocks.position_mm[0]))) for blocks in runs]
+    in_travel = _best_decay(runs, [_distance_from_start(*pair) for pair in zip(runs, ways_mm, strict=True)])
     in_time = _best_decay(runs, [_distance_from_start(blocks, blocks.time_s) for blocks in runs])
     fit, alternative, along_way = (
         (in_travel, in_time, True)
@@ -229,11 +230,6 @@ class _DecayFit:
 
 def _steady_mask(blocks: ResidualBlocks) -> BoolArray:
     return np.asarray(blocks.phase == Phase.STEADY, dtype=np.bool_)
-
-
-def _travel_mm(blocks: ResidualBlocks) -> FloatArray:
-    """Return the way made so far, there and back."""
-    return np.cumsum(np.abs(np.diff(blocks.position_mm, prepend=blocks.position_mm[0])))
 
 
 def _distance_from_start(blocks: ResidualBlocks, coordinate: FloatArray) -> FloatArray:

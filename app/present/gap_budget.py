@@ -382,7 +382,9 @@ def budget_json(diagnosis: Diagnosis, run_ids: Mapping[str, str] | None = None) 
     """
     channels = budgets_by_channel(diagnosis.budget)
     runs = () if diagnosis.budget is None else diagnosis.budget.runs
-    described = _described_channel(diagnosis, [here.channel for here in channels])
+    # What is left is described in the channel with most of the gap.
+    shares = next((location.shares for location in diagnosis.where.locations if location.name == "channel"), {})
+    described = max((here.channel for here in channels), key=lambda channel: shares.get(channel, 0.0), default="")
     parts: list[Mapping[str, object]] = []
     for here in channels:
         parts += (
@@ -440,12 +442,6 @@ def _rest_json(here: ChannelBudget, diagnosis: Diagnosis, described: bool) -> Ma
         "resembles": [cause for cause in causes if cause in catalogue()],
         "law": unknown.expression or None if unknown is not None else None,
     }
-
-
-def _described_channel(diagnosis: Diagnosis, channels: Sequence[str]) -> str:
-    """Return the channel that the diagnosis describes what is left in: the one with most of the gap."""
-    shares = next((location.shares for location in diagnosis.where.locations if location.name == "channel"), {})
-    return max(channels, key=lambda channel: shares.get(channel, 0.0), default="")
 
 
 def _rounded(value: float) -> float | None:
