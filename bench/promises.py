@@ -4,16 +4,21 @@
 at full size, of both blind plants and of stages under a position loop in turn, are diagnosed. The models of those whose
 effect is named are evaluated on fresh sessions of the same specimen: with the effect at no, half, its own and twice its
 size, and with another effect of the catalogue in its place. `--keep` keeps campaigns and models for the next time.
+
+`python bench/promises.py --drives N` does the same with N stages whose motor cogs, their force explained by
+`--nominal drive`; in place of another effect the ripple is in the force with which a position loop holds the stage.
 """
 
 import argparse
+import sys
 import tempfile
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from dragrig.analysis.estimates import no_progress
 from dragrig.analysis.gap.evaluation import ModelEvaluation, PromiseVerdict
@@ -22,11 +27,12 @@ from dragrig.scoring import wilson_rate
 from dragrig.sim_backend.blind.blind_campaign import draw_campaign
 from dragrig.sim_backend.blind.effects import CATALOGUE, effect_group
 from dragrig.sim_backend.blind.plant import write_campaign
+from drives import cogging, held_by_a_loop
 
 PLANTS: tuple[tuple[str, tuple[str, ...]], ...] = (("written", ()), ("drawn", ()), ("drawn", ("position loop",)))
 """Plants and their conditions, in turn."""
-KEPT = "its own size"
-SESSIONS = {"no size": 0.0, "half its size": 0.5, KEPT: 1.0, "twice its size": 2.0, "another effect": 1.0}
+KEPT, ANOTHER, STANDSTILLS = "its own size", "another effect", "standstills alone"
+SESSIONS = {"no size": 0.0, "half its size": 0.5, KEPT: 1.0, "twice its size": 2.0, ANOTHER: 1.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +90,34 @@ def evaluations_of(case: Case) -> dict[str, ModelEvaluation]:
         return {}
     evaluations = {}
     for session, size in SESSIONS.items():
-        effect = case.effect if session != "another effect" else case.replacement
+        effect = case.effect if session != ANOTHER else case.replacement
         case.write(effect, size, case.folder / session, "fresh")
         evaluations[session] = gap_evaluate(model, case.folder / session)
     return evaluations
+
+
+def drive_evaluations(number: int) -> dict[str, ModelEvaluation]:
+    """Diagnose a stage that cogs, and evaluate its model on fresh runs; empty where cogging is not named."""
+    import dragrig
+
+    random = np.random.default_rng(number)
+    amplitude_mN, pitch_mm = float(random.uniform(10.0, 60.0)), float(random.uniform(2.0, 15.0))
+    sessions = []
+    for seed, speeds in ((2 * number, [5, 15, 30, 60]), (2 * number + 1, [8, 20, 45])):
+        with tempfile.TemporaryDirectory() as folder:
+            plan = Path(folder) / "stage.toml"
+            steps = (f'[[steps]]\nkind = "blank"\nspeed_mm_s = {speeds}\ntravel_mm = {way}\n' for way in (25, -25))
+            plan.write_text('name = "stage"\n' + "".join(steps), "utf-8")
+            sessions.append(
+                dragrig.simulate(str(plan), assignments=[f"rig.simulated.seed={seed}", "rig.sampling.rate_hz=500"])
+            )
+    diagnosis = dragrig.gap_diagnose(cogging(sessions[0], amplitude_mN, pitch_mm), nominal="drive")
+    if diagnosis.model is None or "cogging" not in diagnosis.effects:
+        return {}
+    fresh = {name: cogging(sessions[1], size * amplitude_mN, pitch_mm) for name, size in SESSIONS.items()}
+    fresh[STANDSTILLS] = held_by_a_loop(sessions[1], 5 * amplitude_mN, pitch_mm)
+    del fresh[ANOTHER]
+    return {name: dragrig.gap_evaluate(diagnosis.model, runs) for name, runs in fresh.items()}
 
 
 def main() -> None:
@@ -96,18 +126,30 @@ def main() -> None:
     parser.add_argument("--campaigns", type=int, default=40)
     parser.add_argument("--seed", type=int, default=81000)
     parser.add_argument("--keep", type=Path)
+    parser.add_argument("--drives", type=int, default=0)
     parser.add_argument("--workers", type=int)
     options = parser.parse_args()
+    if options.drives:
+        seeds = range(options.seed, options.seed + options.drives)
+        results = map_tasks(drive_evaluations, seeds, options.workers, None, no_progress)
+        print_verdicts([(f"{seed} drive", found) for seed, found in zip(seeds, results, strict=True)])
+        return
     with tempfile.TemporaryDirectory() as temporary:
         cases = tuple(draw_cases(options.campaigns, options.seed, options.keep or Path(temporary)))
         results = map_tasks(evaluations_of, cases, options.workers, None, no_progress)
-    named = [(case, evaluations) for case, evaluations in zip(cases, results, strict=True) if evaluations]
-    print(f"seed {options.seed}: the effect is named in {len(named)} of {len(cases)} campaigns")
-    for session in SESSIONS:
-        counts = Counter(evaluations[session].verdict for _, evaluations in named)
-        kept = wilson_rate("kept", [evaluations[session].verdict is PromiseVerdict.KEPT for _, evaluations in named])
-        shown = ", ".join(f"{verdict.value} {counts[verdict]}" for verdict in PromiseVerdict)
-        print(f"{session:15} {shown}   KEPT {kept.share:.0%} ({kept.low:.0%} to {kept.high:.0%})")
+    words = [f"{case.seed} {case.plant} {case.effect} (or {case.replacement})" for case in cases]
+    print_verdicts(list(zip(words, results, strict=True)))
+
+
+def print_verdicts(results: Sequence[tuple[str, dict[str, ModelEvaluation]]]) -> None:
+    """Print the verdicts of each session, and all that are not as they should be."""
+    named = [(case, evaluations) for case, evaluations in results if evaluations]
+    print(f"the effect is named in {len(named)} of {len(results)} campaigns")
+    for session in named[0][1] if named else ():
+        verdicts = [evaluations[session].verdict for _, evaluations in named]
+        kept = wilson_rate("kept", [verdict is PromiseVerdict.KEPT for verdict in verdicts])
+        shown = ", ".join(f"{verdict.value} {verdicts.count(verdict)}" for verdict in PromiseVerdict)
+        print(f"{session:17} {shown}   KEPT {kept.share:.0%} ({kept.low:.0%} to {kept.high:.0%})")
     for case, evaluations in named:
         for session, evaluation in evaluations.items():
             expected = PromiseVerdict.KEPT if session == KEPT else PromiseVerdict.NOT_KEPT
@@ -116,8 +158,7 @@ def main() -> None:
                     f"{size.effect} {size.size:.2f} ({size.low:.2f} to {size.high:.2f}, d' {size.d_prime:.0f})"
                     for size in evaluation.sizes
                 )
-                what = case.replacement if session == "another effect" else case.effect
-                print(f"  {case.seed} {case.plant} {what}, {session}: {evaluation.verdict.value}; {sizes}; ")
+                print(f"  {case}, {session}: {evaluation.verdict.value}; {sizes}")
                 print(f"      explained {evaluation.explained}, promised {evaluation.promised}")
 
 

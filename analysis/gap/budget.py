@@ -26,11 +26,7 @@ from dragrig.analysis.gap.diagnosis import (
     RunContributions,
     Verdict,
 )
-from dragrig.analysis.gap.gap_reduction import (
-    BOOTSTRAP_SAMPLES,
-    folds_by_condition,
-    without_own,
-)
+from dragrig.analysis.gap.gap_reduction import folds_by_condition, without_own
 from dragrig.analysis.gap.presence import (
     MODULATION_SD,
     CauseKind,
@@ -43,6 +39,7 @@ from dragrig.analysis.gap.presence import (
 from dragrig.rig import FloatArray, IndexArray
 from dragrig.sim_backend.effects import catalogue, hum_effect
 
+BOOTSTRAP_SAMPLES = 1000
 MIN_GAP_OVER_NOISE = 0.1
 """Mean square of a gap above noise, relative to noise, below which shares of it mean nothing."""
 FORM_SHARE = MODULATION_SD**2

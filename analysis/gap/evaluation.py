@@ -33,7 +33,6 @@ from dragrig.analysis.gap.position_channel import (
     position_weights,
     predicted_position_error,
 )
-from dragrig.analysis.gap.run_data import run_data_of
 from dragrig.analysis.gap.spectral_lines import detectable_line_amplitude, find_spectral_lines, without_hum
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.config import AnalysisError, EffectSettings, ModelSettings
@@ -57,9 +56,8 @@ SIZE_PRIOR_SD = 10.0
 KEPT_SIZES, OTHER_SIZES = (0.71, 1.41), (0.5, 2.0)
 """Relative sizes between which a promise is kept, and sizes that the interval of a kept one excludes.
 
-The former are nearer in ratio to the promised size than to half or twice of it. What a catalogue's form misses of a
-real effect moved the size on other speeds by up to 23 % in 40 simulated campaigns with other forms than the
-catalogue's.
+The former are nearer in ratio to the promised size than to half or twice of it. What a catalogue's form misses of an
+effect moved the size on other speeds by up to 23 % in 40 simulated campaigns with other forms than the catalogue's.
 """
 MIN_HUM_LLR = 8.0
 """A mains line of this log likelihood ratio is detected."""
@@ -123,11 +121,8 @@ class ModelEvaluation:
     explained
         Share of chi-square beyond noise that the effects explain, the specimen's parameters and each run's own factors
         fitted under their priors without the effects and with them; None where chi-square shows no gap that matters.
-    unfitted_rms_mN
-        Residuals as predicted, nothing fitted to these runs but zeros and the scale of relaxations: of the model that
-        was fitted without effects, and of the amended model.
     traces
-        Each run beside what these two models predict.
+        Each run beside what the model says without and with the effects.
     backends
         Where the runs come from.
     diagnosed_runs
@@ -141,7 +136,6 @@ class ModelEvaluation:
     achieved_95ci: tuple[float, float] | None
     explained: float | None
     sizes: tuple[RelativeEffectSize, ...]
-    unfitted_rms_mN: tuple[float, float]
     traces: tuple[RunTraces, ...] = ()
     backends: tuple[str, ...] = ()
     diagnosed_runs: int = 0
@@ -181,7 +175,7 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
         unseen = []
     forces = ForceEvaluation.of(selection, model)
     sizes = [*forces.sizes(), *map(unseen_effect_size, unseen)]
-    gaps, predicted = forces.refitted_gaps(), forces.predicted_gaps()
+    gaps = forces.gaps()
     reduction = reduction_over_runs(gaps)
     achieved: float | None
     interval: tuple[float, float] | None
@@ -198,7 +192,6 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
             sizes.append(_size_of_hum(active.effect, active.values, selection))
             if len(effects) == 1:
                 achieved, interval = None, None
-    duration, before, after, _ = np.sum([gap.sums for gap in predicted], axis=0).tolist()
     promise = (model.diagnosed.promised, model.diagnosed.promised_95ci) if model.diagnosed else (None, None)
     return ModelEvaluation(
         reduction,
@@ -207,8 +200,7 @@ def evaluate(selection: RunSelection, model: ModelSettings) -> ModelEvaluation:
         interval,
         forces.explained_share(),
         tuple(sizes),
-        (float(np.sqrt(before / duration)), float(np.sqrt(after / duration))),
-        tuple(map(traces_of_run, predicted)),
+        tuple(map(traces_of_run, gaps)),
         selection.backends,
         len(given.experiments) - len(selection.experiments),
     )
@@ -245,7 +237,6 @@ class ForceEvaluation:
 
     study: Study
     amended: Design
-    before: Design
     effects: tuple[ActiveEffect, ...]
     grids: tuple[tuple[float, ...], ...]
     forces: tuple[tuple[FloatArray, ...], ...]
@@ -254,9 +245,7 @@ class ForceEvaluation:
     @classmethod
     def of(cls, selection: RunSelection, model: ModelSettings) -> "ForceEvaluation":
         """Return what runs say of the effects of an amended model that act on the force."""
-        study = _study(selection, model)
-        bare = model.model_copy(update={"effects": (), "diagnosed": None})
-        fitted_without = bare.with_values(model.diagnosed.nominal) if model.diagnosed else bare
+        study = prepare_study(selection, nominal_model(model), ())
         z = study.initial_z
         acting = tuple(
             active
@@ -277,7 +266,6 @@ class ForceEvaluation:
         return cls(
             study=study,
             amended=linearise(study, z),
-            before=linearise(_on_same_blocks(_study(selection, fitted_without), study), z),
             effects=acting,
             grids=grids,
             forces=tuple(
@@ -366,15 +354,14 @@ class ForceEvaluation:
         blocks = sum(design.residual.size for design in self.amended.runs)
         return (before - after) / (before - blocks) if before > MIN_GAP_OVER_FLOOR**2 * blocks else None
 
-    def _gaps(
-        self, before: Sequence[FloatArray], after: Sequence[FloatArray], max_own_sigmas: float = MAX_OWN_SIGMAS
-    ) -> list[RunGap]:
-        """Compare residuals of each run.
+    def gaps(self) -> list[RunGap]:
+        """Return residuals without and with the effects, the specimen's parameters fitted to these runs for each.
 
         The own factors of a sliding run are limited as where the promise was made, or a run at constant speed would
         take the whole effect for its own scatter. Those of a relaxation are limited by their prior alone, as in the
         fit: relaxations of some newtons that are off by more than a firm limit would outweigh all other runs.
         """
+        before, after = (self.refitted(with_effects=with_effects) for with_effects in (False, True))
         return [
             gap_of_run(
                 run,
@@ -384,20 +371,10 @@ class ForceEvaluation:
                 (after[number], design.whitening),
                 self.study.problem.zero_sds[number],
                 self.study.informative_blocks(number, design.motion_sd),
-                np.inf if run.experiment.contact is Contact.STICKING else max_own_sigmas,
+                np.inf if run.experiment.contact is Contact.STICKING else MAX_OWN_SIGMAS,
             )
             for number, (run, design) in enumerate(zip(self.study.runs, self.amended.runs, strict=True))
         ]
-
-    def refitted_gaps(self) -> list[RunGap]:
-        """Return residuals without and with the effects, the specimen's parameters fitted to these runs for each."""
-        return self._gaps(self.refitted(with_effects=False), self.refitted(with_effects=True))
-
-    def predicted_gaps(self) -> list[RunGap]:
-        """Return residuals as predicted by the model fitted without effects and the amended one; nothing is fitted."""
-        return self._gaps(
-            [run.residual for run in self.before.runs], [run.residual for run in self.amended.runs], max_own_sigmas=0.0
-        )
 
 
 def is_allowed_size(active: ActiveEffect, relative: float) -> bool:
@@ -437,20 +414,6 @@ def best_size(grid: Sequence[float], grams: FloatArray, precision: FloatArray) -
         return 0.0, SIZE_PRIOR_SD
     size = float(np.clip(-slope / (2 * curvature), *SIZE_LIMITS))
     return size, min(1.0 / float(np.sqrt(curvature)), SIZE_PRIOR_SD)
-
-
-def _study(selection: RunSelection, settings: ModelSettings) -> Study:
-    return prepare_study(selection, nominal_model(settings), ())
-
-
-def _on_same_blocks(study: Study, reference: Study) -> Study:
-    """Return a study with the blocks of a reference, whose model bends at other times."""
-    pairs = zip(study.problem.channels, reference.problem.channels, strict=True)
-    channels = tuple(replace(data, blocks=reference_data.blocks) for data, reference_data in pairs)
-    problem = replace(
-        study.problem, channels=channels, noises=reference.problem.noises, zero_sds=reference.problem.zero_sds
-    )
-    return replace(study, problem=problem, runs=run_data_of(channels))
 
 
 def size_in_position(candidate: Candidate, runs: Sequence[PositionErrors]) -> RelativeEffectSize:

@@ -42,8 +42,7 @@ from dragrig.analysis.gap.spectral_lines import SpectralLine
 from dragrig.analysis.paper import BOUNDARY_MM_S
 from dragrig.rig import BoolArray, FloatArray, IndexArray, Phase
 
-BOOTSTRAP_SAMPLES, RUN_WEIGHTINGS = 1000, 500
-"""Samples of whole runs, and of weights of them."""
+BOOTSTRAP_SAMPLES = 500
 MIN_GAP_OVER_FLOOR = 1.2
 """A gap below this multiple of the floor cannot be closed."""
 MIN_POINTS = 3
@@ -141,17 +140,8 @@ def _own_factors(residual: FloatArray, whitening: Whitening) -> FloatArray:
 def reduction_over_runs(gaps: Sequence[RunGap]) -> GapReduction:
     """Return how far the gap closes, with a bootstrap interval over whole runs."""
     rows = np.array([gap.sums for gap in gaps])
-    closed = _closed_share(rows.sum(axis=0))
-    interval = None
-    if closed is not None and len(gaps) > 2:
-        samples = np.random.default_rng(0).integers(len(gaps), size=(BOOTSTRAP_SAMPLES, len(gaps)))
-        resampled = [
-            value for value in (_closed_share(rows[index].sum(axis=0), 1.0) for index in samples) if value is not None
-        ]
-        if len(resampled) > BOOTSTRAP_SAMPLES // 2:
-            low, high = np.quantile(resampled, (0.025, 0.975)).tolist()
-            interval = (min(low, closed), max(high, closed))
     duration, before, after, floor = rows.sum(axis=0).tolist()
+    closed, interval = closed_share(rows) if before > MIN_GAP_OVER_FLOOR**2 * floor else (None, None)
     points = [(gap.run.condition[1], *gap.steady) for gap in gaps if gap.steady is not None]
     highest = BOUNDARY_MM_S * (1 + SPEED_TOLERANCE)
     sides = [point for point in points if point[0] <= highest], [point for point in points if point[0] > highest]
@@ -161,7 +151,7 @@ def reduction_over_runs(gaps: Sequence[RunGap]) -> GapReduction:
         gap_after_mN=float(np.sqrt(after / duration)),
         noise_floor_mN=float(np.sqrt(floor / duration)),
         closed=closed,
-        closed_95ci=interval,
+        closed_95ci=interval if len(gaps) > 2 else None,
         boundary_mm_s=BOUNDARY_MM_S if on_both_sides else None,
         r2_eq15=_r2_before_after(sides, r2_eq15),
         r2_corr=_r2_before_after(sides, squared_correlation),
@@ -169,20 +159,13 @@ def reduction_over_runs(gaps: Sequence[RunGap]) -> GapReduction:
     )
 
 
-def _closed_share(sums: FloatArray, min_ratio: float = MIN_GAP_OVER_FLOOR) -> float | None:
-    before, after, floor = (float(value / sums[0]) for value in sums[1:])
-    if before <= min_ratio**2 * floor:
-        return None
-    return 1.0 - (after - floor) / (before - floor)
-
-
 def run_weights(runs: int, random: np.random.Generator) -> FloatArray:
-    """Return weights of the runs in each bootstrap sample, of mean 1, shape `(RUN_WEIGHTINGS, runs)`.
+    """Return weights of the runs in each bootstrap sample, of mean 1, shape `(BOOTSTRAP_SAMPLES, runs)`.
 
     Whole counts would leave out an effect that few runs show, as of two relaxations, from every seventh sample; these
     weights (Rubin, The Bayesian bootstrap, 1981) leave out none.
     """
-    return np.asarray(random.dirichlet(np.ones(runs), RUN_WEIGHTINGS) * runs)
+    return np.asarray(random.dirichlet(np.ones(runs), BOOTSTRAP_SAMPLES) * runs)
 
 
 def closed_share(sums: FloatArray) -> tuple[float, tuple[float, float]]:
@@ -198,8 +181,9 @@ def closed_share(sums: FloatArray) -> tuple[float, tuple[float, float]]:
         before, after, floor = totals[..., 1:].T / totals[..., 0]
         return np.asarray((before - after) / np.maximum(before - floor, (MIN_GAP_OVER_FLOOR**2 - 1) * floor))
 
-    low, high = np.quantile(shares(run_weights(len(sums), np.random.default_rng(0)) @ sums), (0.025, 0.975)).tolist()
-    return float(shares(sums.sum(axis=0))), (low, high)
+    share, resampled = float(shares(sums.sum(axis=0))), shares(run_weights(len(sums), np.random.default_rng(0)) @ sums)
+    low, high = np.quantile(resampled, (0.025, 0.975)).tolist()
+    return share, (min(low, share), max(high, share))
 
 
 def position_sums(
@@ -334,7 +318,7 @@ MIN_RUNS = 4
 def folds_by_condition(study: Study) -> tuple[tuple[int, ...], ...]:
     """Return the runs of each fold: whole conditions, those of a kind dealt in the order of speed or strain.
 
-    Empty where runs or conditions are too few to hold any out.
+    Runs of a single condition are dealt in their order. Empty where runs are too few to hold any out.
     """
     conditions = sorted({run.condition for run in study.runs})
     fold_of_condition: dict[tuple[str, float], int] = {}
@@ -344,7 +328,7 @@ def folds_by_condition(study: Study) -> tuple[tuple[int, ...], ...]:
         fold_of_condition[kind, value] = counts[kind] % HELD_OUT_FOLDS
     members: list[list[int]] = [[] for _ in range(HELD_OUT_FOLDS)]
     for number, run in enumerate(study.runs):
-        members[fold_of_condition[run.condition]].append(number)
+        members[fold_of_condition[run.condition] if len(conditions) > 1 else number % HELD_OUT_FOLDS].append(number)
     folds = tuple(tuple(fold) for fold in members if fold)
     return folds if len(study.runs) >= MIN_RUNS and len(folds) > 1 else ()
 

@@ -166,10 +166,15 @@ def trial_wavenumbers(blocks: Sequence[ResidualBlocks]) -> FloatArray:
     return np.concatenate((WAVENUMBERS_PER_MM, np.arange(last + step, highest, step)))
 
 
+STROKE_SPEED_SHARE, MIN_TURNS, STROKE_OVERTONES, MAX_DETUNING = 0.1, 3, 5, 0.1
+"""A stroke is faster than this share of the highest speed; a motion of so many turns is periodic, and so is what it
+makes, with so many overtones, at frequencies that differ by less than this from its own or one over the turns."""
+
+
 def periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[FloatArray, FloatArray]:
     """Return the share of all squares that a sine explains.
 
-    One of each of `trial_wavenumbers` in position, and of `FREQUENCIES_HZ` in time.
+    One of each of `trial_wavenumbers` in position, and of `FREQUENCIES_HZ` in time, but for those of a run's strokes.
     """
     total = sum(float((run.weight * run.deviation**2).sum()) for run in blocks)
     waves = trial_wavenumbers(blocks)
@@ -179,8 +184,21 @@ def periodic_shares(blocks: Sequence[ResidualBlocks]) -> tuple[FloatArray, Float
     for run in blocks:
         steady, begun = run.phase == Phase.STEADY, run.phase != Phase.REST
         in_position += _sine_power(run, np.abs(run.position_mm), steady, waves)
-        in_time += _sine_power(run, run.time_s, begun, FREQUENCIES_HZ)
+        in_time += _sine_power(run, run.time_s, begun, FREQUENCIES_HZ) * ~_are_of_strokes(run)
     return in_position / total, in_time / total
+
+
+def _are_of_strokes(blocks: ResidualBlocks) -> BoolArray:
+    """Return which of `FREQUENCIES_HZ` are those of a motion there and back, or its overtones."""
+    velocity = np.gradient(blocks.position_mm, blocks.time_s)
+    moving = np.abs(velocity) > STROKE_SPEED_SHARE * np.abs(velocity).max()
+    forth, time_s = velocity[moving] > 0, blocks.time_s[moving]
+    turns_s = (0.5 * (time_s[1:] + time_s[:-1]))[forth[1:] != forth[:-1]]
+    if turns_s.size < MIN_TURNS:
+        return np.zeros(FREQUENCIES_HZ.size, dtype=np.bool_)
+    ratio = FREQUENCIES_HZ * 2.0 * np.median(np.diff(turns_s))
+    nearest = np.clip(np.round(ratio), 1, STROKE_OVERTONES)
+    return np.asarray(np.abs(ratio - nearest) < max(MAX_DETUNING, 1.0 / turns_s.size))
 
 
 def best_wavenumber(blocks: Sequence[ResidualBlocks]) -> float:

@@ -1,6 +1,6 @@
 """Limits of naming by the runs: effects that look like a force in motion, and questions that they cannot answer."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -253,16 +253,10 @@ def general_limitations(runs: Sequence[RunData]) -> Iterator[str]:
     """Yield limitations that hold for any model."""
     if len({(run.condition, run.direction) for run in runs}) == len(runs):
         yield "No condition was repeated: repeatability is assumed, not measured."
-    if len(runs) < MIN_RUNS_TO_HOLD_OUT:
-        yield "Too few runs to hold any out: the share of the gap that closes is not given."
-    if not any(_has_own_command(run) for run in runs):
+    traces = [run.experiment.run.trace for run in runs]
+    # Without a command of its own, a record has the position in its place.
+    if all(np.array_equal(trace.command, trace.position, equal_nan=True) for trace in traces):
         yield "No command was recorded: nothing is known of motor effects."
-
-
-def _has_own_command(run: RunData) -> bool:
-    """Whether a run has a recorded command, not the position in its place."""
-    trace = run.experiment.run.trace
-    return not np.array_equal(np.asarray(trace.command), np.asarray(trace.position), equal_nan=True)
 
 
 def capsule_limitations(runs: Sequence[RunData]) -> Iterator[str]:
@@ -306,11 +300,7 @@ def stage_limitations(runs: Sequence[RunData]) -> Iterator[str]:
 
 
 def own_model_limitations(
-    runs: Sequence[RunData],
-    undeclared: Mapping[str, Sequence[Location]],
-    other_channels: Sequence[str],
-    *,
-    declares_any: bool,
+    runs: Sequence[RunData], other_channels: Sequence[str], *, declares_any: bool
 ) -> Iterator[str]:
     """Yield limitations of a user's model, of which one channel is explained and `other_channels` are not."""
     speeds = {run.typical_speed_mm_s for run in runs}
@@ -324,8 +314,5 @@ def own_model_limitations(
             "The model does not declare the parts of its force: only effects of sensor and acquisition were tried, "
             "none of wall, interface, specimen or drive."
         )
-    else:
-        for part, places in undeclared.items():
-            yield f"The model declares no {part}: effects of {' and '.join(places)} were not tried."
     for name in other_channels:
         yield f"The model also predicts {name}, which was not diagnosed."

@@ -261,7 +261,9 @@ def score_model_classes(
         PositionForm.DELAY: lambda: _latency_class(names[PositionForm.DELAY], runs),
         PositionForm.RIPPLE: ripple,
     }
-    if _goes_both_ways(runs):
+    velocity = np.concatenate([run.velocity_mm_s for run in runs])
+    # No play shows where the command goes one way.
+    if min(velocity.max(), -velocity.min()) > MIN_SPEED_SHARE * float(np.abs(velocity).max()):
         scores |= {PositionForm.PLAY: lambda: _play_class(names[PositionForm.PLAY], runs)}
     if effects is None or names[PositionForm.RIPPLE] in effects:
         steady = SteadyRipple.of(runs)
@@ -325,13 +327,6 @@ def _latency_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModel
         moments += (run.error_mm * weight) @ column
     best = float(LATENCIES_S[int((moments**2 / (squares + 1e-300)).argmax())])
     return PositionModelClass(effect, _held_out_share(runs, delayed(np.array([best]))), best)
-
-
-def _goes_both_ways(runs: Sequence[PositionErrors]) -> bool:
-    """Whether the command goes forwards at some moments and backwards at others: no play shows one way."""
-    velocity = np.concatenate([run.velocity_mm_s for run in runs])
-    noticed = MIN_SPEED_SHARE * float(np.abs(velocity).max())
-    return bool(velocity.min() < -noticed and velocity.max() > noticed)
 
 
 def _play_class(effect: str, runs: Sequence[PositionErrors]) -> PositionModelClass:

@@ -7,7 +7,7 @@ runs themselves (`empirical_priors`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,7 @@ from dragrig.analysis import (
     NominalModel,
     PriorScales,
     RunSelection,
+    join_names,
     model_reference,
     session_starts,
     solve_joint,
@@ -474,6 +475,25 @@ class PredictedStudy(Study):
 
     why_not_converged: str = ""
     """Why the fit of the nominal model did not converge; empty where it did."""
+    untried: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Effects that were not tried, by reason."""
+
+    def telling_what_is_untried(self, effects: Sequence[Effect], undeclared: Sequence[str] = ()) -> "PredictedStudy":
+        """Return the study with what it does not try of these effects; of `undeclared` parts where others are."""
+        tried, untried = {effect.id for effect in self.effects}, dict[str, tuple[str, ...]]()
+        part_at = {place: part for part in undeclared for place in PLACES_OF_PART[part][1]}
+        for effect in effects:
+            if effect.id in tried or effect.nominal == SIMULATED_NOMINAL:
+                continue
+            reason = "nothing in these runs would show it"
+            if effect.location in part_at:
+                reason = f"the model declares no {part_at[effect.location]}"
+            elif effect.nominal and self.channel != MOTOR_FORCE_CHANNEL:
+                reason = "the force is not the motor's"
+            elif effect.coordinate is Coordinate.SESSION and not self.runs[0].has_clock:
+                reason = "it is not known when the runs were made"
+            untried[reason] = (*untried.get(reason, ()), effect.name)
+        return replace(self, untried=untried)
 
     @cached_property
     def chain(self) -> EffectChain:
@@ -508,6 +528,8 @@ class PredictedStudy(Study):
             yield f"The fit of the nominal model did not converge ({self.why_not_converged}): no effect is named."
         if not model_reference(self.problem.nominal):
             yield "No amended model is written: the model has neither a file nor a name by which it could be found."
+        for reason, names in self.untried.items():
+            yield f"Not tried, as {reason}: {join_names(names)}."
         for remark in zero_remarks(self.problem):
             yield f"{remark[0].upper()}{remark[1:]}."
         yield from general_limitations(self.runs)
@@ -588,24 +610,27 @@ class OwnModelStudy(PredictedStudy):
             runs,
             (),
             why_not,
-            tuple(name for name in channels if name != channel),
-            tuple(undeclared),
-            sum(effect.in_gut and effect.location in untried for effect in effects),
+            other_channels=tuple(name for name in channels if name != channel),
+            undeclared=tuple(undeclared),
+            untried_effects=sum(effect.in_gut and effect.location in untried for effect in effects),
         )
         # The motor's own effects show in its force, whoever models it.
         belongs_to = {"", DriveModel().name} if channel == MOTOR_FORCE_CHANNEL else {""}
         tried = [effect for effect in effects if effect.channel is Channel.FORCE and effect.nominal in belongs_to]
         return replace(bare, effects=effects_that_act(bare, with_periods_of_runs(bare, scaled_to_runs(tried, runs))))
 
+    @property
+    def declares_any(self) -> bool:
+        """Whether the model declares a part of its force."""
+        return len(self.undeclared) < len(PLACES_OF_PART)
+
     def untried_lookalikes(self, design: Design) -> int:
         """Return the number of untried effects if the candidates look like friction along the stroke."""
         return self.untried_effects if confounded_with_friction(design, self.runs) else 0
 
     def limitations(self) -> Iterator[str]:
-        """Yield the questions that these runs and this model cannot answer, a sentence each."""
-        undeclared = {part: PLACES_OF_PART[part][1] for part in self.undeclared}
-        declares_any = len(undeclared) < len(PLACES_OF_PART)
-        yield from own_model_limitations(self.runs, undeclared, self.other_channels, declares_any=declares_any)
+        """Yield what these runs and this model cannot answer, a sentence each."""
+        yield from own_model_limitations(self.runs, self.other_channels, declares_any=self.declares_any)
         yield from super().limitations()
 
 
@@ -618,12 +643,14 @@ def prepare_study(selection: RunSelection, nominal: NominalModel, effects: Seque
         Candidate effects on the force channel; those that cannot act are dropped, and without a clock those of session
         time.
     """
-    if session_starts(selection.experiments) is None:
-        effects = [effect for effect in effects if effect.coordinate is not Coordinate.SESSION]
+    has_clock = session_starts(selection.experiments) is not None
+    tried = [effect for effect in effects if has_clock or effect.coordinate is not Coordinate.SESSION]
     match nominal:
         case CapsuleModel():
-            return CapsuleStudy.of(selection, nominal, effects)
+            return CapsuleStudy.of(selection, nominal, tried)
         case DriveModel() | AmendedModel(own=DriveModel()):
-            return StageStudy.of(selection, nominal, effects)
+            of_rig = [effect for effect in effects if not effect.belongs_to_gut]
+            return StageStudy.of(selection, nominal, tried).telling_what_is_untried(of_rig)
         case _:
-            return OwnModelStudy.of(selection, nominal, effects)
+            study = OwnModelStudy.of(selection, nominal, tried)
+            return study.telling_what_is_untried(effects, study.undeclared) if study.declares_any else study

@@ -68,14 +68,14 @@ class Trend:
         at_end = peak in {0, self.coordinate.size - 1}
         if abs(self.rank_correlation) >= (MONOTONIC_TO_END_CORRELATION if at_end else MONOTONIC_CORRELATION):
             verb = "grows" if self.rank_correlation > 0 else "falls"
-            first, last = (self._at_bin(index, unit, coordinate_unit) for index in (0, -1))
+            first, last = (
+                f"{_signed_two_digits(mean)} {unit} at {two_digits(coordinate)}{coordinate_unit}"
+                for mean, coordinate in ((self.mean[index], self.coordinate[index]) for index in (0, -1))
+            )
             return f"{verb} with {name}, from {first} to {last}"
         side = "highest" if self.mean[peak] > 0 else "lowest"
         place = f"{two_digits(self.coordinate[peak])}{coordinate_unit}"
         return f"is {side} at about {place}, {_signed_two_digits(self.mean[peak])} {unit}"
-
-    def _at_bin(self, index: int, unit: str, coordinate_unit: str) -> str:
-        return f"{_signed_two_digits(self.mean[index])} {unit} at {two_digits(self.coordinate[index])}{coordinate_unit}"
 
 
 def trend_of(region: GapRegion, domain: str) -> Trend | None:
@@ -195,7 +195,8 @@ def fit_decay(region: GapRegion) -> ExponentialDecay | None:
     ]
     if not runs:
         return None
-    in_travel = _best_decay(runs, [_distance_from_start(blocks, _travel_mm(blocks)) for blocks in runs])
+    ways_mm = [np.cumsum(np.abs(np.diff(blocks.position_mm, prepend=blocks.position_mm[0]))) for blocks in runs]
+    in_travel = _best_decay(runs, [_distance_from_start(*pair) for pair in zip(runs, ways_mm, strict=True)])
     in_time = _best_decay(runs, [_distance_from_start(blocks, blocks.time_s) for blocks in runs])
     fit, alternative, along_way = (
         (in_travel, in_time, True)
@@ -229,11 +230,6 @@ class _DecayFit:
 
 def _steady_mask(blocks: ResidualBlocks) -> BoolArray:
     return np.asarray(blocks.phase == Phase.STEADY, dtype=np.bool_)
-
-
-def _travel_mm(blocks: ResidualBlocks) -> FloatArray:
-    """Return the way made so far, there and back."""
-    return np.cumsum(np.abs(np.diff(blocks.position_mm, prepend=blocks.position_mm[0])))
 
 
 def _distance_from_start(blocks: ResidualBlocks, coordinate: FloatArray) -> FloatArray:

@@ -106,7 +106,8 @@ class ForeignTable:
         if len(found) == 1:
             return found[0]
         if found:
-            places = " or ".join(f"{column.name!r} (number {self.columns.index(column) + 1})" for column in found)
+            numbers = [[known is column for known in self.columns].index(True) + 1 for column in found]
+            places = " or ".join(f"{column.name!r} (number {at})" for column, at in zip(found, numbers, strict=True))
             raise ImportDataError(f"{self.path}: {name!r} could be {places}; give the full name, or the number.")
         if name.isdecimal() and 1 <= int(name) <= len(self.columns):
             return self.columns[int(name) - 1]

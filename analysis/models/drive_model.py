@@ -195,7 +195,7 @@ class DrivePredictor(Predictor):
         by_inertia = values[0] * MILLINEWTONS_PER_G_MM_S2 * self.motion.acceleration_error(time_s)
         in_motion: FloatArray = np.hypot(np.hypot(by_joints, by_inertia), self.load.uncertainty(time_s))
         if not self.holds:
-            return in_motion
+            return np.asarray(in_motion)
         slow_mm_s = min(HELD_SPEED_SHARE * float(np.abs(self.motion.velocity_mm_s).max()), TURNING_SPEED_MM_S)
         return np.where(np.abs(self.motion.velocity(time_s)) <= slow_mm_s, UNKNOWN_FORCE_MN, in_motion)
 

@@ -113,6 +113,7 @@ def diagnosis_document(
     parts, verdict = budget_sentences(diagnosis.budget), verdict_sentences(diagnosis)
     # The conclusion and its probability come first, what limits them after that.
     answer, *lead = (*parts[:1], *verdict[:1], *parts[1:], *verdict[1:])
+    alike = diagnosis.verdict is Verdict.NO_GAP and diagnosis.traces
     return Document(
         title=f"Gap diagnosis: {diagnosis.specimen}",
         badges=diagnosis.backends,
@@ -121,7 +122,7 @@ def diagnosis_document(
         sections=(
             Section("speed", "Steady force against speed", _speed_figures(diagnosis)),
             _budget_section(diagnosis),
-            _no_gap_section(diagnosis),
+            Section("no-gap", "The runs and the model", (_before_after_figure(diagnosis),) if alike else ()),
             _confidence_section(diagnosis, source),
             _location_section(diagnosis),
             _ranking_section(diagnosis),
@@ -217,31 +218,6 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
             budget_table(diagnosis),
         ),
     )
-
-
-def _speed_figures(diagnosis: Diagnosis) -> tuple[Figure, ...]:
-    if not any(view.steady is not None for view in diagnosis.traces):
-        return ()
-    floor_mN = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
-    named = bool(diagnosis.effects)
-    both = "without an effect (before) and with the effects (after)" if named else "without an effect"
-    return (
-        Figure(
-            "steady-force",
-            "Steady force against speed, measured with intervals and by the model; below, measured less the model.",
-            "Large markers are means, small ones runs; bars are 95 % intervals by Student's t over repeats. The "
-            f"model, {both}, predicts each run from the others, but for what a run is off by itself. The grey band is "
-            "noise and scatter of repeats.",
-            lambda: present.diagnosis_speed_figure(diagnosis.traces, floor_mN, named=named),
-        ),
-    )
-
-
-def _no_gap_section(diagnosis: Diagnosis) -> Section:
-    """Show runs and model within noise and scatter where there is no gap to cut into parts."""
-    if diagnosis.verdict is not Verdict.NO_GAP or not diagnosis.traces:
-        return Section("no-gap", "The runs and the model", ())
-    return Section("no-gap", "The runs and the model", (_before_after_figure(diagnosis),))
 
 
 def _before_after_figure(diagnosis: Diagnosis) -> Figure:
@@ -407,7 +383,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         "3. How much",
         (
             _parameter_table(diagnosis),
-            Text(reduction or "Too few runs or conditions to hold any out: how much of a gap closes is not known."),
+            Text(reduction or "Too few runs to hold any out: how much of a gap closes is not known."),
             Section("model", "The model with the effect", amended if model else ()),
             *((_before_after_figure(diagnosis),) if drawn_here else ()),
             *(() if shrink is None else (r2_table(shrink, named=named),)),

@@ -307,8 +307,10 @@ def location_figure(where: GapLocation, name: str = "") -> Figure:
     """
     rows = _map_rows(where.cells)
     map_in = max(0.46 * len(rows), 2.1) + 1.0
+    excess = f"{excess_text(where, p_value_text(where.p))}, Bonferroni; p of places by max-T" if where.present else ""
     with figure_style():
-        figure = new_figure(14.0, map_in + 3.0, _location_title(where), _location_subtitle(where, name))
+        subtitle = "  ·  ".join(part for part in (shortened_to_width(name, SMALL_PT, 4.5), excess) if part)
+        figure = new_figure(14.0, map_in + 3.0, _location_title(where), subtitle)
         above, below = figure.subfigures(2, 1, height_ratios=(map_in, 3.0), squeeze=False)[:, 0]
         excess, domains = above.subplots(1, 2, width_ratios=(2.2, 1.0))
         _draw_excess_map(excess, where.cells, rows)
@@ -332,11 +334,6 @@ def _location_title(where: GapLocation) -> str:
     main = where.domain_scores.get(where.domain, 0.0) >= MAIN_SCORE
     matter = f", above all a matter of {DOMAIN_NAMES.get(where.domain, where.domain)}" if main else ""
     return f"Gap in the {in_channel.replace('_', ' ')}{share}{matter}"
-
-
-def _location_subtitle(where: GapLocation, name: str) -> str:
-    excess = f"{excess_text(where, p_value_text(where.p))}, Bonferroni; p of places by max-T" if where.present else ""
-    return "  ·  ".join(part for part in (shortened_to_width(name, SMALL_PT, 4.5), excess) if part)
 
 
 def _map_rows(cells: Sequence[PhaseCell]) -> list[tuple[str, str]]:

@@ -20,14 +20,15 @@ ABSENT_SIZE = 0.3
 
 def evaluation_document(evaluation: ModelEvaluation) -> Document:
     """Lay out what fresh runs say of an amended model."""
-    shrink = evaluation.reduction
+    shrink, known = evaluation.reduction, evaluation.diagnosed_runs
+    left_out = f"{count_text(known, 'run')} that took part in the diagnosis {'is' if known == 1 else 'are'} left out"
     return Document(
         title="The amended model on fresh runs",
         badges=evaluation.backends,
         answer=f"{VERDICT_WORDS[evaluation.verdict]}: {_reason(evaluation)}.",
         lead=tuple(
             as_sentence(text)
-            for text in (_closed_text(evaluation), _residual_text(evaluation), _diagnosed_text(evaluation))
+            for text in (_closed_text(evaluation), _residual_text(evaluation), left_out if known else "")
             if text
         ),
         sections=(
@@ -39,16 +40,8 @@ def evaluation_document(evaluation: ModelEvaluation) -> Document:
     )
 
 
-def _diagnosed_text(evaluation: ModelEvaluation) -> str:
-    count = evaluation.diagnosed_runs
-    if not count:
-        return ""
-    return f"{count_text(count, 'run')} that took part in the diagnosis {'is' if count == 1 else 'are'} left out"
-
-
 def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:
     """Return what fresh runs say of an amended model as a JSON document."""
-    unfitted_before, unfitted_after = evaluation.unfitted_rms_mN
     return to_json_object(
         {
             "format": FORMAT,
@@ -71,7 +64,6 @@ def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:
                 }
                 for size in evaluation.sizes
             ],
-            "as_predicted": {"gap_before_mN": unfitted_before, "gap_after_mN": unfitted_after},
             "shrink": shrink_json(evaluation.reduction),
         }
     )
@@ -116,12 +108,10 @@ def _closed_text(evaluation: ModelEvaluation) -> str:
 
 def _residual_text(evaluation: ModelEvaluation) -> str:
     shrink = evaluation.reduction
-    before, after = (force_text(value) for value in evaluation.unfitted_rms_mN)
     return (
         f"residual (rms), the specimen's parameters fitted to these runs both times: "
         f"{force_text(shrink.gap_before_mN)} without the effects, {force_text(shrink.gap_after_mN)} with them; "
-        f"noise alone: {force_text(shrink.noise_floor_mN)}. As predicted, no parameter fitted: {before} by the "
-        f"model without effects that the diagnosis fitted, {after} by the amended one"
+        f"noise alone: {force_text(shrink.noise_floor_mN)}"
     )
 
 

@@ -22,7 +22,7 @@ from dragrig.present import (
     shortest,
     to_json_object,
 )
-from dragrig.scoring import DetectionBin, ExamScore, ProbabilityCalibration, PromiseScore, Rate, wilson_rate
+from dragrig.scoring import ExamScore, ProbabilityCalibration, PromiseScore, Rate, wilson_rate
 
 if TYPE_CHECKING:
     from dragrig.analysis.gap import VerdictCalibration
@@ -189,7 +189,11 @@ def _detection_section(score: ExamScore) -> Section:
         "detection",
         "Single effects by size, with 95 % intervals",
         score.detection,
-        Field("d_prime", "d′ of the hidden effect", _size_range),
+        Field(
+            "d_prime",
+            "d′ of the hidden effect",
+            lambda size: _range(size.low, size.high) if isfinite(size.high) else f"above {size.low:g}",
+        ),
         Field("effects", "effects", lambda size: size.seen.count, shortest()),
         Field("seen", "gap detected", lambda size: _share(size.seen)),
         Field("named", "right name", lambda size: _share(size.named)),
@@ -335,10 +339,6 @@ def rate_json(rate: Rate) -> Mapping[str, object]:
             "interval_95": [rate.low, rate.high] if rate.count else None,
         }
     )
-
-
-def _size_range(size: DetectionBin) -> str:
-    return _range(size.low, size.high) if isfinite(size.high) else f"above {size.low:g}"
 
 
 def _range(low: float, high: float) -> str:

@@ -296,13 +296,18 @@ def budget_table(diagnosis: Diagnosis) -> Table:
     # Without a named effect, a diagnosis says where the whole gap is, not where the rest beside model or specimen is.
     of_whole = diagnosis.verdict is Verdict.UNKNOWN and any(here.named for here in channels)
     percents = {(here.channel, cause): value for here in channels for cause, value in here.percents.items()}
+
+    def share(entry: BudgetEntry) -> FormattedNumber:
+        whole_percent = percents.get((entry.channel, entry.cause), 100 * entry.share)
+        return FormattedNumber(entry.share, _WHOLE_PERCENT(whole_percent / 100))
+
     table = Table.of(
         "budget",
         "",
         entries,
         Field("channel", "channel", lambda entry: entry.channel.replace("_", " ")),
         Field("cause", "part of the gap", lambda entry: capitalise(part_name(entry, None))),
-        Field("share", "share", lambda entry: _share_cell(entry, percents.get((entry.channel, entry.cause)))),
+        Field("share", "share", share),
         Field("share_95ci", "95 % interval", _interval_text),
         Field("rms_mN", "rms, mN", lambda entry: entry.rms_mN, decimals(1)),
         Field("presence", "probability that it is there", _presence_cell),
@@ -310,11 +315,6 @@ def budget_table(diagnosis: Diagnosis) -> Table:
     )
     single = len(channels) < 2
     return table.select(*(column.name for column in table.columns if not (single and column.name == "channel")))
-
-
-def _share_cell(entry: BudgetEntry, whole_percent: int | None) -> FormattedNumber:
-    text = _WHOLE_PERCENT(entry.share) if whole_percent is None else _WHOLE_PERCENT(whole_percent / 100)
-    return FormattedNumber(entry.share, text)
 
 
 def _interval_text(entry: BudgetEntry) -> str:
@@ -334,7 +334,8 @@ def _presence_cell(entry: BudgetEntry) -> FormattedNumber | str:
 
 def _description(entry: BudgetEntry, unknown: UnexplainedGap | None) -> str:
     if entry.cause == UNEXPLAINED and entry.what:
-        return f"Best described by {join_names([_cause_name(name) for name in _causes(entry)])}; not established"
+        names = [display_name(name) if name in catalogue() else name for name in _causes(entry)]
+        return f"Best described by {join_names(names)}; not established"
     if entry.cause == UNEXPLAINED and unknown is not None:
         return as_sentence(unknown.location)
     if entry.cause == MODEL:
@@ -366,10 +367,6 @@ def _causes(entry: BudgetEntry) -> tuple[str, ...]:
     return tuple(filter(None, entry.what.split(", ")))
 
 
-def _cause_name(cause: str) -> str:
-    return display_name(cause) if cause in catalogue() else cause
-
-
 def presence_json(budget: GapBudget | None) -> Mapping[str, float | None]:
     """Return the probability that each effect is there."""
     return {} if budget is None else {effect: _rounded(value) for effect, value in budget.presence.items()}
@@ -385,7 +382,9 @@ def budget_json(diagnosis: Diagnosis, run_ids: Mapping[str, str] | None = None) 
     """
     channels = budgets_by_channel(diagnosis.budget)
     runs = () if diagnosis.budget is None else diagnosis.budget.runs
-    described = _described_channel(diagnosis, [here.channel for here in channels])
+    # What is left is described in the channel with most of the gap.
+    shares = next((location.shares for location in diagnosis.where.locations if location.name == "channel"), {})
+    described = max((here.channel for here in channels), key=lambda channel: shares.get(channel, 0.0), default="")
     parts: list[Mapping[str, object]] = []
     for here in channels:
         parts += (
@@ -443,12 +442,6 @@ def _rest_json(here: ChannelBudget, diagnosis: Diagnosis, described: bool) -> Ma
         "resembles": [cause for cause in causes if cause in catalogue()],
         "law": unknown.expression or None if unknown is not None else None,
     }
-
-
-def _described_channel(diagnosis: Diagnosis, channels: Sequence[str]) -> str:
-    """Return the channel that the diagnosis describes what is left in: the one with most of the gap."""
-    shares = next((location.shares for location in diagnosis.where.locations if location.name == "channel"), {})
-    return max(channels, key=lambda channel: shares.get(channel, 0.0), default="")
 
 
 def _rounded(value: float) -> float | None:

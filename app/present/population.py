@@ -288,7 +288,13 @@ def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Seque
             at = [row + offset for row, _ in known]
             marker = "D" if label == "mean" else "o"
             axes.errorbar(centre, at, xerr=ends, fmt=marker, color=colour, markersize=5, capsize=2, label=label)
-    rows, words = [*range(len(specimens)), mean_row], [*map(_short, specimens), "mean"]
+    rows, words = (
+        [*range(len(specimens)), mean_row],
+        [
+            *(name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}" for name in specimens),
+            "mean",
+        ],
+    )
     shown = len(rows) if pooled else len(specimens)
     axes.set_yticks(rows[:shown], words[:shown] if names else [], size=SMALL_PT)
     axes.set_ylim(rows[shown - 1] + 0.7, -0.7)
@@ -296,10 +302,6 @@ def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Seque
     axes.set_title(parameter.name)
     none = NO_SPREAD if parameter.spread_p is not None and not parameter.spreads else ""
     axes.set_xlabel(" · ".join(filter(None, (unit_text(parameter.unit), none))))
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}"
 
 
 def population_json(population: Population) -> Mapping[str, object]:

@@ -200,15 +200,15 @@ def _campaign_table(pooled: PooledDiagnosis) -> Table:
         Field("campaign", "campaign", lambda campaign: campaign.source),
         Field("specimen", "specimen", lambda campaign: campaign.specimen),
         Field("runs", "runs", lambda campaign: campaign.runs, shortest()),
-        Field("verdict", "verdict alone", _verdict_alone),
+        Field(
+            "verdict",
+            "verdict alone",
+            lambda each: " + ".join(map(display_name, each.effects)) or each.verdict.value.replace("_", " "),
+        ),
         Field("probability", "probability", lambda campaign: _probability(campaign.probability)),
         Field("together", "effects together", together),
         brief_rows=MAX_LISTED,
     )
-
-
-def _verdict_alone(campaign: CampaignEvidence) -> str:
-    return " + ".join(map(display_name, campaign.effects)) or campaign.verdict.value.replace("_", " ")
 
 
 def _alone_text(pooled: PooledDiagnosis) -> Text:

@@ -173,7 +173,7 @@ def evaluation_with(explained: float | None, achieved: float) -> ModelEvaluation
         runs=(),
     )
     size = RelativeEffectSize("folds", 1.0, 0.9, 1.1, 50.0)
-    return ModelEvaluation(reduction, None, None, achieved, None, explained, (size,), (1.0, 1.0))
+    return ModelEvaluation(reduction, None, None, achieved, None, explained, (size,))
 
 
 @pytest.mark.parametrize(

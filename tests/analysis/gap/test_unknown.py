@@ -88,6 +88,18 @@ def test_a_planted_law_is_found_with_its_coefficients(planted: Planted, terms: d
         assert sd < 0.1 * abs(terms[name])
 
 
+def test_what_strokes_make_is_no_function_of_time() -> None:
+    def strokes(blocks: ResidualBlocks, amplitude_mm: float) -> ResidualBlocks:
+        place = amplitude_mm * np.sin(2 * np.pi * blocks.time_s / 2.5)
+        return replace(blocks, position_mm=place, residual=blocks.residual + 0.5 * place)
+
+    runs = [blocks for blocks in campaign(1, lambda blocks: 0.0 * blocks.time_s) if blocks.kind == "relaxation"]
+    by_strokes = [strokes(blocks, 20.0 + 5.0 * number) for number, blocks in enumerate(runs)]
+    assert "periodic in time" not in words_of(by_strokes)[1]
+    without = [replace(blocks, position_mm=was.position_mm) for blocks, was in zip(by_strokes, runs, strict=True)]
+    assert "periodic in time with a period of 2.47 s" in words_of(without)[1]
+
+
 def test_a_wave_longer_than_any_steady_motion_is_told_without_an_amplitude() -> None:
     def slow_wave(blocks: ResidualBlocks) -> FloatArray:
         return np.asarray(15.0 * np.sin(2 * np.pi * blocks.time_s / 5.0) * (blocks.kind == "relaxation"))
