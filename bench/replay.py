@@ -77,7 +77,7 @@ def evidence(name: str, case: HiddenCase) -> Mapping[str, object]:
 def stored(weighed: WeighedCauses, *, nothing_hidden: bool) -> Mapping[str, object]:
     """Return what is kept of weighed causes."""
     inputs = weighed.inputs.document()
-    del inputs["competition"]
+    del inputs["competition"], inputs["by_model"]
     causes, sets = likely_sets(weighed)
     found: dict[str, object] = {"inputs": inputs, "causes": causes, "sets": sets}
     if not weighed.verdict.effects:

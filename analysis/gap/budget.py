@@ -39,6 +39,7 @@ from dragrig.analysis.gap.presence import (
     ForceCompetition,
     Presence,
     form_laws,
+    model_laws,
 )
 from dragrig.rig import FloatArray, IndexArray
 from dragrig.sim_backend.effects import catalogue, hum_effect
@@ -162,7 +163,7 @@ def without_unlikely_rivals(entries: Sequence[BudgetEntry], presence: Mapping[st
             not_separable_from=tuple(
                 rival
                 for rival in entry.not_separable_from
-                if presence[rival] > exp(-EQUAL_LOG_ODDS) * presence[entry.cause]
+                if rival == MODEL or presence[rival] > exp(-EQUAL_LOG_ODDS) * presence[entry.cause]
             ),
         )
         for entry in entries
@@ -268,9 +269,9 @@ def parts_of(
     competition: ForceCompetition, presence: Presence, chosen: CauseSet, established: Mapping[str, float]
 ) -> dict[str, CauseSet]:
     """Group the causes of a set into parts of the budget; what is not established belongs to the unexplained rest."""
-    # A free law of the coordinate that an established effect depends on is that effect in another form.
+    # A law of the coordinate that an established effect depends on, free or the model's, is that effect in another form.
     by_presence = sorted(established, key=lambda name: established[name])
-    form_of = {law: name for name in by_presence for law in form_laws(name)}
+    form_of = {law: name for name in by_presence for law in (*form_laws(name), *model_laws(name))}
     parts: dict[str, CauseSet] = {}
     for index, scale in chosen:
         cause = competition.causes[index]
@@ -278,7 +279,7 @@ def parts_of(
         match cause.kind:
             case CauseKind.EFFECT if cause.name in established:
                 part = cause.name
-            case CauseKind.LAW if cause.name in form_of:
+            case CauseKind.LAW | CauseKind.MODEL if cause.name in form_of:
                 part = form_of[cause.name]
             case CauseKind.MODEL if likely:
                 part = MODEL
@@ -296,18 +297,21 @@ def words_of(competition: Competition, causes: CauseSet) -> str:
 
 
 def _not_separable(name: str, chosen: CauseSet, competition: ForceCompetition, presence: Presence) -> tuple[str, ...]:
-    """Return the effects that could take an effect's place in the most likely set."""
-    causes = competition.causes
-    others = {causes[index].name for index, _ in chosen} - {name}
-    best = max((value for key, value in presence.log_odds.items() if key == chosen), default=-np.inf)
-    rivals: dict[str, None] = {}
-    for key, value in presence.log_odds.items():
-        names = {causes[index].name for index, _ in key}
-        extra = names - others
-        if len(extra) == 1 and others <= names and value > best - EQUAL_LOG_ODDS:
-            rival = next(iter(extra))
-            if rival != name and presence.kinds[rival] is CauseKind.EFFECT:
-                rivals[rival] = None
+    """Return the effects that could take an effect's place in the most likely set, and the model that does or shares it."""
+    own = set(model_laws(name))
+
+    def names_of(key: CauseSet) -> set[str]:
+        return {competition.causes[index].name for index, _ in key}
+
+    others = names_of(chosen) - {name} - own
+    rivals = {MODEL} if own & names_of(chosen) else set()
+    least = presence.log_odds.get(chosen, -np.inf) - EQUAL_LOG_ODDS
+    for names in (names_of(key) for key, value in presence.log_odds.items() if value > least):
+        extra = names - others - own
+        if names & own and name not in names:
+            rivals.add(MODEL)
+        if len(extra) == 1 and others <= names:
+            rivals |= {rival for rival in extra - {name} if presence.kinds[rival] is CauseKind.EFFECT}
     return tuple(sorted(rivals))
 
 

@@ -4,7 +4,7 @@ Which explanation of the force is right, and whether any is, is decided by weigh
 hidden effects (`calibration.json`, evaluated on other seeds; `training`); the probabilities are calibrated on these.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import exp, log, prod
 
@@ -17,6 +17,7 @@ from dragrig.analysis.gap.diagnosis import (
     UNKNOWN,
     Classification,
     Verdict,
+    marginal_probability,
 )
 from dragrig.analysis.gap.features import (
     EQUAL_SHARE,
@@ -304,7 +305,7 @@ class Judgement:
 
     verdict: Classification
     presence: Mapping[str, float]
-    """Probability that each effect on the force is there."""
+    """Probability that each effect on the force is there, or the nominal model's own laws in its place."""
 
 
 def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalibration | None = None) -> Judgement:
@@ -318,22 +319,60 @@ def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalib
         on_force = classify(inputs.without_position, tolerance_mN, learnt)
     if not inputs.competition:
         return Judgement(verdict, {})
-    presence = combined_presence(on_force, inputs.competition, learnt.presence, stage_strays=inputs.moves_astray)
+    joint = {name: value + inputs.by_model.get(name, 0.0) for name, value in inputs.competition.items()}
+    limits = dict(_limits_by_exchange(on_force, joint))
     # The competition does not know why runs do not establish an effect, and so cannot make it likelier.
-    for name in {name for tried in inputs.hypotheses if tried.lookalikes for name in tried.effects} & presence.keys():
-        presence[name] = min(presence[name], on_force.marginal(name))
+    unestablished = {name for tried in inputs.hypotheses if tried.lookalikes for name in tried.effects}
+    limits |= {name: on_force.marginal(name) for name in unestablished}
+    combined = (
+        combined_presence(on_force, competition, learnt.presence, stage_strays=inputs.moves_astray)
+        for competition in (inputs.competition, joint)
+    )
+    gap = 1.0 - on_force.probabilities.get(NO_GAP, 0.0)
+    alone, presence = ({name: min(value, limits.get(name, gap), gap) for name, value in of.items()} for of in combined)
+    for name in _beside_likelier(presence):
+        alone[name], presence[name] = (min(of[name], joint[name]) for of in (alone, presence))
     in_position = {name for name, _ in inputs.position}
-    verdict = restate(verdict, {name: value for name, value in presence.items() if name not in in_position})
+    named = [name for name, value in presence.items() if value > ESTABLISHED and name not in in_position]
+    verdict = restate(verdict, {name: value for name, value in alone.items() if name not in in_position}, named)
     return Judgement(verdict, presence)
+
+
+def _beside_likelier(presence: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the effects that runs hardly tell from a likelier one that is there, of the same coordinate.
+
+    Each takes up the form error of the other. Only the competition allows for that.
+    """
+    known = catalogue()
+    return tuple(
+        name
+        for name, value in presence.items()
+        if any(
+            presence.get(rival, 0.0) > max(value, ESTABLISHED) and known[rival].coordinate is known[name].coordinate
+            for rival in confusable_effects(name)
+        )
+    )
+
+
+def _limits_by_exchange(on_force: Classification, competition: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+    """Yield effects whose probability the competition limits because the specimen was surely exchanged.
+
+    The classifier knows no exchange and takes one for a function of the session. None is there that the competition
+    does not find beside it, nor what the classifier finds mostly beside such a function.
+    """
+    if competition.get(EXCHANGE, 0.0) <= SURE_EXCHANGE:
+        return
+    of_session = {name for name, effect in catalogue().items() if effect.coordinate is Coordinate.SESSION}
+    beside = {names: value for names, value in on_force.probabilities.items() if of_session & set(names.split("+"))}
+    for name, value in competition.items():
+        if name in of_session or marginal_probability(name, beside) > 0.5 * on_force.marginal(name):
+            yield name, value
 
 
 def combined_presence(
     on_force: Classification, competition: Mapping[str, float], weights: PresenceWeights, *, stage_strays: bool = False
 ) -> dict[str, float]:
     """Return the probability that each effect on the force is there, from classifier and competition together.
-
-    The classifier knows no exchange of the specimen and takes one for a function of the session. Where there surely is
-    one, no such function is there that the competition does not find beside it.
 
     Parameters
     ----------
@@ -345,7 +384,6 @@ def combined_presence(
         Whether the stage strays from its command, so that motion errors mimic effects on the force.
     """
     known = catalogue()
-    exchanged = competition.get(EXCHANGE, 0.0) > SURE_EXCHANGE
     combined = {}
     for name, value in competition.items():
         if name not in known:
@@ -358,8 +396,6 @@ def combined_presence(
             - stage_strays * MOTION_ERROR_LOG_ODDS
         )
         combined[name] = _logistic(log_odds)
-        if exchanged and known[name].coordinate is Coordinate.SESSION:
-            combined[name] = min(combined[name], value)
     return combined
 
 
@@ -373,13 +409,14 @@ def _log_odds(probability: float, least: float = MIN_PROBABILITY) -> float:
     return log(limited / (1.0 - limited))
 
 
-def restate(classification: Classification, probabilities: Mapping[str, float]) -> Classification:
-    """Return the verdict that follows from the presence of each effect on the force.
+def restate(
+    classification: Classification, probabilities: Mapping[str, float], named: Sequence[str]
+) -> Classification:
+    """Return the verdict that names some effects on the force.
 
-    Effects present with more than `ESTABLISHED` are named. Sets of effects are as likely as their members are present
-    and all others absent, beside each alternative that the classifier has for spectral lines and the position.
+    Sets of effects are as likely as their members are present, by these probabilities, and all others absent, beside
+    each alternative that the classifier has for spectral lines and the position.
     """
-    named = tuple(name for name, value in probabilities.items() if value > ESTABLISHED)
     elsewhere: dict[tuple[str, ...], float] = {}
     sets: set[frozenset[str]] = {frozenset(named), frozenset(), *(frozenset({name}) for name in probabilities)}
     for names, value in classification.probabilities.items():

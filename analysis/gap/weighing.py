@@ -369,7 +369,7 @@ def weigh_causes(
     inputs = _decision_inputs(search, position, lines, settings.excluded)
     competition = prepare_competition(search, all_periods=all_periods)
     present = judge_presence(competition)
-    inputs = replace(inputs, competition=present.probabilities)
+    inputs = replace(inputs, competition=present.probabilities, by_model=present.by_model)
     judgement = judge(inputs, settings.tolerance_mN, _calibration_for(study, settings))
     causes = CausesOfGap(competition, present, judgement.presence)
     timings_s = {"reading and position": studied - start, "explaining": perf_counter() - studied}

@@ -524,6 +524,7 @@ def diagnosis_json(
             "ranking": _ranking_json(diagnosis.ranking),
             **attributes_json(diagnosis, "confusable_with", "residual_unknown"),
             "presence": presence_json(diagnosis.budget),
+            "shared_with": {} if diagnosis.budget is None else diagnosis.budget.shared_with,
             "budget": budget_json(diagnosis, ids),
             "unknown": None
             if diagnosis.unknown is None

@@ -338,11 +338,25 @@ def test_every_effect_has_a_probability_that_is_never_sure() -> None:
     }  # fmt: skip
 
 
+def test_a_wall_over_strain_and_the_models_laws_are_one_part() -> None:
+    study, causes = prepared()
+    renamed = {"stribeck": "hyperelastic_wall"}
+    named = tuple(replace(cause, name=renamed.get(cause.name, cause.name)) for cause in CAUSES)
+    causes.competition.causes = named  # type: ignore[misc]
+    probabilities = {renamed.get(name, name): value for name, value in PROBABILITIES.items()}
+    presence = Presence(probabilities, {cause.name: cause.kind for cause in named}, LOG_ODDS)
+    found = budget.force_budget(study, replace(causes, presence=presence), {"hyperelastic_wall": 0.95})  # type: ignore[arg-type]
+    assert {entry.cause for entry in found.entries} == {"hyperelastic_wall", SPECIMEN, UNEXPLAINED}
+    assert found.shared_with == {"hyperelastic_wall": ("adhesion", MODEL)}
+
+
 def test_a_rival_that_is_unlikely_by_all_is_none() -> None:
     entry = BudgetEntry("stribeck", "force", 0.9, None, 1.0, not_separable_from=("adhesion", "payload_inertia"))
     presence = {"stribeck": 0.9, "adhesion": 0.9 * exp(-2.99), "payload_inertia": 0.9 * exp(-3.01)}
     (kept,) = budget.without_unlikely_rivals((entry,), presence)
     assert kept.not_separable_from == ("adhesion",)
+    shared = replace(entry, not_separable_from=(MODEL,))
+    assert budget.without_unlikely_rivals((shared,), presence) == (shared,)
 
 
 def test_parts_are_called_by_what_is_likely() -> None:

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dragrig.analysis.gap.classifier import classify, unknown_by_excess_alone, with_verdict
+from dragrig.analysis.gap.classifier import classify, judge, unknown_by_excess_alone, with_verdict
 from dragrig.analysis.gap.diagnosis import NO_GAP, UNKNOWN, Verdict
-from dragrig.analysis.gap.features import DecisionInputs, HypothesisSummary, NonparametricLaw
+from dragrig.analysis.gap.features import EXCHANGE, DecisionInputs, HypothesisSummary, NonparametricLaw
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
 from property_tests import examples
 
@@ -225,6 +225,37 @@ def test_an_excess_that_nothing_predicts_is_told_from_one_that_a_law_does() -> N
     noise = with_verdict(unknown, Verdict.NO_GAP)
     assert noise.verdict is Verdict.NO_GAP
     assert noise.probabilities[NO_GAP] == unknown.probabilities[UNKNOWN]
+
+
+def competed(inputs: DecisionInputs, by_model: float = 0.0, **probabilities: float) -> DecisionInputs:
+    competition = {name.replace("exchange", EXCHANGE): value for name, value in probabilities.items()}
+    return replace(inputs, competition=competition, by_model=dict.fromkeys(probabilities, by_model))
+
+
+def test_an_effect_is_named_that_is_one_question_with_the_models_own_laws() -> None:
+    stiffer = case(LOUD, hypothesis_of("preconditioning", 12_000.0), laws=law_that_leaves(10_500.0))
+    assert 0.3 < classify(stiffer, DEFAULT_TOLERANCE_MN).marginal("preconditioning") < 0.8
+    apart, shared = (judge(competed(stiffer, by_model, preconditioning=0.02), 0.5) for by_model in (0.0, 0.9))
+    assert apart.verdict.verdict is Verdict.UNKNOWN
+    assert shared.verdict.effects == ("preconditioning",)
+    assert apart.presence["preconditioning"] < 0.5 < shared.presence["preconditioning"]
+    assert shared.verdict.probabilities == pytest.approx(apart.verdict.probabilities), "that it is this one is no likelier"
+
+
+def test_beside_a_sure_exchange_nothing_is_named_that_comes_with_a_function_of_the_session() -> None:
+    both = case(LOUD, hypothesis_of("tissue_ageing", 11_000.0), beside("tissue_ageing", "adhesion", 1400.0, 11_000.0))
+    same, exchanged = (
+        judge(competed(both, exchange=value, tissue_ageing=0.0, adhesion=0.0), 0.5).verdict for value in (0.9, 0.9999)
+    )
+    assert set(same.effects) == {"tissue_ageing", "adhesion"}
+    assert (exchanged.verdict, exchanged.effects) == (Verdict.UNKNOWN, ())
+    found = judge(competed(both, exchange=0.9999, tissue_ageing=0.0, adhesion=0.99), 0.5).verdict
+    assert found.effects == ("adhesion",)
+
+
+def test_no_effect_is_likelier_to_be_there_than_a_gap() -> None:
+    judgement = judge(competed(case(NOISE), wall_lift_off=0.999), 0.5)
+    assert judgement.presence["wall_lift_off"] <= 1.0 - judgement.verdict.probabilities[NO_GAP]
 
 
 @pytest.mark.parametrize(("excess_left", "verdict"), [(0.03, Verdict.EFFECT), (0.4, Verdict.UNKNOWN)])
