@@ -1,7 +1,7 @@
 """Inputs of a verdict, the features computed from them, and what is learnt: weights and thresholds."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from math import log, sqrt
 from pathlib import Path
@@ -130,11 +130,6 @@ class DecisionInputs:
     moves_astray: bool = False
     competition: Mapping[str, float] = field(default_factory=dict)
     by_model: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def without_position(self) -> "DecisionInputs":
-        """What the force shows alone."""
-        return replace(self, position=(), has_position_error=False)
 
     @property
     def excess(self) -> float:

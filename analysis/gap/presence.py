@@ -42,8 +42,8 @@ from dragrig.rig import BoolArray, FloatArray, IndexArray
 from dragrig.sim_backend.effects import Coordinate, Effect, Location, Role, find_effect
 
 SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
-"""Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to a relaxation's newtons. What an
-effect lacks at its largest scale, causes that are not there make up for."""
+"""Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to a relaxation's newtons. Of an
+effect larger than that, another cause would make up the rest."""
 MODEL_SCALES = (3.0, 10.0, 30.0)
 """Factors on the priors of the nominal model: with priors of 2 % to 15 %, a model off by up to half."""
 RUN_GAIN_SCALES = (0.03, 0.1, 0.3)
@@ -414,8 +414,10 @@ def _add_exchanges(
     for count in {0, fitted.size}:
         rows = np.arange(1 + nuisances.size + count)
         total = later[0][np.ix_(rows, rows)]
-        evidence = [_exchange_evidence(design, nuisances, own, total, tail[np.ix_(rows, rows)]) for tail in later[MIN_RUNS_BEFORE_EXCHANGE:]]
-        chosen |= dict.fromkeys((MIN_RUNS_BEFORE_EXCHANGE + np.argsort(evidence)[::-1][:EXCHANGES_TRIED]).tolist())
+        tails = (tail[np.ix_(rows, rows)] for tail in later[MIN_RUNS_BEFORE_EXCHANGE:])
+        evidence = np.array([_exchange_evidence(design, nuisances, own, total, tail) for tail in tails])
+        likely = np.argsort(evidence)[::-1][:EXCHANGES_TRIED]
+        chosen |= dict.fromkeys((MIN_RUNS_BEFORE_EXCHANGE + likely).tolist())
     columns = np.concatenate([run.columns[:, nuisances[own]] for run in design.runs])
     for boundary in chosen:
         later_runs = np.isin(of_run, by_time[boundary:]) | (of_run >= made)
