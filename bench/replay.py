@@ -77,7 +77,7 @@ def evidence(name: str, case: HiddenCase) -> Mapping[str, object]:
 def stored(weighed: WeighedCauses, *, nothing_hidden: bool) -> Mapping[str, object]:
     """Return what is kept of weighed causes."""
     inputs = weighed.inputs.document()
-    del inputs["competition"]
+    del inputs["competition"], inputs["by_model"]
     causes, sets = likely_sets(weighed)
     found: dict[str, object] = {"inputs": inputs, "causes": causes, "sets": sets}
     if not weighed.verdict.effects:
@@ -134,8 +134,8 @@ CHANGED: Mapping[ModuleType, tuple[str, ...]] = {
         *("NONPARAMETRIC_CHANCE_LLR", "SHARE_SOFTENING", "MANY_LOOKALIKES", "EQUAL_SHARE"),
     ),
     classifier: (
-        *("MIN_OTHER_LINE_LLR", "OTHER_LINE_LLR_WIDTH", "MIN_MAINS_LLR", "MAINS_LLR_WIDTH", "PARSIMONY_RATIO"),
-        *("MIN_POSTERIOR_BESIDE_POSITION", "MIN_LLR_BESIDE_POSITION", "CONFUSABLE_RATIO", "MIN_POSITION_SHARE"),
+        *("MIN_OTHER_LINE_LLR", "OTHER_LINE_LLR_WIDTH", "MIN_MAINS_LLR", "MAINS_LLR_WIDTH"),
+        *("CONFUSABLE_RATIO", "MIN_POSITION_SHARE"),
         *("POSITION_SHARE_WIDTH", "POSITION_RIVAL_SLOPE", "ESTABLISHED", "MIN_COMPETITION", "MOTION_ERROR_LOG_ODDS"),
     ),
     weighing: ("MAX_GAP_OVER_FLOOR", "ALPHA"),

@@ -35,6 +35,7 @@ from dragrig.analysis.gap.presence import (
     ForceCompetition,
     Presence,
     form_laws,
+    model_laws,
 )
 from dragrig.rig import FloatArray, IndexArray
 from dragrig.sim_backend.effects import catalogue, hum_effect
@@ -121,7 +122,7 @@ def gap_budget(
         if line in classification.effects:
             entries = with_line(entries, gap_mN, line, rms_mN, classification.marginal(line))
             gap_mN = float(np.hypot(gap_mN, rms_mN))
-    entries = () if classification.verdict is Verdict.NO_GAP else without_unlikely_rivals(entries, causes.effects)
+    entries = () if classification.verdict is Verdict.NO_GAP else entries
     if in_position and position_share is not None:
         share = position_share[0]
         interval = with_form_error(*position_share)
@@ -152,21 +153,6 @@ def presence_of_effects(
     elsewhere = {name: classification.marginal(name) for name in (hum_effect().id, *in_position)}
     presence = dict.fromkeys(catalogue(), MIN_PROBABILITY) | dict(on_force) | elsewhere
     return {name: min(max(value, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY) for name, value in presence.items()}
-
-
-def without_unlikely_rivals(entries: Sequence[BudgetEntry], presence: Mapping[str, float]) -> tuple[BudgetEntry, ...]:
-    """Drop effects that could stand in for another by the competition of causes alone, and are unlikely by all."""
-    return tuple(
-        replace(
-            entry,
-            not_separable_from=tuple(
-                rival
-                for rival in entry.not_separable_from
-                if presence[rival] > exp(-EQUAL_LOG_ODDS) * presence[entry.cause]
-            ),
-        )
-        for entry in entries
-    )
 
 
 def with_line(
@@ -233,7 +219,7 @@ def force_budget(study: Study, causes: CausesOfGap, established: Mapping[str, fl
                 cause, max(presence.probabilities[competition.causes[index].name] for index, _ in members)
             ),
             what=words_of(competition, members) if cause in {MODEL, SPECIMEN} else "",
-            not_separable_from=_not_separable(cause, chosen, competition, presence) if cause in established else (),
+            not_separable_from=_not_separable(cause, chosen, causes) if cause in established else (),
         )
         for number, (cause, members) in enumerate(parts.items())
     ]
@@ -268,9 +254,9 @@ def parts_of(
     competition: ForceCompetition, presence: Presence, chosen: CauseSet, established: Mapping[str, float]
 ) -> dict[str, CauseSet]:
     """Group the causes of a set into parts of the budget; what is not established belongs to the unexplained rest."""
-    # A free law of the coordinate that an established effect depends on is that effect in another form.
+    # A law of the coordinate that an established effect depends on is that effect in another form.
     by_presence = sorted(established, key=lambda name: established[name])
-    form_of = {law: name for name in by_presence for law in form_laws(name)}
+    form_of = {law: name for name in by_presence for law in (*form_laws(name), *model_laws(name))}
     parts: dict[str, CauseSet] = {}
     for index, scale in chosen:
         cause = competition.causes[index]
@@ -278,7 +264,7 @@ def parts_of(
         match cause.kind:
             case CauseKind.EFFECT if cause.name in established:
                 part = cause.name
-            case CauseKind.LAW if cause.name in form_of:
+            case CauseKind.LAW | CauseKind.MODEL if cause.name in form_of:
                 part = form_of[cause.name]
             case CauseKind.MODEL if likely:
                 part = MODEL
@@ -295,20 +281,27 @@ def words_of(competition: Competition, causes: CauseSet) -> str:
     return ", ".join(dict.fromkeys(competition.causes[index].words for index, _ in causes))
 
 
-def _not_separable(name: str, chosen: CauseSet, competition: ForceCompetition, presence: Presence) -> tuple[str, ...]:
-    """Return the effects that could take an effect's place in the most likely set."""
-    causes = competition.causes
-    others = {causes[index].name for index, _ in chosen} - {name}
-    best = max((value for key, value in presence.log_odds.items() if key == chosen), default=-np.inf)
-    rivals: dict[str, None] = {}
-    for key, value in presence.log_odds.items():
-        names = {causes[index].name for index, _ in key}
-        extra = names - others
-        if len(extra) == 1 and others <= names and value > best - EQUAL_LOG_ODDS:
-            rival = next(iter(extra))
-            if rival != name and presence.kinds[rival] is CauseKind.EFFECT:
-                rivals[rival] = None
-    return tuple(sorted(rivals))
+def _not_separable(name: str, chosen: CauseSet, causes: CausesOfGap) -> tuple[str, ...]:
+    """Return the effects that could take an effect's place in the most likely set, and the model that may share it.
+
+    Effects that could by the competition alone, and are unlikely by all, are none.
+    """
+    presence, own = causes.presence, set(model_laws(name))
+
+    def names_of(key: CauseSet) -> set[str]:
+        return {causes.competition.causes[index].name for index, _ in key}
+
+    others = names_of(chosen) - {name} - own
+    rivals = {MODEL} if own & names_of(chosen) else set()
+    least = presence.log_odds.get(chosen, -np.inf) - EQUAL_LOG_ODDS
+    for names in (names_of(key) for key, value in presence.log_odds.items() if value > least):
+        extra = names - others - own - {name}
+        if names & own and name not in names:
+            rivals.add(MODEL)
+        if len(extra) == 1 and others <= names and name not in names:
+            rivals |= {rival for rival in extra if presence.kinds[rival] is CauseKind.EFFECT}
+    least_presence = exp(-EQUAL_LOG_ODDS) * causes.effects.get(name, 0.0)
+    return tuple(sorted(rival for rival in rivals if rival == MODEL or causes.effects[rival] > least_presence))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

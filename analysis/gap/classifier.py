@@ -4,7 +4,7 @@ Which explanation of the force is right, and whether any is, is decided by weigh
 hidden effects (`calibration.json`, evaluated on other seeds; `training`); the probabilities are calibrated on these.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import exp, log, prod
 
@@ -17,6 +17,7 @@ from dragrig.analysis.gap.diagnosis import (
     UNKNOWN,
     Classification,
     Verdict,
+    marginal_probability,
 )
 from dragrig.analysis.gap.features import (
     EQUAL_SHARE,
@@ -35,11 +36,6 @@ from dragrig.sim_backend.effects import Coordinate, catalogue, confusable_effect
 
 MIN_OTHER_LINE_LLR = 60.0
 MAINS_LLR_WIDTH, OTHER_LINE_LLR_WIDTH = 1.5, 8.0
-MIN_POSTERIOR_BESIDE_POSITION, MIN_LLR_BESIDE_POSITION = 0.6, 60.0
-"""Where the stage has position errors, motion errors mimic small force effects: posterior > 0.6 and Δχ²/2 > 60 are
-required for an effect on the force."""
-PARSIMONY_RATIO = 1.2
-"""A subset of the most likely hypothesis is preferred unless the latter is more likely by this factor."""
 CONFUSABLE_RATIO = 0.1
 """Hypotheses with at least this fraction of the highest probability count as confusable with it."""
 
@@ -47,43 +43,14 @@ CONFUSABLE_RATIO = 0.1
 def classify(
     inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalibration | None = None
 ) -> Classification:
-    """Return the verdict on a campaign; `calibration` defaults to the shipped one."""
-    weights = calibration or shipped_calibration()
-    force = _force_posterior(inputs, tolerance_mN, weights)
-    classification = (
-        _classify_with_position(inputs, force)
-        if inputs.position or inputs.has_position_error
-        else _classify_with_lines(inputs, force)
-    )
-    aliases = {name for effect in classification.effects for name in confusable_effects(effect)}
-    excluded = [effect for effect in inputs.excluded if effect in aliases]
-    return replace(classification, confusable_with=(*classification.confusable_with, *excluded))
+    """Return what the classifier makes of the force alone; `calibration` defaults to the shipped one."""
+    return _classify_with_lines(inputs, *_force_posterior(inputs, tolerance_mN, calibration or shipped_calibration()))
 
 
-@dataclass(frozen=True, slots=True)
-class _ForcePosterior:
-    """Probabilities of the hypotheses on the force; the remainder to 1 is `no_gap`."""
-
-    unknown: float
-    probabilities: Mapping[tuple[str, ...], float]
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Effects of all hypotheses, those of the most likely first."""
-        ordered = sorted(self.probabilities, key=lambda names: -self.probabilities[names])
-        return tuple(dict.fromkeys(name for names in ordered for name in names))
-
-    def marginal(self, name: str) -> float:
-        """Return the probability that an effect is present."""
-        return sum(value for names, value in self.probabilities.items() if name in names)
-
-    @property
-    def total(self) -> float:
-        """Probability of all named hypotheses together."""
-        return sum(self.probabilities.values())
-
-
-def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: VerdictCalibration) -> _ForcePosterior:
+def _force_posterior(
+    inputs: DecisionInputs, tolerance_mN: float, weights: VerdictCalibration
+) -> tuple[Mapping[tuple[str, ...], float], float]:
+    """Return the probabilities of the hypotheses on the force, and of a gap."""
     hypotheses = hypothesis_features(inputs, tolerance_mN)
     gate = weights.gate
     excess_per_block = inputs.excess / max(inputs.block_count, 1)
@@ -101,7 +68,7 @@ def _force_posterior(inputs: DecisionInputs, tolerance_mN: float, weights: Verdi
     probabilities = {
         hypothesis.effects: gap * posterior for hypothesis, posterior in zip(hypotheses, posteriors, strict=True)
     }
-    return _ForcePosterior(gap - sum(probabilities.values()), probabilities)
+    return probabilities, gap
 
 
 def _among_lookalikes(
@@ -158,7 +125,8 @@ def _mains_log_odds(mains_llr: float) -> float:
     return (mains_llr - MIN_MAINS_LLR) / MAINS_LLR_WIDTH
 
 
-def _classify_with_lines(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
+def _classify_with_lines(inputs: DecisionInputs, force: Mapping[tuple[str, ...], float], gap: float) -> Classification:
+    total = sum(force.values())
     line_probability = _logistic(_mains_log_odds(inputs.mains_llr))
     hum_id = hum_effect().id
     hum_probability = 0.0 if hum_id in inputs.excluded else line_probability
@@ -168,21 +136,12 @@ def _classify_with_lines(inputs: DecisionInputs, force: _ForcePosterior) -> Clas
     if hum_id in inputs.excluded:
         other_line = max(other_line, line_probability)
     if hum_probability > 0.5:
-        with_force = force.total > 0.5
-        combinations = {(*names, hum_id): value for names, value in force.probabilities.items()} if with_force else {}
-        hum_alone = min(hum_probability, MAX_PROBABILITY) * (1.0 - force.total if with_force else 1.0)
+        combinations = {(*names, hum_id): value for names, value in force.items()} if total > 0.5 else {}
+        hum_alone = min(hum_probability, MAX_PROBABILITY) * (1.0 - total if total > 0.5 else 1.0)
         return _classification({**combinations, (hum_id,): hum_alone}, 1.0 - min(hum_probability, MAX_PROBABILITY), 0.0)
-    if other_line > 0.5 and other_line > force.total:
+    if other_line > max(0.5, total):
         return _classification({}, other_line, 1.0 - other_line)
-    return _classification(force.probabilities, force.unknown, 1.0 - force.unknown - force.total)
-
-
-def _has_clear_llr(name: str, inputs: DecisionInputs) -> bool:
-    """Whether an effect has a clear log likelihood ratio, alone or beside effects selected before it."""
-    return (
-        max((hypothesis.llr for hypothesis in inputs.hypotheses if hypothesis.effects[-1] == name), default=0.0)
-        > MIN_LLR_BESIDE_POSITION
-    )
+    return _classification(force, gap - total, 1.0 - gap)
 
 
 def _other_line_probability(inputs: DecisionInputs) -> float:
@@ -222,51 +181,20 @@ def with_verdict(classification: Classification, verdict: Verdict) -> Classifica
     return replace(classification, verdict=verdict, probabilities=probabilities)
 
 
-def _classify_with_position(inputs: DecisionInputs, force: _ForcePosterior) -> Classification:
-    force_effects = tuple(
-        name
-        for name in force.effects
-        if _has_clear_llr(name, inputs) and force.marginal(name) > MIN_POSTERIOR_BESIDE_POSITION
-    )
-    force_probability = min((force.marginal(name) for name in force_effects), default=1.0)
-    alternatives = {force_effects: force_probability} if force_effects else _confusable_group(inputs, force)
-    position_alone = 1.0 - sum(alternatives.values()) if alternatives else 1.0
+def _classify_position(inputs: DecisionInputs) -> Classification:
+    """Return what the errors of the position show, beside hum, without any effect on the force."""
     hum_id = hum_effect().id
     hum = (hum_id,) if inputs.mains_llr > MIN_MAINS_LLR and hum_id not in inputs.excluded else ()
     share = inputs.position[0][1] if inputs.position else 0.0
-    known_probability = min(
-        max(_logistic((share - MIN_POSITION_SHARE) / POSITION_SHARE_WIDTH), MIN_PROBABILITY), MAX_PROBABILITY
-    )
+    known = min(max(_logistic((share - MIN_POSITION_SHARE) / POSITION_SHARE_WIDTH), MIN_PROBABILITY), MAX_PROBABILITY)
     weights = {name: exp(-POSITION_RIVAL_SLOPE * max(share - value, 0.0)) for name, value in inputs.position}
     total = sum(weights.values())
-    combinations = {
-        (*name.split("+"), *hum): position_alone * known_probability * weight / total
-        for name, weight in weights.items()
-        if position_alone > 0.0
-    }
-    for effects, value in alternatives.items():
-        combinations |= {
-            (*name.split("+"), *effects, *hum): value * known_probability * weight / total
-            for name, weight in weights.items()
-        }
-    return _classification(combinations, 1.0 - known_probability if combinations else 1.0, 0.0)
-
-
-def _confusable_group(inputs: DecisionInputs, force: _ForcePosterior) -> dict[tuple[str, ...], float]:
-    """Return confusable effects, one of which acts, with their probabilities; empty for none."""
-    for name in force.effects:
-        group = [name, *sorted(confusable_effects(name) & set(force.effects))]
-        shares: dict[tuple[str, ...], float] = {
-            (member,): force.marginal(member) for member in group if _has_clear_llr(member, inputs)
-        }
-        if len(shares) > 1 and MIN_POSTERIOR_BESIDE_POSITION < sum(shares.values()) <= 1.0:
-            return shares
-    return {}
+    named = {(*name.split("+"), *hum): known * weight / total for name, weight in weights.items()}
+    return _classification(named, 1.0 - known if named else 1.0, 0.0)
 
 
 def _classification(named: Mapping[tuple[str, ...], float], unknown: float, no_gap: float) -> Classification:
     """Return the most likely hypothesis as verdict if it is more likely than `unknown` and `no_gap`."""
-    named = _prefer_subset(named)
     total = sum(named.values()) + unknown + no_gap
     probabilities = {NO_GAP: no_gap / total, UNKNOWN: unknown / total}
     probabilities |= {"+".join(names): value / total for names, value in named.items()}
@@ -279,16 +207,6 @@ def _classification(named: Mapping[tuple[str, ...], float], unknown: float, no_g
     confusable = tuple(dict.fromkeys(name for names in rivals for name in names if name not in effects))
     verdict = Verdict.SEVERAL if len(effects) > 1 else Verdict.EFFECT
     return Classification(verdict, effects, probabilities, confusable)
-
-
-def _prefer_subset(named: Mapping[tuple[str, ...], float]) -> Mapping[tuple[str, ...], float]:
-    """Prefer a subset of the most likely hypothesis that is nearly as likely alone."""
-    best = max(named, key=lambda names: named[names], default=())
-    subsets = [names for names in named if set(names) < set(best) and named[names] * PARSIMONY_RATIO > named[best]]
-    if not subsets:
-        return named
-    subset, transferred = max(subsets, key=lambda names: named[names]), named[best] * (1.0 - 1.0 / PARSIMONY_RATIO)
-    return {**named, best: named[best] - transferred, subset: named[subset] + transferred}
 
 
 MIN_COMPETITION = 0.05
@@ -304,7 +222,7 @@ class Judgement:
 
     verdict: Classification
     presence: Mapping[str, float]
-    """Probability that each effect on the force is there."""
+    """Probability that each effect on the force is there, or the nominal model's own laws in its place."""
 
 
 def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalibration | None = None) -> Judgement:
@@ -313,27 +231,74 @@ def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalib
     Without a competition, as in inputs of a synthetic campaign, the classifier alone decides.
     """
     learnt = calibration or shipped_calibration()
-    verdict = on_force = classify(inputs, tolerance_mN, learnt)
-    if inputs.has_position_error:
-        on_force = classify(inputs.without_position, tolerance_mN, learnt)
+    on_force = classify(inputs, tolerance_mN, learnt)
+    verdict = on_force
+    if inputs.position or inputs.has_position_error:
+        verdict = _classify_position(inputs)
+        verdict = replace(verdict, confusable_with=(*verdict.confusable_with, *on_force.confusable_with))
     if not inputs.competition:
-        return Judgement(verdict, {})
-    presence = combined_presence(on_force, inputs.competition, learnt.presence, stage_strays=inputs.moves_astray)
+        return Judgement(_with_excluded(verdict, inputs), {})
+    joint = {name: value + inputs.by_model.get(name, 0.0) for name, value in inputs.competition.items()}
+    limits = dict(_limits_by_exchange(on_force, joint))
     # The competition does not know why runs do not establish an effect, and so cannot make it likelier.
-    for name in {name for tried in inputs.hypotheses if tried.lookalikes for name in tried.effects} & presence.keys():
-        presence[name] = min(presence[name], on_force.marginal(name))
+    unestablished = {name for tried in inputs.hypotheses if tried.lookalikes for name in tried.effects}
+    limits |= {name: on_force.marginal(name) for name in unestablished}
+    combined = (
+        combined_presence(on_force, competition, learnt.presence, stage_strays=inputs.moves_astray)
+        for competition in (inputs.competition, joint)
+    )
+    gap = 1.0 - on_force.probabilities.get(NO_GAP, 0.0)
+    alone, presence = ({name: min(value, limits.get(name, gap), gap) for name, value in of.items()} for of in combined)
+    for name in _beside_likelier(presence):
+        alone[name], presence[name] = (min(of[name], joint[name]) for of in (alone, presence))
     in_position = {name for name, _ in inputs.position}
-    verdict = restate(verdict, {name: value for name, value in presence.items() if name not in in_position})
-    return Judgement(verdict, presence)
+    named = [name for name, value in presence.items() if value > ESTABLISHED and name not in in_position]
+    verdict = restate(verdict, {name: value for name, value in alone.items() if name not in in_position}, named)
+    return Judgement(_with_excluded(verdict, inputs), presence)
+
+
+def _with_excluded(verdict: Classification, inputs: DecisionInputs) -> Classification:
+    """Count what was left out of the search among what is confusable with the verdict."""
+    aliases = {name for effect in verdict.effects for name in confusable_effects(effect)}
+    excluded = [effect for effect in inputs.excluded if effect in aliases]
+    return replace(verdict, confusable_with=(*verdict.confusable_with, *excluded))
+
+
+def _beside_likelier(presence: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the effects that runs hardly tell from a likelier one that is there, of the same coordinate.
+
+    Each takes up the form error of the other. Only the competition allows for that.
+    """
+    known = catalogue()
+    return tuple(
+        name
+        for name, value in presence.items()
+        if any(
+            presence.get(rival, 0.0) > max(value, ESTABLISHED) and known[rival].coordinate is known[name].coordinate
+            for rival in confusable_effects(name)
+        )
+    )
+
+
+def _limits_by_exchange(on_force: Classification, competition: Mapping[str, float]) -> Iterator[tuple[str, float]]:
+    """Yield effects whose probability the competition limits because the specimen was surely exchanged.
+
+    The classifier knows no exchange and takes one for a function of the session. None is there that the competition
+    does not find beside it, nor what the classifier finds mostly beside such a function.
+    """
+    if competition.get(EXCHANGE, 0.0) <= SURE_EXCHANGE:
+        return
+    of_session = {name for name, effect in catalogue().items() if effect.coordinate is Coordinate.SESSION}
+    beside = {names: value for names, value in on_force.probabilities.items() if of_session & set(names.split("+"))}
+    for name, value in competition.items():
+        if name in of_session or marginal_probability(name, beside) > 0.5 * on_force.marginal(name):
+            yield name, value
 
 
 def combined_presence(
     on_force: Classification, competition: Mapping[str, float], weights: PresenceWeights, *, stage_strays: bool = False
 ) -> dict[str, float]:
     """Return the probability that each effect on the force is there, from classifier and competition together.
-
-    The classifier knows no exchange of the specimen and takes one for a function of the session. Where there surely is
-    one, no such function is there that the competition does not find beside it.
 
     Parameters
     ----------
@@ -345,7 +310,6 @@ def combined_presence(
         Whether the stage strays from its command, so that motion errors mimic effects on the force.
     """
     known = catalogue()
-    exchanged = competition.get(EXCHANGE, 0.0) > SURE_EXCHANGE
     combined = {}
     for name, value in competition.items():
         if name not in known:
@@ -358,8 +322,6 @@ def combined_presence(
             - stage_strays * MOTION_ERROR_LOG_ODDS
         )
         combined[name] = _logistic(log_odds)
-        if exchanged and known[name].coordinate is Coordinate.SESSION:
-            combined[name] = min(combined[name], value)
     return combined
 
 
@@ -373,13 +335,12 @@ def _log_odds(probability: float, least: float = MIN_PROBABILITY) -> float:
     return log(limited / (1.0 - limited))
 
 
-def restate(classification: Classification, probabilities: Mapping[str, float]) -> Classification:
-    """Return the verdict that follows from the presence of each effect on the force.
+def restate(classification: Classification, probabilities: Mapping[str, float], named: Sequence[str]) -> Classification:
+    """Return the verdict that names some effects on the force.
 
-    Effects present with more than `ESTABLISHED` are named. Sets of effects are as likely as their members are present
-    and all others absent, beside each alternative that the classifier has for spectral lines and the position.
+    Sets of effects are as likely as their members are present, by these probabilities, and all others absent, beside
+    each alternative that the classifier has for spectral lines and the position.
     """
-    named = tuple(name for name, value in probabilities.items() if value > ESTABLISHED)
     elsewhere: dict[tuple[str, ...], float] = {}
     sets: set[frozenset[str]] = {frozenset(named), frozenset(), *(frozenset({name}) for name in probabilities)}
     for names, value in classification.probabilities.items():

@@ -430,7 +430,7 @@ class BudgetEntry:
     what
         What the part looks like, in plain words: directions of a model, or what the unexplained rest depends on.
     not_separable_from
-        Effects that these runs cannot tell from it.
+        Effects that these runs cannot tell from it, and `model` where its own laws may be in its place.
     """
 
     cause: str
@@ -487,7 +487,8 @@ class GapBudget:
     Attributes
     ----------
     presence
-        Probability that each effect of the catalogue is there, given all else that may be there.
+        Probability that each effect of the catalogue is there, given all else that may be there; of one that shares
+        its place with the nominal model, that either of them is.
     entries
         Parts of the gap, the largest first and the unexplained rest last, by channel; empty without a gap.
     gap_mN
@@ -514,6 +515,11 @@ class GapBudget:
             for entry in self.entries
         )
         return replace(self, gap_mN=gap_mN, entries=tuple(entries))
+
+    @property
+    def shared_with(self) -> Mapping[str, tuple[str, ...]]:
+        """Causes that these runs cannot tell from named ones, by their names."""
+        return {entry.cause: entry.not_separable_from for entry in self.entries if entry.not_separable_from}
 
     def leaves_more_than(self, share: float, tolerance_mN: float) -> bool:
         """Whether the unexplained rest of the force is surely there, larger than a share of the gap and a tolerance."""

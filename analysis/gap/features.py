@@ -1,7 +1,7 @@
 """Inputs of a verdict, the features computed from them, and what is learnt: weights and thresholds."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from math import log, sqrt
 from pathlib import Path
@@ -114,6 +114,8 @@ class DecisionInputs:
     competition
         Probability that each cause is there by the competition of causes, unnamed ones included; empty where it was not
         judged.
+    by_model
+        Probability by the same that the nominal model's own laws are in the place of an effect.
     """
 
     block_count: Annotated[int, Field(alias="blocks")]
@@ -127,11 +129,7 @@ class DecisionInputs:
     laws: Annotated[tuple[NonparametricLaw, ...], Field(alias="nameless")] = ()
     moves_astray: bool = False
     competition: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def without_position(self) -> "DecisionInputs":
-        """What the force shows alone."""
-        return replace(self, position=(), has_position_error=False)
+    by_model: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def excess(self) -> float:

@@ -10,7 +10,7 @@ and the probability that a cause is there is the sum over all sets that contain 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
@@ -39,20 +39,23 @@ from dragrig.analysis.gap.features import EXCHANGE
 from dragrig.analysis.gap.forward_selection import KNOT_PRIOR_SD_MN, ForceSearchResult, nonparametric_columns
 from dragrig.analysis.gap.run_data import rms_where_active
 from dragrig.rig import BoolArray, FloatArray, IndexArray
-from dragrig.sim_backend.effects import Coordinate, Effect, Role, find_effect
+from dragrig.sim_backend.effects import Coordinate, Effect, Location, Role, find_effect
 
-SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to the largest forces."""
+SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+"""Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to a relaxation's newtons. Of an
+effect larger than that, another cause would make up the rest."""
 MODEL_SCALES = (3.0, 10.0, 30.0)
 """Factors on the priors of the nominal model: with priors of 2 % to 15 %, a model off by up to half."""
 RUN_GAIN_SCALES = (0.03, 0.1, 0.3)
 """Relative scatter of a gain that each run has of its own, beyond that of the nominal model."""
-EXCHANGE_SCALES = (1.0, 3.0, 10.0)
-"""Factors on the priors of a specimen, within which the runs after an exchange differ from those before."""
+EXCHANGE_SCALES = (1.0, 3.0)
+"""Factors on the priors of a specimen, within which the runs after an exchange differ from those before. Specimens of
+ten times the prior, or with numerics of their own, would be a free force of the later runs: a wall that lifts off at
+the speeds that come last."""
 EXCHANGES_TRIED = 3
 """Most likely runs before which the specimen was exchanged."""
-MIN_RUNS_WITH_EXCHANGE = 6
-"""Fewer runs cannot tell a step between two of them from what the runs differ in anyhow."""
+MIN_RUNS_BEFORE_EXCHANGE = 5
+"""A specimen whose first runs differ from its later ones is preconditioned, and nobody exchanged it."""
 MODULATION_SD = 0.3
 """Smooth relative deviation of a real effect from the catalogue's law: real ones leave 10 to 40 % of its form."""
 FREE_LAW_SD = 0.3
@@ -66,6 +69,14 @@ FORM_LAWS: Mapping[Coordinate, tuple[str, ...]] = {
     Coordinate.TRANSIENT: ("time since start and stop", "time since start and stop in the gut"),
 }
 """Free laws of each coordinate, the one in the closed gut last."""
+PARAMETERS, LAWS, IN_RELAXATIONS = "parameters of the model", "laws of the model", " in relaxations"
+_SHEARED = PARAMETERS + IN_RELAXATIONS, LAWS + IN_RELAXATIONS
+MODEL_LAWS: Mapping[tuple[Location, Coordinate], tuple[str, ...]] = {
+    (Location.WALL, Coordinate.STRAIN): (PARAMETERS, LAWS, *_SHEARED),
+    (Location.SPECIMEN, Coordinate.SESSION): _SHEARED,
+}
+"""What of the nominal model acts at a place as a function of a coordinate: its moduli over strain, and what is off in
+relaxations alone, which have a time of their own in the session."""
 FORM_ERROR = 0.25
 """Error of each block relative to the gap there: what no smooth function of any coordinate covers."""
 PRIOR_PROBABILITIES = {"effect": 0.08, "law": 0.03, "run": 0.03, "exchange": 0.003, "model": 0.15}
@@ -86,6 +97,15 @@ than 0.1 % each."""
 def form_laws(effect: str) -> tuple[str, ...]:
     """Return the free laws of the coordinate that an effect depends on."""
     return FORM_LAWS.get(find_effect(effect).coordinate, ())
+
+
+def model_laws(effect: str) -> tuple[str, ...]:
+    """Return the causes of the nominal model that act where an effect does, as functions of its coordinate.
+
+    They are one question: its form error is larger than what runs tell them apart by.
+    """
+    known = find_effect(effect)
+    return MODEL_LAWS.get((known.location, known.coordinate), ())
 
 
 class CauseKind(StrEnum):
@@ -354,13 +374,10 @@ def _model_columns(study: Study, design: Design) -> Iterator[tuple[str, FloatArr
     sheared = np.concatenate(
         [np.full(run.coordinates.time_s.size, run.experiment.kind == "relaxation") for run in study.runs]
     )
-    directions = {
-        "parameters": np.concatenate(design.run_columns(ColumnKind.NOMINAL)),
-        "laws": np.concatenate(design.run_columns(ColumnKind.MODEL_ERROR)),
-    }
-    for name, columns in directions.items():
-        yield f"{name} of the model", columns
-        yield f"{name} of the model in relaxations", columns * sheared[:, None]
+    for name, kind in ((PARAMETERS, ColumnKind.NOMINAL), (LAWS, ColumnKind.MODEL_ERROR)):
+        columns = np.concatenate(design.run_columns(kind))
+        yield name, columns
+        yield name + IN_RELAXATIONS, columns * sheared[:, None]
 
 
 def _add_exchanges(
@@ -380,9 +397,10 @@ def _add_exchanges(
     made
         Number of runs that were made; further ones are after any exchange.
     """
-    if made < MIN_RUNS_WITH_EXCHANGE or not all(run.has_clock for run in study.runs[:made]):
+    if made <= MIN_RUNS_BEFORE_EXCHANGE or not all(run.has_clock for run in study.runs[:made]):
         return
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
+    own = np.flatnonzero(np.isin(nuisances, design.columns_of(ColumnKind.NOMINAL)))
     by_time = sorted(range(made), key=lambda index: study.runs[index].session_start_s)
     of_run = np.repeat(np.arange(len(design.runs)), [run.residual.size for run in design.runs])
     beside = store.columns_at(fitted) if fitted.size else np.zeros((of_run.size, 0))
@@ -396,13 +414,15 @@ def _add_exchanges(
     for count in {0, fitted.size}:
         rows = np.arange(1 + nuisances.size + count)
         total = later[0][np.ix_(rows, rows)]
-        evidence = [_exchange_evidence(design, nuisances, total, tail[np.ix_(rows, rows)]) for tail in later[1:]]
-        chosen |= dict.fromkeys(np.argsort(evidence)[::-1][:EXCHANGES_TRIED].tolist())
-    columns = np.concatenate([run.columns[:, nuisances] for run in design.runs])
+        tails = (tail[np.ix_(rows, rows)] for tail in later[MIN_RUNS_BEFORE_EXCHANGE:])
+        evidence = np.array([_exchange_evidence(design, nuisances, own, total, tail) for tail in tails])
+        likely = np.argsort(evidence)[::-1][:EXCHANGES_TRIED]
+        chosen |= dict.fromkeys((MIN_RUNS_BEFORE_EXCHANGE + likely).tolist())
+    columns = np.concatenate([run.columns[:, nuisances[own]] for run in design.runs])
     for boundary in chosen:
-        later_runs = np.isin(of_run, by_time[boundary + 1 :]) | (of_run >= made)
+        later_runs = np.isin(of_run, by_time[boundary:]) | (of_run >= made)
         added = store.add(columns * later_runs[:, None])
-        sds, when = np.ones(added.size), f"after run {boundary + 1}"
+        sds, when = np.ones(added.size), f"after run {boundary}"
         store.causes.append(
             Cause(
                 EXCHANGE,
@@ -410,22 +430,26 @@ def _add_exchanges(
                 added,
                 sds,
                 EXCHANGE_SCALES,
-                alternatives=len(by_time) - 1,
+                alternatives=made - MIN_RUNS_BEFORE_EXCHANGE,
                 detail=when,
             )
         )
 
 
-def _exchange_evidence(design: Design, nuisances: IndexArray, total: FloatArray, later: FloatArray) -> float:
+def _exchange_evidence(
+    design: Design, nuisances: IndexArray, own: IndexArray, total: FloatArray, later: FloatArray
+) -> float:
     """Return the largest log evidence for other parameters in some runs.
 
     Parameters
     ----------
+    own
+        Which of the nuisances are a specimen's own.
     total, later
         Gram matrices of residual, nuisances, and `f` columns that are there as well, of all runs and of those.
     """
     size, first = nuisances.size, len(total)
-    steps = np.block([[total, later[:, 1 : 1 + size]], [later[1 : 1 + size], later[1 : 1 + size, 1 : 1 + size]]])
+    steps = np.block([[total, later[:, 1 + own]], [later[1 + own], later[np.ix_(1 + own, 1 + own)]]])
     products = schur_complement(design, steps, nuisances, np.arange(1 + size, len(steps)), np.arange(1, 1 + size))
     beside = np.arange(1, first - size)
     if beside.size:
@@ -588,6 +612,8 @@ class Presence:
     """Kind of each cause."""
     log_odds: Mapping[CauseSet, float]
     """Log posterior odds of every set that was compared, against the empty one."""
+    by_model: Mapping[str, float] = field(default_factory=dict)
+    """Probability that the nominal model's own laws are in the place of an effect, which is not there itself."""
 
     def most_likely_with(self, names: Sequence[str], competition: Competition) -> CauseSet:
         """Return the most likely set with causes of these names; missing ones are added at their best scale."""
@@ -641,13 +667,21 @@ def presence_of(causes: Sequence[Cause], log_odds: Mapping[CauseSet, float]) -> 
     weights = np.exp(values - values.max())
     weights /= weights.sum()
     probabilities = dict.fromkeys((cause.name for cause in causes), 0.0)
+    laws = {cause.name: set(model_laws(cause.name)) for cause in causes if cause.kind is CauseKind.EFFECT}
+    by_model = dict.fromkeys((effect for effect, own in laws.items() if own), 0.0)
     for key, weight in zip(log_odds, weights.tolist(), strict=True):
-        for index, _ in key:
-            probabilities[causes[index].name] += weight
+        names = {causes[index].name for index, _ in key}
+        for name in names:
+            probabilities[name] += weight
+        for effect in by_model.keys() - names:
+            # An exchange is a function of the session, too, and leaves the question open between more than two.
+            if names & laws[effect] and not (EXCHANGE in names and find_effect(effect).varies_in_session):
+                by_model[effect] += weight
     return Presence(
         {name: min(value, 1.0) for name, value in probabilities.items()},
         {cause.name: cause.kind for cause in causes},
         log_odds,
+        by_model,
     )
 
 

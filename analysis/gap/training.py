@@ -233,7 +233,7 @@ def calibrate(
     presence = PRESENCE_PRIOR
     if len(cases) >= INNER_FOLDS and any(case.inputs.competition for case in cases):
         on_force = [
-            classify(case.inputs.without_position, tolerance_mN, weights)
+            classify(case.inputs, tolerance_mN, weights)
             for case, weights in _in_turn(cases, INNER_FOLDS, without_presence)
         ]
         presence = fit_presence(cases, on_force)

@@ -28,7 +28,6 @@ from dragrig.analysis import (
 from dragrig.analysis.gap.budget import CausesOfGap, presence_of_effects
 from dragrig.analysis.gap.candidate_runs import ExperimentBudget
 from dragrig.analysis.gap.classifier import (
-    MIN_LLR_BESIDE_POSITION,
     Judgement,
     judge,
     mains_hum_present,
@@ -170,7 +169,7 @@ MAX_GAP_OVER_FLOOR = 1.05
 """A gap up to this multiple of its floor equals it."""
 PREPARING_COST, SEARCH_COST, COMPETITION_COST = 26, 34, 34
 """Relative times of its parts."""
-MIN_LLR_AND_SHARE_WITH_MOTION_ERROR = 0.5 * MIN_LLR_BESIDE_POSITION, 0.3
+MIN_LLR_AND_SHARE_WITH_MOTION_ERROR = 30.0, 0.3
 """Where the stage has position errors, motion errors mimic small force effects: thresholds of Δχ²/2 and of the share of
 the excess for an effect to be fitted."""
 
@@ -370,7 +369,7 @@ def weigh_causes(
     inputs = _decision_inputs(search, position, lines, settings.excluded)
     competition = prepare_competition(search, all_periods=all_periods)
     present = judge_presence(competition)
-    inputs = replace(inputs, competition=present.probabilities)
+    inputs = replace(inputs, competition=present.probabilities, by_model=present.by_model)
     judgement = judge(inputs, settings.tolerance_mN, _calibration_for(study, settings))
     causes = CausesOfGap(competition, present, judgement.presence)
     timings_s = {"reading and position": studied - start, "explaining": perf_counter() - studied}

@@ -220,6 +220,24 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
     )
 
 
+def _speed_figures(diagnosis: Diagnosis) -> tuple[Figure, ...]:
+    if not any(view.steady is not None for view in diagnosis.traces):
+        return ()
+    floor_mN = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
+    named = bool(diagnosis.effects)
+    both = "without an effect (before) and with the effects (after)" if named else "without an effect"
+    return (
+        Figure(
+            "steady-force",
+            "Steady force against speed, measured with intervals and by the model; below, measured less the model.",
+            "Large markers are means, small ones runs; bars are 95 % intervals by Student's t over repeats. The "
+            f"model, {both}, predicts each run from the others, but for what a run is off by itself. The grey band is "
+            "noise and scatter of repeats.",
+            lambda: present.diagnosis_speed_figure(diagnosis.traces, floor_mN, named=named),
+        ),
+    )
+
+
 def _before_after_figure(diagnosis: Diagnosis) -> Figure:
     floor_mN = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
     named = bool(diagnosis.effects)
@@ -517,6 +535,7 @@ def diagnosis_json(
             "ranking": _ranking_json(diagnosis.ranking),
             **attributes_json(diagnosis, "confusable_with", "residual_unknown"),
             "presence": presence_json(diagnosis.budget),
+            "shared_with": {} if diagnosis.budget is None else diagnosis.budget.shared_with,
             "budget": budget_json(diagnosis, ids),
             "unknown": None
             if diagnosis.unknown is None

@@ -7,6 +7,7 @@ from math import isfinite, nan
 from dragrig.analysis import as_sentence, capitalise, count_text, join_names, percent_text
 from dragrig.analysis.gap import (
     ALPHA,
+    MODEL,
     AxisLocation,
     Diagnosis,
     GapLocation,
@@ -81,7 +82,8 @@ def _verdict_probability_text(diagnosis: Diagnosis) -> str:
     there = probability_text(presence.get(diagnosis.effects[0], nan)) if len(diagnosis.effects) == 1 else alone
     if there == alone or not isfinite(presence.get(diagnosis.effects[0], nan)):
         return f"probability {alone}"
-    return f"probability {there} that it is there, {alone} that it is the only effect"
+    there_or_model = "it is there, or the model itself is off" if _model_is_alike(diagnosis) else "it is there"
+    return f"probability {there} that {there_or_model}, {alone} that it is the only effect"
 
 
 def detection_limit_sentence(diagnosis: Diagnosis) -> str:
@@ -154,10 +156,17 @@ def _detection_limit_clause(diagnosis: Diagnosis) -> str:
     return f"an effect above {force_text(limit_mN)} would have been detected"
 
 
+def _model_is_alike(diagnosis: Diagnosis) -> bool:
+    """Whether the nominal model's own laws may be in the place of a named effect."""
+    alike = () if diagnosis.budget is None else diagnosis.budget.shared_with.items()
+    return any(MODEL in others for effect, others in alike if effect in diagnosis.effects)
+
+
 def _confusable_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     excluded = () if diagnosis.decision_inputs is None else diagnosis.decision_inputs.excluded
     it = "it" if len(diagnosis.effects) == 1 else "them"
     confusable = [display_name(name) for name in diagnosis.confusable_with if name not in excluded]
+    confusable += ["the nominal model itself"] * _model_is_alike(diagnosis)
     if confusable:
         yield f"{capitalise(join_names(confusable))} cannot be distinguished from {it} with these runs."
     excluded_names = [display_name(name) for name in diagnosis.confusable_with if name in excluded]

@@ -133,9 +133,7 @@ def part_name(entry: BudgetEntry, at_most: int | None = MAX_ALTERNATIVES) -> str
     at_most
         Effects that are named; further ones are counted. None names all.
     """
-    if entry.cause in _NAMES:
-        return _NAMES[entry.cause]
-    names = [display_name(cause) for cause in (entry.cause, *entry.not_separable_from)]
+    names = [_NAMES.get(cause) or display_name(cause) for cause in (entry.cause, *entry.not_separable_from)]
     if at_most is not None and len(names) > at_most + 1:
         names[at_most:] = [f"{len(names) - at_most} other effects"]
     return " or ".join(names)

@@ -26,7 +26,7 @@ from dragrig.analysis.gap.budget import presence_of_effects
 from dragrig.analysis.gap.classifier import judge, unknown_by_excess_alone, with_verdict
 from dragrig.analysis.gap.diagnosis import Verdict
 from dragrig.analysis.gap.isolability import DEFAULT_TOLERANCE_MN
-from dragrig.analysis.gap.presence import Cause, CauseKind, presence_of
+from dragrig.analysis.gap.presence import Cause, CauseKind, Presence, presence_of
 from dragrig.analysis.gap.weighing import WeighedCauses, equals_noise
 from dragrig.exam.hidden_cases import DRAWN_PLANT, EXAM_MIX, WRITTEN_PLANT, HiddenCase, draw_cases
 from dragrig.scoring import (
@@ -145,15 +145,15 @@ def surprise(cases: Sequence[ScoredCase]) -> float:
     return -float(np.sum(np.log(np.maximum(stated, LEAST_STATED))))
 
 
-def competed(kinds: Mapping[str, str], sets: Sequence[Sequence[float]]) -> Mapping[str, float]:
-    """Return the probability that each cause is there, by `causes` and `sets` and today's prior probabilities."""
+def competed(kinds: Mapping[str, str], sets: Sequence[Sequence[float]]) -> Presence:
+    """Return which causes are there, by `causes` and `sets` and today's prior probabilities."""
     causes = tuple(cause(name, kind) for name, kind in kinds.items())
     log_odds = {
         tuple((int(number), 0) for number in numbers): value
         + sum(causes[int(number)].log_prior_odds for number in numbers)
         for *numbers, value in sets
     }
-    return presence_of(causes, log_odds).probabilities
+    return presence_of(causes, log_odds)
 
 
 def stored_campaigns(lines: Sequence[str]) -> tuple[StoredCampaign, ...]:
@@ -162,12 +162,12 @@ def stored_campaigns(lines: Sequence[str]) -> tuple[StoredCampaign, ...]:
     for record in map(json.loads, lines[1:]):
         if "failed" in record:
             continue
-        numbers = inputs.validate_python(record["inputs"])
+        numbers, presence = inputs.validate_python(record["inputs"]), competed(record["causes"], record["sets"])
         found.append(
             StoredCampaign(
                 record["name"],
                 AnswerKey.model_validate(record["answer"]),
-                replace(numbers, competition=competed(record["causes"], record["sets"])),
+                replace(numbers, competition=presence.probabilities, by_model=presence.by_model),
                 record.get("gap_over_floor"),
                 record.get("place_p", 0.0),
                 tuple(ScoredCause(cause=name, share=share) for name, share in record.get("budget", ())),

@@ -342,11 +342,24 @@ def test_every_effect_has_a_probability_that_is_never_sure() -> None:
     }  # fmt: skip
 
 
-def test_a_rival_that_is_unlikely_by_all_is_none() -> None:
-    entry = BudgetEntry("stribeck", "force", 0.9, None, 1.0, not_separable_from=("adhesion", "payload_inertia"))
-    presence = {"stribeck": 0.9, "adhesion": 0.9 * exp(-2.99), "payload_inertia": 0.9 * exp(-3.01)}
-    (kept,) = budget.without_unlikely_rivals((entry,), presence)
-    assert kept.not_separable_from == ("adhesion",)
+def test_a_wall_over_strain_and_the_models_laws_are_one_part() -> None:
+    study, causes = prepared()
+    renamed = {"stribeck": "hyperelastic_wall"}
+    named = tuple(replace(cause, name=renamed.get(cause.name, cause.name)) for cause in CAUSES)
+    causes.competition.causes = named  # type: ignore[misc]
+    probabilities = {renamed.get(name, name): value for name, value in PROBABILITIES.items()}
+    presence = Presence(probabilities, {cause.name: cause.kind for cause in named}, LOG_ODDS)
+    causes = replace(causes, presence=presence, effects={"hyperelastic_wall": 0.95, "adhesion": 0.3})
+    found = budget.force_budget(study, causes, {"hyperelastic_wall": 0.95})  # type: ignore[arg-type]
+    assert {entry.cause for entry in found.entries} == {"hyperelastic_wall", SPECIMEN, UNEXPLAINED}
+    assert found.shared_with == {"hyperelastic_wall": ("adhesion", MODEL)}
+
+
+@pytest.mark.parametrize(("adhesion", "rivals"), [(0.95 * exp(-2.99), ("adhesion",)), (0.95 * exp(-3.01), ())])
+def test_a_rival_that_is_unlikely_by_all_is_none(adhesion: float, rivals: tuple[str, ...]) -> None:
+    study, causes = prepared()
+    found = budget.force_budget(study, replace(causes, effects={**EFFECTS, "adhesion": adhesion}), ESTABLISHED)  # type: ignore[arg-type]
+    assert found.entries[0].not_separable_from == rivals
 
 
 def test_parts_are_called_by_what_is_likely() -> None:

@@ -32,7 +32,7 @@ from dragrig.analysis.gap.position_channel import (
     position_errors,
     predicted_position_error,
 )
-from dragrig.analysis.gap.presence import Cause, CauseKind, Competition, Presence, prepare_competition
+from dragrig.analysis.gap.presence import Cause, CauseKind, Competition, Presence, prepare_competition, presence_of
 from dragrig.analysis.gap.run_data import choose_runs
 from dragrig.analysis.gap.studies import prepare_study
 from dragrig.analysis.models.capsule_model import MODEL
@@ -177,10 +177,9 @@ def classified(**probabilities: float) -> Classification:
     return Classification(Verdict.UNKNOWN, (), named, ())
 
 
-def test_effects_present_above_one_half_are_named_together() -> None:
-    restated = restate(
-        classified(stribeck=0.6, no_gap=0.1, unknown=0.3), {"stribeck": 0.9, "adhesion": 0.7, "folds": 0.1}
-    )
+def test_named_effects_are_named_together() -> None:
+    classification = classified(stribeck=0.6, no_gap=0.1, unknown=0.3)
+    restated = restate(classification, {"stribeck": 0.9, "adhesion": 0.7, "folds": 0.1}, ["adhesion", "stribeck"])
     assert (restated.verdict, restated.effects) == (Verdict.SEVERAL, ("stribeck", "adhesion"))
     assert max(restated.probabilities, key=lambda name: restated.probabilities[name]) == "stribeck+adhesion"
     assert sum(restated.probabilities.values()) == pytest.approx(1.0)
@@ -189,7 +188,7 @@ def test_effects_present_above_one_half_are_named_together() -> None:
 
 @pytest.mark.parametrize(("no_gap", "verdict"), [(0.9, Verdict.NO_GAP), (0.1, Verdict.UNKNOWN)])
 def test_without_an_effect_present_nothing_is_named(no_gap: float, verdict: Verdict) -> None:
-    restated = restate(classified(stribeck=0.9 - 0.9 * no_gap, no_gap=no_gap), {"stribeck": 0.3, "folds": 0.01})
+    restated = restate(classified(stribeck=0.9 - 0.9 * no_gap, no_gap=no_gap), {"stribeck": 0.3, "folds": 0.01}, [])
     assert (restated.verdict, restated.effects) == (verdict, ())
     stated = {Verdict.NO_GAP: NO_GAP, Verdict.UNKNOWN: UNKNOWN}[verdict]
     assert restated.probabilities[stated] == max(restated.probabilities.values())
@@ -199,7 +198,7 @@ def test_beside_a_spectral_line_the_probabilities_still_sum_to_one() -> None:
     classification = replace(
         classified(sensor_hum=0.5, sensor_hum__stribeck=0.3, no_gap=0.05, unknown=0.15), effects=("sensor_hum",)
     )
-    restated = restate(classification, {"stribeck": 0.9})
+    restated = restate(classification, {"stribeck": 0.9}, ["stribeck"])
     assert restated.effects == ("stribeck", "sensor_hum")
     assert sum(restated.probabilities.values()) == pytest.approx(1.0)
 
@@ -248,6 +247,28 @@ def test_what_one_run_does_not_tell_from_a_force_in_motion_is_not_named(
 def inputs_of(diagnosis: Diagnosis) -> DecisionInputs:
     assert diagnosis.decision_inputs is not None
     return diagnosis.decision_inputs
+
+
+def compared(**log_odds: float) -> Presence:
+    """Return the presence of causes by sets of them, whose names are joined by `__`."""
+    kinds = {
+        "hyperelastic_wall": CauseKind.EFFECT, "preconditioning": CauseKind.EFFECT, "stribeck": CauseKind.EFFECT,
+        "laws of the model in relaxations": CauseKind.MODEL, "parameters of the model": CauseKind.MODEL,
+        EXCHANGE: CauseKind.EXCHANGE,
+    }  # fmt: skip
+    short = {name.split()[0]: number for number, name in enumerate(kinds)}
+    names = [Cause(name, kind, np.zeros(0, dtype=np.intp), np.zeros(0), (1.0,)) for name, kind in kinds.items()]
+    sets = {tuple((short[name], 0) for name in key.split("__")): value for key, value in log_odds.items()}
+    return presence_of(names, sets)
+
+
+def test_the_model_is_in_the_place_of_what_acts_there_as_a_function_of_the_same() -> None:
+    assert compared(laws=0.0).by_model == {"hyperelastic_wall": 1.0, "preconditioning": 1.0}
+    assert compared(parameters__stribeck=0.0).by_model == {"hyperelastic_wall": 1.0, "preconditioning": 0.0}
+    both = compared(hyperelastic_wall__laws=0.0, hyperelastic_wall=0.0, laws=0.0, stribeck=0.0)
+    assert both.probabilities["hyperelastic_wall"] == pytest.approx(0.5)
+    assert both.by_model == pytest.approx({"hyperelastic_wall": 0.25, "preconditioning": 0.5})
+    assert compared(laws__exchange=0.0).by_model == {"hyperelastic_wall": 1.0, "preconditioning": 0.0}
 
 
 def test_presence_grows_with_either_estimate() -> None:

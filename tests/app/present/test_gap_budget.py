@@ -334,6 +334,20 @@ def test_the_probability_of_a_single_effect_is_that_it_is_there() -> None:
     assert verdict_sentences(replace(STRIBECK, budget=replace(same, presence={})))[0].endswith("(probability 0.93).")
 
 
+def test_a_single_effect_is_told_with_the_model_in_its_place() -> None:
+    (part,) = (
+        replace(part, not_separable_from=("model",)) for part in STRIBECK_ALONE.entries if part.cause == "stribeck"
+    )
+    shared = replace(STRIBECK, budget=replace(STRIBECK_ALONE, entries=(part, *STRIBECK_ALONE.entries[1:])))
+    assert part_name(part) == "Stribeck friction or the model itself"
+    assert verdict_sentences(shared)[:2] == (
+        "Most likely: Stribeck friction (probability 0.98 that it is there, or the model itself is off, 0.93 that it "
+        "is the only effect).",
+        "Adhesion, film depletion and the nominal model itself cannot be distinguished from it with these runs.",
+    )
+    assert diagnosis_json(shared)["shared_with"] == {"stribeck": ["model"]}
+
+
 def with_intervals(given_budget: GapBudget, *intervals: tuple[float, float]) -> GapBudget:
     entries = [replace(one, share_95ci=ends) for one, ends in zip(given_budget.entries, intervals, strict=True)]
     return replace(given_budget, entries=tuple(entries))
