@@ -1,6 +1,6 @@
 """The engine in its own process, which owns rig, session and recorder; the window is its client.
 
-| module | what |
+| module | content |
 |---|---|
 | `messages` | requests and events as small frozen values, and the shared-memory ring of live samples |
 | `client` | starts a host, sends requests, reads events |

@@ -1,6 +1,6 @@
 """An exam of the gap diagnosis on simulated campaigns whose hidden effects it cannot know.
 
-| module | what |
+| module | content |
 |---|---|
 | `examinee` | diagnoses a folder of runs without any knowledge of the plant |
 | `blind_exam` | the exam from sealing the answers, whose hash is written before any campaign, to its score |

@@ -552,7 +552,7 @@ class Recorder:
         self._thread.annotations.append(entry_annotation(entry))
 
     def close(self, ending: RunEnding) -> Path:
-        """Write what is left and how the run ended; return the recording, ready to be finished.
+        """Write the rest and how the run ended; return the recording, ready to be finished.
 
         Raises `RecordingError` when the disk refused data; samples flushed before stay recoverable at `path`.
         """

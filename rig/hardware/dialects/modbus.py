@@ -1,8 +1,8 @@
 """Modbus RTU for a positioning drive, UNVERIFIED against a drive: the registers have to be set to the drive's manual.
 
 Frames, CRC, function codes 3 (read holding registers) and 16 (write multiple registers), exceptions and the pause of
-3.5 characters follow the public standard (MODBUS Application Protocol V1.1b3; MODBUS over Serial Line V1.02). What is
-behind the registers no standard says: `RegisterMap` is that table, and `DIALECT` one with a map of a usual kind. A
+3.5 characters follow the public standard (MODBUS Application Protocol V1.1b3; MODBUS over Serial Line V1.02). The
+meaning of the registers is in no standard: `RegisterMap` is that table, and `DIALECT` one with a map of a usual kind. A
 module of one's own fits another drive in a few lines::
 
     from dragrig.rig.hardware.dialects import ModbusDialect, RegisterMap
