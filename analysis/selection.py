@@ -268,7 +268,7 @@ def _break_remarks(experiments: Sequence[Experiment]) -> Iterator[str]:
 
 
 def _with_shared_facts(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Tell each run of the findings in others: the clock's jitter, a soft loop, a drive that holds, phases without a pulse."""
+    """Tell each run of others: the clock's jitter, a soft loop, a drive that holds, phases without a pulse."""
     runs_with_pulse = Counter(
         phase for experiment in experiments for phase in {pulse.near_phase for pulse in experiment.pulses}
     )
