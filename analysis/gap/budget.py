@@ -100,7 +100,6 @@ def gap_budget(
     fitted_position: str,
     position_share: tuple[float, tuple[float, float]] | None,
     lines_mN: Mapping[str, float],
-    gap_mN: float,
 ) -> GapBudget:
     """Share the gap between its causes, in force and position.
 
@@ -112,11 +111,9 @@ def gap_budget(
         The effect that was fitted to the position, and its share there with the interval; empty and None for none.
     lines_mN
         Rms of the effects that are spectral lines, which block means average out.
-    gap_mN
-        Size of the force's gap without them, in held-out runs; 0 where it is not known.
     """
     established = {name: causes.effects[name] for name in classification.effects if name in causes.effects}
-    force = force_budget(study, causes, established).of_size(gap_mN)
+    force = force_budget(study, causes, established)
     entries, gap_mN = force.entries, force.gap_mN
     for line, rms_mN in lines_mN.items():
         if line in classification.effects:

@@ -251,16 +251,9 @@ def _budget(weighed: WeighedCauses) -> GapBudget:
     study, position = weighed.study, weighed.position
     hum_mN = float(np.sqrt(0.5)) * weighed.lines.mains.amplitude
     fitted = "" if position.candidate is None else position.candidate.effect.id
-    reduction = weighed.held_out[0]
+    share = None if weighed.held_out[0] is None else share_of_position(position)
     budget = gap_budget(
-        study,
-        weighed.causes,
-        weighed.verdict,
-        weighed.in_position,
-        fitted,
-        None if reduction is None else share_of_position(position),
-        {hum_effect().id: hum_mN},
-        0.0 if reduction is None else reduction.gap_mN,
+        study, weighed.causes, weighed.verdict, weighed.in_position, fitted, share, {hum_effect().id: hum_mN}
     )
     if any(entry.channel == "position" for entry in budget.entries):
         return replace(budget, runs=(*budget.runs, *_contributions_in_position(study, position)))

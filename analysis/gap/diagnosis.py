@@ -347,11 +347,6 @@ class GapReduction:
     runs: tuple[str, ...] = ()
     position_um: tuple[float, float] | None = None
 
-    @property
-    def gap_mN(self) -> float:
-        """Root mean square of the gap above the floor; 0 for none."""
-        return float(np.sqrt(max(self.gap_before_mN**2 - self.noise_floor_mN**2, 0.0)))
-
 
 @dataclass(frozen=True, slots=True)
 class SteadyLevels:
@@ -492,7 +487,7 @@ class GapBudget:
     entries
         Parts of the gap, the largest first and the unexplained rest last, by channel; empty without a gap.
     gap_mN
-        Root mean square of the force's gap above noise; of held-out runs where there are any, as their reduction.
+        Root mean square of the force's gap above noise on the runs.
     held_out
         Whether shares are of runs that took no part in the fit; False for too few runs.
     runs
@@ -505,16 +500,6 @@ class GapBudget:
     gap_mN: float
     held_out: bool
     runs: tuple[RunContributions, ...] = ()
-
-    def of_size(self, gap_mN: float) -> "GapBudget":
-        """Return the same shares of a force's gap of another size, which does not change where this one is 0."""
-        if not self.gap_mN > 0 or not gap_mN > 0:
-            return self
-        entries = (
-            entry if entry.rms_mN is None else replace(entry, rms_mN=entry.rms_mN * gap_mN / self.gap_mN)
-            for entry in self.entries
-        )
-        return replace(self, gap_mN=gap_mN, entries=tuple(entries))
 
     @property
     def shared_with(self) -> Mapping[str, tuple[str, ...]]:

@@ -58,6 +58,7 @@ from dragrig.present.diagnosis_sentences import (
     is_stated_verdict,
     open_text,
     shrink_sentences,
+    sizes_differ_sentence,
     verdict_sentences,
 )
 from dragrig.present.gap_budget import (
@@ -401,6 +402,7 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
         "3. How much",
         (
             _parameter_table(diagnosis),
+            Text(sizes_differ_sentence(diagnosis), TextKind.EXPLANATION),
             Text(reduction or "Too few runs to hold any out: how much of a gap closes is not known."),
             Section("model", "The model with the effect", amended if model else ()),
             *((_before_after_figure(diagnosis),) if drawn_here else ()),

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import isfinite, log, nan
 
 from dragrig.analysis import as_sentence, capitalise, count_text, join_names, percent_text
 from dragrig.analysis.gap import (
@@ -24,6 +24,8 @@ ABOVE_ALL = 0.9995
 """Shares from here to the whole are written as "above 99.9 %"."""
 MAIN_SCORE, MIN_SCORE = 0.5, 0.1
 """Share of the residual's squares from which on it is mainly a function of a coordinate, and below which of none."""
+SAME_SIZE = 1.2
+"""Ratio up to which two sizes of a gap look alike to a reader."""
 UNCALIBRATED_NOTE = "The probabilities are not calibrated: use them as a ranking only."
 
 
@@ -126,6 +128,20 @@ def _closed_interval_text(shrink: GapReduction) -> str:
     # "above 99.9 % to 100 %" says nothing that its lower end does not.
     whole = low >= ABOVE_ALL and high_text in {low_text, "100 %"}
     return f"95 % interval: {low_text}{'' if whole else f' to {high_text}'}"
+
+
+def sizes_differ_sentence(diagnosis: Diagnosis) -> str:
+    """Say why the residual before is not the gap of the budget, where a reader would wonder."""
+    budget, shrink = diagnosis.budget, diagnosis.shrink
+    if budget is None or not budget.entries or shrink is None or shrink.position_um is not None:
+        return ""
+    if not budget.gap_mN > 0 or abs(log(shrink.gap_before_mN / budget.gap_mN)) < log(SAME_SIZE):
+        return ""
+    return (
+        f"The residual is not the budget's gap of {significant(2)(budget.gap_mN)} mN. It includes noise, counts only "
+        "times that tell effects apart, and is what each run leaves after factors of its own; the budget counts all "
+        "times, and gives to a run's own factors only what the causes do not explain."
+    )
 
 
 def verdict_probability(diagnosis: Diagnosis) -> float:

@@ -282,11 +282,11 @@ def test_the_budget_joins_lines_and_position_to_the_force() -> None:
         effects=("stribeck", "mains_hum", "velocity_ripple"),
         probabilities={"stribeck+mains_hum": 0.8, "stribeck+mains_hum+velocity_ripple": 0.15, "no_gap": 0.05},
     )
-    plain = gap_budget(study, causes, CLASSIFIED, (), "", None, {"mains_hum": 3.0}, 0.0)  # type: ignore[arg-type]
+    plain = gap_budget(study, causes, CLASSIFIED, (), "", None, {"mains_hum": 3.0})  # type: ignore[arg-type]
     assert [entry.share for entry in plain.entries] == [entry.share for entry in force.entries]
     assert (plain.gap_mN, plain.held_out, len(plain.runs)) == (force.gap_mN, True, RUNS)
     found = gap_budget(
-        study, causes, named, ("velocity_ripple",), "velocity_ripple", (0.7, (0.6, 0.75)), {"mains_hum": 3.0}, 0.0  # type: ignore[arg-type]
+        study, causes, named, ("velocity_ripple",), "velocity_ripple", (0.7, (0.6, 0.75)), {"mains_hum": 3.0}  # type: ignore[arg-type]
     )  # fmt: skip
     of_line = 9.0 / (9.0 + force.gap_mN**2)
     by_cause = {(entry.channel, entry.cause): entry for entry in found.entries}
@@ -311,14 +311,10 @@ def test_the_budget_joins_lines_and_position_to_the_force() -> None:
     assert rest.share_95ci == pytest.approx((1 - high, 1 - low))
     for elsewhere in (((), "velocity_ripple", (0.7, (0.6, 0.75))), (("velocity_ripple",), "velocity_ripple", None),
                       (("servo_lag",), "servo_lag", (0.7, (0.6, 0.75)))):  # fmt: skip
-        without = gap_budget(study, causes, named, *elsewhere, {}, 0.0)  # type: ignore[arg-type]
+        without = gap_budget(study, causes, named, *elsewhere, {})  # type: ignore[arg-type]
         assert {entry.channel for entry in without.entries} == {"force"}
-    nothing = gap_budget(study, causes, replace(CLASSIFIED, verdict=Verdict.NO_GAP, effects=()), (), "", None, {}, 0.0)  # type: ignore[arg-type]
+    nothing = gap_budget(study, causes, replace(CLASSIFIED, verdict=Verdict.NO_GAP, effects=()), (), "", None, {})  # type: ignore[arg-type]
     assert (nothing.entries, nothing.runs) == ((), ())
-    of_reduction = gap_budget(study, causes, CLASSIFIED, (), "", None, {}, 3 * force.gap_mN)  # type: ignore[arg-type]
-    assert of_reduction.gap_mN == pytest.approx(3 * force.gap_mN)
-    for entry, scaled in zip(force.entries, of_reduction.entries, strict=True):
-        assert (scaled.share, scaled.rms_mN) == (entry.share, pytest.approx(3 * (entry.rms_mN or 0.0)))
 
 
 def test_a_line_alone_is_the_whole_gap_and_no_line_changes_nothing() -> None:

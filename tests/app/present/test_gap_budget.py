@@ -391,6 +391,11 @@ def test_what_of_the_model_is_off_is_said_in_plain_words(what: str, words: str) 
     assert re.search(rf"The model itself .* {words} *\n", shown)
 
 
+def test_two_sizes_of_a_gap_are_told_apart() -> None:
+    assert "The residual is not the budget’s gap of 50 mN." in plain_page(replace(STRIBECK, budget=OWN))
+    assert "is not the budget’s gap" not in plain_page(replace(STRIBECK, budget=replace(OWN, gap_mN=9.5)))
+
+
 @DRAWN
 def test_the_picture_cuts_the_gap_by_its_shares(given_budget: GapBudget) -> None:
     figure = budget_figure(given_budget)
