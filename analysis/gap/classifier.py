@@ -44,7 +44,23 @@ def classify(
     inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalibration | None = None
 ) -> Classification:
     """Return what the classifier makes of the force alone; `calibration` defaults to the shipped one."""
-    return _classify_with_lines(inputs, *_force_posterior(inputs, tolerance_mN, calibration or shipped_calibration()))
+    force, gap = _force_posterior(inputs, tolerance_mN, calibration or shipped_calibration())
+    total = sum(force.values())
+    line_probability = _logistic(_mains_log_odds(inputs.mains_llr))
+    hum_id = hum_effect().id
+    hum_probability = 0.0 if hum_id in inputs.excluded else line_probability
+    if not _mains_dominates(inputs.mains_llr, inputs.line_llr):
+        hum_probability = min(hum_probability, 0.2)
+    other_line = _other_line_probability(inputs)
+    if hum_id in inputs.excluded:
+        other_line = max(other_line, line_probability)
+    if hum_probability > 0.5:
+        combinations = {(*names, hum_id): value for names, value in force.items()} if total > 0.5 else {}
+        hum_alone = min(hum_probability, MAX_PROBABILITY) * (1.0 - total if total > 0.5 else 1.0)
+        return _classification({**combinations, (hum_id,): hum_alone}, 1.0 - min(hum_probability, MAX_PROBABILITY), 0.0)
+    if other_line > max(0.5, total):
+        return _classification({}, other_line, 1.0 - other_line)
+    return _classification(force, gap - total, 1.0 - gap)
 
 
 def _force_posterior(
@@ -123,25 +139,6 @@ def hum_log_odds(mains_llr: float, line_llr: float) -> float:
 
 def _mains_log_odds(mains_llr: float) -> float:
     return (mains_llr - MIN_MAINS_LLR) / MAINS_LLR_WIDTH
-
-
-def _classify_with_lines(inputs: DecisionInputs, force: Mapping[tuple[str, ...], float], gap: float) -> Classification:
-    total = sum(force.values())
-    line_probability = _logistic(_mains_log_odds(inputs.mains_llr))
-    hum_id = hum_effect().id
-    hum_probability = 0.0 if hum_id in inputs.excluded else line_probability
-    if not _mains_dominates(inputs.mains_llr, inputs.line_llr):
-        hum_probability = min(hum_probability, 0.2)
-    other_line = _other_line_probability(inputs)
-    if hum_id in inputs.excluded:
-        other_line = max(other_line, line_probability)
-    if hum_probability > 0.5:
-        combinations = {(*names, hum_id): value for names, value in force.items()} if total > 0.5 else {}
-        hum_alone = min(hum_probability, MAX_PROBABILITY) * (1.0 - total if total > 0.5 else 1.0)
-        return _classification({**combinations, (hum_id,): hum_alone}, 1.0 - min(hum_probability, MAX_PROBABILITY), 0.0)
-    if other_line > max(0.5, total):
-        return _classification({}, other_line, 1.0 - other_line)
-    return _classification(force, gap - total, 1.0 - gap)
 
 
 def _other_line_probability(inputs: DecisionInputs) -> float:

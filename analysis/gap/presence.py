@@ -44,6 +44,8 @@ from dragrig.sim_backend.effects import Coordinate, Effect, Location, Role, find
 SCALES_MN = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Scales of an effect or an unnamed law, equally likely: from the noise of the sensor to a relaxation's newtons. Of an
 effect larger than that, another cause would make up the rest."""
+MAX_PRIOR_SHARES = 5
+"""Scales that share a prior probability; further, larger ones add to it, and make no small effect less likely."""
 MODEL_SCALES = (3.0, 10.0, 30.0)
 """Factors on the priors of the nominal model: with priors of 2 % to 15 %, a model off by up to half."""
 RUN_GAIN_SCALES = (0.03, 0.1, 0.3)
@@ -151,7 +153,7 @@ class Cause:
     def log_prior_odds(self) -> float:
         """Prior log odds of one scale of this cause."""
         prior = PRIOR_PROBABILITIES[self.kind]
-        return log(prior / (1 - prior)) - log(len(self.scales) * self.alternatives)
+        return log(prior / (1 - prior)) - log(min(len(self.scales), MAX_PRIOR_SHARES) * self.alternatives)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
