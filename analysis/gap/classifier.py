@@ -43,7 +43,7 @@ CONFUSABLE_RATIO = 0.1
 def classify(
     inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalibration | None = None
 ) -> Classification:
-    """Return what the classifier makes of the force alone; `calibration` defaults to the shipped one."""
+    """Return the classification of the force alone; `calibration` defaults to the shipped one."""
     force, gap = _force_posterior(inputs, tolerance_mN, calibration or shipped_calibration())
     total = sum(force.values())
     line_probability = _logistic(_mains_log_odds(inputs.mains_llr))
@@ -179,7 +179,7 @@ def with_verdict(classification: Classification, verdict: Verdict) -> Classifica
 
 
 def _classify_position(inputs: DecisionInputs) -> Classification:
-    """Return what the errors of the position show, beside hum, without any effect on the force."""
+    """Return the classification of the position, beside hum, without any effect on the force."""
     hum_id = hum_effect().id
     hum = (hum_id,) if inputs.mains_llr > MIN_MAINS_LLR and hum_id not in inputs.excluded else ()
     share = inputs.position[0][1] if inputs.position else 0.0
@@ -255,7 +255,7 @@ def judge(inputs: DecisionInputs, tolerance_mN: float, calibration: VerdictCalib
 
 
 def _with_excluded(verdict: Classification, inputs: DecisionInputs) -> Classification:
-    """Count what was left out of the search among what is confusable with the verdict."""
+    """Count effects left out of the search among those confusable with the verdict."""
     aliases = {name for effect in verdict.effects for name in confusable_effects(effect)}
     excluded = [effect for effect in inputs.excluded if effect in aliases]
     return replace(verdict, confusable_with=(*verdict.confusable_with, *excluded))
@@ -281,7 +281,7 @@ def _limits_by_exchange(on_force: Classification, competition: Mapping[str, floa
     """Yield effects whose probability the competition limits because the specimen was surely exchanged.
 
     The classifier knows no exchange and takes one for a function of the session. None is there that the competition
-    does not find beside it, nor what the classifier finds mostly beside such a function.
+    does not find beside it, nor an effect that the classifier finds mostly beside such a function.
     """
     if competition.get(EXCHANGE, 0.0) <= SURE_EXCHANGE:
         return
@@ -300,7 +300,7 @@ def combined_presence(
     Parameters
     ----------
     on_force
-        What the classifier makes of the force alone.
+        Classification of the force alone.
     competition
         Probability that each cause is there by the competition of causes.
     stage_strays

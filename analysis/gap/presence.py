@@ -77,7 +77,7 @@ MODEL_LAWS: Mapping[tuple[Location, Coordinate], tuple[str, ...]] = {
     (Location.WALL, Coordinate.STRAIN): (PARAMETERS, LAWS, *_SHEARED),
     (Location.SPECIMEN, Coordinate.SESSION): _SHEARED,
 }
-"""What of the nominal model acts at a place as a function of a coordinate: its moduli over strain, and what is off in
+"""Parts of the nominal model that act at a place as functions of a coordinate: its moduli over strain, and errors in
 relaxations alone, which have a time of their own in the session."""
 FORM_ERROR = 0.25
 """Error of each block relative to the gap there: what no smooth function of any coordinate covers."""
@@ -104,7 +104,7 @@ def form_laws(effect: str) -> tuple[str, ...]:
 def model_laws(effect: str) -> tuple[str, ...]:
     """Return the causes of the nominal model that act where an effect does, as functions of its coordinate.
 
-    They are one question: its form error is larger than what runs tell them apart by.
+    They are one question: runs tell them apart by less than the form error of an effect.
     """
     known = find_effect(effect)
     return MODEL_LAWS.get((known.location, known.coordinate), ())
