@@ -55,6 +55,12 @@ class CampaignSummary:
             unreadable=len(campaign.unreadable),
         )
 
+    def __str__(self) -> str:
+        """In words: 58 runs · jejunum · Ann."""
+        count = sum(self.kinds.values())
+        runs = f"{count} run{'' if count == 1 else 's'}"
+        return " · ".join(filter(None, (runs, ", ".join(self.specimens), ", ".join(self.operators))))
+
 
 @dataclass(frozen=True, slots=True)
 class RunQuery:

@@ -4,7 +4,7 @@ import json
 import multiprocessing
 import re
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -27,8 +27,7 @@ from dragrig.analysis import (
     unreadable_row,
 )
 from dragrig.analysis.gap import Diagnosis, SettleRecord
-from dragrig.api import ExportFormatName, check, check_setup, filter_settings
-from dragrig.api import export as export_runs
+from dragrig.api import ExportFormatName, check, check_setup, filter_settings, run_query
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
     ANY_NUMBER,
@@ -50,7 +49,7 @@ from dragrig.config import (
     shipped_files,
 )
 from dragrig.engine_host import RigSelection
-from dragrig.present import Document, drawn, unused_path
+from dragrig.present import UNIT_SUFFIXES, Document, attribute_texts, drawn, unused_path
 from dragrig.rig import (
     AnyFloatArray,
     Campaign,
@@ -72,13 +71,9 @@ from dragrig.rig import (
     session_record_of_run,
     specimen_key,
 )
+from dragrig.run_listing import CampaignSummary, RunListing, RunQuery
 from dragrig.setup import resolve_pace, resolve_rig
 
-_UNIT_SUFFIXES = (
-    ("_mN_s_mm", "mN·s/mm"), ("_mm_s2", "mm/s²"), ("_mm_s", "mm/s"), ("_per_mm", "per mm"), ("_mm", "mm"),
-    ("_um", "µm"), ("_uV", "µV"), ("_N_per_A", "N per A"), ("_per_s", "1/s"), ("_ns", "ns"), ("_s", "s"),
-    ("_mN", "mN"), ("_N", "N"), ("_hz", "Hz"), ("_g", "g"), ("_mb", "MB"), ("_days", "days"), ("_degC", "°C"),
-)  # fmt: skip
 _VOLT_KEYS = frozenset({"zero_V", "range_V", "rail_V"})
 """Keys in volts; one that ends in per_V is not."""
 _FIELD_LABELS = {
@@ -296,7 +291,9 @@ def _resolved_schema(entry: Mapping[str, object], shared: Mapping[str, object]) 
 
 
 def _form_field(key: str, entry: Mapping[str, object], description: str, *, sweeps: bool, required: bool) -> FormField:
-    stem, unit = next(((key.removesuffix(end), unit) for end, unit in _UNIT_SUFFIXES if key.endswith(end)), (key, ""))
+    stem, unit = next(
+        ((key.removesuffix(end), unit) for end, unit in UNIT_SUFFIXES.items() if key.endswith(end)), (key, "")
+    )
     if key in _VOLT_KEYS:
         stem, unit = key.removesuffix("_V"), "V"
     choices = entry.get("enum")
@@ -622,12 +619,54 @@ class ShownTrace:
         return self.filtered.get(axis, self.channels.get(axis))
 
 
-def campaigns_below(folder: Path) -> tuple[Path, ...]:
-    """Return this folder and those below that hold run files, in descending order of name."""
+@dataclass(frozen=True, slots=True)
+class ListedCampaign:
+    """A folder with run files in a list: what is in it, and which of its runs were asked for, None for all."""
+
+    folder: Path
+    about: str
+    found: frozenset[str] | None = None
+
+
+def campaigns_below(folder: Path, words: str = "") -> tuple[ListedCampaign, ...]:
+    """Return this folder and those below that hold run files, in descending order of name.
+
+    `words` ask for some runs, as options of `dragrig find` do: a kind, a specimen, an operator, a day, bad or good.
+    """
     if not folder.is_dir():
         return ()
-    listed = ask_runs(folder, lambda listing: listing.folders(with_files=True))
-    return tuple(path for path in reversed(listed) if len(path.relative_to(folder).parts) < _MAX_DEPTH)
+
+    def listed(listing: RunListing) -> tuple[ListedCampaign, ...]:
+        summaries = {summary.folder: summary for summary in listing.summaries()}
+        found = listing.found(query_of_words(words, listing.kinds(), summaries.values())) if words.strip() else None
+        return tuple(
+            ListedCampaign(
+                path,
+                str(summaries.get(path, "")),
+                None if found is None else frozenset(found[path]),
+            )
+            for path in reversed(listing.folders(with_files=True))
+            if len(path.relative_to(folder).parts) < _MAX_DEPTH and (found is None or path in found)
+        )
+
+    return ask_runs(folder, listed)
+
+
+def query_of_words(words: str, kinds: Iterable[str], campaigns: Iterable[CampaignSummary]) -> RunQuery:
+    """Return which runs are asked for by words in any order; what is nothing else is a part of an operator's name."""
+    specimens = {name.casefold() for campaign in campaigns for name in campaign.specimens}
+    known, marks = {kind.casefold() for kind in kinds}, {"bad": True, "good": False}
+    asked: dict[str, str] = {"specimen": "", "kind": "", "operator": "", "since": ""}
+    marked: bool | None = None
+    for word in words.casefold().split():
+        if word in marks:
+            marked = marks[word]
+        elif re.fullmatch(r"\d{4}-\d\d-\d\d", word):
+            asked["since"] = word
+        else:
+            what = "kind" if word in known else "specimen" if word in specimens else "operator"
+            asked[what] = f"{asked[what]} {word}".strip()
+    return run_query(**asked, until=asked["since"], bad=marked)
 
 
 def shown_campaign(folder: Path) -> ShownCampaign:
@@ -640,20 +679,13 @@ def shown_campaign(folder: Path) -> ShownCampaign:
     return ShownCampaign(folder, runs, problems, campaign.recordings)
 
 
-@dataclass(frozen=True, slots=True)
-class RecoveredRuns:
-    """Folders whose recordings were finished, how many, and why others were not."""
+def recover_runs(folders: Sequence[Path]) -> tuple[str, ...]:
+    """Finish the recordings that a crash left in these folders, as `dragrig recover` does; return why some were not.
 
-    folders: tuple[Path, ...]
-    finished: int
-    problems: tuple[str, ...]
-
-
-def recover_runs(folders: Sequence[Path]) -> RecoveredRuns:
-    """Finish the recordings that a crash left in these folders, as `dragrig recover` does; raises `RunFileError`."""
-    recordings = [recording for folder in folders for recording in recover(folder)]
-    problems = tuple(recording.message for recording in recordings if recording.message)
-    return RecoveredRuns(tuple(folders), len(recordings) - len(problems), problems)
+    Raises `RunFileError`.
+    """
+    recordings = (recording for folder in folders for recording in recover(folder))
+    return tuple(recording.message for recording in recordings if recording.message)
 
 
 def shown_trace(path: Path, window_s: float | None = None, order: int | None = None) -> ShownTrace:
@@ -729,21 +761,13 @@ def steady_rows(paths: Sequence[Path]) -> tuple[TableRow, ...]:
     return tuple(map(measured, paths))
 
 
-def export_shown_runs(paths: Sequence[Path], folder: Path, kind: ExportFormatName) -> tuple[Path, ...]:
-    """Export runs to a folder; raises `OutputError`, `RunFileError`."""
-    written: list[Path] = []
-    for path in paths:
-        written.extend(export_runs(path, folder, format=kind))
-    return tuple(written)
-
-
 def _shown_run(info: RunInfo, bad: str) -> ShownRun:
     header, note = info.header, read_note(info.path)
     settings = {"noted": note, "file": info.path.name, "status": info.status.value, "reason": info.reason,
                 "backend": header.backend, "samples": str(info.samples),
                 "rate": f"{header.sample_rate_hz:g} Hz"}  # fmt: skip
     for group in (header.protocol, header.capsule, header.specimen, header.entry, info.checks):
-        settings |= {key: f"{value:g}" if isinstance(value, float) else str(value) for key, value in group.items()}
+        settings |= attribute_texts(group)
     start = f"{header.start_time:%Y-%m-%d %H:%M:%S}"
     return ShownRun(info.path, header.order, _run_label(info), info.status.value, bad, note, start, settings)
 

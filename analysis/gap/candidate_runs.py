@@ -187,7 +187,7 @@ def require_hands(hands_min: float) -> None:
     """Refuse a value that is no time of a person's hands; raises `SettingsError`."""
     if not (isfinite(hands_min) and hands_min >= 0):
         raise SettingsError(
-            f"--hands {hands_min:g}: a person's time at a change of fixture or capsule is a number of minutes from 0."
+            f"hands {hands_min:g}: a person's time at a change of fixture or capsule is a number of minutes from 0."
         )
 
 

@@ -63,8 +63,7 @@ class RunGap:
     floor_mean_square: float
     """Mean square of noise and of the uncertainty from the motion."""
     within_block_sd: float
-    steady: tuple[float, float, float] | None
-    """Measured steady force of a drag, and the forces modelled before and after; None for other runs."""
+    steady: SteadyLevels | None
     duration_s: FloatArray
     """Duration of each block, 0 for blocks that do not count, shape `(B,)`."""
 
@@ -111,7 +110,7 @@ def gap_of_run(
         residuals[1],
         floor,
         within_block_sd,
-        _steady_forces(run, residuals[0], residuals[1]),
+        _steady_levels(run, residuals),
         weights,
     )
 
@@ -142,7 +141,8 @@ def reduction_over_runs(gaps: Sequence[RunGap]) -> GapReduction:
     rows = np.array([gap.sums for gap in gaps])
     duration, before, after, floor = rows.sum(axis=0).tolist()
     closed, interval = closed_share(rows) if before > MIN_GAP_OVER_FLOOR**2 * floor else (None, None)
-    points = [(gap.run.condition[1], *gap.steady) for gap in gaps if gap.steady is not None]
+    drags = [gap.steady for gap in gaps if gap.steady is not None and gap.run.experiment.kind == "drag"]
+    points = [(level.speed_mm_s, level.measured_mN, *level.models_mN) for level in drags]
     highest = BOUNDARY_MM_S * (1 + SPEED_TOLERANCE)
     sides = [point for point in points if point[0] <= highest], [point for point in points if point[0] > highest]
     on_both_sides = all(len(side) >= 1 for side in sides)
@@ -216,15 +216,22 @@ def share_of_position(position: PositionAnalysis) -> tuple[float, tuple[float, f
     return closed_share(position_sums(position.candidate, position.runs, contribution_to_position))
 
 
-def _steady_forces(run: RunData, before: FloatArray, after: FloatArray) -> tuple[float, float, float] | None:
-    """Return the measured steady force of a drag and the modelled ones before and after."""
-    steady = run.coordinates.phase == Phase.STEADY
-    if run.experiment.kind != "drag" or not steady.any():
+def _steady_levels(run: RunData, residuals: Sequence[FloatArray]) -> SteadyLevels | None:
+    """Return the steady force that reports give, friction positive both ways, and what the models leave of it."""
+    if run.experiment.kind == "relaxation":
         return None
-    weights = run.coordinates.width_s[steady]
-    measured = float(weights @ run.block_data.blocks.mean[steady] / weights.sum())
-    residuals = [float(weights @ values[steady] / weights.sum()) for values in (before, after)]
-    return measured, measured - residuals[0], measured - residuals[1]
+    recorded, at = run.experiment.run, run.coordinates
+    stretch, rest = steady_stretch(recorded)[0], in_phase(recorded.trace, Phase.REST)
+    if not (stretch.any() and rest.any()):
+        return None
+    first, last = run.experiment.time_s[stretch][[0, -1]]
+    weights = np.where((at.time_s >= first) & (at.time_s <= last), at.width_s, 0.0)
+    if not weights.any():
+        return None
+    steady, resting = (float(np.mean(recorded.trace.force[mask], dtype=np.float64)) for mask in (stretch, rest))
+    sign = -1 if steady < resting and recorded.info.kind != "blank" else 1
+    before, after = (sign * (steady - resting - float(weights @ left / weights.sum())) for left in residuals)
+    return SteadyLevels(abs(run.condition[1]), sign * (steady - resting), (before, after))
 
 
 SteadyPoint = tuple[float, float, float, float]
@@ -426,23 +433,5 @@ def traces_of_run(gap: RunGap) -> RunTraces:
         measured=measured,
         before=measured - gap.before,
         after=measured - gap.after,
-        steady=_steady_levels(gap),
+        steady=gap.steady,
     )
-
-
-def _steady_levels(gap: RunGap) -> SteadyLevels | None:
-    """Return the steady force that reports give, friction positive both ways, and its residual from the models."""
-    run = gap.run.experiment.run
-    stretch, rest = steady_stretch(run)[0], in_phase(run.trace, Phase.REST)
-    if not (stretch.any() and rest.any()):
-        return None
-    first, last = gap.run.experiment.time_s[stretch][[0, -1]]
-    at = gap.run.coordinates
-    weights = np.where((at.time_s >= first) & (at.time_s <= last), at.width_s, 0.0)
-    if not weights.any():
-        return None
-    steady, resting = (float(np.mean(run.trace.force[mask], dtype=np.float64)) for mask in (stretch, rest))
-    sign = -1 if steady < resting and run.info.kind != "blank" else 1
-    left = [float(weights @ residual / weights.sum()) for residual in (gap.before, gap.after)]
-    models = [sign * (steady - resting - off) for off in left]
-    return SteadyLevels(abs(gap.run.condition[1]), sign * (steady - resting), (models[0], models[1]))

@@ -196,7 +196,7 @@ class DiagnosisRequest:
         from dragrig.analysis.gap import MIN_CAMPAIGNS, CampaignEvidence, diagnose_together
 
         if len(campaigns) < MIN_CAMPAIGNS:
-            raise AnalysisError("--together: takes two campaigns or more; name another, or leave --together out.")
+            raise AnalysisError("together: takes two campaigns or more; name another.")
         self.options()
         folders = [Path(campaign).absolute() for campaign in campaigns]
         looking, diagnosing, pooling = parts_of(progress, LOOKING_COST, DIAGNOSING_COST, POOLING_COST)
@@ -437,10 +437,10 @@ def diagnosis_options(
     known = tuple(catalogue())
     for name in without:
         if name not in known:
-            raise SettingsError(f"--without {name}: is not in the catalogue of effects; {suggestion(name, known)}")
+            raise SettingsError(f"without {name}: is not in the catalogue of effects; {suggestion(name, known)}")
     tolerance = DiagnosisOptions().tolerance_mN if tolerance_mN is None else tolerance_mN
     if not (isfinite(tolerance) and tolerance >= 0):
-        raise SettingsError(f"--tolerance {tolerance:g}: a tolerance is a force in mN from 0 on.")
+        raise SettingsError(f"tolerance {tolerance:g}: a tolerance is a force in mN from 0 on.")
     learnt = None if calibration is None else _load_calibration(Path(calibration))
     return DiagnosisOptions(excluded=tuple(dict.fromkeys(without)), tolerance_mN=tolerance, calibration=learnt)
 
@@ -453,10 +453,10 @@ def _load_calibration(path: Path) -> "VerdictCalibration":
     try:
         return VerdictCalibration.model_validate_json(path.read_text("utf-8"))
     except OSError as error:
-        raise SettingsError(f"--calibration {path}: cannot be read ({error.strerror}); name another file.") from error
+        raise SettingsError(f"calibration {path}: cannot be read ({error.strerror}); name another file.") from error
     except (UnicodeDecodeError, ValidationError) as error:
         raise SettingsError(
-            f"--calibration {path}: is not what dragrig gap calibrate --save writes; name such a file."
+            f"calibration {path}: is not what dragrig gap calibrate --save writes; name such a file."
         ) from error
 
 
@@ -613,7 +613,7 @@ def gap_next(
 def require_minutes(minutes: float) -> None:
     """Raise `SettingsError` for a value that is no rig time."""
     if not (isfinite(minutes) and minutes > 0):
-        raise SettingsError(f"--minutes {minutes:g}: a rig time is a number of minutes above 0.")
+        raise SettingsError(f"minutes {minutes:g}: a rig time is a number of minutes above 0.")
 
 
 def save_next_plan(experiment: NextExperiment, path: Path, *, overwrite: bool = False) -> Path:
@@ -636,7 +636,7 @@ def _require_two_effects(between: tuple[str, str]) -> None:
     for name in between:
         if name not in known:
             raise SettingsError(
-                f"--between {name}: is no effect on the force that runs can show; {suggestion(name, known)}"
+                f"between {name}: is no effect on the force that runs can show; {suggestion(name, known)}"
             )
     if between[0] == between[1]:
-        raise SettingsError(f"--between {between[0]} {between[1]}: name two effects that differ.")
+        raise SettingsError(f"between {between[0]} {between[1]}: name two effects that differ.")

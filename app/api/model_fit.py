@@ -223,7 +223,7 @@ def identify(
     fitted = _nominal_model(nominal, model)
     if wall == "fitted":
         if not isinstance(fitted, CapsuleModel):
-            raise SettingsError(f"--wall fitted: the model {fitted.name} has no wall; leave it out.")
+            raise SettingsError(f"wall fitted: the model {fitted.name} has no wall; leave it out.")
         fitted = CapsuleModel(with_identified_wall(fitted.settings, identify_relaxation(selection)))
     return IdentifiedCampaign(identify_selection(selection, fitted, fitting), selection, fitted, source)
 
@@ -245,20 +245,13 @@ def save_identification_pictures(
     identified: IdentifiedCampaign, folder: Path, *, overwrite: bool = False
 ) -> Iterator[Path]:
     """Draw every part that was identified; yields each picture as it is written."""
-    from dragrig.present import save_figure_in
+    from dragrig.present import identification_document, save_figure_in, save_figures
 
-    result, selection = identified.result, identified.selection
-    if result.joint is not None:
-        yield save_figure_in(folder, "joint-fit", present.joint_fit_figure(result.joint), overwrite)
-    if result.relaxation is not None and result.relaxation.fits:
-        figure = present.relaxation_fit_figure(result.relaxation, selection)
+    relaxation = identified.result.relaxation
+    yield from save_figures(identification_document(identified.result), folder, overwrite=overwrite)
+    if relaxation is not None and relaxation.fits:
+        figure = present.relaxation_fit_figure(relaxation, identified.selection)
         yield save_figure_in(folder, "relaxation", figure, overwrite)
-    if result.coulomb is not None and result.coulomb.runs:
-        first = result.coulomb.runs[0]
-        runs = {experiment.file: experiment.run for experiment in selection.experiments}
-        yield save_figure_in(folder, "coulomb", present.coulomb_figure(runs[first.file], first), overwrite)
-    if result.drag is not None and result.drag.points:
-        yield save_figure_in(folder, "drag", present.drag_figure(result.drag), overwrite)
 
 
 def _nominal_model(nominal: str | Path | NominalModel, model: str | Path | FrictionModelSettings) -> NominalModel:

@@ -239,7 +239,7 @@ def _paper_data(made: Made, setup: Setup, identified: "IdentifiedCampaign") -> "
 def paper_setup(seed: int, wall: str, viscous: str) -> Setup:
     """Return the settings of the programme; raises `SettingsError` for a choice that does not exist."""
     if not 0 <= seed <= MAX_SEED:
-        raise SettingsError(f"--seed {seed}: a seed is a whole number from 0 to {MAX_SEED}.")
+        raise SettingsError(f"seed {seed}: a seed is a whole number from 0 to {MAX_SEED}.")
     return resolve(
         PAPER_PLAN,
         rig="bench",

@@ -132,13 +132,13 @@ def gap_settle(
     require_minutes(minutes)
     require_hands(hands_min)
     if not 0.5 <= until < 1.0:
-        raise SettingsError(f"--until {until:g}: is a probability from 0.5 to below 1.")
+        raise SettingsError(f"until {until:g}: is a probability from 0.5 to below 1.")
     setup = resolve(plan, **choices)
     first_min = setup.programme().duration_s / 60
     if first_min > minutes:
         raise PlanError(
-            f"{setup.plan.name}: takes {first_min:.1f} min of rig time, more than --minutes {minutes:g}; begin with a "
-            "shorter plan, as first, or give more time."
+            f"{setup.plan.name}: takes {first_min:.1f} min of rig time, more than the {minutes:g} minutes given; "
+            "begin with a shorter plan, as first, or give more time."
         )
     check(plan, out=out, **choices).require()
     if out is not None:

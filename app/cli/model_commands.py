@@ -97,9 +97,8 @@ def model_command(
         print_json(rows)
     else:
         print_document(document, as_json=False)
-    report = print_remark if as_json else echo
     for path in written:
-        report(str(path))
+        (print_remark if as_json else echo)(str(path))
 
 
 def _load_model(name: str, wall: str | None, viscous: str | None, effects: tuple[str, ...]) -> "FrictionModelSettings":

@@ -148,14 +148,9 @@ def _examine_run(task: _RunTask) -> _ExaminedRun:
         return _ExaminedRun(row, summary, svg_text(figure))
 
 
-def _draw_campaign(summaries: "Sequence[RunSummary]", name: str, form: FigureForm) -> Mapping[str, str]:
-    """Draw the steady forces, and all else, where there are any of them."""
-    steady = any(summary.steady is not None and summary.speed_mm_s > 0 for summary in summaries)
-    figures = [replace(_STEADY_FORCE, drawing=lambda: present.campaign_speed_figure(summaries, name))] if steady else []
-    if not steady or any(summary.x.size for summary in summaries):
-        figures.append(replace(_OVERVIEW, drawing=lambda: present.overview_figure(summaries, name, steady=False)))
+def _draw_overview(summaries: "Sequence[RunSummary]", name: str, form: FigureForm) -> str:
     with figure_form(form):
-        return {figure.name: svg_text(figure) for figure in figures}
+        return svg_text(replace(_OVERVIEW, drawing=lambda: present.overview_figure(summaries, name)))
 
 
 def examine_campaign(folder: "Path", workers: int | None = 1, progress: Progress = no_progress) -> CampaignReportData:
@@ -187,11 +182,11 @@ def examine_campaign(folder: "Path", workers: int | None = 1, progress: Progress
     with open_executor(workers, tasks=len(drawn) // RUNS_PER_WORKER) as executor:
         examined = parallel_map(executor, _examine_run, tasks, lambda task, _: advance(task.cost))
         summaries = [run.summary for run in examined if run.summary is not None]
-        draw = partial(_draw_campaign, name=name, form=form)
-        [figures] = parallel_map(executor, draw, [summaries], lambda *_: advance(OVERVIEW_COST))
+        draw = partial(_draw_overview, name=name, form=form)
+        [overview] = parallel_map(executor, draw, [summaries], lambda *_: advance(OVERVIEW_COST))
     rows = campaign_rows(campaign, [run.row for run in examined])
     drawings = {run.row.file: run.drawing for run in examined if run.drawing}
-    return CampaignReportData(name, campaign, rows, {**drawings, **figures}, sessions, damaged)
+    return CampaignReportData(name, campaign, rows, {**drawings, _OVERVIEW.name: overview}, sessions, damaged)
 
 
 def campaign_document(data: CampaignReportData) -> Document:
@@ -220,15 +215,8 @@ def campaign_document(data: CampaignReportData) -> Document:
         lead=tuple(filter(None, (_summary(data), _drift_text(data.rows)))),
         problem=problem if left_out else "",
         sections=(
-            *(
-                Section(figure.name, heading, (replace(figure, drawing=data.drawings[figure.name]),))
-                for figure, heading in (
-                    (_STEADY_FORCE, "Steady force"),
-                    (_OVERVIEW, "Relaxation, and drag along the way"),
-                )
-                if figure.name in data.drawings
-            ),
-            Section("means", "Mean steady forces", mean_tables(data.rows)),
+            Section("overview", "Overview", (replace(_OVERVIEW, drawing=data.drawings[_OVERVIEW.name]),)),
+            Section("means", "Steady force", mean_tables(data.rows)),
             Section(
                 "runs",
                 "Runs",
@@ -455,19 +443,14 @@ def _left_out_runs(data: CampaignReportData) -> Iterator[tuple[str, str, str]]:
         yield "session record", "", record
 
 
-_STEADY_FORCE = Figure(
-    "steady-force",
-    "Steady force against speed, means with intervals, and single runs.",
+_OVERVIEW = Figure(
+    "overview",
+    "Steady force against speed, relaxation of the force against time since the ramp, and force along the way at a "
+    "few speeds.",
     "Runs that are complete and not marked bad, without sentinels. Steady forces have the force at rest taken off: "
     "small markers are runs, large ones means, bars their 95 % intervals by Student's t over the repeats on a "
     "specimen, their scatter pooled over speeds where it may be the same, or, of three or more specimens, over the "
-    "specimens' means; other values have no bar.",
-    "",
-)
-_OVERVIEW = Figure(
-    "overview",
-    "Relaxation of the force against time since the ramp, and force along the way at a few speeds.",
-    "Forces are as recorded, the sensor's zero included.",
+    "specimens' means; other values have no bar. The other forces are as recorded, the sensor's zero included.",
     "",
 )
 

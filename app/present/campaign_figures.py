@@ -28,36 +28,37 @@ from dragrig.analysis import (
 from dragrig.present import (
     BLACK,
     BLUE,
-    CHANNEL_LABELS,
     GREY,
     KIND_MARKERS,
-    PURPLE,
-    RAW_FORCE,
     SMALL_PT,
     VERMILLION,
-    WIDTH_IN,
     CurveLabel,
-    Differences,
     LineStyle,
     PanelLayout,
+    SpeedPanel,
     SteadyForces,
-    TraceCurve,
-    TracePanel,
     current_figure_form,
     draw_forces,
-    draw_panel_column,
     figure_style,
     fit_y_range,
-    gaps_after_samples,
     kind_label,
     label_curves,
     new_figure,
-    relaxation_ramp,
     sequential_colours,
     set_log_x,
     set_time_range,
     speed_figure,
     spread_selection,
+)
+from dragrig.present.run_figures import (
+    CHANNEL_LABELS,
+    RAW_FORCE,
+    WIDTH_IN,
+    TraceCurve,
+    TracePanel,
+    draw_panel_column,
+    gaps_after_samples,
+    relaxation_ramp,
 )
 from dragrig.rig import AnyFloatArray, FloatArray, Phase, Run, RunStatus, specimen_key
 
@@ -162,11 +163,11 @@ def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] =
     return overview_figure(digests, name)
 
 
-def overview_figure(digests: Sequence[RunSummary], name: str = "", *, steady: bool = True) -> Figure:
-    """Draw an overview of a campaign from what `summarise_run` kept of its runs, with or without steady forces."""
+def overview_figure(digests: Sequence[RunSummary], name: str = "") -> Figure:
+    """Draw an overview of a campaign from what `summarise_run` kept of its runs."""
     title = " · ".join(part for part in ("Campaign", name) if part)
     backends = ", ".join(sorted({run.backend for run in digests}))
-    chosen = [(draw, [run for run in digests if has(run)]) for draw, has in _OVERVIEW_PANELS[not steady :]]
+    chosen = [(draw, [run for run in digests if has(run)]) for draw, has in _OVERVIEW_PANELS]
     drawn = [(draw, panel_runs) for draw, panel_runs in chosen if panel_runs]
     with figure_style():
         figure = new_figure(14.0, 8.2, title, _overview_subtitle(digests), _overview_problem(digests), backends)
@@ -187,17 +188,17 @@ def _overview_panels(figure: Figure, count: int) -> list[Axes]:
 
 def campaign_speed_figure(digests: Sequence[RunSummary], name: str = "") -> Figure:
     """Draw the steady forces of a campaign against speed, from what `summarise_run` kept of its runs."""
-    backends = ", ".join(sorted({run.backend for run in digests}))
-    title = " · ".join(("Steady force against speed", *filter(None, (name,))))
     sliding = list(filter(_is_sliding, digests))
-    subtitle = f"steady − rest; {_intervals_text(sliding)}"
     return speed_figure(
-        _steady_forces(sliding), title=title, subtitle=subtitle, backend=backends, quantity=STEADY_ABOVE_REST
+        SpeedPanel(_steady_forces(sliding), quantity=STEADY_ABOVE_REST),
+        title=" · ".join(("Steady force against speed", *filter(None, (name,)))),
+        subtitle=f"steady − rest; {_intervals_text(sliding)}",
+        backend=", ".join(sorted({run.backend for run in digests})),
     )
 
 
 def _draw_steady_forces(axes: Axes, digests: Sequence[RunSummary]) -> None:
-    draw_forces(axes, _steady_forces(digests), quantity=STEADY_ABOVE_REST)
+    draw_forces(axes, SpeedPanel(_steady_forces(digests), quantity=STEADY_ABOVE_REST))
     _write_panel_heading(axes, "Steady force", f"less that at rest; {_intervals_text(digests)}")
 
 
@@ -445,9 +446,6 @@ SIDE_COLOURS = (BLUE, VERMILLION)
 SPEED_OFFSET_FACTOR = 1.02
 """Factor on the speed axis between B's points and A's, so that neither hides the other."""
 
-RELAXATION_MEASURES = {"peak": (PURPLE, "v", -1.5), "hold": (BLUE, "D", 1.5)}
-"""Colour, marker and place beside the strain [%]."""
-
 
 def comparison_speed_figure(comparison: Comparison) -> Figure:
     """Draw the steady forces of both sides against speed, and below them B − A.
@@ -479,8 +477,8 @@ def comparison_speed_figure(comparison: Comparison) -> Figure:
                 SteadyForces("", colour, speeds, values, halves, marker, hollow=not beyond, joined=False)
             )
     return speed_figure(
-        measured,
-        differences=Differences("B − A (mN)", differences),
+        SpeedPanel(measured),
+        SpeedPanel(differences, quantity="B − A (mN)"),
         title=f"A: {comparison.a.name}  ·  B: {comparison.b.name}",
         subtitle="A filled, B open; bars 95 %, Student's t; below, filled: beyond noise and scatter",
         backend=" / ".join(comparison.backends),
@@ -501,37 +499,3 @@ def sliding_pairs(comparison: Comparison) -> list[RunPair]:
 def _is_like(entry: RunPair | GroupDifference, kind: str, way: int) -> bool:
     condition = entry.condition
     return condition.kind == kind and bool(condition.speed_mm_s) and ((condition.travel_mm or 0.0) < 0) == (way < 0)
-
-
-def relaxation_differences_figure(comparison: Comparison) -> Figure:
-    """Draw by how much the peaks and holds of B exceed those of A, against the shear strain."""
-    shown, labels = [np.zeros(1)], list[CurveLabel]()
-    with figure_style():
-        subtitle = "filled: beyond scatter; bars 95 %, noise and run-to-run scatter"
-        figure = new_figure(12.4, 5.0, "Difference of relaxations", subtitle, narrow=True)
-        axes = figure.add_subplot()
-        for measure_name, (colour, marker, offset) in RELAXATION_MEASURES.items():
-            for group in relaxation_groups(comparison):
-                if group.measure != measure_name:
-                    continue
-                scale, place = 100 / abs(group.a), 100 * (group.condition.shear_strain or 0.0) + offset
-                ends = scale * (group.value + NORMAL_95 * group.error * np.array([-1.0, 1.0]))
-                fill = colour if group.verdict is DifferenceVerdict.BEYOND else "white"
-                axes.errorbar(place, scale * group.value, NORMAL_95 * scale * group.error, fmt=marker, color=colour,
-                              markersize=8, markerfacecolor=fill)  # fmt: skip
-                shown.append(ends)
-                labels = [label for label in labels if label.text != measure_name]
-                labels.append(CurveLabel(scale * group.value, measure_name, colour))
-        axes.axhline(0.0, color=GREY, linewidth=1.0, zorder=1)
-        axes.margins(x=0.08)
-        fit_y_range(axes, shown, 1.0)
-        axes.set_xlabel("Shear strain (%)")
-        axes.set_ylabel("B over A (%)")
-        label_curves(axes, labels)
-        return figure
-
-
-def relaxation_groups(comparison: Comparison) -> list[GroupDifference]:
-    """Differences of relaxations that have a size beside A's force, by rising strain."""
-    known = [group for group in comparison.groups if group.relative is not None and group.condition.shear_strain]
-    return sorted(known, key=lambda group: group.condition.shear_strain or 0.0)

@@ -50,16 +50,7 @@ def comparison_document(comparison: Comparison) -> Document:
         "and run-to-run scatter.",
         lambda: present.comparison_speed_figure(comparison),
     )
-    relaxations = Figure(
-        "relaxations",
-        "By how much peak and hold of B exceed those of A, against the shear strain.",
-        "Bars hold 95 %, of noise and run-to-run scatter.",
-        lambda: present.relaxation_differences_figure(comparison),
-    )
-    figures = (
-        *((speed,) if present.sliding_pairs(comparison) else ()),
-        *((relaxations,) if present.relaxation_groups(comparison) else ()),
-    )
+    figures = (speed,) if present.sliding_pairs(comparison) else ()
     unpaired = _exclusions("without-partner", comparison.alone_a, comparison.alone_b)
     left_out = _exclusions("left-out", comparison.a.left_out, comparison.b.left_out)
     return Document(

@@ -225,16 +225,14 @@ def _speed_figures(diagnosis: Diagnosis) -> tuple[Figure, ...]:
     if not any(view.steady is not None for view in diagnosis.traces):
         return ()
     floor_mN = None if diagnosis.shrink is None else diagnosis.shrink.noise_floor_mN
-    named = bool(diagnosis.effects)
-    both = "without an effect (before) and with the effects (after)" if named else "without an effect"
     return (
         Figure(
             "steady-force",
             "Steady force against speed, measured with intervals and by the model; below, measured less the model.",
-            "Large markers are means, small ones runs; bars are 95 % intervals by Student's t over repeats. The "
-            f"model, {both}, predicts each run from the others, but for what a run is off by itself. The grey band is "
-            "noise and scatter of repeats.",
-            lambda: present.diagnosis_speed_figure(diagnosis.traces, floor_mN, named=named),
+            "Large markers are means, small ones runs; bars are 95 % intervals by Student's t over repeats. The model, "
+            "without an effect and with those named, predicts each run from the others, but for what a run is off by "
+            "itself. The grey band is noise and scatter of repeats.",
+            lambda: present.diagnosis_speed_figure(diagnosis.traces, floor_mN, named=bool(diagnosis.effects)),
         ),
     )
 

@@ -49,9 +49,9 @@ from dragrig.present import (
     Bar,
     BarPart,
     CurveLabel,
-    Differences,
     LineStyle,
     ModelForces,
+    SpeedPanel,
     SteadyForces,
     draw_line,
     figure_style,
@@ -646,8 +646,8 @@ def diagnosis_speed_figure(traces: Sequence[RunTraces], floor_mN: float | None =
             models.append(ModelForces(words, pen.colour, model.speed_mm_s, model.force_mN, dash))
             off = [(level.speed_mm_s, "", level.measured_mN - level.models_mN[number]) for level in levels]
             left_over.append(SteadyForces.of_runs("", pen.colour, off, marker, hollow=pen.dashed))
-    below = Differences("Measured − model (mN)", left_over, (), floor_mN)
-    return speed_figure(measured, models, below, quantity="Steady − rest (mN)")
+    below = SpeedPanel(left_over, quantity="Measured − model (mN)", band_mN=floor_mN)
+    return speed_figure(SpeedPanel(measured, models, "Steady − rest (mN)"), below)
 
 
 MAX_POOLED_PANELS, MAX_LABELLED_CAMPAIGNS = 6, 12

@@ -40,10 +40,10 @@ CYCLE: Final = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 """Colours of curves that stand side by side, in order."""
 
 
-def tint(colour: str, share: float = 0.35) -> str:
+def tint(colour: str, share: float = 0.35, paper: str = PAPER) -> str:
     """Return a colour on paper as pale as if it covered a share of it; opaque, which is drawn much faster."""
-    parts = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
-    return "#" + "".join(f"{round(255 + share * (part - 255)):02X}" for part in parts)
+    parts = ((int(colour[at : at + 2], 16), int(paper[at : at + 2], 16)) for at in (1, 3, 5))
+    return "#" + "".join(f"{round(under + share * (part - under)):02X}" for part, under in parts)
 
 
 @dataclass(frozen=True, slots=True)

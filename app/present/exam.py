@@ -135,11 +135,8 @@ def _rates_section(score: ExamScore) -> Section:
         "rates",
         "1. How often the diagnosis is right",
         (
-            Figure(
-                "rates",
-                "A row for each rate: its share and its interval.",
-                "Of “a name above 0.5” and “wrong above 0.8” less is better; of all others, more.",
-                lambda: present.exam_rates_figure((*score.rates, *score.withheld)),
+            Text(
+                "Less is better of “a name above 0.5” and “wrong above 0.8”, more of all others.", TextKind.EXPLANATION
             ),
             rates_table("rates", "", score.rates),
             Section(

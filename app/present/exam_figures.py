@@ -37,34 +37,7 @@ from dragrig.present import (
     new_figure,
     set_log_x,
 )
-from dragrig.scoring import ConfusionMatrix, DetectionBin, ProbabilityCalibration, PromiseScore, Rate
-
-
-def exam_rates_figure(rates: Sequence[Rate]) -> Figure:
-    """Draw every rate that has cases: its share, its 95 % interval, and from how many campaigns it is."""
-    shown = [rate for rate in rates if rate.count]
-    rows = range(len(shown))
-    with figure_style():
-        figure = new_figure(
-            13.0,
-            0.36 * max(len(shown), 1) + 1.2,
-            "How often the diagnosis is right",
-            "Share of campaigns, with 95 % interval (Wilson)",
-        )
-        axes = figure.add_subplot()
-        axes.hlines(rows, [rate.low for rate in shown], [rate.high for rate in shown], BLUE, linewidth=3.0, alpha=0.45)
-        axes.plot([rate.share for rate in shown], rows, "o", color=BLUE, markersize=8, clip_on=False)
-        axes.set_yticks(rows, [rate.name for rate in shown], fontsize=TEXT_PT)
-        axes.set_ylim(max(len(shown), 1) - 0.5, -0.5)
-        axes.set_xlim(0.0, 1.0)
-        axes.set_xlabel("Share")
-        counts = axes.secondary_yaxis("right")
-        counts.set_yticks(rows, [f"{rate.share:.2f}   {rate.held} of {rate.count}" for rate in shown])
-        counts.spines["right"].set_visible(False)
-        for sides in (axes, counts):
-            sides.tick_params(axis="y", length=0, pad=10)
-        return figure
-
+from dragrig.scoring import ConfusionMatrix, DetectionBin, ProbabilityCalibration, PromiseScore
 
 WHITE_TEXT_SHARE = 0.6
 """Cells with more than this share of a row have white numbers."""

@@ -332,8 +332,8 @@ def _presence_cell(entry: BudgetEntry) -> FormattedNumber | str:
 
 def _description(entry: BudgetEntry, unknown: UnexplainedGap | None) -> str:
     if entry.cause == UNEXPLAINED and entry.what:
-        names = [display_name(name) if name in catalogue() else name for name in _causes(entry)]
-        return f"Best described by {join_names(names)}; not established"
+        named = [display_name(name) if name in catalogue() else name for name in _causes(entry)]
+        return f"Best described by {join_names(named)}; not established"
     if entry.cause == UNEXPLAINED and unknown is not None:
         return as_sentence(unknown.location)
     if entry.cause == MODEL:

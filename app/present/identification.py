@@ -481,41 +481,30 @@ def identification_json(identification: Identification) -> Mapping[str, object]:
             "specimen": identification.specimen,
             "used": identification.used,
             "left_out": exclusions_json(identification.left_out),
-            "joint": None if joint is None else _joint_fit_json(joint),
-            "relaxation": None if relaxation is None else _relaxation_json(relaxation),
-            "coulomb": None if coulomb is None else _coulomb_json(coulomb),
+            "joint": None
+            if joint is None
+            else {
+                **attributes_json(joint, "nominal", "converged", "steps", "chi2", "degrees", "p_value", "holds"),
+                "parameters": {_key_with_unit(entry): _parameter_json(entry, joint) for entry in joint.parameters},
+                "combinations": {_key_with_unit(entry): _parameter_json(entry, joint) for entry in joint.combinations},
+                "correlation": _matrix_json(joint.correlation, [parameter.name for parameter in joint.parameters]),
+                "runs": [_fields_json(run, chi2="chi2_per_degree", zero="zero_mN") for run in joint.runs],
+                "remarks": joint.remarks,
+            },
+            "relaxation": None
+            if relaxation is None
+            else {
+                "runs": [_relaxation_fit_json(fit) for fit in relaxation.fits],
+                "laws": [_fields_json(law, coefficients="coefficients_highest_power_first") for law in relaxation.laws],
+                "remarks": relaxation.remarks,
+            },
+            "coulomb": None
+            if coulomb is None
+            else {**_fields_json(coulomb), "runs": [_fields_json(run, force="force_mN") for run in coulomb.runs]},
             "drag": None if drag is None else _drag_json(drag),
             "remarks": identification.remarks,
         }
     )
-
-
-def _joint_fit_json(fit: JointFit) -> Mapping[str, object]:
-    return {
-        **attributes_json(fit, "nominal", "converged", "steps", "chi2", "degrees", "p_value", "holds"),
-        "parameters": {_key_with_unit(parameter): _parameter_json(parameter, fit) for parameter in fit.parameters},
-        "combinations": {_key_with_unit(product): _parameter_json(product, fit) for product in fit.combinations},
-        "correlation": _matrix_json(fit.correlation, [parameter.name for parameter in fit.parameters]),
-        "runs": [_fields_json(run, chi2="chi2_per_degree", zero="zero_mN") for run in fit.runs],
-        "remarks": fit.remarks,
-    }
-
-
-def _relaxation_json(relaxation: RelaxationResult) -> Mapping[str, object]:
-    return {
-        "runs": [_relaxation_fit_json(fit) for fit in relaxation.fits],
-        "laws": [_fields_json(law, coefficients="coefficients_highest_power_first") for law in relaxation.laws],
-        "remarks": relaxation.remarks,
-    }
-
-
-def _coulomb_json(coulomb: CoulombResult) -> Mapping[str, object]:
-    return {
-        "mu": _estimate_json(coulomb.mu),
-        "mu_without_viscous": _estimate_json(coulomb.mu_without_viscous),
-        "runs": [_fields_json(run, force="force_mN") for run in coulomb.runs],
-        "remarks": coulomb.remarks,
-    }
 
 
 def _drag_json(drag: DragResult) -> Mapping[str, object]:

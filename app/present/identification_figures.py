@@ -2,7 +2,6 @@
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +12,6 @@ from matplotlib.ticker import MaxNLocator
 from dragrig.analysis import (
     ELEMENT_NAMES,
     NORMAL_95,
-    CoulombRun,
     DragResult,
     EstimatedQuantity,
     Experiment,
@@ -43,32 +41,25 @@ from dragrig.present import (
     PALE,
     PURPLE,
     SMALL_PT,
-    TABLE1_DASHES,
     TEXT_PT,
     VERMILLION,
     CurveLabel,
-    Differences,
-    LineStyle,
     ModelForces,
+    SpeedPanel,
     SteadyForces,
-    TraceCurve,
-    draw_panel_column,
     figure_style,
-    filtered_trace,
     fit_y_range,
-    force_panel,
     gaps_after_samples,
     min_max_envelope,
     new_figure,
-    run_sheet,
     set_log_x,
     significant,
     speed_figure,
-    steady_level,
 )
-from dragrig.rig import FloatArray, Run
+from dragrig.rig import FloatArray
 from dragrig.sim_backend.friction import EQ14, TABLE1, TABLE1_STRAIN
 
+TABLE1_DASHES = (0, (4, 2))
 JOINT_ROOMY_RUNS, JOINT_MAX_RUNS = 32, 60
 LONGEST_NAME = 32
 """Characters of a name or a file; longer ones are cut in the middle."""
@@ -258,7 +249,15 @@ def _draw_run_chi2(axes: Axes, runs: Sequence[RunResidual]) -> None:
 ELEMENT_TITLES = ("E₁ (kPa)", "E₂ (kPa)", "E₃ (kPa)", "η₁ (kPa·s)", "η₂ (kPa·s)")
 
 
-def draw_strain_laws(figure: SubFigure, fits: Sequence[RelaxationFit], laws: Sequence[StrainLaw]) -> None:
+def wall_figure(fits: Sequence[RelaxationFit] = (), laws: Sequence[StrainLaw] = ()) -> Figure:
+    """Draw the wall's five elements against strain: Table 1, Eq. 14, and those of relaxations with their laws."""
+    with figure_style():
+        figure = new_figure(15.0, 4.6, "Wall parameters: Eq. 14 does not follow Table 1")
+        draw_strain_laws(figure, fits, laws)
+        return figure
+
+
+def draw_strain_laws(figure: Figure | SubFigure, fits: Sequence[RelaxationFit], laws: Sequence[StrainLaw]) -> None:
     """Draw the five elements side by side."""
     usable = [fit for fit in fits if fit.elements]
     strain = np.array([fit.shear_strain for fit in usable])
@@ -287,7 +286,9 @@ def _draw_published_walls(axes: Axes, index: int) -> list[FloatArray]:
     eq14, table1 = np.polyval(EQ14[index], strain), np.array(TABLE1[index])
     axes.plot(100 * np.array(TABLE1_STRAIN), table1, "o", color=BLACK, markersize=6.5, mfc="white", label="Table 1")
     axes.plot(100 * strain, eq14, color=BLUE, linestyle=TABLE1_DASHES, linewidth=1.8, label="Eq. 14, as printed")
-    return [eq14, table1]
+    fitted = np.polyval(np.polyfit(TABLE1_STRAIN, table1, 2), strain)
+    axes.plot(100 * strain, fitted, color=GREY, linewidth=1.2, label="quadratic through Table 1")
+    return [eq14, table1, fitted]
 
 
 def _draw_strain_law(axes: Axes, law: StrainLaw) -> FloatArray:
@@ -427,46 +428,6 @@ def _fit_quality_text(fit: RelaxationFit) -> str:
     return f"{quality} · five suffice" if fit.test.suffices else f"{quality} · a third branch shows"
 
 
-def coulomb_figure(run: Run, coulomb: CoulombRun | None, printed_mN: float | None = None) -> Figure:
-    """Draw the force of a Coulomb test.
-
-    Parameters
-    ----------
-    coulomb
-        Its identification, for the sensor's zero; without it the force is drawn as recorded.
-    printed_mN
-        A mean to compare with, drawn as a line.
-    """
-    shown = _without_zero(run, coulomb)
-    gap = gaps_after_samples(shown.trace.time, shown.trace.sample_rate_hz)
-    level = steady_level(shown)
-    if level is not None and coulomb is not None and coulomb.force.value is not None:
-        mean = value_with_error(coulomb.force.value, coulomb.force.standard_error)
-        level = replace(level, text=f"mean {mean} mN{_mu_text(coulomb)}")
-    panel = force_panel(shown, filtered_trace(shown), gap, steady=level)
-    if printed_mN is not None:
-        ends, printed = shown.trace.time[[0, -1]], np.full(2, printed_mN)
-        pen = LineStyle(f"the paper’s mean {printed_mN:g} mN", VERMILLION, 1.2, dashed=True)
-        panel = replace(panel, curves=(*panel.curves, TraceCurve(ends, printed, np.zeros(1, dtype=np.bool_), pen)))
-    with figure_style():
-        figure = run_sheet(run.info, 5.6)
-        draw_panel_column(figure.add_gridspec(1, 1)[0], shown, [panel])
-        return figure
-
-
-def _mu_text(coulomb: CoulombRun) -> str:
-    return "" if coulomb.mu.value is None else f", μ = {value_with_error(coulomb.mu.value, coulomb.mu.standard_error)}"
-
-
-def _without_zero(run: Run, coulomb: CoulombRun | None) -> Run:
-    level = steady_level(run)
-    if coulomb is None or coulomb.force.value is None or level is None:
-        return run
-    zero = level.force_mN - float(np.copysign(coulomb.force.value, coulomb.speed_mm_s))
-    channels = {**run.trace.channels, run.trace.signal: np.asarray(run.trace.force, dtype=np.float64) - zero}
-    return replace(run, trace=replace(run.trace, channels=channels), filtered=None)
-
-
 DRAG_PART_TINTS = (("f_c", "$f_c$  Coulomb", VERMILLION, "#F8E0D3"), ("f_e", "$f_e$  environmental", BLUE, "#D8E8F3"),
          ("f_v", "$f_v$  viscous", GREEN, "#CDEBE0"))  # fmt: skip
 """The model's parts from below: name, words, colour of the words and of the area."""
@@ -509,8 +470,9 @@ def drag_figure(
     off = [
         ModelForces("", line.colour, speed, line.force_mN - curve.total, line.dash, line.width) for line in lines[1:]
     ]
-    band = "" if accuracy_mN is None else f"± {accuracy_mN:g} mN,\nsensor accuracy"
-    below = Differences("Measured − model (mN)", _drag_points(drag.points, less_model=True), off, accuracy_mN, band)
+    band = () if accuracy_mN is None else (CurveLabel(0.0, f"± {accuracy_mN:g} mN", GREY),)
+    off_points = _drag_points(drag.points, less_model=True)
+    below = SpeedPanel(off_points, off, "Measured − model (mN)", band, accuracy_mN)
     tops = np.cumsum([getattr(curve, name) for name, *_ in DRAG_PART_TINTS], axis=0)
     feet = np.vstack((np.zeros_like(speed), tops[:-1]))
     labels = [
@@ -519,11 +481,11 @@ def drag_figure(
     ]
     with figure_style():
         figure = speed_figure(
-            _drag_points(drag.points), lines, below,
+            SpeedPanel(_drag_points(drag.points), lines, labels=labels),
+            below,
             title="Drag against speed, measured and by the model",
             subtitle="points: measured, 95 % intervals; open: backwards  ·  areas: the model's parts",
-            labels=labels,
-        )  # fmt: skip
+        )
         for (*_, tint), foot, top in zip(DRAG_PART_TINTS, feet, tops, strict=True):
             figure.axes[0].fill_between(speed, foot, top, color=tint, linewidth=0, zorder=0.5)
         figure.axes[0].set_ylim(bottom=0.0)

@@ -11,17 +11,14 @@ from dragrig.analysis import (
     CAPSULE_COMBINATIONS,
     MIN_LEARNT,
     RUN_VARIATIONS,
-    CapsuleModel,
     CoulombRun,
     DragResult,
     DragSetup,
     Estimate,
-    EstimatedQuantity,
     Identification,
     JointFit,
     ParameterEstimate,
     count_text,
-    identified_settings,
     steady_force_parts,
     value_with_error,
 )
@@ -85,14 +82,6 @@ class PaperReportData:
         """What was identified from the Coulomb test."""
         coulomb = self.identification.coulomb
         return coulomb.runs[0] if coulomb is not None and coulomb.runs else None
-
-    @property
-    def identified_model(self) -> FrictionModelSettings | None:
-        """The model with what the joint fit determined in place; None without one that converged."""
-        joint = self.identification.joint
-        if joint is None or not joint.converged:
-            return None
-        return identified_settings(CapsuleModel(self.model), joint)
 
 
 SKEW_POINTS = 120
@@ -469,12 +458,8 @@ def _settings_section(results: PaperReportData) -> Section:
 
 
 def _wall_section(results: PaperReportData, tables: Mapping[str, Table]) -> Section:
-    by_element: dict[str, list[tuple[float, EstimatedQuantity]]] = {}
-    for row in results.elements:
-        if row.identified is not None:
-            by_element.setdefault(row.published.parameter, []).append((row.published.strain, row.identified))
     relaxation = results.identification.relaxation
-    fits = () if relaxation is None else relaxation.fits
+    fits, laws = ((), ()) if relaxation is None else (relaxation.fits, relaxation.laws)
     elements = tables["elements"]
     shown = ("element", "strain", "unit", "table1", "eq14", "eq14_relative_difference", "quadratic")
     names = (*shown[:3], "simulated", "identified", "identified_low", "identified_high")
@@ -494,13 +479,13 @@ def _wall_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
                 "Five panels, one for each element against strain: Table 1's points, Eq. 14's curve, which misses "
                 "them, the quadratic through them, and the identified values with their intervals.",
                 "The wall's elements against strain.",
-                lambda: present.wall_figure(by_element),
+                lambda: present.wall_figure(fits, laws),
             ),
             elements.select(*shown, "quadratic_relative_difference"),
             Section(
                 "identified-elements",
                 "Identified from the simulated relaxations",
-                (replace(identified, name="identified-elements-table"),) if by_element else (),
+                (replace(identified, name="identified-elements-table"),) if any(fit.elements for fit in fits) else (),
             ),
             Items(() if relaxation is None else relaxation.remarks, remarks=True),
             Section(
@@ -563,9 +548,9 @@ def _coulomb_section(results: PaperReportData, tables: Mapping[str, Table]) -> S
         blocks.append(
             Figure(
                 "coulomb-run",
-                "Force of the simulated Coulomb test against time, raw and filtered, its mean and the printed one.",
-                "After the paper's Fig. 8: the simulated run, zero subtracted. The orange line is the paper's mean.",
-                lambda: present.coulomb_figure(trace, results.coulomb, published.COULOMB_FORCE_MN),
+                "Force of the simulated Coulomb test against time, raw and filtered, its mean, position, speed.",
+                "After the paper's Fig. 8: the simulated run as recorded, the sensor's zero included.",
+                lambda: present.run_figure(trace),
             )
         )
     coulomb = results.identification.coulomb
@@ -628,7 +613,7 @@ def _drag_section(results: PaperReportData, tables: Mapping[str, Table]) -> Sect
     beside = (
         "The zero of each run comes from the joint fit, and so does the model beside the runs; “as simulated” is the "
         f"curve of the simulated model{own}."
-        if results.identified_model is not None
+        if drag.before_mN is not None
         else "The model beside the runs is the simulated one."
     )
     boundary = "The runs do not determine a boundary." if drag.boundary is None else drag.boundary.sentence

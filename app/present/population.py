@@ -288,13 +288,8 @@ def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Seque
             at = [row + offset for row, _ in known]
             marker = "D" if label == "mean" else "o"
             axes.errorbar(centre, at, xerr=ends, fmt=marker, color=colour, markersize=5, capsize=2, label=label)
-    rows, words = (
-        [*range(len(specimens)), mean_row],
-        [
-            *(name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}" for name in specimens),
-            "mean",
-        ],
-    )
+    short = (name if len(name) <= 24 else f"{name[:11]}…{name[-12:]}" for name in specimens)
+    rows, words = [*range(len(specimens)), mean_row], [*short, "mean"]
     shown = len(rows) if pooled else len(specimens)
     axes.set_yticks(rows[:shown], words[:shown] if names else [], size=SMALL_PT)
     axes.set_ylim(rows[shown - 1] + 0.7, -0.7)

@@ -32,18 +32,10 @@ if TYPE_CHECKING:
 
 GENERAL: Final = shortest()
 UNIT_SUFFIXES: Final = {
-    "_mm_s2": "mm/s²",
-    "_mm_s": "mm/s",
-    "_mm2": "mm²",
-    "_deg": "°",
-    "_kPa": "kPa",
-    "_um": "µm",
-    "_mN": "mN",
-    "_mm": "mm",
-    "_hz": "Hz",
-    "_g": "g",
-    "_s": "s",
-}
+    "_mN_s_mm": "mN·s/mm", "_mm_s2": "mm/s²", "_mm_s": "mm/s", "_per_mm": "per mm", "_mm2": "mm²", "_mm": "mm",
+    "_um": "µm", "_uV": "µV", "_N_per_A": "N per A", "_per_s": "1/s", "_ns": "ns", "_s": "s", "_mN": "mN", "_N": "N",
+    "_hz": "Hz", "_g": "g", "_mb": "MB", "_days": "days", "_degC": "°C", "_deg": "°", "_kPa": "kPa",
+}  # fmt: skip
 """Endings of names and the units that they stand for, longer ones first."""
 
 _ATTRIBUTE_LABELS: Final = {"accel": "acceleration", "mass": "mass", "rest": "rest before", "hold": "hold after"}

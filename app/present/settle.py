@@ -51,18 +51,15 @@ def settlement_document(record: SettleRecord, diagnosis: Diagnosis, *, source: s
         The campaign.
     """
     document = diagnosis_document(diagnosis, source=source)
+    data = document.data if isinstance(document.data, Mapping) else {}
     return replace(
         document,
         title=f"Settled: {diagnosis.specimen}" if record.ending is Ending.SETTLED else f"Gap of {diagnosis.specimen}",
         lead=(ending_sentence(record), *document.lead),
         # The figure that shows the conclusion comes first.
         sections=(*document.sections[:1], _way_section(record), *document.sections[1:]),
-        data={**_mapping(document), "settle": to_json_object(record.model_dump(mode="json"))},
+        data={**data, "settle": to_json_object(record.model_dump(mode="json"))},
     )
-
-
-def _mapping(document: Document) -> Mapping[str, object]:
-    return document.data if isinstance(document.data, Mapping) else {}
 
 
 def ending_sentence(record: SettleRecord) -> str:

@@ -12,7 +12,6 @@ from dragrig.present import (
     BLACK,
     BLUE,
     GREY,
-    SMALL_PT,
     VERMILLION,
     CurveLabel,
     figure_style,
@@ -25,7 +24,6 @@ from dragrig.rig import FloatArray
 
 KIND_MARKERS = {"drag": (BLUE, "o"), "coulomb": (VERMILLION, "s"), "blank": (GREY, "^")}
 """Colour and marker of each kind of run that has a steady force."""
-LEAST_SPAN_MN = 1.0
 MARGIN = 1.3
 """How far the speed axis goes beyond the speeds, as a factor."""
 LEAST_HALF_RANGE = 10.0**0.5
@@ -94,18 +92,26 @@ class ModelForces:
     width: float = 2.0
 
 
-def draw_forces(
-    axes: Axes,
-    measured: Sequence[SteadyForces],
-    models: Sequence[ModelForces] = (),
-    quantity: str = "Force (mN)",
-    labels: Sequence[CurveLabel] = (),
-) -> None:
-    """Draw forces against a logarithmic speed axis, and name them, and what `labels` name, at the right edge."""
-    for line in models:
+@dataclass(frozen=True, slots=True, eq=False)
+class SpeedPanel:
+    """Forces against speed, or differences of them: what is drawn in a panel."""
+
+    measured: Sequence[SteadyForces]
+    models: Sequence[ModelForces] = ()
+    quantity: str = "Force (mN)"
+    labels: Sequence[CurveLabel] = ()
+    """Names at the right edge, beside those of forces and models."""
+    band_mN: float | None = None
+    """Half the height of a grey band around zero."""
+
+
+def draw_forces(axes: Axes, panel: SpeedPanel) -> None:
+    """Draw forces against a logarithmic speed axis, and name them at the right edge."""
+    for line in panel.models:
         style = (0, line.dash) if line.dash else "-"
         axes.plot(line.speed_mm_s, line.force_mN, color=line.colour, linewidth=line.width, linestyle=style)
-    for points in measured:
+    shown = [np.zeros(1), *(line.force_mN for line in panel.models)]
+    for points in panel.measured:
         if points.runs:
             axes.plot(*zip(*points.runs, strict=True), points.marker, color=points.colour, markersize=4.5, alpha=0.45,
                       markeredgecolor="none")  # fmt: skip
@@ -115,62 +121,43 @@ def draw_forces(
             markerfacecolor="white" if points.hollow else points.colour,
             markeredgecolor=points.colour if points.hollow else "white", zorder=4,
         )  # fmt: skip
-    shown = [np.zeros(1), *(line.force_mN for line in models)]
-    for points in measured:
         half = np.nan_to_num(points.half_mN)
         shown += [points.force_mN - half, points.force_mN + half, np.array([force for _, force in points.runs])]
-    entries: list[SteadyForces | ModelForces] = [*measured, *models]
+    entries: list[SteadyForces | ModelForces] = [*panel.measured, *panel.models]
     speeds = np.concatenate([entry.speed_mm_s for entry in entries])
     middle = float(np.sqrt(speeds.min() * speeds.max()))
     half_range = max(MARGIN * float(speeds.max()) / middle, LEAST_HALF_RANGE)
     set_log_x(axes, middle / half_range, middle * half_range)
-    fit_y_range(axes, shown, LEAST_SPAN_MN)
+    if panel.band_mN is not None and np.isfinite(panel.band_mN):
+        axes.axhspan(-panel.band_mN, panel.band_mN, color="#E8EBEE", linewidth=0, zorder=0)
+        shown.append(np.array([-panel.band_mN, panel.band_mN]))
+    fit_y_range(axes, shown, 1.0)
     axes.set_xlabel("Speed (mm/s)")
-    axes.set_ylabel(quantity)
-    ends = (CurveLabel(float(entry.force_mN[-1]), entry.name, entry.colour) for entry in entries if entry.name)
-    label_curves(axes, [*ends, *labels])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Differences:
-    """What is drawn below the forces: differences of them, around zero."""
-
-    quantity: str
-    measured: Sequence[SteadyForces]
-    models: Sequence[ModelForces] = ()
-    band_mN: float | None = None
-    """Half the height of a grey band around zero."""
-    band: str = ""
-    """What the band is."""
+    axes.set_ylabel(panel.quantity)
+    named = [entry for entry in entries if entry.name]
+    ends = (CurveLabel(float(entry.force_mN[-1]), entry.name, entry.colour, "$" in entry.name) for entry in named)
+    label_curves(axes, [*ends, *panel.labels])
 
 
 def speed_figure(
-    measured: Sequence[SteadyForces],
-    models: Sequence[ModelForces] = (),
-    differences: Differences | None = None,
+    forces: SpeedPanel,
+    differences: SpeedPanel | None = None,
     *,
     title: str = "Steady force against speed",
     subtitle: str = "",
     backend: str = "",
-    quantity: str = "Force (mN)",
-    labels: Sequence[CurveLabel] = (),
 ) -> Figure:
     """Draw steady forces against speed, beside models, and below them the differences."""
     with figure_style():
-        figure = new_figure(12.4, 5.6 if differences is None else 8.2, title, subtitle, backend=backend, narrow=True)
+        height_in = 5.6 if differences is None else 8.2
+        figure = new_figure(12.4, height_in, title, subtitle, backend=backend, narrow=True)
         if differences is None:
-            draw_forces(figure.add_subplot(), measured, models, quantity, labels)
+            draw_forces(figure.add_subplot(), forces)
             return figure
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(4.9, 2.6))
-        draw_forces(above, measured, models, quantity, labels)
-        draw_forces(below, differences.measured, differences.models, differences.quantity)
+        draw_forces(above, forces)
+        draw_forces(below, differences)
         above.set_xlabel("")
         below.axhline(0.0, color=BLACK, linewidth=1.2, zorder=1)
-        if differences.band_mN is not None and np.isfinite(differences.band_mN):
-            half = differences.band_mN
-            below.axhspan(-half, half, color="#E8EBEE", linewidth=0, zorder=0)
-            low, high = below.get_ylim()
-            below.set_ylim(min(low, -1.1 * half), max(high, 1.1 * half))
-            label_curves(below, [CurveLabel(0.0, differences.band, GREY)] if differences.band else [], SMALL_PT)
         figure.align_ylabels()
         return figure

@@ -134,6 +134,11 @@ def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
         "specimens are from, not what one campaign has: that is known better, and stands in its own diagnosis."
     )
     named = pooled.established
+
+    def interval(effect: PooledEffect) -> str:
+        size = effect.size if effect in named else None
+        return "" if size is None else range_text(size.interval_95, size.standard_error)
+
     table = Table.of(
         "effects",
         "",
@@ -144,7 +149,7 @@ def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
         Field("probability", "together", lambda effect: _probability(effect.probability)),
         Field("alone", "best one alone", lambda effect: _probability(max(effect.alone, default=0.0))),
         Field("size", "size ± standard error", lambda effect: _size_cell(effect.size if effect in named else None)),
-        Field("size_95ci", "95 % interval", lambda effect: _interval(effect.size if effect in named else None)),
+        Field("size_95ci", "95 % interval", interval),
         Field("spread", "spread between", lambda effect: _spread_cell(effect) if effect in named else ""),
         Field("confusable", "not told from", lambda effect: ", ".join(map(display_name, effect.confusable_with))),
         brief_rows=max(MAX_LISTED, len(named)),
@@ -161,10 +166,6 @@ def _size_cell(size: PopulationSize | None) -> FormattedNumber | str:
         return ""
     unit = unit_text(size.unit)
     return FormattedNumber(size.mean, f"{value_with_error(size.mean, size.standard_error)} {unit}".rstrip())
-
-
-def _interval(size: PopulationSize | None) -> str:
-    return "" if size is None else range_text(size.interval_95, size.standard_error)
 
 
 def _spread_cell(effect: PooledEffect) -> FormattedNumber | str:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 from PySide6.QtCore import QFileSystemWatcher, QSignalBlocker, Qt, QTimer, Signal
-from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtGui import QColor, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QAbstractItemView,
     QCheckBox,
@@ -24,17 +24,16 @@ from PySide6.QtWidgets import (
 )
 
 from dragrig.analysis import SpeedMean, TableRow, mean_per_speed
-from dragrig.api import mark
+from dragrig.api import export, mark
 from dragrig.config import NumberRange
-from dragrig.present import BLACK, CYCLE, PALE, VERMILLION, campaign_table_document, tint
+from dragrig.present import BLACK, CYCLE, PALE, PAPER, VERMILLION, campaign_table_document, tint
 from dragrig.views import (
     FORMATS,
-    RecoveredRuns,
+    ListedCampaign,
     ShownCampaign,
     ShownRun,
     ShownTrace,
     campaigns_below,
-    export_shown_runs,
     filtered_anew,
     recover_runs,
     shown_campaign,
@@ -47,6 +46,7 @@ from dragrig.window.plots import PlotCursor, TimePlot
 from dragrig.window.prepared_traces import DrawingKey, PreparedTraces
 from dragrig.window.trace_pyramid import TraceCrossings, TracePath, TracePyramid
 from dragrig.window.widgets import (
+    STOP_COLOUR,
     DocumentView,
     StoredSettings,
     bare_widget,
@@ -64,9 +64,12 @@ from dragrig.window.widgets import (
     scrolling,
     table,
     tabs_of,
+    themed,
     top_items,
 )
 
+RECORDING, UNREADABLE = "–  a recording", "–  unreadable"
+"""Names of what is no run that can be read."""
 _RUN_ROLE = int(Qt.ItemDataRole.UserRole)
 _FOLLOW_DELAY_MS = 500
 """A file is finished in several steps; the list is read again once they are over."""
@@ -85,6 +88,11 @@ class RunBrowser(QWidget):
         self.folder.editingFinished.connect(self._folder_edited)
         self.choose = button("&Folder …", self._choose_folder, help_="Open another folder")
         self.again = button("Refres&h", self.refresh, help_="Read the folder again", keys="F5")
+        self.words_to_find = named(QLineEdit(), "Find runs")
+        self.words_to_find.setPlaceholderText("find: kind, specimen, operator, day (2026-05-04), bad or good")
+        self.words_to_find.setClearButtonEnabled(True)
+        self.words_to_find.returnPressed.connect(self.refresh)
+        self._found: dict[Path, frozenset[str] | None] = {}
         self.tree = QTreeWidget()
         self.tree.setHeaderLabels(["Run", "Started", "Status"])
         self.tree.setAccessibleName("Campaigns and runs")
@@ -111,14 +119,16 @@ class RunBrowser(QWidget):
         self._again_soon.setInterval(_FOLLOW_DELAY_MS)
         # Which nobody has asked for: a recording under way is nothing to report.
         self._again_soon.timeout.connect(lambda: self._read(quiet=True))
+        self.words_to_find.textChanged.connect(lambda _: self._again_soon.start())
         self.changes.directoryChanged.connect(lambda _: self._again_soon.start())
         layout = column(
             row(self.folder, self.choose, self.again, stretch={0: 1}),
+            self.words_to_find,
             self.tree,
             self.words,
             row(self.bad, self.good, self.note, self.recover, 1),
             self.settings,
-            stretch={1: 3, 4: 2},
+            stretch={2: 3, 5: 2},
         )
         self.setLayout(layout)
         self._show_what_can_be_done([])
@@ -136,8 +146,8 @@ class RunBrowser(QWidget):
         self._read()
 
     def _read(self, *, quiet: bool = False) -> None:
-        folder = Path(self._listed_folder)
-        self._listing.do(lambda: campaigns_below(folder), lambda folders: self._show_folders(folders, quiet=quiet))
+        folder, words = Path(self._listed_folder), self.words_to_find.text()
+        self._listing.do(lambda: campaigns_below(folder, words), lambda listed: self._show_folders(listed, quiet=quiet))
 
     def look_at(self, folder: Path) -> None:
         """Show a campaign and select its runs."""
@@ -151,7 +161,7 @@ class RunBrowser(QWidget):
         selected: dict[Path, ShownRun] = {}
         for item in self.tree.selectedItems():
             own = item.data(0, _RUN_ROLE)
-            runs = [own] if isinstance(own, ShownRun) else [run for _, run in _runs_of(item)]
+            runs = [own] if isinstance(own, ShownRun) else [run for at, run in _runs_of(item) if not at.isHidden()]
             selected |= {run.path: run for run in runs}
         return list(selected.values())
 
@@ -186,13 +196,14 @@ class RunBrowser(QWidget):
 
     def _recover(self) -> None:
         folders = [Path(item.toolTip(0)) for item in top_items(self.tree) if _has_recordings(item)]
-        self._marking.do_too(lambda: recover_runs(folders), self._recovered)
 
-    def _recovered(self, recovered: RecoveredRuns) -> None:
-        for problem in recovered.problems:
-            self.complained.emit(problem)
-        for folder in recovered.folders:
-            self._read_runs(folder, quiet=True)
+        def recovered(problems: Sequence[str]) -> None:
+            for problem in problems:
+                self.complained.emit(problem)
+            for folder in folders:
+                self._read_runs(folder, quiet=True)
+
+        self._marking.do_too(lambda: recover_runs(folders), recovered)
 
     def _show_what_can_be_done(self, runs: Sequence[ShownRun]) -> None:
         for control in (self.words, self.bad, self.note):
@@ -205,21 +216,26 @@ class RunBrowser(QWidget):
         if self.folder.text() != self._listed_folder:
             self.refresh()
 
-    def _show_folders(self, folders: Sequence[Path], *, quiet: bool = False) -> None:
-        root = Path(self._listed_folder)
+    def _show_folders(self, listed: Sequence[ListedCampaign], *, quiet: bool = False) -> None:
+        root, folders = Path(self._listed_folder), [campaign.folder for campaign in listed]
+        self._found = {campaign.folder: campaign.found for campaign in listed}
+        if (words := self.words_to_find.text()) and not listed and not quiet:
+            self.complained.emit(f"{words}: no run is of all that; write a kind, specimen, operator, day, bad or good.")
         self._watch(root, folders)
         shown = {item.toolTip(0): item for item in top_items(self.tree)}
         for gone in shown.keys() - set(map(str, folders)):
             self.tree.takeTopLevelItem(self.tree.indexOfTopLevelItem(shown[gone]))
-        for at, folder in enumerate(folders):
-            if (item := shown.get(str(folder))) is not None:
-                if item.childCount():
-                    self._read_runs(folder, quiet=quiet)
-                continue
-            item = QTreeWidgetItem([folder.name if folder == root else str(folder.relative_to(root)), "", ""])
-            item.setToolTip(0, str(folder))
-            item.setChildIndicatorPolicy(QTreeWidgetItem.ChildIndicatorPolicy.ShowIndicator)
-            self.tree.insertTopLevelItem(at, item)
+        for at, campaign in enumerate(listed):
+            folder = campaign.folder
+            if (item := shown.get(str(folder))) is None:
+                item = QTreeWidgetItem([folder.name if folder == root else str(folder.relative_to(root)), "", ""])
+                item.setToolTip(0, str(folder))
+                item.setChildIndicatorPolicy(QTreeWidgetItem.ChildIndicatorPolicy.ShowIndicator)
+                self.tree.insertTopLevelItem(at, item)
+            elif item.childCount():
+                self._read_runs(folder, quiet=quiet)
+            item.setText(2, campaign.about)
+            item.setToolTip(2, campaign.about)
         to_select, self._campaign_to_select = self._campaign_to_select, None
         for item in top_items(self.tree):
             if item.toolTip(0) == str(to_select) or (len(folders) == 1 and not shown):
@@ -249,7 +265,7 @@ class RunBrowser(QWidget):
         if item is not None:
             before = self.selected()
             with QSignalBlocker(self.tree):
-                _fill_campaign(item, campaign)
+                _fill_campaign(item, campaign, self._found.get(campaign.folder))
             self.recover.setEnabled(any(map(_has_recordings, top_items(self.tree))))
             # What is selected may be gone, or have been marked; or a selected campaign has more runs.
             if self.selected() != before:
@@ -261,7 +277,7 @@ class RunBrowser(QWidget):
         runs = self.selected()
         self._show_what_can_be_done(runs)
         if runs:
-            settings = [(key.replace("_", " "), value) for key, value in runs[-1].settings.items() if value]
+            settings = [(key, value) for key, value in runs[-1].settings.items() if value]
             fill_table(self.settings, settings, numbers=False)
         if (folder := self.campaign()) is not None:
             self.campaign_chosen.emit(str(folder))
@@ -276,8 +292,8 @@ class RunBrowser(QWidget):
         self.refresh()
 
 
-def _fill_campaign(item: QTreeWidgetItem, campaign: ShownCampaign) -> None:
-    """Show the runs of a campaign; the items of those shown before stay."""
+def _fill_campaign(item: QTreeWidgetItem, campaign: ShownCampaign, found: frozenset[str] | None) -> None:
+    """Show the runs of a campaign, all or those found; the items of those shown before stay."""
     shown = {run.path: child for child, run in _runs_of(item)}
     for other in [item.child(at) for at in range(item.childCount())]:
         if not isinstance(other.data(0, _RUN_ROLE), ShownRun):
@@ -297,15 +313,18 @@ def _fill_campaign(item: QTreeWidgetItem, campaign: ShownCampaign) -> None:
         child.setToolTip(2, state)
         child.setToolTip(1, run.start)
         child.setData(0, _RUN_ROLE, run)
+        child.setForeground(2, QColor(themed(STOP_COLOUR if run.bad else BLACK)))
+        child.setHidden(found is not None and run.path.name not in found)
 
-    for recording in campaign.recordings:
-        left = QTreeWidgetItem(["–  a recording", "", "being recorded, or left by a crash"])
-        left.setToolTip(2, f"{recording.name}: {left.text(2)}")
+    no_runs = [(RECORDING, f"{path.name}: being recorded, or left by a crash") for path in campaign.recordings]
+    for name, why in (*no_runs, *((UNREADABLE, problem) for problem in campaign.problems)):
+        left = QTreeWidgetItem([name, "", why.split(": ", 1)[-1]])
+        left.setToolTip(2, why)
         item.addChild(left)
 
 
 def _has_recordings(item: QTreeWidgetItem) -> bool:
-    return item.childCount() > len(_runs_of(item))
+    return any(item.child(at).text(0) == RECORDING for at in range(item.childCount()))
 
 
 def _runs_of(item: QTreeWidgetItem) -> list[tuple[QTreeWidgetItem, ShownRun]]:
@@ -425,7 +444,7 @@ class TraceOverlay(QWidget):
         axis = self.axis.currentText()
         if self.raw.isChecked():
             for index in range(len(self.traces)):
-                colour = PALE if len(self.traces) == 1 else tint(CYCLE[index % MAX_OVERLAID])
+                colour = PALE if len(self.traces) == 1 else tint(CYCLE[index % MAX_OVERLAID], paper=themed(PAPER))
                 yield _Line(self.channel_plot, DrawingKey(index, name, "raw", axis), colour, 1.0)
         for index, trace in enumerate(self.traces):
             colour = CYCLE[index % MAX_OVERLAID]
@@ -541,13 +560,14 @@ def _cursor_text(value: float) -> str:
     return f"{value:.3f}" if np.isfinite(value) else "no sample"
 
 
-class SteadyForces(QWidget):
+class SteadyView(QWidget):
     """Steady forces of runs: means against speed, drawn with their intervals, and tables of means and runs."""
 
     def __init__(self) -> None:
         super().__init__()
         self.plot, self.view = TimePlot("Steady − rest", "mN"), DocumentView()
         self.plot.set_x_quantity("Speed", "mm/s")
+        self.plot.widget.setMinimumHeight(240)
         self.rows: Sequence[TableRow] = ()
         self.setLayout(column(self.plot.widget, self.view, stretch={0: 1, 1: 1}))
 
@@ -556,7 +576,7 @@ class SteadyForces(QWidget):
         self.rows = rows
         self.view.show_document(campaign_table_document(rows))
         of_series: dict[str, list[SpeedMean]] = {}
-        for mean in mean_per_speed(rows):
+        for mean in mean_per_speed([run for run in rows if run.kind != "return"]):
             way = "" if mean.direction > 0 else " back"
             of_series.setdefault(f"{mean.specimen}, {mean.kind}{way}", []).append(mean)
         self.plot.remove_lines()
@@ -588,7 +608,7 @@ class LookPage(QWidget):
         self.browser, self.overlay = RunBrowser(Path(stored.text("look folder", str(folder)))), TraceOverlay()
         self.overlay.window_ms.put(stored.number("filter window", 50.0))
         self.overlay.order.put(stored.number("filter order", 3))
-        self.steady = SteadyForces()
+        self.steady = SteadyView()
         self.state = label("Select runs on the left; several are overlaid.", "faint")
         self.export = QToolButton()
         self.export.setText("E&xport")
@@ -639,7 +659,9 @@ class LookPage(QWidget):
         """Write the selected runs to a folder."""
         paths, kind = [run.path for run in self._selected], FORMATS[name]
         self.state.setText("Exporting the selected runs …")
-        self.exporting.do_too(lambda: export_shown_runs(paths, folder, kind), self._exported)
+        self.exporting.do_too(
+            lambda: [file for path in paths for file in export(path, folder, format=kind)], self._exported
+        )
 
     def _show_selected(self, runs: Sequence[ShownRun]) -> None:
         self._selected = list(runs)

@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 import pyqtgraph
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QEvent, QObject, Qt, Signal
 from PySide6.QtWidgets import QWidget
 
 from dragrig.analysis import printable
 from dragrig.present import BLACK, GREY, GRID, PAPER
 from dragrig.window.trace_pyramid import TracePath, TracePyramid
-from dragrig.window.widgets import SMALL_PX
+from dragrig.window.widgets import SMALL_PX, themed
 
 PlotValues = npt.NDArray[np.floating]
 _MIN_COLUMNS = 200
@@ -22,7 +22,6 @@ _LEAST_LEGEND_PX = 100
 _LEGEND_MARK_LETTERS = 4
 """Room for the mark before an entry, and between entries."""
 _AXIS_Z = -1000.0
-_LABEL_STYLE = {"color": BLACK, "font-size": f"{SMALL_PX}px"}
 _LETTER_PX = 0.62 * SMALL_PX
 """Width of a letter of an axis label, on average."""
 
@@ -30,6 +29,22 @@ _LETTER_PX = 0.62 * SMALL_PX
 def _as_html(text: str) -> str:
     """Return a text for pyqtgraph, which takes titles and labels of axes as HTML."""
     return html.escape(printable(text))
+
+
+def _label_style() -> dict[str, str]:
+    return {"color": themed(BLACK), "font-size": f"{SMALL_PX}px"}
+
+
+class _StyleWatch(QObject):
+    """Says when the colours of a widget have changed."""
+
+    changed = Signal()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Look at an event and leave it to the widget."""
+        if event.type() is QEvent.Type.PaletteChange:
+            self.changed.emit()
+        return super().eventFilter(watched, event)
 
 
 class TimePlot:
@@ -40,16 +55,12 @@ class TimePlot:
         self._plot = pyqtgraph.PlotWidget(enableMenu=False)
         self.widget: QWidget = self._plot
         item = self._plot.getPlotItem()
-        item.setLabel("bottom", "Time (s)", **_LABEL_STYLE)
         item.showGrid(x=True, y=True)
         item.hideButtons()
         for side in ("left", "bottom"):
             axis = item.getAxis(side)
             axis.enableAutoSIPrefix(False)
-            axis.setPen(GREY)
-            axis.setTextPen(BLACK)
             # Opaque: Qt draws translucent lines ten times slower.
-            axis.setTickPen(GRID)
             axis.setStyle(tickAlpha=255, maxTickLevel=0)
             axis.setZValue(_AXIS_Z)
         item.getAxis("left").setWidth(_AXIS_PX)
@@ -60,6 +71,11 @@ class TimePlot:
         self.set_quantity(quantity, unit)
         item.getViewBox().sigResized.connect(lambda _: self._fit_texts())
         self.lines: list[PlotLine] = []
+        watch = _StyleWatch(self._plot)
+        watch.changed.connect(self._colour)
+        self._plot.installEventFilter(watch)
+        self._colour()
+        self.set_x_quantity("Time", "s")
         self._empty, self._times_shown = False, True
         self._follow_data()
         item.getViewBox().sigXRangeChanged.connect(lambda *_: self.redraw())
@@ -69,11 +85,29 @@ class TimePlot:
     ) -> "PlotLine":
         """Add a line, with a mark at each of its points or without."""
         style = Qt.PenStyle.DashLine if dashed else Qt.PenStyle.SolidLine
-        pen = pyqtgraph.mkPen(colour, width=width, style=style)
-        marks = {"symbol": "o", "symbolSize": 9, "symbolBrush": colour, "symbolPen": None} if marked else {}
-        made = PlotLine(self._item.plot(pen=pen, name=name or None, connect="finite", skipFiniteCheck=False, **marks))
+        pen = pyqtgraph.mkPen(themed(colour), width=width, style=style)
+        marks = {"symbol": "o", "symbolSize": 9, "symbolBrush": pen.color(), "symbolPen": None} if marked else {}
+        drawn = self._item.plot(pen=pen, name=name or None, connect="finite", skipFiniteCheck=False, **marks)
+        made = PlotLine(drawn, colour)
         self.lines.append(made)
         return made
+
+    def _colour(self) -> None:
+        """Take the colours of the desktop, light or dark."""
+        self._plot.setBackground(themed(PAPER))
+        for side in ("left", "bottom"):
+            axis = self._item.getAxis(side)
+            axis.setPen(themed(GREY))
+            axis.setTextPen(themed(BLACK))
+            axis.setTickPen(themed(GRID))
+            axis.setLabel(axis.labelText, **_label_style())
+        for line in self.lines:
+            pen = pyqtgraph.mkPen(line.drawn.opts["pen"])
+            pen.setColor(pyqtgraph.mkColor(themed(line.colour)))
+            line.drawn.setPen(pen)
+            line.drawn.setSymbolBrush(pen.color())
+        self._legend_lines = []
+        self._fit_texts()
 
     def title(self, *entries: tuple[str, str]) -> None:
         """Write a legend above the plot: text and colour of each line."""
@@ -91,7 +125,7 @@ class TimePlot:
         lines: list[str] = []
         left = 0.0
         for text, colour in self._legend:
-            entry = f'<span style="color:{colour}">▬</span> {_as_html(text)}'
+            entry = f'<span style="color:{themed(colour)}">▬</span> {_as_html(text)}'
             width = (len(text) + _LEGEND_MARK_LETTERS) * _LETTER_PX
             if lines and width <= left:
                 lines[-1] += f" &nbsp; {entry}"
@@ -102,7 +136,7 @@ class TimePlot:
         if lines == self._legend_lines:
             return
         self._legend_lines = lines
-        self._item.setTitle("<br>".join(lines), size=f"{SMALL_PX}px", color=BLACK)
+        self._item.setTitle("<br>".join(lines), size=f"{SMALL_PX}px", color=themed(BLACK))
         height = 6 + 1.6 * SMALL_PX * max(len(lines), 1)
         self._item.titleLabel.setMaximumHeight(height)
         # Or the plot could not become narrower than its legend is now.
@@ -116,7 +150,7 @@ class TimePlot:
 
     def set_x_quantity(self, quantity: str, unit: str) -> None:
         """Change the label of the horizontal axis."""
-        self._item.setLabel("bottom", _as_html(f"{quantity} ({unit})" if unit else quantity), **_LABEL_STYLE)
+        self._item.setLabel("bottom", _as_html(f"{quantity} ({unit})" if unit else quantity), **_label_style())
 
     def name_places(self, names: Mapping[float, str]) -> None:
         """Name places of the horizontal axis, in place of its numbers."""
@@ -133,7 +167,7 @@ class TimePlot:
         whole = f"{self._quantity} ({self._unit})" if self._unit else self._quantity
         room = self._item.getViewBox().height()
         fits = (text for text in (whole, self._unit) if len(text) * _LETTER_PX <= room)
-        self._item.setLabel("left", _as_html(next(fits, "")), **_LABEL_STYLE)
+        self._item.setLabel("left", _as_html(next(fits, "")), **_label_style())
 
     def remove_lines(self) -> None:
         """Remove all lines."""
@@ -154,10 +188,10 @@ class TimePlot:
         line = pyqtgraph.InfiniteLine(
             pos=value,
             angle=0,
-            pen=pyqtgraph.mkPen(GREY, width=1.5, style=Qt.PenStyle.DotLine),
+            pen=pyqtgraph.mkPen(themed(GREY), width=1.5, style=Qt.PenStyle.DotLine),
             label=text,
             labelOpts={
-                "color": GREY,
+                "color": themed(GREY),
                 "position": at,
                 "anchors": [(0.5, 1.0)] * 2 if above else None,
             },
@@ -180,9 +214,10 @@ class TimePlot:
 
     def cursor(self, name: str, colour: str, moved: Callable[[float], None]) -> "PlotCursor":
         """Add a vertical line that can be dragged; `moved` is called with its time."""
+        colour = themed(colour)
         line = pyqtgraph.InfiniteLine(
             angle=90, movable=True, pen=pyqtgraph.mkPen(colour, width=2), hoverPen=pyqtgraph.mkPen(colour, width=4),
-            label=name, labelOpts={"color": colour, "position": 0.94, "fill": PAPER},
+            label=name, labelOpts={"color": colour, "position": 0.94, "fill": themed(PAPER)},
         )  # fmt: skip
         line.setVisible(False)
         line.sigPositionChanged.connect(lambda *_: moved(float(line.value())))
@@ -255,8 +290,8 @@ class TimePlot:
 class PlotLine:
     """A line of a plot: points, or a trace of any length."""
 
-    def __init__(self, drawn: "pyqtgraph.PlotDataItem") -> None:
-        self.drawn = drawn
+    def __init__(self, drawn: "pyqtgraph.PlotDataItem", colour: str) -> None:
+        self.drawn, self.colour = drawn, colour
         self._trace: TracePyramid | None = None
         self._path: TracePath | None = None
         self._rate_hz, self._start_s = 1.0, 0.0

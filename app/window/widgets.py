@@ -12,6 +12,7 @@ from PySide6.QtGui import (
     QColor,
     QFont,
     QFontDatabase,
+    QGuiApplication,
     QImage,
     QImageWriter,
     QKeySequence,
@@ -58,11 +59,13 @@ from dragrig.present import (
     BLACK,
     BLUE,
     DOUBLE_COLUMN_MM,
+    GREEN,
     GREY,
     GRID,
     PALE,
     PAPER,
     PRINT_DPI,
+    PURPLE,
     VERMILLION,
     Block,
     Code,
@@ -83,6 +86,27 @@ TEXT_PX, SMALL_PX, TITLE_PX, READING_PX = 15, 14, 20, 22
 SURFACE_COLOUR = "#F3F5F7"
 STOP_COLOUR = "#B00020"
 """For the stop button alone; with white text, legible with any colour vision."""
+
+_DARK_COLOURS = {
+    BLACK: "#E8EBEE", PAPER: "#1D2125", SURFACE_COLOUR: "#14171A", GREY: "#A3ACB6", GRID: "#3A424A", PALE: "#66717D",
+    BLUE: "#2E8BD0", VERMILLION: "#F0803C", GREEN: "#2BBF94", PURPLE: "#D685B4", STOP_COLOUR: "#E5405A",
+    "#00664B": "#4CCBA3", "#FFF4D6": "#3A3217", "#8A5A00": "#D9A53A", "#FBE3E6": "#43191F", "#E3F1FA": "#16324A",
+    "#FFE9D6": "#42260F", "#CFE6F5": "#1F4663", "#8CC4E6": "#2E6C96",
+}  # fmt: skip
+"""What stands on a dark desktop in place of each colour."""
+
+
+def desktop_is_dark() -> bool:
+    """Whether the desktop has a dark theme now."""
+    return QGuiApplication.styleHints().colorScheme() is Qt.ColorScheme.Dark
+
+
+def themed(colours: str) -> str:
+    """Return a colour, or a text with colours, as a dark desktop has them where the desktop is dark."""
+    if not desktop_is_dark():
+        return colours
+    return re.sub("#[0-9A-F]{6}", lambda colour: _DARK_COLOURS.get(colour[0], colour[0]), colours)
+
 
 _STYLE_SHEET = f"""
 * {{ font-size: {TEXT_PX}px; color: {BLACK}; }}
@@ -140,7 +164,7 @@ QPlainTextEdit#message[role="fine"] {{ color: #00664B; font-weight: 600; }}
 QProgressBar {{ background: {GRID}; border: none; border-radius: 4px; text-align: center; min-height: 22px; }}
 QProgressBar::chunk {{ background: #8CC4E6; border-radius: 4px; }}
 QSplitter::handle {{ background: {SURFACE_COLOUR}; }}
-QToolTip {{ background: {BLACK}; color: white; border: none; padding: 6px; }}
+QToolTip {{ background: {BLACK}; color: {PAPER}; border: none; padding: 6px; }}
 QCheckBox::indicator {{ width: 18px; height: 18px; }}
 QMenu {{ background: {PAPER}; border: 1px solid {PALE}; }}
 QMenu::item {{ padding: 6px 22px; }}
@@ -149,10 +173,8 @@ QMenu::item:selected {{ background: {BLUE}; color: white; }}
 
 
 def apply_style(application: QApplication) -> None:
-    """Set fonts, colours and sizes, the same on every machine and in dark and light desktops."""
+    """Set fonts and sizes, the same on every machine, and the colours of a light or a dark desktop, as it changes."""
     from importlib.resources import files
-
-    import pyqtgraph
 
     font = files("matplotlib") / "mpl-data" / "fonts" / "ttf" / "DejaVuSans.ttf"
     bold = files("matplotlib") / "mpl-data" / "fonts" / "ttf" / "DejaVuSans-Bold.ttf"
@@ -160,13 +182,12 @@ def apply_style(application: QApplication) -> None:
         QFontDatabase.addApplicationFontFromData(file.read_bytes())
     application.setStyle("Fusion")
     application.setFont(QFont("DejaVu Sans"))
-    application.setPalette(_palette())
-    application.setStyleSheet(_STYLE_SHEET)
-    pyqtgraph.setConfigOptions(background=PAPER, foreground=BLACK, antialias=False)
+    application.styleHints().colorSchemeChanged.connect(lambda _: _colour(application))
+    _colour(application)
 
 
-def _palette() -> QPalette:
-    palette = QPalette(QColor(SURFACE_COLOUR))
+def _colour(application: QApplication) -> None:
+    palette = QPalette(QColor(themed(SURFACE_COLOUR)))
     for role, colour in (
         (QPalette.ColorRole.Window, SURFACE_COLOUR),
         (QPalette.ColorRole.Base, PAPER),
@@ -178,8 +199,9 @@ def _palette() -> QPalette:
         (QPalette.ColorRole.HighlightedText, PAPER),
         (QPalette.ColorRole.PlaceholderText, GREY),
     ):
-        palette.setColor(role, QColor(colour))
-    return palette
+        palette.setColor(role, QColor(themed(colour)))
+    application.setPalette(palette)
+    application.setStyleSheet(themed(_STYLE_SHEET))
 
 
 _NUMBER_TEXT = re.compile(r"[-−+]?[\d.]+( \S+){0,3}")

@@ -241,7 +241,7 @@ def test_hands_are_asked_for_only_where_something_else_must_be_mounted() -> None
 
 def test_what_cannot_be_settled_is_refused_before_anything_moves(tmp_path: Path) -> None:
     folder = tmp_path / "none"
-    with pytest.raises(PlanError, match="more than --minutes 1"):
+    with pytest.raises(PlanError, match="more than the 1 minutes given"):
         dragrig.gap_settle(FIRST, minutes=1.0, out=folder)
     with pytest.raises(SettingsError, match=r"--until 1\.2"):
         dragrig.gap_settle(FIRST, until=1.2, out=folder)

@@ -105,7 +105,7 @@ def test_a_calibration_that_is_named_is_used_for_all(three: Path, capsys: pytest
     (three / "learnt.json").write_text("{}", "utf-8")
     arguments = ["gap", "diagnose", "first", "second", "--calibration", "learnt.json", "--workers", "1"]
     assert main(arguments) == 2
-    assert "--calibration learnt.json: is not what" in capsys.readouterr().err
+    assert "calibration learnt.json: is not what" in capsys.readouterr().err
 
 
 def test_python_gives_the_same(three: Path) -> None:

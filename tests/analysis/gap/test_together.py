@@ -300,7 +300,7 @@ def test_the_same_run_in_two_folders_counts_once(tmp_path: Path) -> None:
 
 def test_a_single_campaign_and_a_file_for_one_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["gap", "diagnose", str(CAMPAIGN), "--together"]) == 2
-    assert "--together: takes two campaigns or more" in capsys.readouterr().err
+    assert "together: takes two campaigns or more" in capsys.readouterr().err
     assert main(["gap", "diagnose", str(CAMPAIGN), str(CAMPAIGN), "--together", "--save-model", "one.toml"]) == 2
     assert "takes a single campaign, not 2" in capsys.readouterr().err
 

@@ -12,7 +12,6 @@ from dragrig.analysis.identification.steady_sliding import identify_coulomb, mea
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.analysis.selection import select_runs
 from dragrig.config.specimen import Fixture
-from dragrig.present.identification_figures import coulomb_figure
 from dragrig.rig.runfile.model import Run
 from places import CAMPAIGN, REFERENCE
 from property_tests import thorough
@@ -90,21 +89,6 @@ def test_a_run_backward_says_the_same() -> None:
     assert backward.mu.value is not None
     assert backward.force.value == pytest.approx(forward.force.value, abs=4)
     assert result.mu.value == pytest.approx((forward.mu.value + backward.mu.value) / 2, rel=0.02)
-
-
-@pytest.mark.parametrize("travel_mm", [20.0, -20.0])
-def test_the_picture_shows_the_trace_from_zero_and_its_mean(travel_mm: float) -> None:
-    run = slid("coulomb", 5.0, 4, travel_mm=travel_mm, zero_mN=9.0)
-    (result,) = identify_coulomb(selected([run]), PAPER).runs
-    (axes,) = (axis for axis in coulomb_figure(run, result, 40.07).axes if axis.get_ylabel())
-    levels = [np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) == 2]
-    means = [float(level[0]) for level in levels if level[0] == level[1]]
-    assert any(mean == pytest.approx(np.copysign(result.force.value or 0, travel_mm), abs=0.05) for mean in means)
-    legend = axes.get_legend()
-    assert legend is not None
-    texts = [text.get_text() for text in legend.get_texts()]
-    assert any("mean" in text and "μ = 0.08" in text for text in texts)
-    assert any("40.07" in text for text in texts)
 
 
 def test_what_a_run_does_not_support_has_a_reason() -> None:

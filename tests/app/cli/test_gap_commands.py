@@ -26,7 +26,7 @@ def campaign(tmp_path: Path) -> Path:
     ("arguments", "text"),
     [
         (["--without", "stribek"], "did you mean stribeck?"),
-        (["--tolerance", "-1"], "--tolerance -1: a tolerance is a force in mN from 0 on"),
+        (["--tolerance", "-1"], "tolerance -1: a tolerance is a force in mN from 0 on"),
         (["--tolerance", "nan"], "'nan' is not a number"),
         (["--workers", "0"], "at least one worker"),
         (["--nominal", "capsul"], "did you mean capsule?"),

@@ -25,7 +25,8 @@ from dragrig.config.settings import find_settings
 from dragrig.config.specimen import Capsule
 from dragrig.present.campaign_figures import campaign_figure
 from dragrig.present.drawing import DPI, SMALL_PT, figure_style, lay_out, new_figure, shortened_to_width
-from dragrig.present.model_figures import forces_figure, skew_figure, wall_figure
+from dragrig.present.identification_figures import wall_figure
+from dragrig.present.model_figures import forces_figure, skew_figure
 from dragrig.present.run_figures import WIDTH_IN, run_figure
 from dragrig.rig import mark_bad
 from dragrig.rig.profile import Phase

@@ -123,7 +123,7 @@ def test_a_campaign_without_sessions_is_reported(tmp_path: Path) -> None:
     shutil.copy(CAMPAIGN / "010-drag.h5", tmp_path)
     document = campaign_document(examine_campaign(tmp_path))
     assert "sessions" not in [section.name for section in document.content]
-    assert [section.name for section in document.content][:3] == ["steady-force", "overview", "means"]
+    assert [section.name for section in document.content][:2] == ["overview", "means"]
 
 
 def test_the_same_run_gives_the_same_page(run_page: Path, campaign: Path, tmp_path: Path) -> None:

@@ -15,17 +15,20 @@ from windows import Until, dressed, press, require_qt
 require_qt()
 
 from PySide6.QtCore import QSettings, Qt
+from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import QApplication, QLabel, QTableWidget, QTreeWidgetItem
 
 import dragrig
 from diagnoses import STRIBECK, without_pictures
 from dragrig.present.diagnosis import diagnosis_document
+from dragrig.rig import mark_bad
 from dragrig.rig.runfile.filesystem import lock_run
 from dragrig.views import FORMATS, CompletedDiagnosis, ShownTrace, shown_trace
-from dragrig.window import prepared_traces
+from dragrig.window import prepared_traces, widgets
 from dragrig.window.diagnose_page import DiagnosePage
-from dragrig.window.look_page import LookPage
+from dragrig.window.look_page import UNREADABLE, LookPage
 from dragrig.window.widgets import DrawnFigure, StoredSettings, fill_table, table, top_items
+from places import copied_runs
 from runfiles import record
 
 pytestmark = pytest.mark.usefixtures("finished_here")
@@ -124,7 +127,7 @@ def test_runs_are_overlaid_with_their_settings(page: LookPage, until: Until) -> 
     assert second.label.endswith("drag 20 mm/s")
     table = page.browser.settings
     text = {table.item(at, 0).text(): table.item(at, 1).text() for at in range(table.rowCount())}
-    assert text["travel mm"] == "10"
+    assert text["travel"] == "10 mm"
     assert text["status"] == "complete"
 
 
@@ -333,6 +336,50 @@ def test_runs_are_marked_bad_and_noted_in_the_list(page: LookPage, until: Until,
     press(page.browser.note)
     until(lambda: runs_of(page)[0].text(2) == "complete")
     assert not list(tmp_path.glob("*.note.txt"))
+
+
+def test_runs_are_found_by_words_and_unreadable_files_are_shown(page: LookPage, until: Until, tmp_path: Path) -> None:
+    copied_runs(tmp_path / "camp", "005-blank.h5", "010-drag.h5", "018-drag.h5")
+    (tmp_path / "camp" / "garbage.h5").write_bytes(b"nothing")
+    mark_bad(tmp_path / "camp" / "018-drag.h5", "slipped")
+    page.browser.open_folder(str(tmp_path))
+    until(lambda: len(runs_of(page)) == 4)
+    assert runs_of(page)[-1].text(0) == UNREADABLE
+    assert "garbage.h5" in runs_of(page)[-1].toolTip(2)
+    assert top_items(page.browser.tree)[0].text(2).startswith("3 runs · ")
+
+    def found() -> list[str]:
+        return [item.text(0).split()[1] for item in runs_of(page)[:3] if not item.isHidden()]
+
+    for words, kinds in (("DRAG", ["drag", "drag"]), ("drag bad", ["drag"])):
+        page.browser.words_to_find.setText(words)
+        page.browser.words_to_find.returnPressed.emit()
+        until(lambda kinds=kinds: found() == kinds)
+    said: list[str] = []
+    page.browser.complained.connect(said.append)
+    page.browser.words_to_find.setText("nobody 1999-01-01")
+    page.browser.words_to_find.returnPressed.emit()
+    until(lambda: not top_items(page.browser.tree))
+    assert "no run is of all that" in said[-1]
+    page.browser.words_to_find.clear()
+
+
+def test_plots_and_texts_are_light_on_a_dark_desktop(page: LookPage, qapp: QApplication) -> None:
+    def paper_and_text() -> list[int]:
+        plot = page.overlay.channel_plot.widget
+        text = page.browser.words_to_find.palette().color(QPalette.ColorRole.Text)
+        return [plot.backgroundBrush().color().lightness(), text.lightness()]
+
+    light = paper_and_text()
+    with pytest.MonkeyPatch.context() as desktop:
+        desktop.setattr(widgets, "desktop_is_dark", lambda: True)  # no desktop of a test's can be asked to be
+        qapp.styleHints().colorSchemeChanged.emit(Qt.ColorScheme.Dark)
+        paper, text = paper_and_text()
+        assert paper < 64
+        assert text > 192
+    qapp.styleHints().colorSchemeChanged.emit(Qt.ColorScheme.Light)
+    assert paper_and_text() == light
+    assert light[1] < light[0]
 
 
 def test_what_a_crash_left_is_recovered_in_the_list(page: LookPage, until: Until, tmp_path: Path) -> None:
