@@ -468,7 +468,7 @@ def test_a_seed_is_a_whole_number(seed: str, tmp_path: Path, capsys: pytest.Capt
     assert main(["paper", "--out", str(tmp_path / "out"), "--seed", seed]) == 2
     errors = capsys.readouterr().err
     assert errors.count("\n") == 1
-    assert "--seed" in errors
+    assert "seed" in errors
     assert seed in errors
     assert not (tmp_path / "out").exists()
 
