@@ -513,7 +513,7 @@ def test_a_gap_without_a_name_is_shown_where_it_is_largest() -> None:
 def test_a_page_draws_the_bar_with_its_hatching() -> None:
     document = diagnosis_document(diagnosed(RIPPLE_AND_AGEING))
     html = render_page(without_pictures(document, but="budget"))
-    assert html.count('role="img"') == 4
+    assert html.count('role="img"') == 5
     used = set(re.findall(r"url\(#([\w.:-]+)\)", html))
     assert used
     assert used <= set(re.findall(r'id="([\w.:-]+)"', html))
