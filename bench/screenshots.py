@@ -123,7 +123,7 @@ def look_page(camera: Photographer, campaign: Path) -> None:
     window.look.overlay.place_cursors(1.3, 2.8)
     camera.take("look")
     window.look.tabs.setCurrentIndex(1)
-    camera.until(lambda: window.look.steady.rowCount() > 0)
+    camera.until(lambda: bool(window.look.steady.rows))
     camera.take("steady")
 
 
@@ -135,7 +135,7 @@ def diagnose_page(camera: Photographer, campaign: Path) -> None:
     page.offer(str(campaign))
     page.start.click()
     camera.until(lambda: not page.busy)
-    for at, name in enumerate(("budget", "confidence", "where", "which", "how-much", "runs", "before-after")):
+    for at, name in enumerate(("budget", "speed", "confidence", "where", "which", "how-much", "runs", "before-after")):
         page.results.view.tabs.setCurrentIndex(at)
         camera.take(f"diagnose-{name}")
 

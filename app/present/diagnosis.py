@@ -121,8 +121,8 @@ def diagnosis_document(
         answer=answer,
         lead=tuple(lead),
         sections=(
-            Section("speed", "Steady force against speed", _speed_figures(diagnosis)),
             _budget_section(diagnosis),
+            Section("speed", "Steady force against speed", _speed_figures(diagnosis)),
             Section("no-gap", "The runs and the model", (_before_after_figure(diagnosis),) if alike else ()),
             _confidence_section(diagnosis, source),
             _location_section(diagnosis),

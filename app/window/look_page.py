@@ -569,7 +569,7 @@ class SteadyView(QWidget):
         self.plot.set_x_quantity("Speed", "mm/s")
         self.plot.widget.setMinimumHeight(240)
         self.rows: Sequence[TableRow] = ()
-        self.setLayout(column(self.plot.widget, self.view, stretch={0: 1, 1: 1}))
+        self.setLayout(column(self.plot.widget, self.view, margin=8, stretch={0: 1, 1: 1}))
 
     def show_rows(self, rows: Sequence[TableRow]) -> None:
         """Show what was measured of some runs."""
@@ -592,6 +592,7 @@ class SteadyView(QWidget):
         self.plot.name_places({float(np.log10(speed)): f"{speed:.3g}" for speed in speeds})
         self.plot.title(*legend)
         self.plot.fit()
+        self.plot.zoom(1.12)  # room for the numbers of the outermost speeds
 
 
 class LookPage(QWidget):
