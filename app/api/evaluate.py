@@ -637,11 +637,12 @@ def write_comparison(
     RunFileError
         When a run cannot be read.
     """
-    from dragrig.present import save_figure_in, save_figures
+    from dragrig.present import make_folder, save_figure_in, save_figures
 
     drawable = [pair for pair in comparison.pairs if pair.phases]
     total = len(drawable) + 1
     progress(0, total)
+    make_folder(folder)
     yield from save_figures(present.comparison_document(comparison), folder, overwrite=overwrite)
     table = folder / COMPARISON_TABLE
     if not overwrite:

@@ -93,6 +93,7 @@ from .files import PAPER_REPORT_FILE as PAPER_REPORT_FILE
 from .files import PAPER_TABLES as PAPER_TABLES
 from .files import PRINT_DPI as PRINT_DPI
 from .files import drawn as drawn
+from .files import make_folder as make_folder
 from .files import require_writable as require_writable
 from .files import save_figure as save_figure
 from .files import save_figure_in as save_figure_in

@@ -114,6 +114,16 @@ def save_figure(figure: "Figure", path: Path, overwrite: bool = False) -> Path:
     return path
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder where there is none; raises `OutputError` when it cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        raise OutputError(f"{folder}: is a file; name a folder for the pictures.") from error
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
+
+
 def save_figure_in(folder: Path, name: str, figure: "Figure", overwrite: bool = False) -> Path:
     """Write a picture under a name that nobody chose: where it is taken, a number is added to it.
 
@@ -121,12 +131,7 @@ def save_figure_in(folder: Path, name: str, figure: "Figure", overwrite: bool = 
 
     The folder is made if there is none. Raises as `save_figure` does.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except FileExistsError as error:
-        raise OutputError(f"{folder}: is a file; name a folder for the pictures.") from error
-    except OSError as error:
-        raise OutputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
+    make_folder(folder)
     path = folder / f"{name}{current_figure_form().suffix}"
     return save_figure(figure, path if overwrite else unused_path(path, path.suffix), overwrite)
 

@@ -93,15 +93,32 @@ class SimulatedBackend:
         active_effects(model)
         self._rig = rig
         self._model_name = model.name
-        self.clock = clock
+        self._clock = clock
         drawn = draw_specimen_model(model, rig.simulated.seed) if rig.simulated.variation.specimen else model
         axis = SimulatedAxis(clock, 1.0 / rig.sampling.rate_hz, rig.stage.stop_accel_mm_s2)
-        self.stage = SimulatedStage(rig.stage, axis, PositionEncoder.of(rig.encoder), disturbances)
-        self.sampler = SimulatedSampler(rig, drawn, clock, axis, disturbances, first_run_at)
+        self._stage = SimulatedStage(rig.stage, axis, PositionEncoder.of(rig.encoder), disturbances)
+        self._sampler = SimulatedSampler(rig, drawn, clock, axis, disturbances, first_run_at)
         self._memory = memory or RigMemory()
         if isinstance(before := self._memory.kept, _Kept):
             axis.place(before.position_mm)
-            self.stage.homed, self.sampler.left = before.homed, before.left
+            self._stage.homed, self._sampler.left = before.homed, before.left
+
+    # Properties, so that an add-on that derives from this may put devices of its own in their place.
+
+    @property
+    def stage(self) -> SimulatedStage:
+        """The simulated stage."""
+        return self._stage
+
+    @property
+    def sampler(self) -> SimulatedSampler:
+        """The simulated sampler."""
+        return self._sampler
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the simulated rig."""
+        return self._clock
 
     def description(self) -> Mapping[str, str | float | int | bool]:
         """Return seed, sensor, model and whether the specimen was drawn at random; not the values drawn."""

@@ -279,7 +279,7 @@ def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
     assert first in text
     assert first in shown.replace("\u00a0", " ")
     if cases > 1:
-        assert pictures.drawn == 5
+        assert pictures.drawn == 4
         assert "d′" in text
         assert any(entry.high == inf for entry in result.detection)
         assert "Where the true effect is withheld" in shown

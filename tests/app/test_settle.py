@@ -243,14 +243,14 @@ def test_what_cannot_be_settled_is_refused_before_anything_moves(tmp_path: Path)
     folder = tmp_path / "none"
     with pytest.raises(PlanError, match="more than the 1 minutes given"):
         dragrig.gap_settle(FIRST, minutes=1.0, out=folder)
-    with pytest.raises(SettingsError, match=r"--until 1\.2"):
+    with pytest.raises(SettingsError, match=r"until 1\.2"):
         dragrig.gap_settle(FIRST, until=1.2, out=folder)
-    with pytest.raises(SettingsError, match="--minutes"):
+    with pytest.raises(SettingsError, match="minutes"):
         dragrig.gap_settle(FIRST, minutes=float("nan"), out=folder)
     for hands_min in (-1.0, float("nan"), float("inf")):
-        with pytest.raises(SettingsError, match="--hands"):
+        with pytest.raises(SettingsError, match="hands"):
             dragrig.gap_settle(FIRST, hands_min=hands_min, out=folder)
-        with pytest.raises(SettingsError, match="--hands"):
+        with pytest.raises(SettingsError, match="hands"):
             dragrig.gap_next("drag", hands_min=hands_min)
     assert not folder.exists()
     made = tmp_path / "made"
