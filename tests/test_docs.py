@@ -120,10 +120,8 @@ def test_every_command_of_the_tutorial_runs(
     assert "stribeck" in diagnosis.lower()
     evaluation = next(text for line, text in answer.items() if "gap evaluate" in line)
     assert "The promise is KEPT" in evaluation
-    [before, after] = re.search(
-        r"no parameter fitted: ([\d.]+) mN .*?, ([\d.]+) mN by the amended", evaluation
-    ).groups()
-    assert float(before) > 4 * float(after), "the gap does not visibly close"
+    [closed] = re.search(r"([\d.]+) % of the gap closes", evaluation).groups()
+    assert float(closed) > 75, "the gap does not visibly close"
     assert Path("gap.html").stat().st_size > 10_000
     assert Path("first.html").stat().st_size > 10_000
 

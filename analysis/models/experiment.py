@@ -353,15 +353,18 @@ class Experiment:
 
     @cached_property
     def held_forces(self) -> tuple[float, ...]:
-        """Mean motor force beyond the sensor's [mN] of each rest, without the time that a stage takes to settle."""
+        """Mean motor force beyond the sensor's [mN] at rest before the motion, once the stage has settled.
+
+        After a motion friction in presliding keeps a force as well.
+        """
         trace = self.run.trace
         if "motor_force" not in trace.channels:
             return ()
         load = trace.channels.get("force", 0.0)
         own = np.asarray(trace.channels["motor_force"] - load, dtype=np.float64)
         settling = round(SETTLED_S * trace.sample_rate_hz)
-        rests = (own[np.flatnonzero(in_phase(trace, phase))[settling:]] for phase in (Phase.REST, Phase.HOLD))
-        return tuple(float(np.mean(rest)) for rest in rests if rest.size > settling and np.isfinite(rest).all())
+        rest = own[np.flatnonzero(in_phase(trace, Phase.REST))[settling:]]
+        return (float(np.mean(rest)),) if rest.size > settling and np.isfinite(rest).all() else ()
 
     @cached_property
     def motion(self) -> RecordedMotion:
