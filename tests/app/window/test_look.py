@@ -364,6 +364,7 @@ def test_runs_are_found_by_words_and_unreadable_files_are_shown(page: LookPage, 
     page.browser.words_to_find.clear()
 
 
+@pytest.mark.thorough  # all windows that tests have left in this process change their style with it
 def test_plots_and_texts_are_light_on_a_dark_desktop(page: LookPage, qapp: QApplication) -> None:
     def paper_and_text() -> list[int]:
         plot = page.overlay.channel_plot.widget
