@@ -94,7 +94,7 @@ class ModelForces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpeedPanel:
-    """Forces against speed, or differences of them: what is drawn in a panel."""
+    """Forces against speed, or differences of them, of one panel."""
 
     measured: Sequence[SteadyForces]
     models: Sequence[ModelForces] = ()

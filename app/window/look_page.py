@@ -69,7 +69,7 @@ from dragrig.window.widgets import (
 )
 
 RECORDING, UNREADABLE = "–  a recording", "–  unreadable"
-"""Names of what is no run that can be read."""
+"""Names of files that are no runs that can be read."""
 _RUN_ROLE = int(Qt.ItemDataRole.UserRole)
 _FOLLOW_DELAY_MS = 500
 """A file is finished in several steps; the list is read again once they are over."""
