@@ -653,7 +653,7 @@ def campaigns_below(folder: Path, words: str = "") -> tuple[ListedCampaign, ...]
 
 
 def query_of_words(words: str, kinds: Iterable[str], campaigns: Iterable[CampaignSummary]) -> RunQuery:
-    """Return which runs are asked for by words in any order; a word that is nothing else is a part of an operator's name."""
+    """Return which runs are asked for by words in any order; any further word is part of an operator's name."""
     specimens = {name.casefold() for campaign in campaigns for name in campaign.specimens}
     known, marks = {kind.casefold() for kind in kinds}, {"bad": True, "good": False}
     asked: dict[str, str] = {"specimen": "", "kind": "", "operator": "", "since": ""}
