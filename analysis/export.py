@@ -19,7 +19,7 @@ import numpy.typing as npt
 from dragrig.analysis.estimates import Progress, no_progress
 from dragrig.analysis.segments import gap_starts
 from dragrig.analysis.wording import printable
-from dragrig.config import AnalysisError, OutputError, RunFileError
+from dragrig.config import AnalysisError, OutputError
 from dragrig.rig import PHASE_NAMES, Attribute, FloatArray, IndexArray, Run
 
 EXPORT_FORMAT_KEY, EXPORT_PART_KEY = "dragrig-export", "dragrig-export-part"
@@ -396,14 +396,6 @@ class ExportFormat(StrEnum):
     NPZ = "npz"
 
 
-@dataclass(frozen=True, slots=True)
-class CampaignExport:
-    """Files written, and excluded runs with the reason."""
-
-    written: tuple[Path, ...]
-    left_out: tuple[tuple[Path, str], ...]
-
-
 def export_run(
     path: Path,
     target: Path,
@@ -455,37 +447,26 @@ def export_campaign(
     style: CsvStyle | None = None,
     *,
     overwrite: bool = False,
-) -> CampaignExport:
-    """Export every run of a campaign into a folder, one file each.
-
-    Runs marked as bad are excluded; so are files that cannot be read.
+) -> tuple[Path, ...]:
+    """Export the runs of a campaign that can be read and are not marked as bad into a folder, one file each.
 
     Raises
     ------
     RunFileError
-        When there is no such campaign.
+        When there is no such campaign, or a run is damaged beyond its head.
     OutputError
         When one of the files exists already (then none is written), or the folder cannot be written.
     """
     from dragrig.rig import read_campaign
 
-    campaign = read_campaign(folder)
-    bad = {path: f"marked as bad: {mark.reason}" for path, mark in campaign.marks.items()}
-    wanted = [info.path for info in campaign.runs if info.path not in bad]
+    paths = [info.path for info in read_campaign(folder).good]
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"{target}: cannot be made a folder ({error.strerror}); choose another.") from error
-    for path in wanted:
+    for path in paths:
         _require_free(_target_file(path, target, export_format), overwrite=overwrite)
-    written: list[Path] = []
-    left_out = [*bad.items(), *((path, str(error)) for path, error in campaign.unreadable)]
-    for path in wanted:
-        try:
-            written.append(export_run(path, target, export_format, style, overwrite=overwrite))
-        except RunFileError as error:
-            left_out.append((path, str(error)))
-    return CampaignExport(tuple(written), tuple(left_out))
+    return tuple(export_run(path, target, export_format, style, overwrite=overwrite) for path in paths)
 
 
 def write_export(

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from dragrig import analysis, present
@@ -35,6 +36,7 @@ from dragrig.analysis import (
     table_row,
     write_export,
 )
+from dragrig.api.reports import report
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
     AnalysisError,
@@ -52,6 +54,7 @@ from dragrig.config import (
     read_toml,
     refuse_unknown,
 )
+from dragrig.eln import write_eln
 from dragrig.present import unused_path, write_text
 from dragrig.rig import Campaign, Run, mark_bad, read_campaign, read_info, read_mark, read_run, unmark, write_note
 from dragrig.run_inputs import require_run_files, run_files
@@ -63,7 +66,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 AnswerT = TypeVar("AnswerT")
-ExportFormatName = Literal["csv", "parquet", "mat", "npz"]
+ExportFormatName = Literal["csv", "parquet", "mat", "npz", "eln"]
 
 
 def load(path: str | Path) -> Run:
@@ -361,9 +364,10 @@ def export(
     format: ExportFormatName = "csv",  # noqa: A002  # as on the command line
     decimal: str = ".",
     delimiter: str = "",
+    licence: str = "",
     overwrite: bool = False,
 ) -> tuple[Path, ...]:
-    """Write runs for other programs.
+    """Write runs for other programs; as `eln`, a campaign as one archive for electronic laboratory notebooks.
 
     Parameters
     ----------
@@ -373,6 +377,8 @@ def export(
         A file, or a folder; a folder for a campaign.
     decimal, delimiter
         Of CSV: `.` or `,`; default delimiter: comma, or semicolon with decimal commas.
+    licence
+        Of an archive: name or web address of the licence of its data.
 
     Returns
     -------
@@ -390,11 +396,17 @@ def export(
     >>> import dragrig
     >>> dragrig.export("runs/first", "csv", decimal=",", delimiter=";")  # doctest: +SKIP
     """
+    if format == "eln":
+        if isinstance(run, Run) or not Path(run).is_dir():
+            raise RunFileError(f"{run}: is no campaign, which an archive holds whole; give the folder of a campaign.")
+        with TemporaryDirectory() as beside:
+            page = report(run, Path(beside, "report.html"), workers=None)
+            return (write_eln(Path(run), Path(to), page, licence, overwrite=overwrite),)
     kind, style = ExportFormat(format), CsvStyle(decimal, delimiter)
     if isinstance(run, Run):
         return (write_export(run, Path(to), kind, style, overwrite=overwrite),)
     if Path(run).is_dir():
-        return export_campaign(Path(run), Path(to), kind, style, overwrite=overwrite).written
+        return export_campaign(Path(run), Path(to), kind, style, overwrite=overwrite)
     return (export_run(Path(run), Path(to), kind, style, overwrite=overwrite),)
 
 

@@ -268,10 +268,10 @@ def _protocol_settings(assignments: tuple[str, ...]) -> dict[str, object]:
     "--format",
     "-f",
     "form",
-    type=click.Choice(["csv", "parquet", "mat", "npz"]),
+    type=click.Choice(["csv", "parquet", "mat", "npz", "eln"]),
     default="csv",
     show_default=True,
-    help="File format.",
+    help="File format; eln: a campaign as one archive for electronic laboratory notebooks.",
 )
 @click.option("--decimal", metavar="MARK", help="Decimal mark of CSV, . or ,")
 @click.option("--delimiter", metavar="MARK", help="Between the columns of CSV: , ; | or tab.")
@@ -284,7 +284,8 @@ def _protocol_settings(assignments: tuple[str, ...]) -> dict[str, object]:
     default=1,
     help="Make one row of N samples, their mean; of fewer before a gap and at the end.",
 )
-@options.out("Folder for the files (default: beside each run file).")
+@click.option("--licence", metavar="NAME|URL", default="", help="Licence of the data in an archive for notebooks.")
+@options.out("Folder for the files (default: beside each run file, an archive beside its campaign).")
 @options.overwrite
 @options.as_json
 @options.quiet
@@ -296,6 +297,7 @@ def export_command(
     columns: str | None,
     filtered_only: bool,
     every: int,
+    licence: str,
     out: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -310,13 +312,24 @@ def export_command(
     """
     from dragrig.analysis import CsvStyle, ExportFormat, ExportSelection, export_run
 
+    folder = options.make_folder(out) if out is not None else None
+    if form == "eln":
+        from dragrig.api import export
+
+        to = {place: folder or Path(place).absolute().parent for place in inputs}
+        archives = [
+            file
+            for place in inputs
+            for file in export(place, to[place], format="eln", licence=licence, overwrite=overwrite)
+        ]
+        _print_results([{"file": file} for file in archives], list(map(display_path, archives)), as_json=as_json)
+        return
     if form != "csv" and (decimal or delimiter):
         raise click.UsageError("--decimal and --delimiter are for --format csv alone", click.get_current_context())
     style = CsvStyle(decimal or ".", "\t" if delimiter in {"tab", "\\t"} else delimiter or "")
     names = tuple(name.strip() for name in (columns or "").split(",") if name.strip())
     selection = ExportSelection(names, filtered_only, every)
     batch = FileBatch.from_good_runs(inputs, "exporting")
-    folder = options.make_folder(out) if out is not None else None
 
     def write(path: Path, progress: FileProgress) -> Path:
         target = (folder or path.parent) / f"{path.stem}.{form}"

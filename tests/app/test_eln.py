@@ -1,0 +1,95 @@
+"""A campaign as an archive for electronic laboratory notebooks."""
+
+import hashlib
+import json
+import shutil
+from importlib.util import find_spec
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+from dragrig.cli import main
+from dragrig.config.errors import OutputError, RunFileError
+from dragrig.eln import write_eln
+from dragrig.rig.runfile.campaigns import mark_bad, write_note
+from places import CAMPAIGN
+
+
+@pytest.fixture
+def campaign(tmp_path: Path) -> Path:
+    folder = tmp_path / "pig 7"
+    shutil.copytree(CAMPAIGN, folder)
+    mark_bad(folder / "008-coulomb.h5", "the pump had stopped")
+    write_note(folder / "010-drag.h5", "new Tyrode")
+    return folder
+
+
+def test_an_archive_holds_a_campaign_with_its_marks_and_says_what_each_file_is(campaign: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("<p>as told")
+    archive = write_eln(campaign, tmp_path, page, "CC-BY-4.0")
+    assert archive == tmp_path / "pig 7.eln"
+    with ZipFile(archive) as opened:
+        assert {name.split("/")[0] for name in opened.namelist()} == {"pig 7"}
+        graph = json.loads(opened.read("pig 7/ro-crate-metadata.json"))["@graph"]
+        said = {entity["@id"]: entity for entity in graph}
+        kept = {path.name for path in campaign.iterdir()} | {"pig 7.html"}
+        files = [entity for entity in graph if entity["@type"] == "File"]
+        assert {entity["name"] for entity in files} == kept
+        for entity in files:
+            content = opened.read(f"pig 7/pig 7/{entity['name']}")
+            assert hashlib.sha256(content).hexdigest() == entity["sha256"]
+            assert entity["contentSize"] == str(len(content))
+    described = {entity["name"]: entity["description"] for entity in files}
+    assert described["008-coulomb.h5"].endswith("marked bad: the pump had stopped")
+    assert "marked" not in described["010-drag.h5"]
+    assert said["./"]["license"] == {"@id": "#licence"}
+    assert said["#licence"]["name"] == "CC-BY-4.0"
+    with pytest.raises(OutputError, match="exists already"):
+        write_eln(campaign, tmp_path, page)
+
+
+def test_an_archive_of_no_campaign_is_refused(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RunFileError, match="no run"):
+        write_eln(tmp_path / "empty", tmp_path, campaign / "010-drag.h5")
+    assert main(["export", str(campaign / "010-drag.h5"), "--format", "eln"]) == 2
+    assert "give the folder of a campaign" in capsys.readouterr().err
+
+
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib")
+@pytest.mark.filterwarnings("ignore:ConjunctiveGraph:DeprecationWarning")
+def test_the_validator_of_ro_crates_finds_nothing_missing(
+    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rocrate_validator import models, services
+    from rocrate_validator.utils.http import HttpRequester
+
+    assert main(["export", str(campaign), "--format", "eln", "--licence", "https://example.org/terms"]) == 0
+    with ZipFile(campaign.with_name("pig 7.eln")) as archive:
+        archive.extractall(tmp_path / "out")
+    found = find_spec("rocrate")
+    assert found is not None
+    assert found.origin is not None
+
+    class Context:
+        """The terms of RO-Crates, which the validator would fetch."""
+
+        status_code, ok, headers = 200, True, {"Content-Type": "application/ld+json"}
+
+        def json(self) -> object:
+            return json.loads(Path(str(found.origin)).with_name("data").joinpath("ro-crate.jsonld").read_text("utf-8"))
+
+    monkeypatch.setattr(HttpRequester, "get", lambda *_, **__: Context(), raising=False)
+    settings = models.ValidationSettings(
+        rocrate_uri=str(tmp_path / "out" / "pig 7"),
+        profile_identifier="ro-crate-1.1",
+        requirement_severity=models.Severity.RECOMMENDED,
+    )
+    issues = [str(issue.message) for issue in services.validate(settings).get_issues()]
+    # Publisher and affiliation nobody has stated.
+    assert [text for text in issues if "publisher" not in text and "affiliation" not in text] == []
