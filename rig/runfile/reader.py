@@ -395,7 +395,11 @@ def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[i
         kind = dataset.dtype
         if kind.kind != "f" or kind.itemsize not in {4, 8}:
             raise LayoutError(f"{path} holds {kind} instead of float32 or float64")
-        units = _checked_units(dataset, path, schema.UNITS.get(name))
+        if not h5py.h5a.exists(dataset.id, b"units"):
+            raise LayoutError(f"{path} lacks the attribute units")
+        units = str(attribute_of(dataset, "units"))
+        if units != (required := schema.UNITS.get(name, units)):
+            raise LayoutError(f"the attribute units of {path} is {units!r} instead of {required!r}")
         if name not in schema.FRAME_DATASETS:
             channels.append(RecordedChannel(name, units, "float32" if kind.itemsize == 4 else "float64"))
     channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
@@ -406,15 +410,6 @@ def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[i
         if length != samples:
             raise LayoutError(f"/entry/trace/{name} has {length} samples, /entry/trace/time {samples}")
     return samples, tuple(channels)
-
-
-def _checked_units(dataset: h5py.Dataset, path: str, required: str | None) -> str:
-    if not h5py.h5a.exists(dataset.id, b"units"):
-        raise LayoutError(f"{path} lacks the attribute units")
-    units = attribute_of(dataset, "units")
-    if required is not None and units != required:
-        raise LayoutError(f"the attribute units of {path} is {units!r} instead of {required!r}")
-    return str(units)
 
 
 def _column(file: h5py.File, name: str, rows: slice) -> AnyFloatArray:
