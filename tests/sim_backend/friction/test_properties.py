@@ -16,7 +16,7 @@ from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
 from dragrig.sim_backend.friction.friction_force import ELEMENT_SCALES
 from friction_cases import ROUGH, SMOOTH, blank, moves, sliding, sticking
-from property_tests import examples
+from property_tests import examples, thorough
 
 MODEL = FrictionModelSettings()
 
@@ -141,7 +141,7 @@ def test_the_newtonian_form_is_the_shear_stress_on_the_contact() -> None:
         assert f_v[0] == pytest.approx(force, rel=0.01)
 
 
-@pytest.mark.parametrize("wall", ["eq14", "table1"])
+@pytest.mark.parametrize("wall", ["eq14", thorough("table1")])
 def test_sticking_solves_the_branches_own_equations(wall: str) -> None:
     profile = moves((5.0, 20.0), (-1.0, 5.0), acceleration=2000.0, rest=0.1, hold=1.0, between=0.2)
     model = FrictionModelSettings.model_validate({"wall": wall, "e1_scale": 1.3, "eta2_scale": 0.8})
@@ -174,7 +174,7 @@ def test_a_contact_beyond_the_parameters_is_refused() -> None:
         prepare(sticking(moves((2.5, 20.0)), 4.0), MODEL)
 
 
-@pytest.mark.parametrize("wall", ["eq14", "table1"])
+@pytest.mark.parametrize("wall", ["eq14", thorough("table1")])
 def test_derivatives_by_elements_are_those_of_the_force(wall: str) -> None:
     model = FrictionModelSettings.model_validate({"wall": wall, "e2_scale": 1.1, "force_gain": 1.02})
     run = sliding(moves((12.0, 5.0), (-9.0, 20.0), between=0.1))
