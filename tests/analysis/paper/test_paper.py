@@ -38,13 +38,7 @@ from dragrig.analysis.paper.findings import (
     stress_by_eq4,
     stress_by_superposition,
 )
-from dragrig.analysis.paper.published import (
-    PAPER_CAPSULE,
-    PAPER_MODEL,
-    R2_ABOVE,
-    R2_BELOW,
-    PaperFinding,
-)
+from dragrig.analysis.paper.published import PAPER_CAPSULE, PAPER_MODEL, R2_ABOVE, R2_BELOW, PaperFinding
 from dragrig.analysis.wording import significant_text
 from dragrig.api import reports as reproducing
 from dragrig.cli import main
