@@ -38,12 +38,12 @@ def single_blas_thread() -> Iterator[None]:
     Fits are made of many small matrices. Two threads that take turns at them are no faster on an idle machine, and
     four times slower where anything else runs.
     """
-    with _blas_libraries().limit(limits=1, user_api="blas"):
+    with blas_libraries().limit(limits=1, user_api="blas"):
         yield
 
 
 @cache
-def _blas_libraries() -> Any:
+def blas_libraries() -> Any:
     """Look once for the BLAS of NumPy and of SciPy, which can only be limited once it is loaded."""
     import scipy.linalg
     from threadpoolctl import ThreadpoolController

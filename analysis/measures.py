@@ -303,13 +303,14 @@ def table_rows(folder: "Path | Campaign", progress: Progress = no_progress) -> t
 
     Raises `RunFileError` when there is no such folder.
     """
-    from dragrig.analysis.linear_gaussian import single_blas_thread
+    from threadpoolctl import threadpool_limits
+
     from dragrig.rig import read_campaign, read_run
 
     campaign = read_campaign(folder) if isinstance(folder, Path) else folder
     rows: list[TableRow] = []
     # Of vectors as long as a run, further threads only wait, each on a core of its own.
-    with single_blas_thread():
+    with threadpool_limits(limits=1, user_api="blas"):
         for done, info in enumerate(campaign.runs):
             progress(done, len(campaign.runs))
             mark = campaign.marks.get(info.path)

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import numpy as np
 from dragrig.analysis.estimates import Exclusion, Progress, no_progress, summarise_exclusions
 from dragrig.analysis.models import Experiment
 from dragrig.analysis.models.experiment import session_starts
-from dragrig.analysis.noise import NoiseModel, estimate_noise
 from dragrig.analysis.segments import at_rest, in_phase
 from dragrig.analysis.wording import count_text
 from dragrig.config import AnalysisError, RunFileError, reason_of
@@ -44,7 +42,7 @@ RETURN_REASON = "it is a return stroke, through wall that the stroke before has 
 RunFilter = Callable[[Sequence[RunInfo]], Sequence[RunInfo]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class RunSelection:
     """Runs of one specimen in the order of its history, and the excluded ones."""
 
@@ -57,11 +55,6 @@ class RunSelection:
     def backends(self) -> tuple[str, ...]:
         """Where the runs come from: `simulated`, `hardware`, `external`."""
         return tuple(sorted({experiment.run.info.header.backend for experiment in self.experiments}))
-
-    @cached_property
-    def force_noise(self) -> NoiseModel:
-        """Noise of the force in these runs."""
-        return estimate_noise(self.experiments, FORCE_CHANNEL)
 
     def of_kind(self, *kinds: str) -> tuple[Experiment, ...]:
         """Return the runs of these kinds."""

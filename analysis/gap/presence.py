@@ -383,12 +383,7 @@ def _model_columns(study: Study, design: Design) -> Iterator[tuple[str, FloatArr
 
 
 def _add_exchanges(
-    store: ColumnStore,
-    study: Study,
-    design: Design,
-    whitenings: Sequence[Whitening],
-    fitted: IndexArray,
-    made: int,
+    store: ColumnStore, study: Study, design: Design, whitenings: Sequence[Whitening], fitted: IndexArray, made: int
 ) -> None:
     """Add the most likely exchanges that nobody recorded: all later runs are of a specimen with own parameters.
 

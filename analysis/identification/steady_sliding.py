@@ -9,6 +9,7 @@ force by the weight and so counts viscous friction in: 40.07 mN at 0.5 mm/s give
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import groupby
 from math import hypot, log
 
@@ -17,6 +18,7 @@ import numpy as np
 from dragrig.analysis import (
     ANGLE_PARAMETER,
     ANGLE_SD_DEG,
+    FORCE_CHANNEL,
     FRICTION_SCATTER,
     MIN_SAMPLES_FOR_MEAN,
     SPECIMEN_PRIORS,
@@ -32,6 +34,7 @@ from dragrig.analysis import (
     clipped_samples,
     default_filter_settings,
     empty_stretch_reason,
+    estimate_noise,
     missing,
     single_blas_thread,
     smooth_channel,
@@ -180,7 +183,8 @@ def identify_coulomb(selection: RunSelection, model: FrictionModelSettings) -> C
     if not experiments:
         nothing = missing("the campaign has no usable Coulomb run; record one in the vacuum fixture")
         return CoulombResult((), nothing, nothing)
-    runs = tuple(_measure_coulomb_run(experiment, model, selection.force_noise) for experiment in experiments)
+    noise = estimate_noise(selection.experiments, FORCE_CHANNEL)
+    runs = tuple(_measure_coulomb_run(experiment, model, noise) for experiment in experiments)
     with_mu = [run for run in runs if run.mu.value is not None]
     lowest = min((abs(run.speed_mm_s) for run in with_mu), default=0.0)
     slow = [run for run in with_mu if abs(run.speed_mm_s) < SIMILAR_SPEED_FACTOR * lowest]
@@ -405,7 +409,8 @@ def identify_drag(
     if not experiments:
         return DragResult((), None, None, remarks=("the campaign has no usable drag run",))
     known = {file: zero for file, zero in (zeros or {}).items() if zero.standard_error is not None}
-    measured, left_out = _measure_runs(experiments, model, known, lambda: selection.force_noise)
+    noise = cache(lambda: estimate_noise(selection.experiments, FORCE_CHANNEL))
+    measured, left_out = _measure_runs(experiments, model, known, noise)
     usual_setup = Counter(run.setup for run in measured).most_common(1)[0][0] if measured else None
     left_out += [
         Exclusion(run.file, "its capsule or wall differs from that of most runs")

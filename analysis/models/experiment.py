@@ -18,8 +18,7 @@ from math import comb, isfinite, log
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from dragrig.analysis import ForcePulse, Mask, attribute_number, clipped_samples, force_pulses, in_phase
-from dragrig.analysis.savgol import SavgolKernel
+from dragrig.analysis import ForcePulse, Mask, SavgolKernel, attribute_number, clipped_samples, force_pulses, in_phase
 from dragrig.config import AnalysisError, Capsule, Fixture, SettingsError, parse_toml
 from dragrig.rig import Contact, FloatArray, IndexArray, Phase, Run, protocol_kinds
 from dragrig.sim_backend.friction import (
