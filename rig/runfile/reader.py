@@ -369,30 +369,39 @@ def _require_text_names(group: h5py.Group) -> None:
             raise LayoutError(f"the name {name!r:.60} in {group.name} is no UTF-8")
 
 
-def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[int, tuple[RecordedChannel, ...]]:
+def _rows_of_trace(file: h5py.File, signal: str) -> dict[str, h5py.Dataset]:
+    """Return every dataset of the trace: to open one takes longer than to read an attribute, so each is opened once."""
     group = required_group(file, schema.TRACE)
     _require_text_names(group)
-    # To open a dataset takes longer than to read an attribute, so each is opened once.
-    datasets = dict(group.items())
+    members = dict(group.items())
     for name in (schema.TIME, signal, "position", schema.COMMAND, schema.PHASE):
-        if not isinstance(datasets.get(name), h5py.Dataset):
+        if not isinstance(members.get(name), h5py.Dataset):
             raise LayoutError(f"the dataset {schema.TRACE}/{name} is missing")
+    for name, dataset in members.items():
+        if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 1:
+            raise LayoutError(f"{schema.TRACE}/{name} is not a row of samples")
+    _require_plausible_total(schema.TRACE, members.values())
+    return members
+
+
+def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[int, tuple[RecordedChannel, ...]]:
     lengths: dict[str, int] = {}
     channels: list[RecordedChannel] = []
-    for name, dataset in datasets.items():
+    for name, dataset in _rows_of_trace(file, signal).items():
         path = f"{schema.TRACE}/{name}"
-        if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 1:
-            raise LayoutError(f"{path} is not a row of samples")
         lengths[name] = int(dataset.shape[0])
         if name == schema.PHASE:
             continue
         kind = dataset.dtype
         if kind.kind != "f" or kind.itemsize not in {4, 8}:
             raise LayoutError(f"{path} holds {kind} instead of float32 or float64")
-        units = _checked_units(dataset, path, schema.UNITS.get(name))
+        if not h5py.h5a.exists(dataset.id, b"units"):
+            raise LayoutError(f"{path} lacks the attribute units")
+        units = str(attribute_of(dataset, "units"))
+        if units != (required := schema.UNITS.get(name, units)):
+            raise LayoutError(f"the attribute units of {path} is {units!r} instead of {required!r}")
         if name not in schema.FRAME_DATASETS:
             channels.append(RecordedChannel(name, units, "float32" if kind.itemsize == 4 else "float64"))
-    _require_plausible_total(schema.TRACE, datasets.values())
     channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
     samples = lengths[schema.TIME]
     if _is_unfinished(file, layout):
@@ -401,15 +410,6 @@ def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[i
         if length != samples:
             raise LayoutError(f"/entry/trace/{name} has {length} samples, /entry/trace/time {samples}")
     return samples, tuple(channels)
-
-
-def _checked_units(dataset: h5py.Dataset, path: str, required: str | None) -> str:
-    if not h5py.h5a.exists(dataset.id, b"units"):
-        raise LayoutError(f"{path} lacks the attribute units")
-    units = attribute_of(dataset, "units")
-    if required is not None and units != required:
-        raise LayoutError(f"the attribute units of {path} is {units!r} instead of {required!r}")
-    return str(units)
 
 
 def _column(file: h5py.File, name: str, rows: slice) -> AnyFloatArray:
