@@ -296,10 +296,7 @@ def time_panel_edges(begin_s: float, end_s: float, fastest_rate: float) -> Float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PanelPolynomials:
-    """A polynomial in each panel, as SciPy's `PPoly`, whose import takes longer than most runs are simulated in.
-
-    `coefficients` has the shape `(order, panels, …)`, highest power first, in times from a panel's beginning.
-    """
+    """SciPy's `PPoly` to the bit, without its import, which takes longer than to simulate most runs."""
 
     coefficients: FloatArray
     edges_s: FloatArray

@@ -11,7 +11,7 @@ from filelock import FileLock
 import dragrig
 from diagnosed import OF_SOME
 from dragrig.analysis.gap import SettleRecord
-from dragrig.api import DiagnosisRequest, SettleHands, settle_request
+from dragrig.api import DiagnosisRequest, SettleHands
 from dragrig.config import RIG_FILE
 from dragrig.config.plan import Plan
 from dragrig.setup import create_lab
@@ -73,11 +73,10 @@ def begun_loop(shared: Path) -> Path:
                 if len(record.batches) == 2:
                     raise StoppedError
 
-            def of_some(folder: Path, record: SettleRecord) -> DiagnosisRequest:
-                return replace(settle_request(folder, record), without=OF_SOME.excluded)
-
             with pytest.MonkeyPatch.context() as patch, suppress(StoppedError):
-                patch.setattr("dragrig.api.settle.settle_request", of_some)
+                patch.setattr(
+                    DiagnosisRequest, "options", lambda request: replace(OF_SOME, next_runs=request.next_runs)
+                )
                 dragrig.gap_settle(
                     FIRST, minutes=MINUTES, hands_min=HANDS_MIN, out=lab / "c", step=stop_when_decided,
                     hands=SettleHands(mirror=lab / "mirror"), effects=[EFFECT], rig=lab / "rig.toml",

@@ -27,9 +27,8 @@ from dragrig.window.plots import TimePlot
 from dragrig.window.widgets import StoredSettings, label
 
 SMALL = QSize(1024, 650)
-FIGURES = tuple(figure.name for figure in diagnosis_document(STRIBECK).figures())
 LARGE = '<svg xmlns="http://www.w3.org/2000/svg" width="1010pt" height="1400pt" viewBox="0 0 1010 1400"/>'
-"""A drawing as large as the largest figures of a diagnosis, in no time."""
+"""A drawing as large as the largest of a diagnosis."""
 LONG = f"/runs/{'without-a-blank-' * 40}/a-run.h5 because {'of one thing and another ' * 30}"
 
 
@@ -133,7 +132,8 @@ def test_a_diagnosis_fits_the_window_and_scrolls_within_its_tab(window: MainWind
     window.notices.dismiss.click()
     results = window.diagnose.results
     document = diagnosis_document(STRIBECK)
-    results.show_diagnosis(CompletedDiagnosis(STRIBECK, document.with_drawings(dict.fromkeys(FIGURES, LARGE))))
+    drawings = {figure.name: LARGE for figure in document.figures()}
+    results.show_diagnosis(CompletedDiagnosis(STRIBECK, document.with_drawings(drawings)))
     results.show()
     window.go_to(window.diagnose)
     for at in range(results.view.tabs.count()):

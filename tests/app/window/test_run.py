@@ -115,14 +115,20 @@ def test_a_plan_is_edited_previewed_and_run(window: MainWindow, until: Until, la
     assert live.latest.phase == "hold"
 
 
-def test_position_is_absolute_with_the_limits_wherever_it_is_shown(window: MainWindow, until: Until) -> None:
+def test_position_is_absolute_with_the_limits_and_what_came_while_another_tab_was_shown_is_drawn(
+    window: MainWindow, until: Until
+) -> None:
     fill(window, speed_mm_s="20", start_mm="60", travel_mm="8")
-    preview, live = window.run.preview, window.run.live
+    run, preview, live = window.run, window.run.preview, window.run.live
     header = [preview.runs.horizontalHeaderItem(at).text() for at in range(preview.runs.columnCount())]
     assert preview.runs.item(0, header.index("Position (mm)")).text() == "60 to 68"
-    press(window.run.new.start)
-    until(lambda: not window.run.session_running)
+    press(run.new.start)
+    run.tabs.setCurrentWidget(run.queue_view)
+    until(lambda: not run.session_running)
     until(lambda: live.run is not None and live.run.latest.phase == "hold")
+    assert live.speed.lines[0].drawn.getData()[1] is None or not len(live.speed.lines[0].drawn.getData()[1])
+    run.tabs.setCurrentWidget(live)
+    assert np.nanmax(live.speed.lines[0].drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
     for line, plot in ((preview.position.lines[0], preview.position), (live.position.lines[0], live.position)):
         shown = line.drawn.getData()[1]
         assert (np.nanmin(shown), np.nanmax(shown)) == (pytest.approx(60.0, abs=0.1), pytest.approx(68.0, abs=0.1))
@@ -148,18 +154,6 @@ def test_a_plot_of_nothing_has_no_numbers(window: MainWindow) -> None:
     assert numbers(preview.speed)
     assert preview.speed.widget.getPlotItem().getAxis("bottom").style["showValues"]
     assert not preview.position.widget.getPlotItem().getAxis("bottom").style["showValues"]
-
-
-def test_what_came_while_another_tab_was_shown_is_drawn(window: MainWindow, until: Until) -> None:
-    fill(window, speed_mm_s="20")
-    run, live = window.run, window.run.live
-    press(run.new.start)
-    run.tabs.setCurrentWidget(run.queue_view)
-    until(lambda: not run.session_running)
-    until(lambda: live.run is not None and live.run.latest.phase == "hold")
-    assert live.speed.lines[0].drawn.getData()[1] is None or not len(live.speed.lines[0].drawn.getData()[1])
-    run.tabs.setCurrentWidget(live)
-    assert np.nanmax(live.speed.lines[0].drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
 
 
 def test_a_plan_beyond_the_limits_cannot_be_started(window: MainWindow) -> None:
@@ -514,12 +508,9 @@ def test_the_view_can_be_limited_to_the_last_seconds(window: MainWindow, until: 
     assert last[1] - last[0] < 12
 
 
-def test_the_title_names_the_kind_of_rig(window: MainWindow) -> None:
+def test_the_backend_stays_what_the_banner_says(window: MainWindow, until: Until, lab: Path) -> None:
     assert "SIMULATED" in window.windowTitle()
     assert window.description.title == "SIMULATED"
-
-
-def test_the_backend_stays_what_the_banner_says(window: MainWindow, until: Until, lab: Path) -> None:
     devices, text = window.run.devices, (lab / "rig.toml").read_text("utf-8")
     until(lambda: devices.devices.rowCount() > 0)
     (lab / "rig.toml").write_text(text.replace('backend = "simulated"', 'backend = "hardware"'), "utf-8")
