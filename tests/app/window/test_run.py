@@ -227,16 +227,6 @@ def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow,
     assert len(run.trace.time) == pytest.approx(planned * run.trace.sample_rate_hz, abs=2)
 
 
-def test_the_window_does_not_close_during_a_session(window: MainWindow, until: Until) -> None:
-    slow(window)
-    press(window.run.new.start)
-    until(lambda: moving(window))
-    assert not window.close()
-    assert "A session is running" in window.notices.complaint_text.text()
-    press(window.run.abort)
-    until(lambda: not window.run.session_running)
-
-
 def test_a_prompt_is_answered_in_the_window(window: MainWindow, until: Until) -> None:
     fill(window, prompt="Put the capsule in", prompt_each="yes", repeats="2", way_back="driven")
     press(window.run.new.start)
@@ -253,18 +243,6 @@ def test_a_prompt_is_answered_in_the_window(window: MainWindow, until: Until) ->
     assert entry.stage is QueueState.COMPLETE
     made = read_campaign(Path(entry.folder))
     assert (len(made.runs), len(made.good)) == (4, 2)
-
-
-def test_abort_at_a_prompt_ends_the_session(window: MainWindow, until: Until) -> None:
-    fill(window, prompt="Put the capsule in")
-    press(window.run.new.start)
-    until(window.notices.prompt.isVisible)
-    press(window.notices.answers[Answer.ABORT])
-    until(lambda: not window.run.session_running)
-    assert window.run.queue.entries[-1].stage is QueueState.ABORTED
-    assert not window.notices.prompt.isVisible()
-    press(window.notices.dismiss)
-    assert not window.notices.complaint.isVisible()
 
 
 @pytest.fixture(scope="module")
@@ -581,7 +559,7 @@ def test_an_offered_plan_can_be_selected_again(window: MainWindow) -> None:
     assert window.run.preview.summary.text() != "This plan cannot be used yet"
 
 
-def test_a_reading_is_live_or_gone(window: MainWindow, until: Until) -> None:
+def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window: MainWindow, until: Until) -> None:
     shown = window.run.live.readings
     force, position, speed = shown.readings.values()
     slow(window)
@@ -610,6 +588,10 @@ def test_a_reading_is_live_or_gone(window: MainWindow, until: Until) -> None:
     assert speed.text() == "–"
     press(window.notices.answers[Answer.ABORT])
     until(lambda: not window.run.session_running)
+    assert window.run.queue.entries[-1].stage is QueueState.ABORTED
+    assert not window.notices.prompt.isVisible()
+    press(window.notices.dismiss)
+    assert not window.notices.complaint.isVisible()
     window.run.devices.watch.setChecked(False)
     assert (force.text(), shown.about.text()) == ("–", "not read between sessions")
     window.run.devices.watch.setChecked(True)
@@ -903,16 +885,20 @@ def opened_queue(settings: Path) -> SessionQueue:
     return queue
 
 
-def test_start_starts_the_session_of_the_form_before_those_that_wait(window: MainWindow, until: Until) -> None:
+def test_start_starts_the_form_before_those_that_wait_and_the_window_does_not_close_meanwhile(
+    window: MainWindow, until: Until
+) -> None:
     fill(window, speed_mm_s="40")
     press(window.run.new.queue)
-    fill(window, speed_mm_s="20")
+    fill(window, speed_mm_s="0.2")
     window.run.new.pace.setCurrentText("as fast as the real rig")
     press(window.run.new.start)
     until(lambda: moving(window))
     assert [entry.stage for entry in window.run.queue.entries] == [QueueState.RUNNING, QueueState.WAITING]
-    assert [run.summary for run in window.run.queue.entries[0].runs if "20" in run.summary]
-    press(window.stop_button)
+    assert [run.summary for run in window.run.queue.entries[0].runs if "0.2" in run.summary]
+    assert not window.close()
+    assert "A session is running" in window.notices.complaint_text.text()
+    press(window.run.abort)
     until(lambda: not window.run.session_running)
 
 
