@@ -448,15 +448,6 @@ def test_garbage_is_collected_on_the_gui_thread_alone(window: MainWindow, until:
     assert set(collected_by) == {threading.main_thread()}
 
 
-def test_every_device_is_shown(window: MainWindow, until: Until) -> None:
-    devices = window.run.devices
-    until(lambda: devices.devices.rowCount() > 0)
-    devices.devices.setRowCount(0)
-    press(devices.again)
-    until(lambda: devices.devices.rowCount() > 0)
-    assert devices.verdict == "all ok"
-
-
 def test_a_dead_engine_is_reported_and_can_be_restarted(window: MainWindow, until: Until) -> None:
     pid = window.engine.pid
     assert pid is not None
@@ -486,7 +477,9 @@ def test_the_view_can_be_limited_to_the_last_seconds(window: MainWindow, until: 
     assert last[1] - last[0] < 12
 
 
-def test_the_backend_stays_what_the_banner_says(window: MainWindow, until: Until, lab: Path) -> None:
+def test_every_device_is_shown_and_the_backend_stays_what_the_banner_says(
+    window: MainWindow, until: Until, lab: Path
+) -> None:
     assert "SIMULATED" in window.windowTitle()
     assert window.description.title == "SIMULATED"
     devices, text = window.run.devices, (lab / "rig.toml").read_text("utf-8")
@@ -601,20 +594,15 @@ def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window
 def test_a_reading_that_nothing_follows_is_grey_with_its_age(qtbot: QtBot, until: Until) -> None:
     shown = RigReadings()
     qtbot.addWidget(shown)
-    force, _, speed = shown.readings.values()
+    force, position, speed = shown.readings.values()
     shown.show_values(12.0, 3.0, 4.0, "steady")
     assert force.property("role") == "reading"
     until(lambda: shown.about.text().endswith("s ago; steady"))
     assert (force.text(), speed.text()) == ("12 mN", "–")
     assert force.property("role") == "old reading"
     assert float(shown.about.text().split()[0]) > 0.0
-
-
-def test_a_reading_of_nothing_has_no_sign(window: MainWindow) -> None:
-    shown = window.run.live.readings
-    shown.show_values(-0.2, -0.001, None, "idle")
-    assert shown.readings["Force"].text() == "0 mN"
-    assert shown.readings["Position"].text() == "0.00 mm"
+    shown.show_values(-0.2, -0.001, None, "idle")  # of nothing, without a sign
+    assert (force.text(), position.text()) == ("0 mN", "0.00 mm")
 
 
 def test_a_complaint_goes_away_once_it_is_no_longer_true(window: MainWindow) -> None:
@@ -661,18 +649,13 @@ def test_the_wheel_changes_only_the_field_with_the_focus(window: MainWindow, qtb
     spin.put(order)
 
 
-def test_the_preview_names_capsule_fixture_and_order(window: MainWindow) -> None:
+def test_the_preview_names_capsule_fixture_and_order_and_goes_with_its_plan(window: MainWindow) -> None:
     fill(window, fixture="vacuum", order="reversed")
     preview = window.run.preview
     assert preview.conditions.text() == "capsule drag, fixture vacuum, order reversed."
     header = [preview.runs.horizontalHeaderItem(at).text() for at in range(preview.runs.columnCount())]
     assert preview.runs.item(0, header.index("Fixture")).text() == "vacuum"
     assert preview.runs.item(0, header.index("Capsule")).text() == "drag"
-
-
-def test_curves_go_with_the_plan_that_they_were_of(window: MainWindow) -> None:
-    fill(window)
-    preview = window.run.preview
     assert len(preview.position.lines[0].drawn.getData()[0]) > 2
     window.run.new.editor.put("speed_mm_s", "fast")
     window.run.new.update_preview()
