@@ -87,7 +87,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     To check them takes a minute of one core where nothing is cached, in which the other would idle at the end. Tests
     that wait for a stage are spread over all others, so that a process that waits leaves its core to one that works.
     """
-    counts = [Counter(item.path for item in items if waits_for_a_stage(item) == waits) for waits in (True, False)]
+    waiting = {path for path in {item.path for item in items} if waits_for_a_stage(path)}
+    counts = [Counter(item.path for item in items if (item.path in waiting) == waits) for waits in (True, False)]
     turns = {
         path: before / modules.total()
         for modules in counts
@@ -100,9 +101,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 item.add_marker("thorough")
 
 
-def waits_for_a_stage(item: pytest.Item) -> bool:
-    """Tell whether a test is of a room where a stage moves, or its engine or window waits for it."""
-    return any((ROOT / "tests" / room) in item.path.parents for room in ("rig", "app/engine_host", "app/window"))
+def waits_for_a_stage(path: Path) -> bool:
+    """Tell whether a file's tests are of a room where a stage moves, or its engine or window waits for it."""
+    return any((ROOT / "tests" / room) in path.parents for room in ("rig", "app/engine_host", "app/window"))
 
 
 @pytest.hookimpl(trylast=True)

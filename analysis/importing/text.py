@@ -9,8 +9,9 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,13 +35,14 @@ from dragrig.analysis.importing.cells import (
 from dragrig.analysis.importing.clocks import RowTimes, joined
 from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable
 from dragrig.analysis.importing.import_settings import ImportSettings
-from dragrig.analysis.importing.lvm import with_stated_waveform
 from dragrig.analysis.importing.units import canonical_unit, split_unit
 from dragrig.config import ImportDataError
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+_LVM_END = "***End_of_Header***"
+_LVM_ABSCISSA = "X_Value"
 DELIMITERS = ("\t", ";", "|", ",", " ")
 """In the order of preference when two fit equally well; a space stands for any white space."""
 SAMPLED_LINES = 400
@@ -489,3 +491,46 @@ def _side_by_side(table: ForeignTable, names: Sequence[str], delimiter: str) -> 
             yield replace(table, columns=columns, name=title)
         return
     yield table
+
+
+def with_stated_waveform(table: ForeignTable) -> ForeignTable:
+    """Apply the head of a segment of a LabVIEW measurement file (.lvm); a table of another file is returned as it is.
+
+    `X_Columns` decides whether there is one column of abscissae, one for each channel, or none, where rows follow each
+    other at `Delta_X` (NI, Specification for the LabVIEW Measurement File).
+    """
+    if not any(line.startswith(_LVM_END) for line in table.preamble):
+        return table
+    stated = _stated_in_lvm(table)
+    units = iter(stated.get("Y_Unit_Label", ()))
+    is_time = all(dimension in {"", "Time"} for dimension in stated.get("X_Dimension", ()))
+    columns, abscissa = [], None
+    for column in table.columns:
+        if column.name != _LVM_ABSCISSA:
+            unit = next(units, "") if not column.units else column.units
+            columns.append(replace(column, units=canonical_unit(unit) or unit))
+        elif not np.isfinite(column.values).any() and column.bad is None:
+            continue
+        elif abscissa is None or not np.array_equal(abscissa, column.values, equal_nan=True):
+            abscissa = column.values
+            columns.append(replace(column, units=column.units or ("s" if is_time else "")))
+    steps = {float(step.replace(",", ".")) for step in stated.get("Delta_X", ()) if step}
+    rate = 1 / min(steps) if abscissa is None and len(steps) == 1 and min(steps) > 0 else None
+    return replace(table, columns=tuple(columns), sample_rate_hz=rate, begins_at=_begin_of_lvm(stated))
+
+
+def _stated_in_lvm(table: ForeignTable) -> Mapping[str, tuple[str, ...]]:
+    """Return the values of each key, that of a segment before that of the file."""
+    marks = ("\t" if "\t" in line else "," for line in table.preamble)
+    cells = [[cell.strip() for cell in line.split(mark)] for line, mark in zip(table.preamble, marks, strict=True)]
+    return {key: tuple(value for value in values if value) for key, *values in cells if key and key != _LVM_END}
+
+
+def _begin_of_lvm(stated: Mapping[str, tuple[str, ...]]) -> datetime | None:
+    """Return the start of the first channel; LabVIEW writes local time, with up to 18 digits behind the second."""
+    day, time = (next(iter(stated.get(key, ())), "") for key in ("Date", "Time"))
+    whole, _, fraction = time.replace(",", ".").partition(".")
+    try:
+        return datetime.fromisoformat(f"{day.replace('/', '-')}T{whole}.{f'{fraction:0<6.6}'}").astimezone()
+    except (ValueError, OSError):  # Windows knows no local time before 1970
+        return None

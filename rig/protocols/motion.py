@@ -5,8 +5,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from dragrig.config import Fixture, Settings, Specimen
-from dragrig.rig import Contact, Phase, Piece, stationary_piece, trapezoid
-from dragrig.rig.protocols import RunProtocol
+from dragrig.rig import Contact, Phase, Piece, RunProtocol, stationary_piece, trapezoid
 
 
 class Move(Settings):

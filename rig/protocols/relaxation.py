@@ -5,8 +5,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from dragrig.config import Fixture, Specimen
-from dragrig.rig import Contact, Piece, trapezoid
-from dragrig.rig.protocols import RunProtocol
+from dragrig.rig import Contact, Piece, RunProtocol, trapezoid
 
 
 class RelaxationProtocol(RunProtocol):

@@ -3,8 +3,7 @@
 from pydantic import Field
 
 from dragrig.config import Fixture, Specimen
-from dragrig.rig import Contact, Piece, trapezoid
-from dragrig.rig.protocols import RunProtocol
+from dragrig.rig import Contact, Piece, RunProtocol, trapezoid
 
 
 class ReturnProtocol(RunProtocol):

@@ -6,7 +6,7 @@ names the file as well.
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
@@ -325,7 +325,7 @@ def filtered_of(file: h5py.File) -> FilteredTrace | None:
         return None
     group = required_group(file, schema.FILTERED)
     _require_text_names(group)
-    _require_plausible_total(group)
+    _require_plausible_total(schema.FILTERED, group.values())
     columns: dict[str, FloatArray] = {}
     units: dict[str, str] = {}
     for name, dataset in group.items():
@@ -369,25 +369,39 @@ def _require_text_names(group: h5py.Group) -> None:
             raise LayoutError(f"the name {name!r:.60} in {group.name} is no UTF-8")
 
 
-def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[int, tuple[RecordedChannel, ...]]:
+def _rows_of_trace(file: h5py.File, signal: str) -> dict[str, h5py.Dataset]:
+    """Return every dataset of the trace: to open one takes longer than to read an attribute, so each is opened once."""
+    group = required_group(file, schema.TRACE)
+    _require_text_names(group)
+    members = dict(group.items())
     for name in (schema.TIME, signal, "position", schema.COMMAND, schema.PHASE):
-        required_dataset(file, f"{schema.TRACE}/{name}")
-    _require_text_names(file[schema.TRACE])
+        if not isinstance(members.get(name), h5py.Dataset):
+            raise LayoutError(f"the dataset {schema.TRACE}/{name} is missing")
+    for name, dataset in members.items():
+        if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 1:
+            raise LayoutError(f"{schema.TRACE}/{name} is not a row of samples")
+    _require_plausible_total(schema.TRACE, members.values())
+    return members
+
+
+def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[int, tuple[RecordedChannel, ...]]:
     lengths: dict[str, int] = {}
     channels: list[RecordedChannel] = []
-    for name, dataset in file[schema.TRACE].items():
+    for name, dataset in _rows_of_trace(file, signal).items():
         path = f"{schema.TRACE}/{name}"
-        if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 1:
-            raise LayoutError(f"{path} is not a row of samples")
         lengths[name] = int(dataset.shape[0])
         if name == schema.PHASE:
             continue
-        if dataset.dtype.kind != "f" or dataset.dtype.itemsize not in {4, 8}:
-            raise LayoutError(f"{path} holds {dataset.dtype} instead of float32 or float64")
-        units = _checked_units(dataset, path, schema.UNITS.get(name))
+        kind = dataset.dtype
+        if kind.kind != "f" or kind.itemsize not in {4, 8}:
+            raise LayoutError(f"{path} holds {kind} instead of float32 or float64")
+        if not h5py.h5a.exists(dataset.id, b"units"):
+            raise LayoutError(f"{path} lacks the attribute units")
+        units = str(attribute_of(dataset, "units"))
+        if units != (required := schema.UNITS.get(name, units)):
+            raise LayoutError(f"the attribute units of {path} is {units!r} instead of {required!r}")
         if name not in schema.FRAME_DATASETS:
-            channels.append(RecordedChannel(name, units, "float32" if dataset.dtype.itemsize == 4 else "float64"))
-    _require_plausible_total(file[schema.TRACE])
+            channels.append(RecordedChannel(name, units, "float32" if kind.itemsize == 4 else "float64"))
     channels.sort(key=lambda channel: (channel.name != signal, channel.name != "position", channel.name))
     samples = lengths[schema.TIME]
     if _is_unfinished(file, layout):
@@ -396,15 +410,6 @@ def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[i
         if length != samples:
             raise LayoutError(f"/entry/trace/{name} has {length} samples, /entry/trace/time {samples}")
     return samples, tuple(channels)
-
-
-def _checked_units(dataset: h5py.Dataset, path: str, required: str | None) -> str:
-    attributes = attributes_of(dataset)
-    if "units" not in attributes:
-        raise LayoutError(f"{path} lacks the attribute units")
-    if required is not None and attributes["units"] != required:
-        raise LayoutError(f"the attribute units of {path} is {attributes['units']!r} instead of {required!r}")
-    return str(attributes["units"])
 
 
 def _column(file: h5py.File, name: str, rows: slice) -> AnyFloatArray:
@@ -442,13 +447,14 @@ def _require_plausible_size(dataset: h5py.Dataset) -> None:
         raise LayoutError(f"{dataset.name} claims {claimed} bytes, which the file does not hold")
 
 
-def _require_plausible_total(group: h5py.Group) -> None:
+def _require_plausible_total(path: str, members: Iterable[object]) -> None:
     """Refuse a group that unpacks to far more than a recording does, before memory is allocated for it."""
-    datasets = [dataset for dataset in group.values() if isinstance(dataset, h5py.Dataset) and dataset.size]
+    datasets = [dataset for dataset in members if isinstance(dataset, h5py.Dataset) and dataset.size]
     claimed = sum(dataset.size * dataset.dtype.itemsize for dataset in datasets)
-    held = sum(dataset.id.get_storage_size() for dataset in datasets)
-    if claimed > UNCHECKED_TRACE_BYTES and claimed > MAX_TRACE_RATIO * held:
-        raise LayoutError(f"{group.name} claims {claimed} bytes, which the file does not hold")
+    if claimed > UNCHECKED_TRACE_BYTES:
+        held = sum(dataset.id.get_storage_size() for dataset in datasets)
+        if claimed > MAX_TRACE_RATIO * held:
+            raise LayoutError(f"{path} claims {claimed} bytes, which the file does not hold")
 
 
 def read_info(path: Path) -> RunInfo:
