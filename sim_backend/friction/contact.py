@@ -305,8 +305,7 @@ class PanelPolynomials:
         """Return the values at times `(n,)`, shape `(n, …)`; beyond the ends those of the nearest panel's."""
         panel = np.clip(np.searchsorted(self.edges_s, time_s, side="right") - 1, 0, self.edges_s.size - 2)
         since = (time_s - self.edges_s[panel]).reshape(-1, *[1] * (self.coefficients.ndim - 2))
-        value: FloatArray = self.coefficients[-1].take(panel, axis=0)
-        power = since.copy()
+        value, power = np.asarray(self.coefficients[-1].take(panel, axis=0)), since.copy()
         for coefficient in self.coefficients[-2::-1]:
             value += coefficient.take(panel, axis=0) * power
             power *= since
