@@ -9,9 +9,8 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from copy import deepcopy
 from difflib import get_close_matches
-from functools import cache, lru_cache
+from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
 from itertools import pairwise
@@ -168,12 +167,6 @@ def parse_toml(text: str, source: str) -> Table:
     Raises `SettingsError` for a text that is not TOML, nested beyond `_MAX_NESTING`, or holds whole numbers beyond 64
     bits, which Python's own reader takes and TOML does not have.
     """
-    return deepcopy(_table_in(text, source))
-
-
-@lru_cache(maxsize=32)
-def _table_in(text: str, source: str) -> Table:
-    """Return the table of a text, which a form reads again at every key that is pressed."""
     too_deep = f"{source}: is nested too deeply to be settings."
     try:
         table = tomllib.loads(text)

@@ -13,7 +13,7 @@ from dragrig.config.errors import PlanError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import Plan
 from dragrig.config.rig import RigSettings
-from dragrig.config.settings import parse, parse_toml, read_settings_file
+from dragrig.config.settings import parse, read_settings_file
 from dragrig.config.specimen import Capsule, Specimen
 from dragrig.rig.programme import build_programme
 from property_tests import examples
@@ -176,11 +176,3 @@ def test_an_invalid_plan_is_reported_in_one_sentence(
     assert "Traceback" not in errors
     assert errors.splitlines()[0].startswith("dragrig: ")
     assert [path.name for path in tmp_path.iterdir()] == ["own.toml"]
-
-
-def test_a_table_that_is_changed_is_read_again_as_it_was_written() -> None:
-    for _ in range(2):
-        table = parse_toml("a = [1]\n[b]\nc = 2\n", "settings")
-        assert table == {"a": [1], "b": {"c": 2}}
-        table["a"].append(3)  # type: ignore[attr-defined]
-        table["b"]["c"] = 4  # type: ignore[index]
