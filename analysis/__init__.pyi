@@ -146,6 +146,7 @@ from .noise import average_in_blocks as average_in_blocks
 from .noise import estimate_noise as estimate_noise
 from .noise import solve_lower as solve_lower
 from .savgol import FilteredRun as FilteredRun
+from .savgol import SavgolKernel as SavgolKernel
 from .savgol import SavgolSettings as SavgolSettings
 from .savgol import SavgolStream as SavgolStream
 from .savgol import default_filter_settings as default_filter_settings

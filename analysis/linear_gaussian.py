@@ -8,9 +8,9 @@ fitted, then linearised again, until nothing moves; so a weaker model cannot buy
 from collections.abc import Callable, Collection, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from math import sqrt
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -38,13 +38,18 @@ def single_blas_thread() -> Iterator[None]:
     Fits are made of many small matrices. Two threads that take turns at them are no faster on an idle machine, and
     four times slower where anything else runs.
     """
-    # SciPy brings a BLAS of its own, which can only be limited once it is loaded.
+    with blas_libraries().limit(limits=1, user_api="blas"):
+        yield
+
+
+@cache
+def blas_libraries() -> Any:
+    """Look once for the BLAS of NumPy and of SciPy, which can only be limited once it is loaded."""
     import scipy.linalg
-    from threadpoolctl import threadpool_limits
+    from threadpoolctl import ThreadpoolController
 
     del scipy
-    with threadpool_limits(limits=1, user_api="blas"):
-        yield
+    return ThreadpoolController()
 
 
 STIFFNESS_VARIATION, FRICTION_VARIATION = "stiffness", "friction"

@@ -661,9 +661,10 @@ def _beside_columns(count: int, whitened: FloatArray, log_root: float) -> float:
 
     `log_root` is half the log determinant of the covariance of a column of block means.
     """
-    triangle = np.asarray(np.linalg.qr(whitened, mode="r"), dtype=np.float64)
-    logs = log_root + float(np.log(np.abs(np.diag(triangle)[:count])).sum())
-    return float(np.sum(triangle[count:, count:] ** 2) + 2 * (whitened.shape[1] - count) * logs)
+    basis, triangle = np.linalg.qr(whitened[:, :count])
+    beside = whitened[:, count:] - basis @ (basis.T @ whitened[:, count:])
+    logs = log_root + float(np.log(np.abs(np.diag(triangle))).sum())
+    return float(np.sum(beside**2) + 2 * beside.shape[1] * logs)
 
 
 BLOCK_GROWTH = 0.1

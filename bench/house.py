@@ -23,7 +23,7 @@ from statistics import fmean, median
 
 ROOT = "dragrig"
 BARS: dict[str, float] = {
-    "lines": 93_694, "modules": 300, "fan-out": 3.8667, "depth": 18, "circles": 0, "used once": 0.5693,
+    "lines": 93_693, "modules": 297, "fan-out": 3.8667, "depth": 18, "circles": 0, "used once": 0.5693,
     "free clauses": 0.0168,
 }  # fmt: skip
 """What the house is at most; a test holds it, and a bar is only ever lowered."""

@@ -8,6 +8,7 @@ of each permutation (max-T; Westfall and Young, Resampling-Based Multiple Testin
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from dragrig.analysis import set_values
 from dragrig.rig import BoolArray, Contact, FloatArray, IndexArray, Phase, PhaseArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ResidualBlocks:
     """Residuals of one channel of one run after the nominal fit: means over `B` blocks."""
 
@@ -69,18 +70,18 @@ class ResidualBlocks:
                 f"Blocks of run {self.run_id} need finite residuals, positive noise and positive durations"
             )
 
-    @property
+    @cached_property
     def deviation(self) -> FloatArray:
         """Residual, or its explained part, in expected standard deviations, shape `(B,)`."""
         values = self.residual if self.explained is None else self.explained
         return np.asarray(values / self.noise_sd)
 
-    @property
+    @cached_property
     def weight(self) -> FloatArray:
         """Share of each block in the run's duration, shape `(B,)`."""
         return np.asarray(self.duration_s / self.duration_s.sum())
 
-    @property
+    @cached_property
     def excess(self) -> FloatArray:
         """Contribution of each block to the run's mean square deviation above its expectation, shape `(B,)`."""
         return np.asarray(self.weight * (self.deviation**2 - (self.explained is None)))

@@ -383,12 +383,7 @@ def _model_columns(study: Study, design: Design) -> Iterator[tuple[str, FloatArr
 
 
 def _add_exchanges(
-    store: ColumnStore,
-    study: Study,
-    design: Design,
-    whitenings: Sequence[Whitening],
-    fitted: IndexArray,
-    made: int,
+    store: ColumnStore, study: Study, design: Design, whitenings: Sequence[Whitening], fitted: IndexArray, made: int
 ) -> None:
     """Add the most likely exchanges that nobody recorded: all later runs are of a specimen with own parameters.
 
@@ -777,10 +772,12 @@ def log_evidence(
 
     width = grams.shape[-1]
     scaled = grams * (sizes**2)[:, None, None] + np.eye(width)
-    sides = np.stack(np.broadcast_arrays(moments * sizes[:, None], directions), axis=1)
     # In the root of a matrix with a border stands what solves for the border, whose corner only has to be large enough.
-    corners = (1.0 + (sides**2).sum(axis=(1, 2)))[:, None, None] * np.eye(2)
-    bordered = np.linalg.cholesky(np.block([[scaled, sides.transpose(0, 2, 1)], [sides, corners]]))
+    bordered = np.zeros((len(scaled), width + 2, width + 2))
+    bordered[:, :width, :width], sides = scaled, bordered[:, width:, :width]
+    sides[:, 0], sides[:, 1] = moments * sizes[:, None], directions
+    bordered[:, width:, width:] = (1.0 + (sides**2).sum(axis=(1, 2)))[:, None, None] * np.eye(2)
+    bordered = np.linalg.cholesky(bordered)  # which reads the lower triangle alone
     roots, fitted, along = bordered[:, :width, :width], bordered[:, width, :width], bordered[:, width + 1, :width]
     values = 0.5 * (fitted**2).sum(axis=1) - np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1)
     spread = np.sqrt((along**2).sum(axis=1))

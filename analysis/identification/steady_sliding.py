@@ -42,12 +42,7 @@ from dragrig.analysis import (
     stretch_mean,
 )
 from dragrig.analysis.identification.identification import CoulombResult, CoulombRun, DragResult, LogLaw, SpeedPoint
-from dragrig.analysis.identification.speed_dependence import (
-    ForceDeviation,
-    find_boundary,
-    fit_log_law,
-    r2_by_band,
-)
+from dragrig.analysis.identification.speed_dependence import ForceDeviation, find_boundary, fit_log_law, r2_by_band
 from dragrig.config import AnalysisError, Capsule, Fixture, FrictionModelSettings, SettingsError
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.friction import (

@@ -18,7 +18,7 @@ from math import comb, isfinite, log
 import numpy as np
 from pydantic import BaseModel, Field, ValidationError
 
-from dragrig.analysis import ForcePulse, Mask, attribute_number, clipped_samples, force_pulses, in_phase
+from dragrig.analysis import ForcePulse, Mask, SavgolKernel, attribute_number, clipped_samples, force_pulses, in_phase
 from dragrig.config import AnalysisError, Capsule, Fixture, SettingsError, parse_toml
 from dragrig.rig import Contact, FloatArray, IndexArray, Phase, Run, protocol_kinds
 from dragrig.sim_backend.friction import (
@@ -123,9 +123,7 @@ def position_wander_mm(
         return jitter_mm
     rests = None if command_mm is None else _rest_windows(grid, np.interp(grid, time_s, command_mm), window)
     if rests is None or np.count_nonzero(rests) * float(grid[1]) < MIN_REST_S:
-        from scipy.signal import savgol_filter
-
-        residual = position - savgol_filter(position, window, SMOOTHING_ORDER)
+        residual = position - SavgolKernel.of(window, SMOOTHING_ORDER, 0, 1.0).whole(position)
         # The filter's own weight of a sample in the middle of a window, for order 2 or 3, is about 9 / (4 window).
         residual_share = 1.0 - 9.0 / (4.0 * window)
         sd = 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(residual_share))

@@ -373,7 +373,8 @@ class ProgressMeter:
         if not self._shown or elapsed_s < SILENT_FIRST_S:
             return
         with self._silent_once_closed():
-            if not sys.stderr.isatty():
+            # Once there is a bar, standard error is rich's, which before version 14 says that it is no terminal.
+            if self._bar is None and not sys.stderr.isatty():
                 self._print_line(elapsed_s)
                 return
             if self._bar is None:

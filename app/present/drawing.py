@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Final, Literal
 
@@ -328,6 +328,7 @@ def sequential_colours(count: int) -> tuple[str, ...]:
     return tuple(to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.74, count)))
 
 
+@lru_cache(maxsize=4096)
 def text_width_in(text: str, size_pt: float) -> float:
     """Width [inch] that a text takes when drawn upright."""
     text = printable(text)

@@ -18,7 +18,6 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import PPoly
 
 from dragrig.rig import FloatArray, read_only
 from dragrig.sim_backend.friction.motion import Motion, ProfileMotion, RecordedMotion, turning_samples
@@ -295,9 +294,27 @@ def time_panel_edges(begin_s: float, end_s: float, fastest_rate: float) -> Float
     return np.concatenate(([begin_s], inner[inner < end_s], [end_s]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class PanelPolynomials:
+    """SciPy's `PPoly` to the bit, without its import, which takes longer than to simulate most runs."""
+
+    coefficients: FloatArray
+    edges_s: FloatArray
+
+    def __call__(self, time_s: FloatArray) -> FloatArray:
+        """Return the values at times `(n,)`, shape `(n, …)`; beyond the ends those of the nearest panel's."""
+        panel = np.clip(np.searchsorted(self.edges_s, time_s, side="right") - 1, 0, self.edges_s.size - 2)
+        since = (time_s - self.edges_s[panel]).reshape(-1, *[1] * (self.coefficients.ndim - 2))
+        value, power = np.asarray(self.coefficients[-1].take(panel, axis=0)), since.copy()
+        for coefficient in self.coefficients[-2::-1]:
+            value += coefficient.take(panel, axis=0) * power
+            power *= since
+        return value
+
+
 def interpolate_panels(
     evaluate: Callable[[FloatArray], FloatArray], edges_s: FloatArray, nodes_per_panel: int
-) -> PPoly:
+) -> PanelPolynomials:
     """Interpolate `evaluate`, from times of shape `(n,)` to values of shape `(…, n)`, between strictly rising edges.
 
     The nodes lie inside the panels, so that `evaluate` is never called at a jump.
@@ -308,7 +325,7 @@ def interpolate_panels(
     at_nodes = evaluate(times.ravel())
     values = at_nodes.reshape(*at_nodes.shape[:-1], *times.shape)
     coefficients = (values @ to_powers.T) / width[:, None] ** np.arange(nodes.size)
-    return PPoly(np.moveaxis(coefficients, (-1, -2), (0, 1))[::-1], edges_s)
+    return PanelPolynomials(np.moveaxis(coefficients, (-1, -2), (0, 1))[::-1], edges_s)
 
 
 LoadDensity: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]

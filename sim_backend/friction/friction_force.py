@@ -12,7 +12,6 @@ from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import PPoly
 
 from dragrig.config import AnalysisError, Capsule, Fixture, FrictionModelSettings, SettingsError
 from dragrig.rig import Acquisition, Contact, FloatArray, read_only
@@ -22,6 +21,7 @@ from dragrig.sim_backend.friction.contact import (
     ContactHistory,
     ContactStroke,
     EnvironmentalResistance,
+    PanelPolynomials,
     QuadratureRule,
     SmoothInterval,
     age_panel_edges,
@@ -91,7 +91,7 @@ class SlidingForce:
     weight_mN: float
     intervals: tuple[SmoothInterval, ...]
     spans: tuple[SmoothInterval, ...]
-    resistance: PPoly | None
+    resistance: PanelPolynomials | None
     side: RelaxingLoad | None
     motion: Motion | None = None
     rule: QuadratureRule = FINE_RULE
@@ -199,9 +199,9 @@ def _interpolate_strokes(
     rate: float,
     parts: tuple[SmoothInterval, ...],
     rule: QuadratureRule,
-) -> PPoly:
+) -> PanelPolynomials:
     """Interpolate f_e or its derivatives by strokes: one panel in steady intervals, graded panels elsewhere."""
-    pieces: list[PPoly] = []
+    pieces: list[PanelPolynomials] = []
     for _, group in groupby(parts, key=lambda part: part.stroke.first):
         stroke_parts = list(group)
         edges = [np.array([stroke_parts[0].begin_s])]
@@ -209,8 +209,8 @@ def _interpolate_strokes(
             ends = [part.end_s] if part.steady else time_panel_edges(part.begin_s, part.end_s, rate)[1:]
             edges.append(np.asarray(ends))
         pieces.append(interpolate_panels(partial(evaluate, stroke_parts[0].stroke), np.concatenate(edges), rule.times))
-    edges = [piece.x if index == 0 else piece.x[1:] for index, piece in enumerate(pieces)]
-    return PPoly(np.concatenate([piece.c for piece in pieces], axis=1), np.concatenate(edges))
+    edges = [piece.edges_s if index == 0 else piece.edges_s[1:] for index, piece in enumerate(pieces)]
+    return PanelPolynomials(np.concatenate([piece.coefficients for piece in pieces], axis=1), np.concatenate(edges))
 
 
 SKEW_SEARCH_POINTS = 2000

@@ -68,7 +68,7 @@ class ProfileMotion(_BitwiseValue):
             zero, instant = np.zeros(1), np.array([0.0, TIME_TOLERANCE_S])
             return cls(instant, zero.astype(np.int8), zero == 0, zero, zero, zero)
         turns = _turning_times(profile)
-        begin = np.union1d(profile.start_s, turns)
+        begin = np.array(sorted({*profile.start_s.tolist(), *turns.tolist()}))  # NumPy's union1d imports numpy.ma
         piece = np.searchsorted(profile.start_s, begin, side="right") - 1
         velocity = np.where(np.isin(begin, turns), 0.0, profile.velocity(begin))
         acceleration = profile.acceleration_mm_s2[piece]

@@ -182,7 +182,7 @@ PARTS = (
 
 
 PARTS_IN_FORMATS = [
-    (part, form) if form is ExportFormat.CSV or number % 3 == place % 3 else thorough(part, form)
+    (part, form) if number % 3 == place % 3 else thorough(part, form)
     for number, part in enumerate(PARTS)
     for place, form in enumerate(ExportFormat)
 ]

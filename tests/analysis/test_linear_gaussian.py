@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from dragrig.analysis.linear_gaussian import (
     LINE_SEARCH_FRACTIONS,
@@ -21,6 +22,7 @@ from dragrig.analysis.linear_gaussian import (
     is_at_bound,
     prepare_channels,
     repeat_differences,
+    single_blas_thread,
     solve_joint,
     zero_remarks,
 )
@@ -32,6 +34,14 @@ from sliding_runs import noise, selected, slid, with_force
 
 RANDOM = np.random.default_rng(7)
 PRIORS = (Parameter("lognormal", "1", 2.0, 0.5), Parameter("normal", "mN", -3.0, 4.0, positive=False))
+
+
+def test_linear_algebra_works_in_one_thread_and_afterwards_in_as_many_as_before() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        for _ in range(2):
+            with single_blas_thread():
+                assert {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"} == {1}
+            assert {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"} == {2}
 
 
 def test_a_prior_is_normal_or_lognormal_about_its_nominal_value() -> None:

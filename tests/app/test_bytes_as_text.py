@@ -93,7 +93,7 @@ def test_all_commands_take_texts_by_one_type() -> None:
         ("find", "."),
         ("table", f"c{BYTES}"),
         ("table", f"c{BYTES}", "--json"),
-        ("compare", f"c{BYTES}/{BYTES}.h5", f"c{BYTES}/014-drag.h5", "--out", f"cmp{BYTES}"),
+        thorough(("compare", f"c{BYTES}/{BYTES}.h5", f"c{BYTES}/014-drag.h5", "--out", f"cmp{BYTES}")),
         thorough(("identify", f"c{BYTES}", "--out", f"i{BYTES}")),
         ("report", f"c{BYTES}/{BYTES}.h5", "--out", f"r{BYTES}"),
         ("watch", f"c{BYTES}", "--once"),

@@ -1,13 +1,17 @@
 """A short first plan, the effect that it leaves open, and a gap that is being settled."""
 
 import shutil
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from filelock import FileLock
 
 import dragrig
+from diagnosed import OF_SOME
 from dragrig.analysis.gap import SettleRecord
-from dragrig.api import SettleHands
+from dragrig.api import DiagnosisRequest, SettleHands
 from dragrig.config import RIG_FILE
 from dragrig.config.plan import Plan
 from dragrig.setup import create_lab
@@ -69,11 +73,13 @@ def begun_loop(shared: Path) -> Path:
                 if len(record.batches) == 2:
                     raise StoppedError
 
-            try:
+            with pytest.MonkeyPatch.context() as patch, suppress(StoppedError):
+                patch.setattr(
+                    DiagnosisRequest, "options", lambda request: replace(OF_SOME, next_runs=request.next_runs)
+                )
                 dragrig.gap_settle(
                     FIRST, minutes=MINUTES, hands_min=HANDS_MIN, out=lab / "c", step=stop_when_decided,
                     hands=SettleHands(mirror=lab / "mirror"), effects=[EFFECT], rig=lab / "rig.toml",
                 )  # fmt: skip
-            except StoppedError:
-                shutil.move(lab, folder.parent)
+            shutil.move(lab, folder.parent)
     return folder

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import dragrig
+from diagnoses import BLANK
 from dragrig.analysis.gap.isolability import DETECTABLE_D_PRIME, Isolability, order_by_similarity
 from dragrig.cli import main
 from dragrig.config.plan import Plan
@@ -90,7 +91,10 @@ def test_near_ones_stand_together() -> None:
     assert abs(order.index("b") - order.index("d")) == 1
 
 
-def test_a_campaign_is_told_as_json_and_as_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_campaign_is_told_as_json_and_as_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dragrig.present.files.svg_text", lambda _: BLANK)
     report = tmp_path / "apart.html"
     names = [label for name in WITHOUT_OTHERS for label in ("--without", name)]
     assert main(["gap", "isolability", str(CAMPAIGN), "--json", "--quiet", "--report", str(report), *names]) == 0

@@ -70,7 +70,7 @@ def test_what_is_recommended_keeps_its_promise(next_experiment: NextExperiment) 
 
 
 def test_no_run_is_advised_where_nothing_is_open(coarse_grid: None) -> None:
-    relaxations = {"kind": "relaxation", "shear_strain": [0.5, 1.0, 2.0], "hold_s": 20.0}
+    relaxations = {"kind": "relaxation", "shear_strain": [0.5, 2.0], "hold_s": 10.0}
     both = plan(relaxations, DRAGS)
     assert dragrig.gap_next(both, between=("folds", "hyperelastic_wall"), minutes=5.0) is None
 

@@ -8,7 +8,7 @@ import pytest
 import dragrig
 from diagnosed import UNADVISED, trying
 from dragrig.analysis.gap import DiagnosisOptions
-from dragrig.analysis.gap.candidate_runs import ExperimentBudget, full_grid, motion_grid
+from dragrig.analysis.gap.candidate_runs import ExperimentBudget, motion_grid, short_grid
 from dragrig.analysis.gap.diagnose import diagnose
 from dragrig.analysis.gap.diagnosis import Diagnosis, NextExperiment, Verdict
 from dragrig.analysis.gap.next_run import NO_NEW_MOTION, recommend_position_run
@@ -30,8 +30,7 @@ THIN = {"kind": "drag", "speed_mm_s": [5.0, 20.0], "travel_mm": 6.0}
 FULL = {"kind": "drag", "speed_mm_s": [2.0, 20.0, 40.0], "travel_mm": 20.0}
 ONE_RUN = ExperimentBudget()
 OF_POSITION = replace(
-    UNADVISED,
-    excluded=tuple(effect.id for effect in catalogue().values() if effect.has_force_signature),
+    UNADVISED, excluded=tuple(effect.id for effect in catalogue().values() if effect.has_force_signature)
 )
 """A diagnosis that tries no effect on the force."""
 ADVISED_OF_POSITION = replace(OF_POSITION, next_runs=ONE_RUN)
@@ -40,8 +39,8 @@ MIXED = ("velocity_ripple:pitch_mm=5,amplitude_mm=0.03", "servo_lag:lag_s=0.004"
 
 @pytest.fixture(autouse=True)
 def coarse_grid(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compare every ninth of the candidate runs for the force."""
-    monkeypatch.setattr("dragrig.analysis.gap.next_run.full_grid", lambda specimen: full_grid(specimen)[::9])
+    """Compare every fourth of the candidate runs for the force."""
+    monkeypatch.setattr("dragrig.analysis.gap.next_run.short_grid", lambda specimen: short_grid(specimen)[::4])
 
 
 def plan(*steps: dict[str, object], seed: int = 3) -> Plan:

@@ -131,8 +131,7 @@ def test_a_stage_as_the_model_has_it_has_no_gap(blanks: list[Run]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("asymmetry", "without"),
-    [thorough(-0.1, ()), (0.05, UNLIKELY), thorough(0.05, ()), thorough(0.2, ())],
+    ("asymmetry", "without"), [thorough(-0.1, ()), (0.05, UNLIKELY), thorough(0.05, ()), thorough(0.2, ())]
 )
 def test_friction_that_differs_with_direction_is_named_with_its_size(
     asymmetry: float, without: tuple[str, ...], blanks: list[Run]
@@ -308,11 +307,7 @@ def judged(model: Path, runs: list[Run]) -> tuple[str, float]:
     return evaluation.verdict.value, size.size
 
 
-@pytest.mark.parametrize(
-    "of_ones_own",
-    [thorough(False), thorough(True)],
-    ids=["drive", "own model"],
-)
+@pytest.mark.parametrize("of_ones_own", [thorough(False), thorough(True)], ids=["drive", "own model"])
 def test_an_amended_model_of_any_nominal_model_keeps_its_promise_or_not(
     of_ones_own: bool, own: Path, tmp_path: Path, blanks: list[Run], fresh_blanks: list[Run]
 ) -> None:
@@ -444,9 +439,9 @@ def test_what_is_no_backlash_is_not_called_so(other: str, tmp_path: Path) -> Non
     assert next(entry.probability for entry in diagnosis.ranking if entry.hypothesis == "backlash") < 0.01
 
 
-def test_a_play_shows_only_where_runs_go_both_ways(tmp_path: Path) -> None:
+def test_a_play_shows_only_where_runs_go_both_ways(tmp_path: Path, blanks: list[Run]) -> None:
     runs = [Experiment(run) for run in strokes_there_and_back(tmp_path, ["backlash"], (5, 15), seed=3)]
     assert score_model_classes(position_errors(runs))[0].effect == "backlash"
-    one_way = [run for run in there_and_back(tmp_path) if run.trace.position[-1] > run.trace.position[0]]
+    one_way = [run for run in blanks if run.trace.position[-1] > run.trace.position[0]]
     classes = score_model_classes(position_errors([Experiment(run) for run in one_way]))
     assert "backlash" not in {model_class.effect for model_class in classes}

@@ -95,12 +95,12 @@ def test_a_disturbance_is_found_in_its_band() -> None:
 @pytest.mark.parametrize(
     ("planted", "domain"),
     [
-        (lift_off, "speed"),
+        thorough(lift_off, "speed"),
         (stribeck, "speed"),
-        (tether, "position"),
+        thorough(tether, "position"),
         (folds, "position"),
         (ageing, "session"),
-        (pulses, "session"),
+        thorough(pulses, "session"),
         (creep, "time"),
         (stiffening, "strain"),
         (ringing, "transient"),

@@ -25,38 +25,44 @@ def runs_under(loop: StageLoop, folder: Path, *effects: str) -> tuple[Experiment
     return select_runs(folder).experiments
 
 
-def position_under(loop: StageLoop, folder: Path, *effects: str) -> PositionAnalysis:
-    return analyse_position(runs_under(loop, folder, *effects), tuple(catalogue().values()))
+def position_of(runs: tuple[Experiment, ...]) -> PositionAnalysis:
+    return analyse_position(runs, tuple(catalogue().values()))
 
 
-def test_a_stage_that_gives_way_by_micrometres_has_no_position_error(tmp_path: Path) -> None:
-    position = position_under(LOOP, tmp_path)
+@pytest.fixture(scope="module")
+def soft(tmp_path_factory: pytest.TempPathFactory) -> tuple[Experiment, ...]:
+    return runs_under(LOOP, tmp_path_factory.mktemp("soft"))
+
+
+def test_a_stage_that_gives_way_by_micrometres_has_no_position_error(soft: tuple[Experiment, ...]) -> None:
+    position = position_of(soft)
     assert not position.has_position_error
     assert position.yielding is not None
     assert position.yielding.most_mm == pytest.approx(1600 / (2.5 * 188.5**2), rel=0.3)
 
 
 def test_a_stage_that_gives_way_further_than_a_position_loop_has(tmp_path: Path) -> None:
-    position = position_under(replace(LOOP, mass_kg=0.05), tmp_path)
+    position = position_of(runs_under(replace(LOOP, mass_kg=0.05), tmp_path))
     assert position.has_position_error
     assert position.yielding is None
 
 
 def test_a_stage_that_lags_is_told_beside_its_loop(tmp_path: Path) -> None:
-    position = position_under(LOOP, tmp_path, "servo_lag")
+    position = position_of(runs_under(LOOP, tmp_path, "servo_lag"))
     assert position.has_position_error
     assert position.model_classes[0].effect == "servo_lag"
 
 
-def test_every_run_knows_of_a_soft_loop_that_relaxations_alone_show(tmp_path: Path) -> None:
-    soft = runs_under(LOOP, tmp_path / "soft")
+def test_every_run_knows_of_a_soft_loop_that_relaxations_alone_show(
+    soft: tuple[Experiment, ...], tmp_path: Path
+) -> None:
     assert {run.kind for run in soft if run.gives_way} == {"relaxation"}
     assert all(run.soft_loop for run in soft)
-    assert not any(run.soft_loop for run in runs_under(replace(LOOP, natural_hz=200.0), tmp_path / "stiff"))
+    assert not any(run.soft_loop for run in runs_under(replace(LOOP, natural_hz=200.0), tmp_path))
 
 
-def test_the_shear_follows_a_stage_that_creeps_back_as_its_load_relaxes(tmp_path: Path) -> None:
-    run = [run for run in runs_under(LOOP, tmp_path) if run.gives_way][-1]
+def test_the_shear_follows_a_stage_that_creeps_back_as_its_load_relaxes(soft: tuple[Experiment, ...]) -> None:
+    run = [run for run in soft if run.gives_way][-1]
     assert not run.follows_command
     position, before_end_s = np.asarray(run.run.trace.position, dtype=np.float64), run.time_s[-1] - run.time_s
     followed = run.unsmoothed_motion.position(run.time_s)

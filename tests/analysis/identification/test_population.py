@@ -15,6 +15,7 @@ import pytest
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2, multivariate_normal, norm
 
+from diagnoses import BLANK
 from dragrig.analysis import Exclusion, Identification, JointFit, ParameterEstimate, SpecimenFit, pool_specimens
 from dragrig.analysis.identification.population import Likelihoods, Population, PopulationParameter
 from dragrig.analysis.linear_gaussian import PriorScales
@@ -92,6 +93,7 @@ def test_the_command_tells_a_population_and_counts_a_copied_campaign_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("dragrig.present.files.svg_text", lambda _: BLANK)
     for name, sensor in (("p1", "S-17"), ("p2", "unknown"), ("p3", "S-18")):
         specimen_like(tmp_path, name, sensor)
     shutil.copytree("p1", "copied")

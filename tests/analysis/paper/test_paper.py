@@ -20,7 +20,7 @@ from filelock import FileLock
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diagnoses import without_pictures
+from diagnoses import BLANK, without_pictures
 from dragrig.analysis.estimates import Estimate, Exclusion
 from dragrig.analysis.identification.identification import (
     DragResult,
@@ -38,13 +38,7 @@ from dragrig.analysis.paper.findings import (
     stress_by_eq4,
     stress_by_superposition,
 )
-from dragrig.analysis.paper.published import (
-    PAPER_CAPSULE,
-    PAPER_MODEL,
-    R2_ABOVE,
-    R2_BELOW,
-    PaperFinding,
-)
+from dragrig.analysis.paper.published import PAPER_CAPSULE, PAPER_MODEL, R2_ABOVE, R2_BELOW, PaperFinding
 from dragrig.analysis.wording import significant_text
 from dragrig.api import reports as reproducing
 from dragrig.cli import main
@@ -230,7 +224,7 @@ WHOLE_RUNS = {"relaxation": 4, "blank": 2, "coulomb": 1, "drag": 22, "return": 2
 def made(request: pytest.FixtureRequest, shared_folder: Path) -> Made:
     """Call the command once for all workers; the one that comes first does it.
 
-    With a plan of fewer drags and ways back, which takes half the time, or with the whole one.
+    With a plan of fewer drags and ways back and blank pictures, a third of the time, or as it is.
     """
     folder = shared_folder / f"paper-{request.param}"
     with_suffix = folder.with_suffix(".json")
@@ -240,6 +234,7 @@ def made(request: pytest.FixtureRequest, shared_folder: Path) -> Made:
                 plan = shared_folder / "paper-short.toml"
                 plan.write_text(SHORT_PLAN, "utf-8")
                 patch.setattr(reproducing, "PAPER_PLAN", str(plan))
+                patch.setattr("dragrig.present.files.svg_text", lambda _: BLANK)
             arguments = ["paper", "--out", str(folder), "--seed", "1", "--json", "--quiet"]
             with finished_here():
                 done = CliRunner().invoke(dragrig_group, arguments, standalone_mode=False)

@@ -68,11 +68,12 @@ BUDGETS = {
     "over": TOO_MUCH,
 }
 EACH = pytest.mark.parametrize("given_budget", BUDGETS.values(), ids=BUDGETS)
-DRAWN = pytest.mark.parametrize(
-    "given_budget",
-    [value if name in {"many", "channels"} else thorough(value) for name, value in BUDGETS.items()],
-    ids=BUDGETS,
-)
+
+
+def drawn(in_the_line: str) -> pytest.MarkDecorator:
+    """Draw one of the budgets in the test line, and the others among the thorough tests."""
+    values = [value if name == in_the_line else thorough(value) for name, value in BUDGETS.items()]
+    return pytest.mark.parametrize("given_budget", values, ids=BUDGETS)
 
 
 def diagnosed(given_budget: GapBudget | None) -> Diagnosis:
@@ -396,7 +397,7 @@ def test_two_sizes_of_a_gap_are_told_apart() -> None:
     assert "is not the budget’s gap" not in plain_page(replace(STRIBECK, budget=replace(OWN, gap_mN=9.5)))
 
 
-@DRAWN
+@drawn("channels")
 def test_the_picture_cuts_the_gap_by_its_shares(given_budget: GapBudget) -> None:
     figure = budget_figure(given_budget)
     with figure_style():
@@ -443,7 +444,7 @@ def test_the_picture_shows_the_gap_of_a_run_and_its_parts_in_the_colours_of_the_
     assert not panels_of(budget_figure(replace(RIPPLE_AND_AGEING, runs=())))
 
 
-@DRAWN
+@drawn("many")
 def test_words_above_the_runs_do_not_cover_each_other(given_budget: GapBudget) -> None:
     long = tuple(replace(run, label="200 % strain", kind="relaxation") for run in given_budget.runs)
     figure = budget_figure(replace(given_budget, runs=long))

@@ -20,12 +20,15 @@ from pytestqt.qtbot import QtBot
 
 from diagnoses import STRIBECK
 from dragrig.engine_host.messages import GuardState, HostLost, PromptShown, RigSelection
-from dragrig.views import completed
+from dragrig.present.diagnosis import diagnosis_document
+from dragrig.views import CompletedDiagnosis
 from dragrig.window.main_window import MainWindow
 from dragrig.window.plots import TimePlot
 from dragrig.window.widgets import StoredSettings, label
 
 SMALL = QSize(1024, 650)
+LARGE = '<svg xmlns="http://www.w3.org/2000/svg" width="1010pt" height="1400pt" viewBox="0 0 1010 1400"/>'
+"""A drawing as large as the largest of a diagnosis."""
 LONG = f"/runs/{'without-a-blank-' * 40}/a-run.h5 because {'of one thing and another ' * 30}"
 
 
@@ -128,7 +131,9 @@ def test_a_diagnosis_fits_the_window_and_scrolls_within_its_tab(window: MainWind
     window.take(GuardState(""))
     window.notices.dismiss.click()
     results = window.diagnose.results
-    results.show_diagnosis(completed(STRIBECK))
+    document = diagnosis_document(STRIBECK)
+    drawings = {figure.name: LARGE for figure in document.figures()}
+    results.show_diagnosis(CompletedDiagnosis(STRIBECK, document.with_drawings(drawings)))
     results.show()
     window.go_to(window.diagnose)
     for at in range(results.view.tabs.count()):

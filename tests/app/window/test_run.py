@@ -115,14 +115,20 @@ def test_a_plan_is_edited_previewed_and_run(window: MainWindow, until: Until, la
     assert live.latest.phase == "hold"
 
 
-def test_position_is_absolute_with_the_limits_wherever_it_is_shown(window: MainWindow, until: Until) -> None:
+def test_position_is_absolute_with_the_limits_and_what_came_while_another_tab_was_shown_is_drawn(
+    window: MainWindow, until: Until
+) -> None:
     fill(window, speed_mm_s="20", start_mm="60", travel_mm="8")
-    preview, live = window.run.preview, window.run.live
+    run, preview, live = window.run, window.run.preview, window.run.live
     header = [preview.runs.horizontalHeaderItem(at).text() for at in range(preview.runs.columnCount())]
     assert preview.runs.item(0, header.index("Position (mm)")).text() == "60 to 68"
-    press(window.run.new.start)
-    until(lambda: not window.run.session_running)
+    press(run.new.start)
+    run.tabs.setCurrentWidget(run.queue_view)
+    until(lambda: not run.session_running)
     until(lambda: live.run is not None and live.run.latest.phase == "hold")
+    assert live.speed.lines[0].drawn.getData()[1] is None or not len(live.speed.lines[0].drawn.getData()[1])
+    run.tabs.setCurrentWidget(live)
+    assert np.nanmax(live.speed.lines[0].drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
     for line, plot in ((preview.position.lines[0], preview.position), (live.position.lines[0], live.position)):
         shown = line.drawn.getData()[1]
         assert (np.nanmin(shown), np.nanmax(shown)) == (pytest.approx(60.0, abs=0.1), pytest.approx(68.0, abs=0.1))
@@ -148,18 +154,6 @@ def test_a_plot_of_nothing_has_no_numbers(window: MainWindow) -> None:
     assert numbers(preview.speed)
     assert preview.speed.widget.getPlotItem().getAxis("bottom").style["showValues"]
     assert not preview.position.widget.getPlotItem().getAxis("bottom").style["showValues"]
-
-
-def test_what_came_while_another_tab_was_shown_is_drawn(window: MainWindow, until: Until) -> None:
-    fill(window, speed_mm_s="20")
-    run, live = window.run, window.run.live
-    press(run.new.start)
-    run.tabs.setCurrentWidget(run.queue_view)
-    until(lambda: not run.session_running)
-    until(lambda: live.run is not None and live.run.latest.phase == "hold")
-    assert live.speed.lines[0].drawn.getData()[1] is None or not len(live.speed.lines[0].drawn.getData()[1])
-    run.tabs.setCurrentWidget(live)
-    assert np.nanmax(live.speed.lines[0].drawn.getData()[1]) == pytest.approx(20.0, abs=1.0)
 
 
 def test_a_plan_beyond_the_limits_cannot_be_started(window: MainWindow) -> None:
@@ -233,16 +227,6 @@ def test_a_covered_moved_or_minimised_window_loses_no_sample(window: MainWindow,
     assert len(run.trace.time) == pytest.approx(planned * run.trace.sample_rate_hz, abs=2)
 
 
-def test_the_window_does_not_close_during_a_session(window: MainWindow, until: Until) -> None:
-    slow(window)
-    press(window.run.new.start)
-    until(lambda: moving(window))
-    assert not window.close()
-    assert "A session is running" in window.notices.complaint_text.text()
-    press(window.run.abort)
-    until(lambda: not window.run.session_running)
-
-
 def test_a_prompt_is_answered_in_the_window(window: MainWindow, until: Until) -> None:
     fill(window, prompt="Put the capsule in", prompt_each="yes", repeats="2", way_back="driven")
     press(window.run.new.start)
@@ -259,18 +243,6 @@ def test_a_prompt_is_answered_in_the_window(window: MainWindow, until: Until) ->
     assert entry.stage is QueueState.COMPLETE
     made = read_campaign(Path(entry.folder))
     assert (len(made.runs), len(made.good)) == (4, 2)
-
-
-def test_abort_at_a_prompt_ends_the_session(window: MainWindow, until: Until) -> None:
-    fill(window, prompt="Put the capsule in")
-    press(window.run.new.start)
-    until(window.notices.prompt.isVisible)
-    press(window.notices.answers[Answer.ABORT])
-    until(lambda: not window.run.session_running)
-    assert window.run.queue.entries[-1].stage is QueueState.ABORTED
-    assert not window.notices.prompt.isVisible()
-    press(window.notices.dismiss)
-    assert not window.notices.complaint.isVisible()
 
 
 @pytest.fixture(scope="module")
@@ -476,15 +448,6 @@ def test_garbage_is_collected_on_the_gui_thread_alone(window: MainWindow, until:
     assert set(collected_by) == {threading.main_thread()}
 
 
-def test_every_device_is_shown(window: MainWindow, until: Until) -> None:
-    devices = window.run.devices
-    until(lambda: devices.devices.rowCount() > 0)
-    devices.devices.setRowCount(0)
-    press(devices.again)
-    until(lambda: devices.devices.rowCount() > 0)
-    assert devices.verdict == "all ok"
-
-
 def test_a_dead_engine_is_reported_and_can_be_restarted(window: MainWindow, until: Until) -> None:
     pid = window.engine.pid
     assert pid is not None
@@ -514,12 +477,11 @@ def test_the_view_can_be_limited_to_the_last_seconds(window: MainWindow, until: 
     assert last[1] - last[0] < 12
 
 
-def test_the_title_names_the_kind_of_rig(window: MainWindow) -> None:
+def test_every_device_is_shown_and_the_backend_stays_what_the_banner_says(
+    window: MainWindow, until: Until, lab: Path
+) -> None:
     assert "SIMULATED" in window.windowTitle()
     assert window.description.title == "SIMULATED"
-
-
-def test_the_backend_stays_what_the_banner_says(window: MainWindow, until: Until, lab: Path) -> None:
     devices, text = window.run.devices, (lab / "rig.toml").read_text("utf-8")
     until(lambda: devices.devices.rowCount() > 0)
     (lab / "rig.toml").write_text(text.replace('backend = "simulated"', 'backend = "hardware"'), "utf-8")
@@ -590,7 +552,7 @@ def test_an_offered_plan_can_be_selected_again(window: MainWindow) -> None:
     assert window.run.preview.summary.text() != "This plan cannot be used yet"
 
 
-def test_a_reading_is_live_or_gone(window: MainWindow, until: Until) -> None:
+def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window: MainWindow, until: Until) -> None:
     shown = window.run.live.readings
     force, position, speed = shown.readings.values()
     slow(window)
@@ -619,6 +581,10 @@ def test_a_reading_is_live_or_gone(window: MainWindow, until: Until) -> None:
     assert speed.text() == "–"
     press(window.notices.answers[Answer.ABORT])
     until(lambda: not window.run.session_running)
+    assert window.run.queue.entries[-1].stage is QueueState.ABORTED
+    assert not window.notices.prompt.isVisible()
+    press(window.notices.dismiss)
+    assert not window.notices.complaint.isVisible()
     window.run.devices.watch.setChecked(False)
     assert (force.text(), shown.about.text()) == ("–", "not read between sessions")
     window.run.devices.watch.setChecked(True)
@@ -628,20 +594,15 @@ def test_a_reading_is_live_or_gone(window: MainWindow, until: Until) -> None:
 def test_a_reading_that_nothing_follows_is_grey_with_its_age(qtbot: QtBot, until: Until) -> None:
     shown = RigReadings()
     qtbot.addWidget(shown)
-    force, _, speed = shown.readings.values()
+    force, position, speed = shown.readings.values()
     shown.show_values(12.0, 3.0, 4.0, "steady")
     assert force.property("role") == "reading"
     until(lambda: shown.about.text().endswith("s ago; steady"))
     assert (force.text(), speed.text()) == ("12 mN", "–")
     assert force.property("role") == "old reading"
     assert float(shown.about.text().split()[0]) > 0.0
-
-
-def test_a_reading_of_nothing_has_no_sign(window: MainWindow) -> None:
-    shown = window.run.live.readings
-    shown.show_values(-0.2, -0.001, None, "idle")
-    assert shown.readings["Force"].text() == "0 mN"
-    assert shown.readings["Position"].text() == "0.00 mm"
+    shown.show_values(-0.2, -0.001, None, "idle")  # of nothing, without a sign
+    assert (force.text(), position.text()) == ("0 mN", "0.00 mm")
 
 
 def test_a_complaint_goes_away_once_it_is_no_longer_true(window: MainWindow) -> None:
@@ -688,18 +649,13 @@ def test_the_wheel_changes_only_the_field_with_the_focus(window: MainWindow, qtb
     spin.put(order)
 
 
-def test_the_preview_names_capsule_fixture_and_order(window: MainWindow) -> None:
+def test_the_preview_names_capsule_fixture_and_order_and_goes_with_its_plan(window: MainWindow) -> None:
     fill(window, fixture="vacuum", order="reversed")
     preview = window.run.preview
     assert preview.conditions.text() == "capsule drag, fixture vacuum, order reversed."
     header = [preview.runs.horizontalHeaderItem(at).text() for at in range(preview.runs.columnCount())]
     assert preview.runs.item(0, header.index("Fixture")).text() == "vacuum"
     assert preview.runs.item(0, header.index("Capsule")).text() == "drag"
-
-
-def test_curves_go_with_the_plan_that_they_were_of(window: MainWindow) -> None:
-    fill(window)
-    preview = window.run.preview
     assert len(preview.position.lines[0].drawn.getData()[0]) > 2
     window.run.new.editor.put("speed_mm_s", "fast")
     window.run.new.update_preview()
@@ -912,16 +868,20 @@ def opened_queue(settings: Path) -> SessionQueue:
     return queue
 
 
-def test_start_starts_the_session_of_the_form_before_those_that_wait(window: MainWindow, until: Until) -> None:
+def test_start_starts_the_form_before_those_that_wait_and_the_window_does_not_close_meanwhile(
+    window: MainWindow, until: Until
+) -> None:
     fill(window, speed_mm_s="40")
     press(window.run.new.queue)
-    fill(window, speed_mm_s="20")
+    fill(window, speed_mm_s="0.2")
     window.run.new.pace.setCurrentText("as fast as the real rig")
     press(window.run.new.start)
     until(lambda: moving(window))
     assert [entry.stage for entry in window.run.queue.entries] == [QueueState.RUNNING, QueueState.WAITING]
-    assert [run.summary for run in window.run.queue.entries[0].runs if "20" in run.summary]
-    press(window.stop_button)
+    assert [run.summary for run in window.run.queue.entries[0].runs if "0.2" in run.summary]
+    assert not window.close()
+    assert "A session is running" in window.notices.complaint_text.text()
+    press(window.run.abort)
     until(lambda: not window.run.session_running)
 
 

@@ -181,7 +181,7 @@ def test_memory_does_not_grow_with_the_length_of_a_run() -> None:
         assert samples > hold_s * 250_000
         return maximum
 
-    short, long = peak(0.5), peak(4.0)
+    short, long = peak(0.25), peak(2.0)
     assert long < 1.1 * short + 100_000
 
 

@@ -14,7 +14,7 @@ from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import FloatArray, MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
 from friction_cases import ROUGH, moves, sliding
-from property_tests import examples
+from property_tests import every_third, examples
 
 MODEL = FrictionModelSettings()
 RADIUS, ANGLE, THICKNESS = 6.45, np.radians(60), 2.5
@@ -121,7 +121,7 @@ TURNING = {
 }
 
 
-@pytest.mark.parametrize("name", TURNING)
+@pytest.mark.parametrize("name", every_third(list(TURNING)))
 def test_a_motion_that_turns_round_follows_its_contact_episodes(name: str) -> None:
     profile = TURNING[name]
     velocity = profile.velocity(profile.start_s[1:] - 1e-6)

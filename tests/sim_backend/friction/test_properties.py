@@ -7,6 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.interpolate import PPoly
 
 from dragrig.config.errors import AnalysisError, SettingsError
 from dragrig.config.friction_model import FrictionModelSettings
@@ -14,9 +15,10 @@ from dragrig.config.specimen import Fixture
 from dragrig.rig.devices import Acquisition
 from dragrig.rig.profile import MotionProfile
 from dragrig.sim_backend.friction import prepare, wall_parameters
+from dragrig.sim_backend.friction.contact import PanelPolynomials
 from dragrig.sim_backend.friction.friction_force import ELEMENT_SCALES
 from friction_cases import ROUGH, SMOOTH, blank, moves, sliding, sticking
-from property_tests import examples
+from property_tests import examples, thorough
 
 MODEL = FrictionModelSettings()
 
@@ -141,7 +143,7 @@ def test_the_newtonian_form_is_the_shear_stress_on_the_contact() -> None:
         assert f_v[0] == pytest.approx(force, rel=0.01)
 
 
-@pytest.mark.parametrize("wall", ["eq14", "table1"])
+@pytest.mark.parametrize("wall", ["eq14", thorough("table1")])
 def test_sticking_solves_the_branches_own_equations(wall: str) -> None:
     profile = moves((5.0, 20.0), (-1.0, 5.0), acceleration=2000.0, rest=0.1, hold=1.0, between=0.2)
     model = FrictionModelSettings.model_validate({"wall": wall, "e1_scale": 1.3, "eta2_scale": 0.8})
@@ -174,7 +176,7 @@ def test_a_contact_beyond_the_parameters_is_refused() -> None:
         prepare(sticking(moves((2.5, 20.0)), 4.0), MODEL)
 
 
-@pytest.mark.parametrize("wall", ["eq14", "table1"])
+@pytest.mark.parametrize("wall", ["eq14", thorough("table1")])
 def test_derivatives_by_elements_are_those_of_the_force(wall: str) -> None:
     model = FrictionModelSettings.model_validate({"wall": wall, "e2_scale": 1.1, "force_gain": 1.02})
     run = sliding(moves((12.0, 5.0), (-9.0, 20.0), between=0.1))
@@ -198,3 +200,11 @@ def test_all_elements_scaled_alike_scale_what_the_wall_does() -> None:
     parts = prepared.components(time)
     weight = prepare(sliding(run.profile, fixture=Fixture.VACUUM), MODEL).components(time).f_c
     np.testing.assert_allclose(prepared.log_derivatives(time).sum(axis=0), parts.f_e + parts.f_c - weight, atol=0.02)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([(), (5,)]))
+def test_panels_are_evaluated_as_by_scipy_to_the_bit(seed: int, values: tuple[int, ...]) -> None:
+    draw = np.random.default_rng(seed)
+    edges_s, coefficients = np.cumsum(draw.uniform(0.1, 1.0, 9)), draw.normal(size=(draw.integers(1, 17), 8, *values))
+    time_s = np.concatenate((draw.uniform(-1.0, 11.0, 50), edges_s))
+    np.testing.assert_array_equal(PanelPolynomials(coefficients, edges_s)(time_s), PPoly(coefficients, edges_s)(time_s))
