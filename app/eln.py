@@ -95,13 +95,10 @@ def _metadata(campaign: Campaign, folder: str, files: Mapping[str, Path], licenc
     begun = min(run.header.start_time for run in campaign.runs).isoformat()
     told = {"name": folder, "description": f"Campaign at a drag tester: {kinds}.", "dateCreated": begun}
     whole = crate.add(Dataset(crate, None, f"{folder}/", properties=told))
-    for entity, property_, values in (
-        (whole, "author", people),
-        (crate.root_dataset, "author", people),
-        (whole, "instrument", programs),
-    ):
+    root = crate.root_dataset
+    for entity, role, values in ((whole, "author", people), (root, "author", people), (whole, "instrument", programs)):
         if values:
-            entity[property_] = values if len(values) > 1 else values[0]
+            entity[role] = values if len(values) > 1 else values[0]
     whole["hasPart"] = parts
     crate.name, crate.description = told["name"], told["description"]
     address = licence if licence.startswith(("https://", "http://")) else "#licence"

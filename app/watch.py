@@ -23,7 +23,7 @@ from urllib.parse import parse_qsl
 import numpy as np
 
 from dragrig.config import OutputError, RunFileError
-from dragrig.present import to_json_object
+from dragrig.present import to_json_value
 from dragrig.rig import PHASE_NAMES, Run, is_recording, read_info, read_session_records, read_tail, run_name
 from dragrig.session_state import SessionState, is_session_running, read_state
 
@@ -101,7 +101,7 @@ class CampaignState:
     def to_json(self) -> dict[str, object]:
         """Return the state as page and `--json` have it."""
         names = {"message": "said", "runs": "of"}
-        return to_json_object({names.get(entry.name, entry.name): getattr(self, entry.name) for entry in fields(self)})
+        return {names.get(entry.name, entry.name): getattr(self, entry.name) for entry in fields(self)}
 
 
 class CampaignWatch:
@@ -304,7 +304,7 @@ class StatePage:
     def show(self, state: CampaignState) -> None:
         """Serve this state from now on."""
         with self._changed:
-            self._content, self._over = json.dumps(state.to_json(), allow_nan=False).encode(), state.over
+            self._content, self._over = json.dumps(to_json_value(state.to_json()), allow_nan=False).encode(), state.over
 
     def admits(self, host: str, token: str) -> bool:
         """Return whether a request may read: by its token, or on this machine by its host, against DNS rebinding."""

@@ -86,8 +86,9 @@ from .programme import check_wiring as check_wiring
 from .programme import preflight as preflight
 from .programme import specimen_remark as specimen_remark
 from .protocols import RunProtocol as RunProtocol
+from .protocols import StrokeProtocol as StrokeProtocol
 from .protocols import protocol_kinds as protocol_kinds
-from .protocols.return_stroke import ReturnProtocol as ReturnProtocol
+from .protocols.strokes import ReturnProtocol as ReturnProtocol
 from .reading import Reading as Reading
 from .runfile.campaigns import Campaign as Campaign
 from .runfile.campaigns import RunMark as RunMark

@@ -36,7 +36,6 @@ from dragrig.analysis import (
     table_row,
     write_export,
 )
-from dragrig.api.reports import report
 from dragrig.catalogue import ask_runs
 from dragrig.config import (
     AnalysisError,
@@ -54,7 +53,6 @@ from dragrig.config import (
     read_toml,
     refuse_unknown,
 )
-from dragrig.eln import write_eln
 from dragrig.present import unused_path, write_text
 from dragrig.rig import Campaign, Run, mark_bad, read_campaign, read_info, read_mark, read_run, unmark, write_note
 from dragrig.run_inputs import require_run_files, run_files
@@ -399,6 +397,9 @@ def export(
     if format == "eln":
         if isinstance(run, Run) or not Path(run).is_dir():
             raise RunFileError(f"{run}: is no campaign, which an archive holds whole; give the folder of a campaign.")
+        from dragrig.api.reports import report
+        from dragrig.eln import write_eln
+
         with TemporaryDirectory() as beside:
             page = report(run, Path(beside, "report.html"), workers=None)
             return (write_eln(Path(run), Path(to), page, licence, overwrite=overwrite),)

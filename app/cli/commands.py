@@ -48,7 +48,7 @@ SECTIONS: Sections = {
         "mark": ("run_file_commands", "Mark runs as bad, remove the mark, or write a note on them."),
         "filter": ("run_file_commands", "Smooth runs with a Savitzky–Golay filter, stored beside the raw trace."),
         "import": ("run_file_commands", "Convert other measurements to run files."),
-        "export": ("run_file_commands", "Write runs as CSV, Parquet, MAT or NPZ."),
+        "export": ("run_file_commands", "Write runs for other programs, campaigns for lab notebooks."),
     },
 }
 GAP_SECTIONS: Sections = {

@@ -1,6 +1,7 @@
 """Commands on run files: info, mark, filter, import, export."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -316,12 +317,8 @@ def export_command(
     if form == "eln":
         from dragrig.api import export
 
-        to = {place: folder or Path(place).absolute().parent for place in inputs}
-        archives = [
-            file
-            for place in inputs
-            for file in export(place, to[place], format="eln", licence=licence, overwrite=overwrite)
-        ]
+        write_archive = partial(export, format="eln", licence=licence, overwrite=overwrite)
+        archives = [write_archive(place, folder or Path(place).absolute().parent)[0] for place in inputs]
         _print_results([{"file": file} for file in archives], list(map(display_path, archives)), as_json=as_json)
         return
     if form != "csv" and (decimal or delimiter):

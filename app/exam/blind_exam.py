@@ -33,7 +33,7 @@ from dragrig.exam.hidden_cases import (
     hidden_amounts,
 )
 from dragrig.parallel import open_executor, parallel_map, worker_count
-from dragrig.present import attributes_json, score_json
+from dragrig.present import attributes_json, score_json, to_json_value
 from dragrig.scoring import ExamScore, score_exam
 from dragrig.sim_backend.blind import PLANTS, true_answer, write_campaign
 
@@ -194,7 +194,7 @@ def _answers_json(planned: Sequence[HiddenCase]) -> str:
 
 def write_json(path: Path, document: object) -> None:
     """Write JSON to a file atomically."""
-    _replace_file(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    _replace_file(path, json.dumps(to_json_value(document), indent=1, allow_nan=False) + "\n")
 
 
 def _replace_file(path: Path, text: str) -> None:

@@ -48,8 +48,6 @@ from dragrig.present import (
     shortest,
     shortest_percent,
     svg_text,
-    to_json_object,
-    to_json_value,
 )
 from dragrig.present.run import run_drawing
 from dragrig.rig import (
@@ -241,9 +239,7 @@ def campaign_table_document(rows: Sequence[TableRow]) -> Document:
             Section("runs", "", (run_table(rows), run_remarks(rows))),
             Section("means", "Means", mean_tables(rows)),
         ),
-        data=to_json_object(
-            {"runs": rows, "means": means, "means_over_specimens": mean_over_specimens(means)},
-        ),
+        data={"runs": rows, "means": means, "means_over_specimens": mean_over_specimens(means)},
     )
 
 
@@ -283,7 +279,7 @@ def campaigns_list_document(campaigns: "Sequence[CampaignSummary]") -> Document:
     return Document(
         title=f"{len(campaigns)} campaign{'' if len(campaigns) == 1 else 's'}",
         sections=(Section("campaigns", "", (table,)),),
-        data=[to_json_value(campaign) for campaign in campaigns],
+        data=campaigns,
     )
 
 

@@ -31,7 +31,6 @@ from dragrig.present import (
     listed_exclusions,
     percent_difference,
     shortest,
-    to_json_object,
 )
 
 MAX_BRIEF = 12
@@ -72,42 +71,34 @@ def comparison_document(comparison: Comparison) -> Document:
 
 def comparison_json(comparison: Comparison) -> Mapping[str, object]:
     """Return a comparison as JSON; forces in mN."""
-    return to_json_object(
-        {
-            "a": comparison.a.name,
-            "b": comparison.b.name,
-            "sentences": comparison.sentences,
-            "remarks": comparison.remarks,
-            "zero_allowed_mN": comparison.zero_mN,
-            "measures": list(comparison_rows(comparison)),
-            "pairs": [
-                {
-                    "condition": str(pair.condition),
-                    "a_file": pair.a.file,
-                    "b_file": pair.b.file,
-                    **attributes_json(pair, "shift_s", "verdict", "phases", "motion", "remarks"),
-                }
-                for pair in comparison.pairs
-            ],
-            "conditions": [
-                {
-                    "condition": str(group.condition),
-                    **attributes_json(group, "measure", "pairs"),
-                    "a_mN": group.a,
-                    "b_mN": group.b,
-                    "b_minus_a_mN": group.value,
-                    "noise_error_mN": group.noise,
-                    "error_with_scatter_mN": group.error,
-                    "relative": group.relative,
-                    "trace_rms_mN": group.rms_mN,
-                    "verdict": group.verdict,
-                }
-                for group in comparison.groups
-            ],
-            "without_partner": {"a": comparison.alone_a, "b": comparison.alone_b},
-            "left_out": {"a": exclusions_json(comparison.a.left_out), "b": exclusions_json(comparison.b.left_out)},
-        }
-    )
+    return {
+        "a": comparison.a.name,
+        "b": comparison.b.name,
+        "sentences": comparison.sentences,
+        "remarks": comparison.remarks,
+        "zero_allowed_mN": comparison.zero_mN,
+        "measures": list(comparison_rows(comparison)),
+        "pairs": [
+            {
+                "condition": str(pair.condition),
+                "a_file": pair.a.file,
+                "b_file": pair.b.file,
+                **attributes_json(pair, "shift_s", "verdict", "phases", "motion", "remarks"),
+            }
+            for pair in comparison.pairs
+        ],
+        "conditions": [
+            {
+                "condition": str(group.condition),
+                **attributes_json(group, "measure", "pairs", a="a_mN", b="b_mN", value="b_minus_a_mN"),
+                **attributes_json(group, noise="noise_error_mN", error="error_with_scatter_mN"),
+                **attributes_json(group, "relative", "verdict", rms_mN="trace_rms_mN"),
+            }
+            for group in comparison.groups
+        ],
+        "without_partner": {"a": comparison.alone_a, "b": comparison.alone_b},
+        "left_out": {"a": exclusions_json(comparison.a.left_out), "b": exclusions_json(comparison.b.left_out)},
+    }
 
 
 def _group_table(groups: Iterable[GroupDifference]) -> Table:

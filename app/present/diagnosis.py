@@ -44,7 +44,6 @@ from dragrig.present import (
     round_to_sum,
     shortest,
     significant,
-    to_json_object,
     unit_text,
 )
 from dragrig.present.diagnosis_sentences import (
@@ -517,62 +516,53 @@ def diagnosis_json(
     """Return a diagnosis as the JSON of a gap report, without any NaN or infinity; as `diagnosis_document`."""
     ids = run_ids or {}
     likeliest = None if diagnosis.likeliest is None else diagnosis_json(diagnosis.likeliest, run_ids=ids)
-    return to_json_object(
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            "campaign": {
-                **attributes_json(diagnosis, "specimen", "nominal", "runs"),
-                "used_for_fit": [ids.get(file, file) for file in diagnosis.used_for_fit],
-                "held_out": [ids.get(file, file) for file in diagnosis.held_out],
-                "left_out": exclusions_json(diagnosis.left_out),
-            },
-            "verdict": diagnosis.verdict.value,
-            "in_words": (*budget_sentences(diagnosis.budget), *verdict_sentences(diagnosis)),
-            "only_condition": diagnosis.only_condition or None,
-            "likeliest": None if likeliest is None else {name: likeliest[name] for name in SCORED},
-            "effects": diagnosis.effects,
-            "ranking": _ranking_json(diagnosis.ranking),
-            **attributes_json(diagnosis, "confusable_with", "residual_unknown"),
-            "presence": presence_json(diagnosis.budget),
-            "shared_with": {} if diagnosis.budget is None else diagnosis.budget.shared_with,
-            "budget": budget_json(diagnosis, ids),
-            "unknown": None
-            if diagnosis.unknown is None
-            else {
-                "lives_in": diagnosis.unknown.location,
-                "shape": diagnosis.unknown.dependence,
-                "expression": diagnosis.unknown.expression or None,
-                "held_out": diagnosis.unknown.held_out_share,
-            },
-            "would_have_seen_mN": diagnosis.detection_limit_mN,
-            "tolerance_mN": diagnosis.tolerance_mN,
-            "where": diagnosis.where.document(),
-            "shrink": None if diagnosis.shrink is None else shrink_json(diagnosis.shrink),
-            "model": model,
-            "next_experiment": _next_run_json(diagnosis.next_experiment),
-            "cannot_answer": diagnosis.limitations,
-            **attributes_json(diagnosis, "remarks", "calibration"),
-            "evidence": None if diagnosis.decision_inputs is None else diagnosis.decision_inputs.document(),
-            "timings_s": diagnosis.timings_s,
-        }
-    )
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "campaign": {
+            **attributes_json(diagnosis, "specimen", "nominal", "runs"),
+            "used_for_fit": [ids.get(file, file) for file in diagnosis.used_for_fit],
+            "held_out": [ids.get(file, file) for file in diagnosis.held_out],
+            "left_out": exclusions_json(diagnosis.left_out),
+        },
+        "verdict": diagnosis.verdict.value,
+        "in_words": (*budget_sentences(diagnosis.budget), *verdict_sentences(diagnosis)),
+        "only_condition": diagnosis.only_condition or None,
+        "likeliest": None if likeliest is None else {name: likeliest[name] for name in SCORED},
+        "ranking": _ranking_json(diagnosis.ranking),
+        **attributes_json(diagnosis, "effects", "confusable_with", "residual_unknown", "tolerance_mN", "timings_s"),
+        "presence": presence_json(diagnosis.budget),
+        "shared_with": {} if diagnosis.budget is None else diagnosis.budget.shared_with,
+        "budget": budget_json(diagnosis, ids),
+        "unknown": None
+        if diagnosis.unknown is None
+        else {
+            **attributes_json(diagnosis.unknown, location="lives_in", dependence="shape", held_out_share="held_out"),
+            "expression": diagnosis.unknown.expression or None,
+        },
+        "would_have_seen_mN": diagnosis.detection_limit_mN,
+        "where": diagnosis.where.document(),
+        "shrink": None if diagnosis.shrink is None else shrink_json(diagnosis.shrink),
+        "model": model,
+        "next_experiment": _next_run_json(diagnosis.next_experiment),
+        "cannot_answer": diagnosis.limitations,
+        **attributes_json(diagnosis, "remarks", "calibration"),
+        "evidence": None if diagnosis.decision_inputs is None else diagnosis.decision_inputs.document(),
+    }
 
 
 def next_experiment_json(recommendation: NextExperiment | None) -> Mapping[str, object]:
     """Return the recommended runs as a JSON document of their own."""
     runs = () if recommendation is None else recommendation.runs
-    return to_json_object(
-        {
-            "format": NEXT_FORMAT,
-            "version": NEXT_VERSION,
-            "why": NOTHING_NEXT if recommendation is None else recommendation.reason,
-            "minutes": None if recommendation is None else recommendation.minutes,
-            "open_bits": None if recommendation is None else recommendation.open_bits,
-            "tried": 0 if recommendation is None else recommendation.compared,
-            "runs": [_planned_run_json(run) for run in runs],
-        }
-    )
+    return {
+        "format": NEXT_FORMAT,
+        "version": NEXT_VERSION,
+        "why": NOTHING_NEXT if recommendation is None else recommendation.reason,
+        "minutes": None if recommendation is None else recommendation.minutes,
+        "open_bits": None if recommendation is None else recommendation.open_bits,
+        "tried": 0 if recommendation is None else recommendation.compared,
+        "runs": [_planned_run_json(run) for run in runs],
+    }
 
 
 def round_probabilities(probabilities: Sequence[float]) -> tuple[float, ...]:
@@ -593,12 +583,7 @@ def _ranking_json(ranking: Iterable[RankedHypothesis]) -> list[Mapping[str, obje
             "hypothesis": hypothesis.hypothesis,
             "probability": probability,
             "parameters": {
-                parameter.name: {
-                    "value": parameter.value,
-                    "sd": parameter.standard_error,
-                    "unit": parameter.unit,
-                    "interval_95": parameter.interval,
-                }
+                parameter.name: attributes_json(parameter, "value", "unit", standard_error="sd", interval="interval_95")
                 for parameter in hypothesis.parameters
             },
             "held_out_improvement": hypothesis.held_out_improvement,

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dragrig import present
 from dragrig.analysis import as_sentence, capitalise, count_text, percent_text
 from dragrig.analysis.gap import ModelEvaluation, PromiseVerdict, RelativeEffectSize, display_name
-from dragrig.present import Document, Field, Figure, Section, Table, decimals, force_text, significant, to_json_object
+from dragrig.present import Document, Field, Figure, Section, Table, attributes_json, decimals, force_text, significant
 from dragrig.present.diagnosis import FORMAT, r2_table, shrink_json
 
 VERSION = 2
@@ -42,31 +42,23 @@ def evaluation_document(evaluation: ModelEvaluation) -> Document:
 
 def evaluation_json(evaluation: ModelEvaluation) -> Mapping[str, object]:
     """Return what fresh runs say of an amended model as a JSON document."""
-    return to_json_object(
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            "verdict": evaluation.verdict.value,
-            "diagnosed_runs_left_out": evaluation.diagnosed_runs,
-            "promise": {"closed": evaluation.promised, "closed_95ci": evaluation.promised_95ci},
-            "achieved": {
-                "closed": evaluation.achieved,
-                "closed_95ci": evaluation.achieved_95ci,
-                "explained": evaluation.explained,
-            },
-            "sizes": [
-                {
-                    "effect": size.effect,
-                    "size": size.size,
-                    "size_95ci": (size.low, size.high),
-                    "d_prime": size.d_prime,
-                    "verdict": size.verdict.value,
-                }
-                for size in evaluation.sizes
-            ],
-            "shrink": shrink_json(evaluation.reduction),
-        }
-    )
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "verdict": evaluation.verdict.value,
+        "diagnosed_runs_left_out": evaluation.diagnosed_runs,
+        "promise": {"closed": evaluation.promised, "closed_95ci": evaluation.promised_95ci},
+        "achieved": {
+            "closed": evaluation.achieved,
+            "closed_95ci": evaluation.achieved_95ci,
+            "explained": evaluation.explained,
+        },
+        "sizes": [
+            {**attributes_json(size, "effect", "size", "d_prime", "verdict"), "size_95ci": (size.low, size.high)}
+            for size in evaluation.sizes
+        ],
+        "shrink": shrink_json(evaluation.reduction),
+    }
 
 
 def _reason(evaluation: ModelEvaluation) -> str:

@@ -20,7 +20,6 @@ from dragrig.present import (
     attributes_json,
     decimals,
     shortest,
-    to_json_object,
 )
 from dragrig.scoring import ExamScore, ProbabilityCalibration, PromiseScore, Rate, wilson_rate
 
@@ -288,54 +287,45 @@ def _promise_sentences(promises: PromiseScore) -> Iterator[str]:
 def score_json(score: ExamScore) -> Mapping[str, object]:
     """Return the score as JSON, without any NaN or infinity."""
     promises = score.promises
-    return to_json_object(
-        {
-            "rates": [rate_json(rate) for rate in score.rates],
-            "withheld": [rate_json(rate) for rate in score.withheld],
-            "detection": [
-                {
-                    "d_prime": {"low": size.low, "high": size.high},
-                    "gap_seen": rate_json(size.seen),
-                    "right_name": rate_json(size.named),
-                    "wrong_name": rate_json(size.misled),
-                }
-                for size in score.detection
-            ],
-            "confusion": {
-                "hidden": score.confusion.hidden,
-                "said": score.confusion.predicted,
-                "counts": score.confusion.counts,
-            },
-            "calibration": score.calibration,
-            "promises": {
-                "median_absolute_difference": promises.difference,
-                "median_absolute_difference_right": promises.right_difference,
-                "within_interval": rate_json(promises.within),
-                "closed_90": rate_json(promises.closed),
-                "kept": rate_json(promises.kept),
-                "campaigns": promises.outcomes,
-            },
-            "not_right": [
-                {
-                    "case": case.name,
-                    **attributes_json(case.answer, "truth", "form", "size"),
-                    "d_prime": case.d_prime,
-                    **attributes_json(case.diagnosis, "verdict", "effects", "probability"),
-                }
-                for case in score.missed
-            ],
-        }
-    )
+    return {
+        "rates": [rate_json(rate) for rate in score.rates],
+        "withheld": [rate_json(rate) for rate in score.withheld],
+        "detection": [
+            {
+                "d_prime": {"low": size.low, "high": size.high},
+                "gap_seen": rate_json(size.seen),
+                "right_name": rate_json(size.named),
+                "wrong_name": rate_json(size.misled),
+            }
+            for size in score.detection
+        ],
+        "confusion": attributes_json(score.confusion, "hidden", "counts", predicted="said"),
+        "calibration": score.calibration,
+        "promises": {
+            **attributes_json(promises, difference="median_absolute_difference", outcomes="campaigns"),
+            "median_absolute_difference_right": promises.right_difference,
+            "within_interval": rate_json(promises.within),
+            "closed_90": rate_json(promises.closed),
+            "kept": rate_json(promises.kept),
+        },
+        "not_right": [
+            {
+                "case": case.name,
+                **attributes_json(case.answer, "truth", "form", "size"),
+                "d_prime": case.d_prime,
+                **attributes_json(case.diagnosis, "verdict", "effects", "probability"),
+            }
+            for case in score.missed
+        ],
+    }
 
 
 def rate_json(rate: Rate) -> Mapping[str, object]:
     """Return a rate as JSON; its share and interval are null where there are no cases."""
-    return to_json_object(
-        {
-            **attributes_json(rate, "name", "held", "count", "share"),
-            "interval_95": [rate.low, rate.high] if rate.count else None,
-        }
-    )
+    return {
+        **attributes_json(rate, "name", "held", "count", "share"),
+        "interval_95": [rate.low, rate.high] if rate.count else None,
+    }
 
 
 def _range(low: float, high: float) -> str:

@@ -25,6 +25,7 @@ from dragrig.present import (
     Field,
     FormattedNumber,
     Table,
+    attributes_json,
     decimals,
     percent,
     probability_text,
@@ -408,14 +409,11 @@ def _entry_json(entry: BudgetEntry) -> Mapping[str, object]:
     interval = entry.share_95ci
     known = interval is not None and all(map(isfinite, interval))
     return {
-        "cause": entry.cause,
-        "channel": entry.channel,
+        **attributes_json(entry, "cause", "channel", "rms_mN", "not_separable_from"),
         "share": _rounded(entry.share),
         "share_95ci": [_rounded(end) for end in interval] if interval is not None and known else None,
-        "rms_mN": entry.rms_mN,
         "presence": None if entry.presence is None else _rounded(entry.presence),
         "what": entry.what or None,
-        "not_separable_from": entry.not_separable_from,
     }
 
 

@@ -51,7 +51,6 @@ from dragrig.present import (
     percent,
     quantity_json,
     shortest,
-    to_json_object,
     unit_text,
 )
 from dragrig.rig import FloatArray
@@ -476,35 +475,33 @@ def identification_json(identification: Identification) -> Mapping[str, object]:
     """Return an identification as JSON, without any NaN or infinity; null for parts that the campaign lacks."""
     joint, relaxation = identification.joint, identification.relaxation
     coulomb, drag = identification.coulomb, identification.drag
-    return to_json_object(
-        {
-            "specimen": identification.specimen,
-            "used": identification.used,
-            "left_out": exclusions_json(identification.left_out),
-            "joint": None
-            if joint is None
-            else {
-                **attributes_json(joint, "nominal", "converged", "steps", "chi2", "degrees", "p_value", "holds"),
-                "parameters": {_key_with_unit(entry): _parameter_json(entry, joint) for entry in joint.parameters},
-                "combinations": {_key_with_unit(entry): _parameter_json(entry, joint) for entry in joint.combinations},
-                "correlation": _matrix_json(joint.correlation, [parameter.name for parameter in joint.parameters]),
-                "runs": [_fields_json(run, chi2="chi2_per_degree", zero="zero_mN") for run in joint.runs],
-                "remarks": joint.remarks,
-            },
-            "relaxation": None
-            if relaxation is None
-            else {
-                "runs": [_relaxation_fit_json(fit) for fit in relaxation.fits],
-                "laws": [_fields_json(law, coefficients="coefficients_highest_power_first") for law in relaxation.laws],
-                "remarks": relaxation.remarks,
-            },
-            "coulomb": None
-            if coulomb is None
-            else {**_fields_json(coulomb), "runs": [_fields_json(run, force="force_mN") for run in coulomb.runs]},
-            "drag": None if drag is None else _drag_json(drag),
-            "remarks": identification.remarks,
-        }
-    )
+    return {
+        "specimen": identification.specimen,
+        "used": identification.used,
+        "left_out": exclusions_json(identification.left_out),
+        "joint": None
+        if joint is None
+        else {
+            **attributes_json(joint, "nominal", "converged", "steps", "chi2", "degrees", "p_value", "holds"),
+            "parameters": {_key_with_unit(entry): _parameter_json(entry, joint) for entry in joint.parameters},
+            "combinations": {_key_with_unit(entry): _parameter_json(entry, joint) for entry in joint.combinations},
+            "correlation": _matrix_json(joint.correlation, [parameter.name for parameter in joint.parameters]),
+            "runs": [_fields_json(run, chi2="chi2_per_degree", zero="zero_mN") for run in joint.runs],
+            "remarks": joint.remarks,
+        },
+        "relaxation": None
+        if relaxation is None
+        else {
+            "runs": [_relaxation_fit_json(fit) for fit in relaxation.fits],
+            "laws": [_fields_json(law, coefficients="coefficients_highest_power_first") for law in relaxation.laws],
+            "remarks": relaxation.remarks,
+        },
+        "coulomb": None
+        if coulomb is None
+        else {**_fields_json(coulomb), "runs": [_fields_json(run, force="force_mN") for run in coulomb.runs]},
+        "drag": None if drag is None else _drag_json(drag),
+        "remarks": identification.remarks,
+    }
 
 
 def _drag_json(drag: DragResult) -> Mapping[str, object]:
@@ -537,15 +534,12 @@ def _fields_json(record: "DataclassInstance", **renamed: str) -> dict[str, objec
 def _relaxation_fit_json(fit: RelaxationFit) -> Mapping[str, object]:
     test = fit.test
     return {
-        "file": fit.file,
-        "shear_strain": fit.shear_strain,
+        **attributes_json(fit, "file", "shear_strain", "chi2", "degrees", "converged", "remark"),
         "elements": _quantities_json(fit.elements),
         "times": _quantities_json(fit.times),
         "correlation": _matrix_json(fit.correlation, [element.name for element in fit.elements]),
         "zero_mN": _estimate_json(fit.zero),
-        **attributes_json(fit, "chi2", "degrees", "converged"),
         "five_elements": None if test is None else _fields_json(test, suffices="suffice"),
-        "remark": fit.remark,
     }
 
 

@@ -1,6 +1,6 @@
 """Effects laid out for a reader: the catalogue, by the place where they act, and what a set of runs can distinguish."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from dragrig import present
@@ -27,10 +27,9 @@ from dragrig.present import (
     decimals,
     shortest,
     significant,
-    to_json_object,
     unit_text,
 )
-from dragrig.sim_backend.effects import Effect, EffectParameter, Location
+from dragrig.sim_backend.effects import Effect, Location
 
 FORMAT, VERSION = "dragrig-isolability", 1
 MAX_PAIRS = 20
@@ -77,27 +76,23 @@ def isolability_document(isolability: Isolability) -> Document:
             ),
             Section("limits", "3. Limits", (Items(tuple(map(as_sentence, isolability.remarks)), remarks=True),)),
         ),
-        data=to_json_object(
-            {
-                "format": FORMAT,
-                "version": VERSION,
-                **attributes_json(isolability, "source", "planned", "runs", "duration_s"),
-                "in_words": isolability_sentences(isolability),
-                "seen_from_d_prime": DETECTABLE_D_PRIME,
-                "close_below_sin2": CONFUSED_SIN2,
-                "summary": isolability.summary(),
-                "effects": [
-                    {
-                        "id": effect.effect,
-                        **attributes_json(effect, "channel", "usual", "unit", "d_prime"),
-                        "least_seen": effect.smallest,
-                        "least_seen_mN": effect.smallest_mN,
-                    }
-                    for effect in isolability.effects
-                ],
-                **attributes_json(isolability, "pairs", "remarks"),
-            }
-        ),
+        data={
+            "format": FORMAT,
+            "version": VERSION,
+            **attributes_json(isolability, "source", "planned", "runs", "duration_s"),
+            "in_words": isolability_sentences(isolability),
+            "seen_from_d_prime": DETECTABLE_D_PRIME,
+            "close_below_sin2": CONFUSED_SIN2,
+            "summary": isolability.summary(),
+            "effects": [
+                {
+                    **attributes_json(effect, "channel", "usual", "unit", "d_prime", effect="id"),
+                    **attributes_json(effect, smallest="least_seen", smallest_mN="least_seen_mN"),
+                }
+                for effect in isolability.effects
+            ],
+            **attributes_json(isolability, "pairs", "remarks"),
+        },
     )
 
 
@@ -151,34 +146,26 @@ def effects_document(effects: Sequence[Effect]) -> Document:
     )
     data = [
         {
-            **attributes_json(effect, "id", "name"),
-            "place": effect.location,
-            "domain": effect.coordinate,
-            "summary": effect.summary,
-            "exposes": effect.visible_in,
-            "channel": effect.channel,
-            "parameters": [_parameter_json(parameter) for parameter in effect.parameters],
-            "aliases": effect.confused_with,
+            **attributes_json(effect, "id", "name", "summary", "channel", location="place", coordinate="domain"),
+            **attributes_json(effect, "source", visible_in="exposes", confused_with="aliases"),
+            "parameters": [
+                attributes_json(
+                    *(parameter, "name", "unit", "role", "low", "high", "meaning"),
+                    default="usual",
+                    grid="tried",
+                    bounds="possible",
+                )
+                for parameter in effect.parameters
+            ],
             "nominal": effect.nominal or None,
-            "source": effect.source,
         }
         for effect in effects
     ]
     return Document(
         title=f"{len(effects)} effects that the friction model leaves out",
         sections=tuple(sections),
-        data=to_json_object({"effects": data}),
+        data={"effects": data},
     )
-
-
-def _parameter_json(parameter: EffectParameter) -> Mapping[str, object]:
-    return {
-        **attributes_json(parameter, "name", "unit", "role"),
-        "usual": parameter.default,
-        **attributes_json(parameter, "low", "high", "meaning"),
-        "tried": parameter.grid,
-        "possible": parameter.bounds,
-    }
 
 
 def _effect_section(effect: Effect) -> Section:

@@ -133,11 +133,6 @@ def _format_text(specification: str, value: float, *, factor: float = 1.0, unit:
     return with_minus_sign(f"{factor * value:{specification}}{unit}")
 
 
-def to_json_object(values: Mapping[str, object]) -> dict[str, object]:
-    """Return named values as a JSON object, without any NaN or infinity."""
-    return {name: to_json_value(value) for name, value in values.items()}
-
-
 def to_json_value(value: object) -> object:
     """Turn a value into what JSON knows; what is neither a number, a text nor a collection becomes its text."""
     if hasattr(value, "tolist"):  # NumPy scalars and arrays, without importing NumPy
@@ -157,9 +152,9 @@ def to_json_value(value: object) -> object:
             return value.isoformat() if isinstance(value, date) else str(value)
 
 
-def attributes_json(value: object, *names: str) -> dict[str, object]:
-    """Return attributes of a value under their own names, which are then those of a JSON object too."""
-    return {name: getattr(value, name) for name in names}
+def attributes_json(record: object, /, *names: str, **renamed: str) -> dict[str, object]:
+    """Return attributes of a value for a JSON object: under their own names, and then some under other names."""
+    return {name: getattr(record, own) for own, name in (*zip(names, names, strict=True), *renamed.items())}
 
 
 def grouped_files(files: Sequence[str]) -> str:

@@ -39,7 +39,6 @@ from dragrig.present import (
     new_figure,
     p_value_text,
     quantity_json,
-    to_json_object,
     unit_text,
 )
 from dragrig.present.identification_figures import PRIOR_COLOUR
@@ -301,14 +300,12 @@ def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Seque
 
 def population_json(population: Population) -> Mapping[str, object]:
     """Return a population as JSON, without any NaN or infinity."""
-    return to_json_object(
-        {
-            **attributes_json(population, "nominal", "campaigns", "specimens"),
-            "parameters": {parameter.name: dict(_parameter_json(parameter)) for parameter in population.parameters},
-            "left_out": exclusions_json(population.left_out),
-            "remarks": population.remarks,
-        }
-    )
+    return {
+        **attributes_json(population, "nominal", "campaigns", "specimens"),
+        "parameters": {parameter.name: dict(_parameter_json(parameter)) for parameter in population.parameters},
+        "left_out": exclusions_json(population.left_out),
+        "remarks": population.remarks,
+    }
 
 
 def _parameter_json(parameter: PopulationParameter) -> Iterator[tuple[str, object]]:

@@ -15,7 +15,6 @@ from dragrig.present import (
     duration_text,
     shortest,
     size_text,
-    to_json_object,
 )
 
 if TYPE_CHECKING:
@@ -58,12 +57,10 @@ def preflight_document(preflight: "Preflight") -> Document:
                 ),
             ),
         ),
-        data=to_json_object(
-            {
-                "runs": [_preview_json(preview) for preview in preflight.previews],
-                **attributes_json(preflight, "duration_s", "size_bytes", "free_bytes", "findings", "remarks"),
-            }
-        ),
+        data={
+            "runs": [_preview_json(preview) for preview in preflight.previews],
+            **attributes_json(preflight, "duration_s", "size_bytes", "free_bytes", "findings", "remarks"),
+        },
     )
 
 
@@ -74,7 +71,7 @@ def rig_check_document(checks: "Sequence[RigCheck]") -> Document:
         title="Check of the rig",
         answer=f"The rig is not ready: {', '.join(failed)}." if failed else "The rig is ready: every check passed.",
         sections=(_checks_section("check", checks),),
-        data=[{"what": check.name, "fine": check.passed, "detail": check.detail} for check in checks],
+        data=[attributes_json(check, "detail", name="what", passed="fine") for check in checks],
     )
 
 
@@ -85,7 +82,7 @@ def commissioning_document(record: "CommissioningRecord") -> Document:
         title="Look at the rig's wiring",
         answer=f"Not as it has to be: {', '.join(failed)}." if failed else "Every signal is as it has to be.",
         sections=(_checks_section("signal", record.signals),),
-        data=to_json_object(record.model_dump()),
+        data=record.model_dump(),
     )
 
 
@@ -149,20 +146,16 @@ def sensor_calibration_document(
     return Document(
         title=f"{summary}; stored as {entry.id}" if stored else summary,
         sections=(Section("points", "", (table, Items(tuple(notes), remarks=True))),),
-        data=to_json_object({"entry": entry.model_dump(), "points": points, "notes": notes}),
+        data={"entry": entry.model_dump(), "points": points, "notes": notes},
     )
 
 
 def _preview_json(preview: "RunPreview") -> dict[str, object]:
     run = preview.run
     return {
-        "index": run.index,
+        **attributes_json(run, "index", "fixture", "wait_s", "duration_s", "prompt"),
         "kind": run.protocol.kind,
         "parameters": run.protocol.attributes(),
         "capsule": run.capsule.name,
-        "fixture": run.fixture,
-        **attributes_json(preview, "lowest_mm", "highest_mm", "speed_mm_s", "accel_mm_s2"),
-        **attributes_json(run, "wait_s", "duration_s"),
-        "size_bytes": preview.size_bytes,
-        "prompt": run.prompt,
+        **attributes_json(preview, "lowest_mm", "highest_mm", "speed_mm_s", "accel_mm_s2", "size_bytes"),
     }

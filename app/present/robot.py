@@ -25,12 +25,12 @@ from dragrig.present import (
     Table,
     Text,
     TextKind,
+    attributes_json,
     decimals,
     figure_style,
     new_figure,
     significant,
     tint,
-    to_json_object,
 )
 from dragrig.sim_backend.friction import GRAVITY_M_S2
 from dragrig.sim_backend.robot import MN_PER_G_MM_S2
@@ -323,55 +323,45 @@ def _assumed(key: str, value: float) -> str:
 def _json(study: RobotStudy) -> dict[str, object]:
     def walk_json(walk: SteadyWalk) -> dict[str, object]:
         return {
-            "speed_mm_s": walk.speed_mm_s,
-            "work_uJ_mm": None if walk.loss_uJ_mm == inf else walk.loss_uJ_mm,
-            "forward_mm": walk.last[-1].forwards_mm,
-            "backward_mm": walk.last[-1].backwards_mm,
+            **attributes_json(walk, "speed_mm_s", "energy_error", loss_uJ_mm="work_uJ_mm", converged="steady"),
+            **attributes_json(walk.last[-1], forwards_mm="forward_mm", backwards_mm="backward_mm"),
             "periods": len(walk.walker.periods),
-            "steady": walk.converged,
-            "energy_error": walk.energy_error,
         }
 
-    return to_json_object(
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            "robot": study.robot.model_dump(mode="json"),
-            "model": study.model.name,
-            "effects": study.effects,
-            "seed": study.seed,
-            "in_words": robot_sentences(study),
-            "static_resistance_mN": study.static_mN,
-            "drives": [
-                {
-                    "name": driven.name,
-                    **driven.gut.drive.model_dump(),
-                    "period_ms": 1e3 * driven.gut.drive.period_s,
-                    "hard": walk_json(driven.hard),
-                    "gut": walk_json(driven.gut),
-                    "effects_settled": driven.converged,
-                }
-                for driven in study.drives
-            ],
-            "prices": [
-                {
-                    "effect": price.effect,
-                    "speed_mm_s": price.speed_mm_s,
-                    "price_mm_s": None if price.speed_change_mm_s is None else -price.speed_change_mm_s,
-                    "standard_error_mm_s": price.speed_error_mm_s,
-                    "work_change_uJ_mm": price.work_change_uJ_mm,
-                    "note": price.note,
-                }
-                for price in study.prices
-            ],
-            "assumptions": [
-                {
-                    "key": entry.key,
-                    "value": entry.value,
-                    "range": (entry.low, entry.high),
-                    "speeds_mm_s": {"low": entry.at_low, "high": entry.at_high},
-                }
-                for entry in study.sensitivities
-            ],
-        }
-    )
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "robot": study.robot.model_dump(mode="json"),
+        "model": study.model.name,
+        "effects": study.effects,
+        "seed": study.seed,
+        "in_words": robot_sentences(study),
+        "static_resistance_mN": study.static_mN,
+        "drives": [
+            {
+                "name": driven.name,
+                **driven.gut.drive.model_dump(),
+                "period_ms": 1e3 * driven.gut.drive.period_s,
+                "hard": walk_json(driven.hard),
+                "gut": walk_json(driven.gut),
+                "effects_settled": driven.converged,
+            }
+            for driven in study.drives
+        ],
+        "prices": [
+            {
+                **attributes_json(price, "effect", "speed_mm_s", "work_change_uJ_mm", "note"),
+                "price_mm_s": None if price.speed_change_mm_s is None else -price.speed_change_mm_s,
+                "standard_error_mm_s": price.speed_error_mm_s,
+            }
+            for price in study.prices
+        ],
+        "assumptions": [
+            {
+                **attributes_json(entry, "key", "value"),
+                "range": (entry.low, entry.high),
+                "speeds_mm_s": {"low": entry.at_low, "high": entry.at_high},
+            }
+            for entry in study.sensitivities
+        ],
+    }

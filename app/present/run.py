@@ -23,7 +23,6 @@ from dragrig.present import (
     run_title,
     shortest,
     size_text,
-    to_json_object,
 )
 from dragrig.rig import Attribute, Run, RunEvent, RunInfo
 
@@ -223,25 +222,17 @@ def _file_texts(file: InspectedFile) -> dict[str, str]:
 
 def _file_json(file: InspectedFile) -> dict[str, object]:
     info, header = file.info, file.info.header
-    return to_json_object(
-        {
-            "file": info.path,
-            "run_id": header.run_id,
-            **attributes_json(info, "kind", "status", "reason"),
-            "bad": file.bad_reason,
-            "noted": file.note or None,
-            "start_time": header.start_time,
-            "end_time": info.end_time,
-            **attributes_json(header, "order", "backend", "sample_rate_hz"),
-            "samples": info.samples,
-            "duration_s": info.samples / header.sample_rate_hz,
-            "channels": {channel.name: channel.units for channel in header.channels},
-            **attributes_json(header, "entry", "protocol", "capsule", "specimen"),
-            "checks": info.checks,
-            "intact": file.intact,
-            "format_version": info.format_version,
-        }
-    )
+    return {
+        **attributes_json(
+            info, "kind", "status", "reason", "end_time", "samples", "checks", "format_version", path="file"
+        ),
+        **attributes_json(file, "intact", bad_reason="bad"),
+        "noted": file.note or None,
+        **attributes_json(header, "run_id", "start_time", "order", "backend", "sample_rate_hz"),
+        "duration_s": info.samples / header.sample_rate_hz,
+        "channels": {channel.name: channel.units for channel in header.channels},
+        **attributes_json(header, "entry", "protocol", "capsule", "specimen"),
+    }
 
 
 def run_drawing(info: RunInfo, drawing: "Callable[[], MatplotlibFigure] | str", name: str = "run") -> Figure:

@@ -25,7 +25,6 @@ from dragrig.present import (
     new_figure,
     probability_text,
     significant,
-    to_json_object,
 )
 from dragrig.present.diagnosis import BITS_EXPLAINED
 
@@ -58,7 +57,7 @@ def settlement_document(record: SettleRecord, diagnosis: Diagnosis, *, source: s
         lead=(ending_sentence(record), *document.lead),
         # The figure that shows the conclusion comes first.
         sections=(*document.sections[:1], _way_section(record), *document.sections[1:]),
-        data={**data, "settle": to_json_object(record.model_dump(mode="json"))},
+        data={**data, "settle": record.model_dump(mode="json")},
     )
 
 

@@ -20,7 +20,6 @@ from dragrig.present import (
     probability_text,
     shortest,
     significant,
-    to_json_object,
     unit_text,
 )
 from dragrig.sim_backend.effects import catalogue
@@ -219,46 +218,34 @@ def _alone_text(pooled: PooledDiagnosis) -> Text:
 
 def pooled_json(pooled: PooledDiagnosis) -> Mapping[str, object]:
     """Return the diagnosis of several campaigns together as JSON."""
-    return to_json_object(
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            "campaigns": [
-                {
-                    **attributes_json(campaign, "source", "specimen", "runs", "nominal"),
-                    "verdict": campaign.verdict.value,
-                    **attributes_json(campaign, "effects", "probability"),
-                    "left_out": exclusions_json(campaign.left_out),
-                    "remarks": campaign.remarks,
-                }
-                for campaign in pooled.campaigns
-            ],
-            "effects": [_effect_json(effect, pooled) for effect in pooled.effects],
-            "unnamed": pooled.unnamed,
-            "remarks": pooled.remarks,
-        }
-    )
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "campaigns": [
+            {
+                **attributes_json(campaign, "source", "specimen", "runs", "nominal", "verdict", "effects"),
+                **attributes_json(campaign, "probability", "remarks"),
+                "left_out": exclusions_json(campaign.left_out),
+            }
+            for campaign in pooled.campaigns
+        ],
+        "effects": [_effect_json(effect, pooled) for effect in pooled.effects],
+        **attributes_json(pooled, "unnamed", "remarks"),
+    }
 
 
 def _effect_json(effect: PooledEffect, pooled: PooledDiagnosis) -> Mapping[str, object]:
     size = effect.size
     return {
-        "effect": effect.effect,
+        **attributes_json(effect, "effect", "probability", "where", "where_probabilities", "presence"),
+        **attributes_json(effect, "confusable_with", alone="presence_alone"),
         "belongs_to": "rig" if effect.of_rig else "gut",
         "established": effect in pooled.established,
-        "probability": effect.probability,
-        "where": effect.where.value,
-        "where_probabilities": {where.value: value for where, value in effect.where_probabilities.items()},
         "campaigns": [pooled.campaigns[at].source for at in effect.members] if effect in pooled.established else [],
-        "presence": effect.presence,
-        "presence_alone": effect.alone,
-        "confusable_with": effect.confusable_with,
         "size": None
         if size is None
         else {
-            **attributes_json(size, "parameter", "unit", "mean"),
-            "sd": size.standard_error,
-            **attributes_json(size, "interval_95", "spread"),
+            **attributes_json(size, "parameter", "unit", "mean", "interval_95", "spread", standard_error="sd"),
             "campaigns": [None if own is None else {"value": own[0], "sd": own[1]} for own in size.campaigns],
         },
         "summary": catalogue()[effect.effect].summary if effect.effect in catalogue() else "",
