@@ -75,9 +75,9 @@ def _metadata(campaign: Campaign, folder: str, files: Mapping[str, Path], licenc
     from rocrate.rocrate import ROCrate
 
     crate = ROCrate(version="1.1")
-    people = [crate.add(Person(crate, _id(name), {"name": name})) for name in _stated(campaign, "operator")]
+    people = [crate.add(Person(crate, f"#{quote(name)}", {"name": name})) for name in _stated(campaign, "operator")]
     programs = [
-        crate.add(ContextEntity(crate, _id(name), {"@type": "SoftwareApplication", "name": name}))
+        crate.add(ContextEntity(crate, f"#{quote(name)}", {"@type": "SoftwareApplication", "name": name}))
         for name in _stated(campaign, "software")
     ]
     runs, parts = {run.path.name: run for run in campaign.runs}, []
@@ -105,10 +105,6 @@ def _metadata(campaign: Campaign, folder: str, files: Mapping[str, Path], licenc
     terms = {"@type": "CreativeWork", "name": licence or NO_LICENCE, "description": licence or NO_LICENCE}
     crate.license = crate.add(ContextEntity(crate, address, terms))
     return crate.metadata.generate()
-
-
-def _id(name: str) -> str:
-    return f"#{quote(name)}"
 
 
 def _stated(campaign: Campaign, name: str) -> list[str]:

@@ -313,6 +313,11 @@ def export_command(
     """
     from dragrig.analysis import CsvStyle, ExportFormat, ExportSelection, export_run
 
+    if form != "csv" and (decimal or delimiter):
+        raise click.UsageError("--decimal and --delimiter are for --format csv alone", click.get_current_context())
+    if (form == "eln" and (columns or filtered_only or every > 1)) or (licence and form != "eln"):
+        why = "--licence is for --format eln, of whole runs; --columns, --filtered-only and --every for others"
+        raise click.UsageError(why, click.get_current_context())
     folder = options.make_folder(out) if out is not None else None
     if form == "eln":
         from dragrig.api import export
@@ -321,8 +326,6 @@ def export_command(
         archives = [write_archive(place, folder or Path(place).absolute().parent)[0] for place in inputs]
         _print_results([{"file": file} for file in archives], list(map(display_path, archives)), as_json=as_json)
         return
-    if form != "csv" and (decimal or delimiter):
-        raise click.UsageError("--decimal and --delimiter are for --format csv alone", click.get_current_context())
     style = CsvStyle(decimal or ".", "\t" if delimiter in {"tab", "\\t"} else delimiter or "")
     names = tuple(name.strip() for name in (columns or "").split(",") if name.strip())
     selection = ExportSelection(names, filtered_only, every)

@@ -513,7 +513,7 @@ def _verdict_without_effect(diagnosis: Diagnosis) -> str:
 def diagnosis_json(
     diagnosis: Diagnosis, *, model: str | None = None, run_ids: Mapping[str, str] | None = None
 ) -> Mapping[str, object]:
-    """Return a diagnosis as the JSON of a gap report, without any NaN or infinity; as `diagnosis_document`."""
+    """Return a diagnosis for the JSON of a gap report; as `diagnosis_document`."""
     ids = run_ids or {}
     likeliest = None if diagnosis.likeliest is None else diagnosis_json(diagnosis.likeliest, run_ids=ids)
     return {

@@ -285,7 +285,7 @@ def _promise_sentences(promises: PromiseScore) -> Iterator[str]:
 
 
 def score_json(score: ExamScore) -> Mapping[str, object]:
-    """Return the score as JSON, without any NaN or infinity."""
+    """Return the score for JSON."""
     promises = score.promises
     return {
         "rates": [rate_json(rate) for rate in score.rates],

@@ -472,7 +472,7 @@ def element_symbol(name: str) -> str:
 
 
 def identification_json(identification: Identification) -> Mapping[str, object]:
-    """Return an identification as JSON, without any NaN or infinity; null for parts that the campaign lacks."""
+    """Return an identification for JSON; None for parts that the campaign lacks."""
     joint, relaxation = identification.joint, identification.relaxation
     coulomb, drag = identification.coulomb, identification.drag
     return {

@@ -299,7 +299,7 @@ def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Seque
 
 
 def population_json(population: Population) -> Mapping[str, object]:
-    """Return a population as JSON, without any NaN or infinity."""
+    """Return a population for JSON."""
     return {
         **attributes_json(population, "nominal", "campaigns", "specimens"),
         "parameters": {parameter.name: dict(_parameter_json(parameter)) for parameter in population.parameters},

@@ -58,6 +58,10 @@ def test_an_archive_of_no_campaign_is_refused(
         write_eln(tmp_path / "empty", tmp_path, campaign / "010-drag.h5")
     assert main(["export", str(campaign / "010-drag.h5"), "--format", "eln"]) == 2
     assert "give the folder of a campaign" in capsys.readouterr().err
+    assert main(["export", str(campaign), "--format", "eln", "--columns", "force"]) == 2
+    assert main(["export", str(campaign), "--licence", "CC0-1.0"]) == 2
+    assert capsys.readouterr().err.count("--licence is for --format eln") == 2
+    assert not campaign.with_suffix(".eln").exists()
 
 
 @pytest.mark.thorough

@@ -36,6 +36,7 @@ from dragrig.config import Plan, PlanStep, Specimen, to_toml
 from dragrig.config.errors import OutputError, PlanError, RunFileError, SettingsError
 from dragrig.engine_host import RigSelection, SessionFinished, SessionJob
 from dragrig.present import settlement_document
+from dragrig.present.numbers import to_json_value
 from dragrig.present.terminal import document_text
 from dragrig.rig import mark_bad
 from dragrig.rig.runfile.campaigns import read_campaign, read_session_records
@@ -76,7 +77,7 @@ def test_a_batch_is_made_in_its_campaign_and_its_diagnosis_ends_the_loop(tmp_pat
     assert SettleRecord.model_validate_json(ended.model_dump_json()) == ended
     document = settlement_document(ended, STRIBECK)
     assert batch.reason.split(" is expected")[0].split(",")[0] in document_text(document)
-    assert json.loads(json.dumps(document.data))["settle"]["batches"][0]["plan"]["name"] == "few"
+    assert json.loads(json.dumps(to_json_value(document.data)))["settle"]["batches"][0]["plan"]["name"] == "few"
 
 
 @pytest.mark.thorough
@@ -106,7 +107,7 @@ def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path, share
     for batch in settled.record.batches[1:]:
         assert batch.reason.split(" is expected")[0].split(",")[0] in said
     assert "probabilities" in [figure.name for figure in document.figures()]
-    assert json.loads(json.dumps(document.data))["settle"]["batches"][0]["plan"]["name"] == "few"
+    assert json.loads(json.dumps(to_json_value(document.data)))["settle"]["batches"][0]["plan"]["name"] == "few"
 
 
 @pytest.mark.thorough

@@ -20,6 +20,7 @@ from dragrig.api.gap import save_amended_model
 from dragrig.config.friction_model import FrictionModelSettings, parse_effects
 from dragrig.present.diagnosis import campaigns_document, diagnosis_document, diagnosis_json
 from dragrig.present.document import Table
+from dragrig.present.numbers import to_json_value
 from dragrig.rig import Phase
 from hidden import hidden, simulated
 from places import CAMPAIGN, DATA
@@ -176,7 +177,7 @@ def test_what_few_kinds_of_run_cannot_answer_is_said(kinds: tuple[str, ...], mes
     assert diagnosis.runs == len(runs)
     for name in message:
         assert any(sentence.startswith(name) for sentence in diagnosis.limitations)
-    assert json.loads(json.dumps(diagnosis_json(diagnosis)))["verdict"] == diagnosis.verdict
+    assert json.loads(json.dumps(to_json_value(diagnosis_json(diagnosis))))["verdict"] == diagnosis.verdict
 
 
 SINGLE = {
@@ -193,7 +194,7 @@ def test_a_single_run_is_diagnosed_as_far_as_it_goes(kind: str) -> None:
     diagnosis = diagnose(choose_runs([experiment.run]), MODEL, trying("stribeck", "force_drift"))
     assert (diagnosis.runs, diagnosis.held_out, diagnosis.shrink) == (1, (), None)
     assert (diagnosis.verdict, diagnosis.effects, diagnosis.ranking) == (Verdict.OPEN, (), ())
-    read = json.loads(json.dumps(diagnosis_json(diagnosis)))
+    read = json.loads(json.dumps(to_json_value(diagnosis_json(diagnosis))))
     assert (read["verdict"], read["presence"], read["budget"]) == ("open", {}, [])
     assert re.search(SINGLE[kind], read["in_words"][0])
     page = diagnosis_document(diagnosis)

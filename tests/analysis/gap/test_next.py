@@ -23,6 +23,7 @@ from dragrig.config.specimen import Specimen
 from dragrig.present.diagnosis import diagnosis_document, diagnosis_json
 from dragrig.present.document import Document
 from dragrig.present.html_page import render_page
+from dragrig.present.numbers import to_json_value
 from dragrig.present.terminal import document_text
 from dragrig.sim_backend.blind import RunList, draw_campaign, write_campaign
 from dragrig.sim_backend.effects import catalogue
@@ -136,7 +137,7 @@ def test_runs_of_one_fixture_stand_together_and_ask_for_hands_once() -> None:
 
 def test_a_diagnosis_tells_it_in_text_page_and_json(next_experiment: NextExperiment) -> None:
     diagnosis = replace(STRIBECK, next_experiment=next_experiment)
-    text = json.loads(json.dumps(diagnosis_json(diagnosis), allow_nan=False))["next_experiment"]
+    text = json.loads(json.dumps(to_json_value(diagnosis_json(diagnosis)), allow_nan=False))["next_experiment"]
     assert text["protocol"] == "coulomb"
     assert text["speed_mm_s"] > 0
     assert text["why"] == next_experiment.reason

@@ -28,6 +28,7 @@ from dragrig.analysis.gap.together import CampaignEvidence, PooledDiagnosis, Whe
 from dragrig.cli import main
 from dragrig.config import AnalysisError, Plan
 from dragrig.present import pooled_document
+from dragrig.present.numbers import to_json_value
 from dragrig.rig import mark_bad
 from dragrig.sim_backend.effects import catalogue
 from finishing import finished_here
@@ -302,7 +303,7 @@ def test_a_single_campaign_and_a_file_for_one_are_refused(capsys: pytest.Capture
 
 def test_the_result_is_laid_out_for_programs_too() -> None:
     pooled = diagnose_together([campaign(seed, stribeck=2.0) for seed in range(3)], ["a remark"])
-    data = json.loads(json.dumps(pooled_document(pooled).data))
+    data = json.loads(json.dumps(to_json_value(pooled_document(pooled).data)))
     assert data["format"] == "dragrig-gap-together"
     [effect] = [entry for entry in data["effects"] if entry["established"]]
     assert (effect["effect"], effect["where"]) == ("stribeck", "all")

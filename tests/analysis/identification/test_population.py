@@ -23,6 +23,7 @@ from dragrig.analysis.models.nominal_model import Parameter
 from dragrig.cli import main
 from dragrig.config import AnalysisError
 from dragrig.present import population_document, population_figure
+from dragrig.present.numbers import to_json_value
 from places import CAMPAIGN
 
 FloatArray = npt.NDArray[np.float64]
@@ -236,7 +237,7 @@ def test_of_two_specimens_it_is_said_that_they_differ_and_no_mean_has_an_interva
     assert page.answer.startswith("The 2 specimens differ, and have no mean (n = 2): stiffness 2.12")
     assert "(p < 0.0001)" in page.answer
     assert page.badges == ("simulated",)
-    told = json.loads(json.dumps(page.data, allow_nan=False))["parameters"]["stiffness"]
+    told = json.loads(json.dumps(to_json_value(page.data), allow_nan=False))["parameters"]["stiffness"]
     assert told["mean"]["interval_95"] in (None, [None, None])
     assert [label.get_text() for label in population_figure(population).axes[0].get_yticklabels()] == ["a", "b"]
     alike = pool_specimens([single_fit(name, 0.4, 0.05, parameter) for name in "ab"], ALONE_POSITIVE)

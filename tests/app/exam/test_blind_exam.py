@@ -29,6 +29,7 @@ from dragrig.exam.blind_exam import (
     write_json,
 )
 from dragrig.exam.examinee import BlindDiagnosis, BlindTask, diagnose_blind
+from dragrig.present.numbers import to_json_value
 from dragrig.sim_backend.blind import CATALOGUE, parallel_session, write_campaign
 from driving import until
 from exam_pieces import diagnosis_killed_once, quick_diagnosis
@@ -128,7 +129,7 @@ def test_what_cannot_be_asked_for_is_told(
 def report_text(exam: BlindExam) -> str:
     document = dict(exam.document())
     document.pop("timings_s")
-    return json.dumps(document)
+    return json.dumps(to_json_value(document))
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +184,7 @@ def test_two_exams_with_one_seed_are_the_same_though_one_was_stopped_midway(
     assert (out / "answers.sha256").read_text("utf-8").split()[0] == sha256(text).hexdigest()
     assert exam.answers_sha256 == sha256(text).hexdigest()
     kept_score = json.loads((out / "score.json").read_text("utf-8"))
-    assert kept_score == json.loads(json.dumps(exam.document()))
+    assert kept_score == json.loads(json.dumps(to_json_value(exam.document())))
 
 
 @pytest.mark.thorough

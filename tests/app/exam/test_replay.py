@@ -14,6 +14,7 @@ import pytest
 from dragrig.analysis.gap.features import VerdictCalibration, shipped_calibration
 from dragrig.exam.examinee import BlindTask, diagnose_blind
 from dragrig.exam.hidden_cases import CONDITIONS_OF, DRAWN_PLANT, WRITTEN_PLANT
+from dragrig.present.numbers import to_json_value
 from dragrig.scoring import ScoredDiagnosis
 from dragrig.sim_backend.blind import CATALOGUE, write_campaign
 from property_tests import thorough
@@ -127,7 +128,7 @@ def test_a_campaign_from_its_plant_to_its_verdict(
     case = header_of(stored_lines()).cases[name]
     (stored,) = [campaign for campaign in campaigns if campaign.name == name]
     write_campaign(case.secret, tmp_path)
-    said = json.loads(json.dumps(diagnose_blind(BlindTask(tmp_path)).json_or_failure()))
+    said = json.loads(json.dumps(to_json_value(diagnose_blind(BlindTask(tmp_path)).json_or_failure())))
     judged = stored.judged()
     scored = ScoredDiagnosis.model_validate(said)
     assert (scored.verdict, scored.effects) == (judged.diagnosis.verdict, judged.diagnosis.effects)

@@ -391,7 +391,7 @@ class Report(Strict):
 )
 def test_json_is_a_gap_report(diagnosis: Diagnosis) -> None:
     sentence = json.dumps(
-        diagnosis_json(diagnosis, model="amended.toml", run_ids={"000-drag.h5": "id-0"}), allow_nan=False
+        to_json_value(diagnosis_json(diagnosis, model="amended.toml", run_ids={"000-drag.h5": "id-0"})), allow_nan=False
     )
     read = Report.model_validate_json(sentence)
     assert read.model == "amended.toml"
@@ -424,7 +424,7 @@ def test_json_knows_no_nan_and_no_infinity() -> None:
         shrink=replace(shrink(), closed=nan, r2_eq15=R2BeforeAfter(nan, inf, -inf, None)),
         timings_s={"fit": nan},
     )
-    answer = json.loads(json.dumps(diagnosis_json(ill), allow_nan=False))
+    answer = json.loads(json.dumps(to_json_value(diagnosis_json(ill)), allow_nan=False))
     assert answer["would_have_seen_mN"] is None
     assert answer["shrink"]["closed"] is None
     assert answer["where"]["p"] is None

@@ -8,6 +8,7 @@ import pytest
 from documents import example_document
 from dragrig.present.document import Document
 from dragrig.present.html_page import render_page
+from dragrig.present.numbers import to_json_value
 from dragrig.present.terminal import document_text
 
 
@@ -29,4 +30,4 @@ def test_the_page_shows_it_with_its_figure(document: Document) -> None:
 
 
 def test_json_has_its_exact_numbers(document: Document) -> None:
-    assert json.loads(json.dumps(document.data))["forces_mN"]["001-drag.h5"] == 101.234
+    assert json.loads(json.dumps(to_json_value(document.data)))["forces_mN"]["001-drag.h5"] == 101.234

@@ -38,6 +38,7 @@ from dragrig.present.gap_budget import (
     part_name,
 )
 from dragrig.present.html_page import render_page
+from dragrig.present.numbers import to_json_value
 from dragrig.present.terminal import BAR_WIDTH, document_text
 from property_tests import thorough
 
@@ -124,7 +125,7 @@ def test_the_budget_stands_before_the_verdict() -> None:
     sentences = [*budget_sentences(RIPPLE_AND_AGEING), *verdict_sentences(diagnosis)]
     assert text(diagnosis).splitlines()[: len(sentences)] == sentences
     assert f"<h1>{sentences[0]}</h1>" in plain_page(diagnosis)
-    assert diagnosis_json(diagnosis)["in_words"] == sentences
+    assert diagnosis_json(diagnosis)["in_words"] == tuple(sentences)
 
 
 @pytest.mark.parametrize("given_budget", [None, budget()], ids=["not made", "empty"])
@@ -141,7 +142,7 @@ def test_without_a_gap_there_is_no_bar(given_budget: GapBudget | None) -> None:
 
 @EACH
 def test_the_budget_in_json_sums_to_one_in_each_channel(given_budget: GapBudget) -> None:
-    parts = json.loads(json.dumps(diagnosis_json(diagnosed(given_budget)), allow_nan=False))["budget"]
+    parts = json.loads(json.dumps(to_json_value(diagnosis_json(diagnosed(given_budget))), allow_nan=False))["budget"]
     told = [(part["channel"], part["cause"]) for part in parts]
     assert sorted(told) == sorted((part.channel, part.cause) for part in given_budget.entries)
     for channel in {part["channel"] for part in parts}:
@@ -201,7 +202,7 @@ def test_a_budget_knows_no_nan() -> None:
     ill = replace(entry("stribeck", 0.7, nan, nan), share_95ci=(nan, inf))
     broken = replace(budget(ill, entry("adhesion", nan), entry("unexplained", 0.3, None, None)), gap_mN=nan)
     diagnosis = diagnosed(broken)
-    first, *_ = json.loads(json.dumps(diagnosis_json(diagnosis), allow_nan=False))["budget"]
+    first, *_ = json.loads(json.dumps(to_json_value(diagnosis_json(diagnosis)), allow_nan=False))["budget"]
     assert (first["share_95ci"], first["rms_mN"], first["presence"]) == (None, None, None)
     assert text(diagnosis).startswith("Of the gap, 70 % is Stribeck friction; 30 % has no name.")
     for shown in (text(diagnosis), re.sub(r"<[^>]*>", " ", plain_page(diagnosis))):
@@ -346,7 +347,7 @@ def test_a_single_effect_is_told_with_the_model_in_its_place() -> None:
         "is the only effect).",
         "Adhesion, film depletion and the nominal model itself cannot be distinguished from it with these runs.",
     )
-    assert diagnosis_json(shared)["shared_with"] == {"stribeck": ["model"]}
+    assert diagnosis_json(shared)["shared_with"] == {"stribeck": ("model",)}
 
 
 def with_intervals(given_budget: GapBudget, *intervals: tuple[float, float]) -> GapBudget:

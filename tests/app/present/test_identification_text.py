@@ -29,6 +29,7 @@ from dragrig.analysis.identification.identification import (
     ThirdBranchTest,
 )
 from dragrig.present.identification import identification_document, identification_json
+from dragrig.present.numbers import to_json_value
 from dragrig.present.terminal import document_text
 
 
@@ -188,7 +189,7 @@ def test_what_runs_do_not_determine_stands_without_a_number() -> None:
     assert isinstance(joint, dict)
     dwell = joint["parameters"]["dwell_scale"]
     assert (dwell["determined"], dwell["value"], dwell["interval_95"]) == (False, None, None)
-    assert dwell["prior_95"] == [0.7, 1.3]
+    assert dwell["prior_95"] == (0.7, 1.3)
     assert joint["combinations"]["e1_shown"]["determined"] is True
 
 
@@ -215,7 +216,7 @@ def test_parts_that_are_not_there_are_named_and_nothing_is_made_up() -> None:
     no_mu = CoulombResult((), missing("none"), missing("none"))
     empty = Identification("s", (), (), None, RelaxationResult((), ()), no_mu, DragResult((), None, None))
     assert "from 0 of 0 runs" in identification_text(empty)
-    json.dumps(identification_json(empty), allow_nan=False)
+    json.dumps(to_json_value(identification_json(empty)), allow_nan=False)
 
 
 def test_a_law_reads_as_a_polynomial_with_errors() -> None:
@@ -224,7 +225,7 @@ def test_a_law_reads_as_a_polynomial_with_errors() -> None:
 
 
 def test_json_names_units_in_its_keys_and_holds_everything() -> None:
-    table = json.loads(json.dumps(identification_json(WHOLE), allow_nan=False))
+    table = json.loads(json.dumps(to_json_value(identification_json(WHOLE)), allow_nan=False))
     joint = table["joint"]
     assert set(joint["parameters"]) == {"stiffness_scale", "dwell_scale", "angle_deg"}
     assert joint["parameters"]["stiffness_scale"]["interval_95"] == pytest.approx([0.9831, 1.1191])
@@ -259,7 +260,7 @@ def test_no_number_breaks_text_or_json(value: float, error: float, p_value: floa
     )
     whole = replace(WHOLE, joint=joint, drag=drag)
     assert "x" in identification_text(whole)
-    table = json.loads(json.dumps(identification_json(whole), allow_nan=False))
+    table = json.loads(json.dumps(to_json_value(identification_json(whole)), allow_nan=False))
     result = table["joint"]["parameters"]["x_mN_s_mm"]["value"]
     assert result == (value if math.isfinite(value) and odd.determined else None)
 
