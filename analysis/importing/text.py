@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.analysis import Mask
+from dragrig.analysis import ImportSettings, Mask
 from dragrig.analysis.importing.cells import (
     NO_VALUE,
     VALUE,
@@ -34,7 +34,6 @@ from dragrig.analysis.importing.cells import (
 )
 from dragrig.analysis.importing.clocks import RowTimes, joined
 from dragrig.analysis.importing.foreign import ForeignColumn, ForeignTable
-from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.units import canonical_unit, split_unit
 from dragrig.config import ImportDataError
 
