@@ -54,6 +54,7 @@ def print_scale(campaigns: Sequence[int], workers: Sequence[int], seed: int) -> 
 def diagnose(folder: Path) -> None:
     """Diagnose every campaign that has no diagnosis yet."""
     from dragrig.present.diagnosis import diagnosis_json
+    from dragrig.present.numbers import to_json_value
 
     waiting = [path for path in sorted(folder.iterdir()) if path.is_dir() and not (path / "diagnosis.json").exists()]
     for entry in gap_diagnose_many(waiting):
@@ -61,7 +62,7 @@ def diagnose(folder: Path) -> None:
             print(entry.why_not)
         else:
             (Path(entry.source) / "diagnosis.json").write_text(
-                json.dumps(diagnosis_json(entry.result)), encoding="utf-8"
+                json.dumps(to_json_value(diagnosis_json(entry.result))), encoding="utf-8"
             )
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from dragrig.config.errors import AnalysisError
 from dragrig.present.exam import exam_document, score_json
 from dragrig.present.html_page import render_page
+from dragrig.present.numbers import to_json_value
 from dragrig.present.terminal import document_text
 from dragrig.scoring import score_exam
 from exams import diagnosis_record, large_exam, truth
@@ -266,7 +267,7 @@ def test_an_exam_is_told_as_json_text_and_page(cases: int) -> None:
 
     result = large_exam(cases)
     exam = BlindExam(cases, 4, "ab" * 32, result, {}, {"this call": 1.0})
-    dumps = json.dumps(exam.document(), allow_nan=False)
+    dumps = json.dumps(to_json_value(exam.document()), allow_nan=False)
     assert json.loads(dumps)["calibration"]["reliability"]
     assert exam.document()["confusion"] == score_json(result)["confusion"]
     document = exam_document(result, cases, 4, "ab" * 32)
