@@ -78,7 +78,8 @@ def fill(window: MainWindow, plan: str = "drag", **values: str) -> None:
     new.plans.setCurrentIndex(new.plans.findData(plan))
     # Edits of a test before survive, as they do for a person.
     usual = {"speed_mm_s": "20", "travel_mm": "10", "rest_s": "0.2", "hold_s": "0.2", "wait_s": "0", "way_back": "stay",
-             "prompt": "", "prompt_each": "no", "repeats": "1", "order": "listed", "fixture": "", "capsule": ""}  # fmt: skip
+             "prompt": "", "prompt_each": "no", "repeats": "1", "order": "listed",
+             "fixture": "", "capsule": ""}  # fmt: skip
     for key, text in {**usual, **values}.items():
         new.editor.put(key, text)
     new.pace.setCurrentText("as fast as possible")
