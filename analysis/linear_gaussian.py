@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from math import sqrt
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from dragrig.analysis.selection import RunSelection
 from dragrig.config import AnalysisError
 from dragrig.rig import BoolArray, Contact, FloatArray
 
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
 ItemT = TypeVar("ItemT")
 
 
@@ -43,7 +46,7 @@ def single_blas_thread() -> Iterator[None]:
 
 
 @cache
-def blas_libraries() -> Any:
+def blas_libraries() -> "ThreadpoolController":
     """Look once for the BLAS of NumPy and of SciPy, which can only be limited once it is loaded."""
     import scipy.linalg
     from threadpoolctl import ThreadpoolController

@@ -13,7 +13,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from dragrig.analysis import SOURCE_KEY, START_UNKNOWN_KEY, printable
+from dragrig.analysis import SOURCE_KEY, START_UNKNOWN_KEY, ImportSettings, printable
 from dragrig.analysis.importing.conversion import (
     SPEED_WINDOW_S,
     ConvertedMeasurement,
@@ -23,7 +23,6 @@ from dragrig.analysis.importing.conversion import (
 )
 from dragrig.analysis.importing.exports import PreparedRun, read_export, restore_run
 from dragrig.analysis.importing.foreign import ForeignTable
-from dragrig.analysis.importing.import_settings import ImportSettings
 from dragrig.analysis.importing.readers import read_foreign
 from dragrig.analysis.importing.time_grid import import_event
 from dragrig.config import Capsule, Fixture, ImportDataError, OutputError, Specimen, find_settings, suggestion

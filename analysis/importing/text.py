@@ -235,7 +235,7 @@ class _Fit:
             inside = [line for line in left_out if rows[begin] < line <= (rows[end] if end < len(rows) else np.inf)]
             remarks = (*self._told(inside), *table.remarks)
             table = _with_joined_clock(replace(table, preamble=preamble, remarks=remarks), clocks)
-            yield from _side_by_side(with_stated_waveform(table), heading.names, self._delimiter)
+            yield from _side_by_side(_with_stated_waveform(table), heading.names, self._delimiter)
             behind = int(rows[end - 1]) + 1
 
     def _table(
@@ -492,7 +492,7 @@ def _side_by_side(table: ForeignTable, names: Sequence[str], delimiter: str) -> 
     yield table
 
 
-def with_stated_waveform(table: ForeignTable) -> ForeignTable:
+def _with_stated_waveform(table: ForeignTable) -> ForeignTable:
     """Apply the head of a segment of a LabVIEW measurement file (.lvm); a table of another file is returned as it is.
 
     `X_Columns` decides whether there is one column of abscissae, one for each channel, or none, where rows follow each

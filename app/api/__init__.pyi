@@ -1,3 +1,4 @@
+from .eln import write_eln as write_eln
 from .evaluate import ExportFormatName as ExportFormatName
 from .evaluate import ask_lab as ask_lab
 from .evaluate import compare as compare

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, time
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from dragrig import analysis, present
@@ -370,9 +369,9 @@ def export(
     Parameters
     ----------
     run
-        A run in memory, a run file, or a campaign's folder (runs marked bad are left out).
+        A run in memory, a run file, or a campaign's folder (runs marked bad are left out, or marked in an archive).
     to
-        A file, or a folder; a folder for a campaign.
+        A file, or a folder; for the runs of a campaign a folder.
     decimal, delimiter
         Of CSV: `.` or `,`; default delimiter: comma, or semicolon with decimal commas.
     licence
@@ -395,14 +394,11 @@ def export(
     >>> dragrig.export("runs/first", "csv", decimal=",", delimiter=";")  # doctest: +SKIP
     """
     if format == "eln":
-        if isinstance(run, Run) or not Path(run).is_dir():
-            raise RunFileError(f"{run}: is no campaign, which an archive holds whole; give the folder of a campaign.")
-        from dragrig.api.reports import report
-        from dragrig.eln import write_eln
+        from dragrig.api.eln import write_eln
 
-        with TemporaryDirectory() as beside:
-            page = report(run, Path(beside, "report.html"), workers=None)
-            return (write_eln(Path(run), Path(to), page, licence, overwrite=overwrite),)
+        if isinstance(run, Run):
+            raise RunFileError(f"{run!r}: an archive holds a whole campaign; give its folder.")
+        return (write_eln(Path(run), Path(to), licence, overwrite=overwrite),)
     kind, style = ExportFormat(format), CsvStyle(decimal, delimiter)
     if isinstance(run, Run):
         return (write_export(run, Path(to), kind, style, overwrite=overwrite),)

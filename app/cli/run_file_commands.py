@@ -1,7 +1,6 @@
 """Commands on run files: info, mark, filter, import, export."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +11,7 @@ from dragrig.cli.console import (
     BAD_INPUT,
     FileBatch,
     FileProgress,
+    ProgressMeter,
     display_path,
     echo,
     print_document,
@@ -306,7 +306,7 @@ def export_command(
     """Write runs, raw and filtered, for other programs.
 
     RUN is a run file, a pattern or a campaign's folder. Without --overwrite no existing file is replaced. Runs
-    marked bad are left out unless they are named themselves.
+    marked bad are left out unless they are named themselves; an archive has them with their marks.
 
     The names of columns are made legal in the format; the metadata state the original ones, so that import needs no
     map. A row of --every has the mean time, and the phase of its middle sample.
@@ -315,15 +315,20 @@ def export_command(
 
     if form != "csv" and (decimal or delimiter):
         raise click.UsageError("--decimal and --delimiter are for --format csv alone", click.get_current_context())
-    if (form == "eln" and (columns or filtered_only or every > 1)) or (licence and form != "eln"):
-        why = "--licence is for --format eln, of whole runs; --columns, --filtered-only and --every for others"
+    if licence and form != "eln":
+        raise click.UsageError("--licence is for --format eln alone", click.get_current_context())
+    if form == "eln" and (columns or filtered_only or every > 1):
+        why = "an archive holds whole runs: leave out --columns, --filtered-only and --every"
         raise click.UsageError(why, click.get_current_context())
     folder = options.make_folder(out) if out is not None else None
     if form == "eln":
-        from dragrig.api import export
+        from dragrig.api import write_eln
 
-        write_archive = partial(export, format="eln", licence=licence, overwrite=overwrite)
-        archives = [write_archive(place, folder or Path(place).absolute().parent)[0] for place in inputs]
+        archives = []
+        for place in map(Path, inputs):
+            with ProgressMeter("measuring and drawing") as meter:
+                to = folder or place.absolute().parent
+                archives.append(write_eln(place, to, licence, overwrite=overwrite, progress=meter.at))
         _print_results([{"file": file} for file in archives], list(map(display_path, archives)), as_json=as_json)
         return
     style = CsvStyle(decimal or ".", "\t" if delimiter in {"tab", "\\t"} else delimiter or "")

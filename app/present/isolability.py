@@ -149,12 +149,10 @@ def effects_document(effects: Sequence[Effect]) -> Document:
             **attributes_json(effect, "id", "name", "summary", "channel", location="place", coordinate="domain"),
             **attributes_json(effect, "source", visible_in="exposes", confused_with="aliases"),
             "parameters": [
-                attributes_json(
-                    *(parameter, "name", "unit", "role", "low", "high", "meaning"),
-                    default="usual",
-                    grid="tried",
-                    bounds="possible",
-                )
+                {
+                    **attributes_json(parameter, "name", "unit", "role", "low", "high", "meaning"),
+                    **attributes_json(parameter, default="usual", grid="tried", bounds="possible"),
+                }
                 for parameter in effect.parameters
             ],
             "nominal": effect.nominal or None,

@@ -29,10 +29,9 @@ from dragrig.config import (
     reason_of,
     to_toml,
 )
-from dragrig.rig.runfile import schema
+from dragrig.rig.runfile import read_info, schema
 from dragrig.rig.runfile.filesystem import remove_file, replace_text
 from dragrig.rig.runfile.model import RunInfo, as_html
-from dragrig.rig.runfile.reader import read_info
 
 RECORD_PATTERN = "session-*.toml"
 

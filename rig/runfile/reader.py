@@ -451,10 +451,9 @@ def _require_plausible_total(path: str, members: Iterable[object]) -> None:
     """Refuse a group that unpacks to far more than a recording does, before memory is allocated for it."""
     datasets = [dataset for dataset in members if isinstance(dataset, h5py.Dataset) and dataset.size]
     claimed = sum(dataset.size * dataset.dtype.itemsize for dataset in datasets)
-    if claimed > UNCHECKED_TRACE_BYTES:
-        held = sum(dataset.id.get_storage_size() for dataset in datasets)
-        if claimed > MAX_TRACE_RATIO * held:
-            raise LayoutError(f"{path} claims {claimed} bytes, which the file does not hold")
+    held = sum(dataset.id.get_storage_size() for dataset in datasets)
+    if claimed > UNCHECKED_TRACE_BYTES and claimed > MAX_TRACE_RATIO * held:
+        raise LayoutError(f"{path} claims {claimed} bytes, which the file does not hold")
 
 
 def read_info(path: Path) -> RunInfo:

@@ -17,15 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dragrig.config import OutputError, RecordingError
-from dragrig.rig import AnyFloatArray, PhaseArray, read_only
+from dragrig.rig import AnyFloatArray, PhaseArray, read_only, read_run
 from dragrig.rig.runfile import schema
 from dragrig.rig.runfile.campaigns import is_same_recording, mark_bad, write_note
 from dragrig.rig.runfile.filesystem import brief_error, move_into_place, remove_quietly
 from dragrig.rig.runfile.finisher import Finisher, FinishResult
 from dragrig.rig.runfile.model import Attribute, Run, RunEnding, RunEvent, RunHeader, RunInfo, Trace
-from dragrig.rig.runfile.reader import read_run
 from dragrig.rig.runfile.recorder import FLUSH_S, RESERVE_BYTES, Recorder
-from dragrig.rig.runfile.schema import FORMAT_VERSION
 
 COPY_BYTES = 1 << 20
 _LONGEST_NAME = 64
@@ -419,7 +417,7 @@ class MemorySink:
         path = Path(f"{self._header.run_id}.h5")
         info = RunInfo(
             path=path,
-            format_version=FORMAT_VERSION,
+            format_version=schema.FORMAT_VERSION,
             status=ending.status,
             header=self._header,
             samples=len(time),

@@ -86,6 +86,7 @@ def test_all_commands_take_texts_by_one_type() -> None:
         ("mark", f"c{BYTES}/{BYTES}.h5", "--note", "blew over", "--bad", "slipped"),
         ("filter", f"c{BYTES}/{BYTES}.h5"),
         ("export", f"c{BYTES}/{BYTES}.h5", "--format", "mat", "--out", f"x{BYTES}"),
+        thorough(("export", f"c{BYTES}", "--format", "eln", "--out", f"x{BYTES}")),
         ("info", f"c{BYTES}", "--json"),
         ("info", f"*{BYTES}/*{BYTES}.h5"),
         ("list", "."),

@@ -2,39 +2,40 @@
 
 import hashlib
 import json
-import shutil
 from pathlib import Path
 from types import SimpleNamespace
 from zipfile import ZipFile
 
 import pytest
 
+from diagnoses import BLANK
+from dragrig.api.eln import write_eln
 from dragrig.cli import main
 from dragrig.config.errors import OutputError, RunFileError
-from dragrig.eln import write_eln
 from dragrig.rig.runfile.campaigns import mark_bad, write_note
-from places import CAMPAIGN
+from places import copied_runs
 
 
 @pytest.fixture
 def campaign(tmp_path: Path) -> Path:
-    folder = tmp_path / "pig 7"
-    shutil.copytree(CAMPAIGN, folder)
+    folder = copied_runs(tmp_path / "pig 7", "005-blank.h5", "008-coulomb.h5", "010-drag.h5")
     mark_bad(folder / "008-coulomb.h5", "the pump had stopped")
     write_note(folder / "010-drag.h5", "new Tyrode")
     return folder
 
 
-def test_an_archive_holds_a_campaign_with_its_marks_and_says_what_each_file_is(campaign: Path, tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    page.write_text("<p>as told")
-    archive = write_eln(campaign, tmp_path, page, "CC-BY-4.0")
+def test_an_archive_holds_a_campaign_with_its_marks_and_says_what_each_file_is(
+    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dragrig.present.files.svg_text", lambda _: BLANK)
+    (campaign / "shopping.txt").write_text("Tyrode")
+    archive = write_eln(campaign, tmp_path, "CC-BY-4.0")
     assert archive == tmp_path / "pig 7.eln"
     with ZipFile(archive) as opened:
         assert {name.split("/")[0] for name in opened.namelist()} == {"pig 7"}
         graph = json.loads(opened.read("pig 7/ro-crate-metadata.json"))["@graph"]
         said = {entity["@id"]: entity for entity in graph}
-        kept = {path.name for path in campaign.iterdir()} | {"pig 7.html"}
+        kept = {path.name for path in campaign.iterdir()} - {"shopping.txt"} | {"pig 7.html"}
         files = [entity for entity in graph if entity["@type"] == "File"]
         assert {entity["name"] for entity in files} == kept
         for entity in files:
@@ -44,10 +45,13 @@ def test_an_archive_holds_a_campaign_with_its_marks_and_says_what_each_file_is(c
     described = {entity["name"]: entity["description"] for entity in files}
     assert described["008-coulomb.h5"].endswith("marked bad: the pump had stopped")
     assert "marked" not in described["010-drag.h5"]
+    assert described["008-coulomb.mark.toml"] == "mark of a bad run"
+    assert described["010-drag.note.txt"] == "note on a run"
     assert said["./"]["license"] == {"@id": "#licence"}
     assert said["#licence"]["name"] == "CC-BY-4.0"
-    with pytest.raises(OutputError, match="exists already"):
-        write_eln(campaign, tmp_path, page)
+    monkeypatch.setattr("dragrig.api.eln.report", None)  # nothing is drawn in vain
+    with pytest.raises(OutputError, match="is there already"):
+        write_eln(campaign, tmp_path)
 
 
 def test_an_archive_of_no_campaign_is_refused(
@@ -55,12 +59,14 @@ def test_an_archive_of_no_campaign_is_refused(
 ) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(RunFileError, match="no run"):
-        write_eln(tmp_path / "empty", tmp_path, campaign / "010-drag.h5")
+        write_eln(tmp_path / "empty", tmp_path)
     assert main(["export", str(campaign / "010-drag.h5"), "--format", "eln"]) == 2
-    assert "give the folder of a campaign" in capsys.readouterr().err
+    assert "is a file; give the folder" in capsys.readouterr().err
     assert main(["export", str(campaign), "--format", "eln", "--columns", "force"]) == 2
     assert main(["export", str(campaign), "--licence", "CC0-1.0"]) == 2
-    assert capsys.readouterr().err.count("--licence is for --format eln") == 2
+    told = capsys.readouterr().err
+    assert "leave out --columns" in told
+    assert "--licence is for --format eln" in told
     assert not campaign.with_suffix(".eln").exists()
 
 

@@ -204,7 +204,7 @@ def test_a_voltage_that_runs_dry_stops_the_stage(rig: VoltageRig, monkeypatch: p
     at_mm = rig.stage.state().position_mm
     rig.stage.move(stroke())
     # Within a tenth of a millimetre per second of standing, the loop still has some way to go.
-    until(lambda: rig.stands and abs(rig.stage.state().position_mm - at_mm - 5.0) <= FOLLOWS_MM)
+    until(lambda: rig.stands and abs(rig.stage.state().position_mm - at_mm - 5.0) <= STANDS_MM)
 
 
 def test_a_heartbeat_that_ends_takes_the_power_from_a_voltage_that_goes_on(

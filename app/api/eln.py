@@ -1,7 +1,6 @@
 """A campaign as an archive for electronic laboratory notebooks (.eln): run files, settings, marks, notes and report.
 
-A ZIP file of one folder that is an RO-Crate (The ELN Consortium, Specification for the ELN file format; RO-Crate
-Metadata Specification 1.1). eLabFTW, Kadi4Mat and RSpace import it.
+A ZIP file of one folder, an RO-Crate 1.1 (The ELN Consortium, Specification for the ELN file format).
 """
 
 import json
@@ -9,32 +8,35 @@ from collections import Counter
 from collections.abc import Mapping
 from hashlib import file_digest
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from urllib.parse import quote
 from zipfile import ZIP_DEFLATED, ZipFile
 
+from dragrig.analysis import Progress, no_progress, printable
+from dragrig.api.reports import default_report_file, report
 from dragrig.config import OutputError, RunFileError
+from dragrig.present import require_writable
 from dragrig.rig import Campaign, read_campaign, written_atomically
 
-ELN_SUFFIX = ".eln"
-NO_LICENCE = "No licence is stated: ask the authors."
-KINDS_OF_FILE = {
-    ".h5": ("application/x-hdf5", "run"),
+CONTENTS = {
+    ".mark.toml": ("application/toml", "mark of a bad run"),
+    ".note.txt": ("text/plain", "note on a run"),
+    ".toml": ("application/toml", "plan, specimen, friction model and rig of a session"),
     ".html": ("text/html", "report"),
-    ".toml": ("application/toml", "settings of a session, or mark of a bad run"),
-    ".txt": ("text/plain", "note on a run"),
+    ".h5": ("application/x-hdf5", "run"),
 }
-"""Media type and content."""
+"""Media type and content of a file, by the first of these that its name ends with."""
 
 
-def write_eln(folder: Path, target: Path, report: Path, licence: str = "", *, overwrite: bool = False) -> Path:
-    """Write a campaign as an archive that electronic laboratory notebooks import.
+def write_eln(
+    folder: Path, target: Path, licence: str = "", *, overwrite: bool = False, progress: Progress = no_progress
+) -> Path:
+    """Write a campaign with its settings, marks, notes and report as an archive that laboratory notebooks import.
 
     Parameters
     ----------
     target
         A file, or a folder in which the archive gets the campaign's name.
-    report
-        Page on the campaign.
     licence
         Name or web address of the licence of the data.
 
@@ -49,21 +51,23 @@ def write_eln(folder: Path, target: Path, report: Path, licence: str = "", *, ov
     OutputError
         When the archive exists already, or cannot be written.
     """
-    campaign, name = read_campaign(folder), folder.resolve().name
+    campaign, name = read_campaign(folder), printable(folder.resolve().name)
     if not campaign.runs:
         raise RunFileError(f"{folder}: holds no run that can be read; give the folder of a campaign.")
-    path = target / f"{name}{ELN_SUFFIX}" if target.is_dir() else target
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path}: exists already; choose another name, or allow it to be replaced.")
-    beside = [*folder.glob("*.toml"), *folder.glob("*.txt")]
-    files = {file.name: file for file in (*(run.path for run in campaign.runs), *sorted(beside))}
-    files[f"{name}.html"] = report
+    path = target / f"{folder.resolve().name}.eln" if target.is_dir() else target
+    require_writable(path, overwrite=overwrite)
+    beside = (file for pattern in ("session-*.toml", "*.mark.toml", "*.note.txt") for file in folder.glob(pattern))
+    files = {printable(file.name): file for file in (*(run.path for run in campaign.runs), *sorted(beside))}
     try:
-        with written_atomically(path) as part, ZipFile(part, "w", ZIP_DEFLATED) as archive:
-            for kept, file in files.items():
-                archive.write(file, f"{path.stem}/{name}/{kept}")
-            described = json.dumps(_metadata(campaign, name, files, licence), indent=1, ensure_ascii=False)
-            archive.writestr(f"{path.stem}/ro-crate-metadata.json", described)
+        with TemporaryDirectory() as drawn, written_atomically(path) as part:
+            page = report(folder, Path(drawn, "report.html"), workers=None, progress=progress)
+            files[printable(default_report_file(folder).name)] = page
+            root = printable(path.stem)
+            with ZipFile(part, "w", ZIP_DEFLATED, strict_timestamps=False) as archive:
+                for kept, file in files.items():
+                    archive.write(file, f"{root}/{name}/{kept}")
+                described = json.dumps(_metadata(campaign, name, files, licence), indent=1, ensure_ascii=False)
+                archive.writestr(f"{root}/ro-crate-metadata.json", described)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror}); choose another folder.") from error
     return path
@@ -80,9 +84,9 @@ def _metadata(campaign: Campaign, folder: str, files: Mapping[str, Path], licenc
         crate.add(ContextEntity(crate, f"#{quote(name)}", {"@type": "SoftwareApplication", "name": name}))
         for name in _stated(campaign, "software")
     ]
-    runs, parts = {run.path.name: run for run in campaign.runs}, []
+    runs, parts = {printable(run.path.name): run for run in campaign.runs}, []
     for kept, file in files.items():
-        media_type, content = KINDS_OF_FILE[Path(kept).suffix]
+        media_type, content = next(said for ending, said in CONTENTS.items() if kept.endswith(ending))
         facts = {"name": kept, "description": content, "encodingFormat": media_type}
         if (run := runs.get(kept)) is not None:
             mark = campaign.marks.get(run.path)
@@ -102,8 +106,9 @@ def _metadata(campaign: Campaign, folder: str, files: Mapping[str, Path], licenc
     whole["hasPart"] = parts
     crate.name, crate.description = told["name"], told["description"]
     address = licence if licence.startswith(("https://", "http://")) else "#licence"
-    terms = {"@type": "CreativeWork", "name": licence or NO_LICENCE, "description": licence or NO_LICENCE}
-    crate.license = crate.add(ContextEntity(crate, address, terms))
+    terms = licence or "No licence is stated: ask the authors."
+    facts = {"@type": "CreativeWork", "name": terms, "description": terms}
+    crate.license = crate.add(ContextEntity(crate, address, facts))
     return crate.metadata.generate()
 
 
