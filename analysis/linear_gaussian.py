@@ -48,10 +48,9 @@ def single_blas_thread() -> Iterator[None]:
 @cache
 def blas_libraries() -> "ThreadpoolController":
     """Look once for the BLAS of NumPy and of SciPy, which can only be limited once it is loaded."""
-    import scipy.linalg
+    import scipy.linalg  # noqa: F401  # it brings a BLAS of its own
     from threadpoolctl import ThreadpoolController
 
-    del scipy
     return ThreadpoolController()
 
 

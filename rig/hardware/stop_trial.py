@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 
 from dragrig.config import DeviceError, RigSettings, reason_of
-from dragrig.rig import RELAY_BEATS, Clock, RigCheck, StopName
+from dragrig.rig import RELAY_BEATS, Clock, RigCheck, StopName, TripCause
 from dragrig.rig.hardware.dialects import Dialect, Lack
 from dragrig.rig.hardware.drive import MonitoredStage, PositionModeStage
 from dragrig.rig.hardware.lines import CardLines
@@ -28,9 +28,7 @@ _MIN_SEEN_S = 1e-3
 
 _ABSENT = {
     StopName.ENABLE: "not wired (hardware.card.lines.enable is empty): only the serial line switches the drive",
-    StopName.RELAY: (
-        "not wired (hardware.card.lines.heartbeat is empty): a killed program takes no power from the drive"
-    ),
+    StopName.RELAY: "not wired (hardware.card.lines.heartbeat is empty): a killed program takes no power away",
     StopName.WATCHDOG: "a drive of this dialect has none, so that relay and enable line alone stop it",
 }
 
@@ -93,6 +91,11 @@ class StopTrial:
                 f"the drive stays on when {self._wired.enable} goes low: check the wire, and the drive's setting of "
                 "this input; without it, nothing but the serial line switches the drive off",
             )
+        fault, open_s = self._stage.fault, self._stage.last_beat_s + RELAY_BEATS * self._wired.heartbeat_s
+        if (self._wired.heartbeat and off_s > open_s) or (fault and fault.cause is TripCause.WATCHDOG):
+            raise DeviceError(
+                "the heartbeat came late and may have stopped the drive: end other programs, and try again."
+            )
         return self._found(StopName.ENABLE, off_s - from_s, "its enable line went low", from_mm)
 
     def _try_relay(self) -> RigCheck:
@@ -139,7 +142,6 @@ class StopTrial:
         return self._found(StopName.WATCHDOG, took_s, heard, before.position_mm)
 
     def _keep_quiet(self) -> None:
-        """Say nothing to the drive."""
         until_s = time.monotonic() + self._quiet_s
         while time.monotonic() < until_s:
             self._refuse_pressed()

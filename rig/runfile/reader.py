@@ -392,8 +392,7 @@ def _trace_shape(file: h5py.File, layout: schema.Layout, signal: str) -> tuple[i
         lengths[name] = int(dataset.shape[0])
         if name == schema.PHASE:
             continue
-        kind = dataset.dtype
-        if kind.kind != "f" or kind.itemsize not in {4, 8}:
+        if (kind := dataset.dtype).kind != "f" or kind.itemsize not in {4, 8}:
             raise LayoutError(f"{path} holds {kind} instead of float32 or float64")
         if not h5py.h5a.exists(dataset.id, b"units"):
             raise LayoutError(f"{path} lacks the attribute units")

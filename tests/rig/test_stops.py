@@ -15,6 +15,7 @@ from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.rig import CommissioningRecord, RigCheck, RigSettings
 from dragrig.rig.commissioning import MOTION_PROMPT, STANDSTILL_PROMPT, look_at_rig
 from dragrig.rig.devices import BackendRequest, StageLimits
+from dragrig.rig.hardware.lines import CardLines
 from dragrig.rig.operator import Answer, Prompt
 from dragrig.rig.stops import HAND_S, RELEASE_S, RunOn, Stops, assess_stops, check_stops
 from dragrig.sim_backend.doubles.backend import DoubleBackend
@@ -299,6 +300,28 @@ def test_a_wire_that_is_there_is_no_proof_of_another(
     """Where only the relay works, the enable line is not held to work, nor the drive's own timeout."""
     looked = Looked(rig_of(**HEARTBEAT), trials=trials, **faults)
     assert {name for name, finding in looked.found.items() if not finding.passed} == missing
+
+
+def test_a_stop_that_late_beats_made_is_no_proof_of_the_enable_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a computer that stands still while the enable line, which is in no circuit, is tried."""
+    set_enable, tried = CardLines.set_enable, threading.Event()
+
+    def try_enable(lines: CardLines, on: bool) -> None:
+        set_enable(lines, on)
+        tried.clear() if on else tried.set()
+
+    def has_heartbeat(_: CardLines) -> bool:
+        """Hold up the thread that beats, which asks this before."""
+        if tried.is_set() and threading.current_thread() is not threading.main_thread():
+            time.sleep(0.6)
+        return True
+
+    monkeypatch.setattr(CardLines, "set_enable", try_enable)
+    monkeypatch.setattr(CardLines, "has_heartbeat", property(has_heartbeat))
+    looked = Looked(rig_of(**HEARTBEAT), trials=[True], enable_not_wired=True)
+    (found,) = looked.found.values()
+    assert (found.name, found.passed) == ("enable in motion", False)
+    assert "the heartbeat came late" in found.detail
 
 
 def test_a_person_may_keep_the_stage_from_moving_and_then_the_timeout_stays_untried() -> None:
