@@ -27,7 +27,8 @@ from drive_ports import DrivePort, PtyPort, SocketPort
 from simulated import settings
 
 RATE = 1000.0
-_NAP_S = 0.002
+_NAP_S, _HELD_UP_S = 0.002, 0.02
+T = TypeVar("T")
 Opened = TypeVar("Opened", bound=Backend)
 PORTS = [pytest.param(PtyPort, id="pty", marks=pytest.mark.skipif(os.name == "nt", reason="no pty on Windows")),
          pytest.param(SocketPort, id="socket"), pytest.param(DoublePort, id="in process")]  # fmt: skip
@@ -64,6 +65,21 @@ class Stall:
         while not self._ended.wait(_NAP_S):
             woken_s = time.monotonic()
             self.longest_s, slept_s = max(self.longest_s, woken_s - slept_s - _NAP_S), woken_s
+
+
+def unhindered(measure: Callable[[], T], holds: Callable[[T], bool], tries: int = 6) -> T:
+    """Measure again while it does not hold and this process was held up meanwhile, as beside many busy ones."""
+    for _ in range(tries):
+        with Stall() as stall:
+            try:
+                measured = measure()
+            except DeviceError:
+                if stall.longest_s < _HELD_UP_S:
+                    raise
+                continue
+        if holds(measured) or stall.longest_s < _HELD_UP_S:
+            return measured
+    pytest.fail("this machine held the test up at each try")
 
 
 def is_back(stage: Stage, stroke: Callable[[float], MotionProfile], near_mm: float = 0.01) -> bool:
