@@ -1,4 +1,4 @@
-"""Export of runs to CSV, Parquet, MATLAB and NumPy files."""
+"""Export of runs to CSV, Parquet, MATLAB, NumPy and TDMS files."""
 
 import io
 import json
@@ -29,9 +29,7 @@ DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "spa
 CSV_CHUNK_ROWS = 1 << 16
 PARQUET_ROW_GROUP = 1 << 18
 """Rows that are written at a time."""
-PARQUET_METADATA_KEY = b"dragrig"
-NPZ_PARAMETERS = ("file", "allow_pickle")
-"""Parameters of `numpy.savez_compressed`, which takes every array under its name."""
+PARQUET_METADATA_KEY, TDMS_METADATA_KEY = b"dragrig", "dragrig"
 MAT_LIMIT_BYTES = 1 << 31
 """Largest variable of a version 5 MAT file."""
 MAX_MATLAB_NAME, MAX_UNIT_IN_NAME = 63, 24
@@ -49,6 +47,24 @@ Json = str | float | int | bool | None | list["Json"] | dict[str, "Json"]
 MatlabValue: TypeAlias = (
     "str | float | int | bool | np.ndarray[tuple[int, ...], np.dtype[np.generic]] | dict[str, MatlabValue]"
 )
+
+
+class ExportFormat(StrEnum):
+    """Formats of an export; the value is the file's ending as well."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+    MAT = "mat"
+    NPZ = "npz"
+    TDMS = "tdms"
+
+
+RESERVED = {
+    ExportFormat.MAT: ("metadata", "metadata_json"),
+    # Parameters of `numpy.savez_compressed`, which takes every array under its name.
+    ExportFormat.NPZ: ("metadata", "file", "allow_pickle"),
+}
+"""Names that no column takes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,15 +91,9 @@ class ExportContent:
         }
         return {**self.metadata, "columns": columns}
 
-    def legal_in(self, export_format: "ExportFormat") -> "ExportContent":
+    def legal_in(self, export_format: ExportFormat) -> "ExportContent":
         """Return the same with names that are unique and that the format allows."""
-        match export_format:
-            case ExportFormat.MAT:
-                names = _distinct_names(self.columns, ("metadata", "metadata_json"), matlab=True)
-            case ExportFormat.NPZ:
-                names = _distinct_names(self.columns, ("metadata", *NPZ_PARAMETERS))
-            case _:
-                names = _distinct_names(self.columns)
+        names = _distinct_names(self.columns, RESERVED.get(export_format, ()), matlab=export_format is ExportFormat.MAT)
         columns = (replace(column, name=name) for column, name in zip(self.columns, names, strict=True))
         return replace(self, columns=tuple(columns))
 
@@ -342,6 +352,15 @@ def write_npz(part: Path, content: ExportContent) -> None:
         np.savez_compressed(file, allow_pickle=False, metadata=np.array(json.dumps(content.described())), **arrays)
 
 
+def write_tdms(part: Path, content: ExportContent) -> None:
+    """Write a TDMS file: a channel with its unit for each column in the group `run`, and the metadata as JSON text."""
+    from nptdms import ChannelObject, RootObject, TdmsWriter
+
+    channels = [ChannelObject("run", c.name, c.values, {"unit_string": c.units}) for c in content.columns]
+    with TdmsWriter(str(part)) as writer:
+        writer.write_segment([RootObject({TDMS_METADATA_KEY: json.dumps(content.described())}), *channels])
+
+
 def write_mat(part: Path, content: ExportContent) -> None:
     """Write a version 5 MAT file with one struct `run`: a field for each column, and the metadata.
 
@@ -385,15 +404,6 @@ def _ascii(text: str) -> str:
         letter if letter.isascii() and letter.isalnum() else f"u{ord(letter):X}" if letter.isalnum() else "_"
         for letter in letters
     )
-
-
-class ExportFormat(StrEnum):
-    """Formats of an export; the value is the file's ending as well."""
-
-    CSV = "csv"
-    PARQUET = "parquet"
-    MAT = "mat"
-    NPZ = "npz"
 
 
 def export_run(
@@ -494,6 +504,8 @@ def write_export(
                 write_mat(part, content)
             case ExportFormat.NPZ:
                 write_npz(part, content)
+            case ExportFormat.TDMS:
+                write_tdms(part, content)
     return target
 
 

@@ -564,7 +564,9 @@ def within_rig(form: FormT, rig: RigDescription) -> FormT:
     return replace(form, groups=groups)
 
 
-FORMATS: Mapping[str, ExportFormatName] = {"CSV": "csv", "Parquet": "parquet", "MATLAB": "mat", "NumPy": "npz"}
+FORMATS: Mapping[str, ExportFormatName] = {
+    "CSV": "csv", "Parquet": "parquet", "MATLAB": "mat", "NumPy": "npz", "LabVIEW TDMS": "tdms",
+}  # fmt: skip
 """Export formats by name."""
 _MAX_DEPTH = 3
 

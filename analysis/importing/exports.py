@@ -88,6 +88,8 @@ def read_export(path: Path) -> ExportedRun | None:
             exported = _read_npz(path)
         elif begin.startswith(b"MATLAB 5.0"):
             exported = _read_mat(path)
+        elif begin.startswith(b"TDSm"):
+            exported = _read_tdms(path)
     if exported is None:
         return None
     stated = exported.metadata.get(EXPORT_FORMAT_KEY, exported.metadata.get(EXPORT_PART_KEY))
@@ -141,6 +143,17 @@ def _read_mat(path: Path) -> ExportedRun | None:
     run = loadmat(path, variable_names=["run"])["run"][0, 0]
     metadata = _metadata_of(str(run["metadata_json"].item()))
     return ExportedRun(path, metadata, {name: run[name].ravel() for name in _mapping(metadata["columns"])})
+
+
+def _read_tdms(path: Path) -> ExportedRun | None:
+    from nptdms import TdmsFile
+
+    with TdmsFile.open(path) as held:
+        metadata = _metadata_of(str(held.properties.get("dragrig", "")))
+        names = _mapping(metadata["columns"])
+        if 8 * sum(len(held["run"][name]) for name in names) > file_kinds.MAX_UNPACKED_BYTES:
+            return None
+        return ExportedRun(path, metadata, {name: held["run"][name][:] for name in names})
 
 
 def _read_csv(path: Path) -> ExportedRun | None:

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 AnswerT = TypeVar("AnswerT")
-ExportFormatName = Literal["csv", "parquet", "mat", "npz", "eln"]
+ExportFormatName = Literal["csv", "parquet", "mat", "npz", "tdms", "eln"]
 
 
 def load(path: str | Path) -> Run:

@@ -269,10 +269,10 @@ def _protocol_settings(assignments: tuple[str, ...]) -> dict[str, object]:
     "--format",
     "-f",
     "form",
-    type=click.Choice(["csv", "parquet", "mat", "npz", "eln"]),
+    type=click.Choice(["csv", "parquet", "mat", "npz", "tdms", "eln"]),
     default="csv",
     show_default=True,
-    help="File format; eln: a campaign as one archive for electronic laboratory notebooks.",
+    help="File format; tdms: for LabVIEW and DIAdem; eln: a campaign as one archive for electronic laboratory notebooks.",
 )
 @click.option("--decimal", metavar="MARK", help="Decimal mark of CSV, . or ,")
 @click.option("--delimiter", metavar="MARK", help="Between the columns of CSV: , ; | or tab.")

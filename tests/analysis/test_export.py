@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from nptdms import TdmsFile
 from pyarrow import parquet
 from scipy.io import loadmat
 
@@ -126,6 +127,15 @@ def test_npz_holds_arrays_and_json(filtered: Path) -> None:
         np.testing.assert_array_equal(held["force_mN"], run.trace.force)
         assert json.loads(str(held["metadata"]))["order"] == 14
         assert set(held) == {*COLUMNS, "metadata"}
+
+
+def test_tdms_has_a_channel_with_its_unit_for_each_column(filtered: Path) -> None:
+    written = export_run(filtered, filtered.parent, ExportFormat.TDMS)
+    run, held = read_run(filtered), TdmsFile.read(written)
+    assert [channel.name for channel in held["run"].channels()] == COLUMNS
+    assert held["run"]["force_mN"].properties["unit_string"] == "mN"
+    np.testing.assert_array_equal(held["run"]["force_mN"][:], run.trace.force)
+    assert json.loads(held.properties["dragrig"])["run_id"] == run.info.header.run_id
 
 
 def test_an_unfiltered_run_is_exported_without_filtered_columns(tmp_path: Path) -> None:
