@@ -559,6 +559,10 @@ def smallest_visible_text(visibility: Visibility) -> str:
     return f"{visibility.smallest:.2g}{unit}"
 
 
+MAX_NAMED_PAIRS = 5
+"""Pairs that are not told apart and that a sentence names."""
+
+
 def isolability_sentences(isolability: Isolability) -> tuple[str, ...]:
     """Return the main results, the most important sentence first."""
     return tuple(_sentences(isolability))
@@ -569,19 +573,15 @@ def _sentences(isolability: Isolability) -> Iterator[str]:
         [count_text(number, f"{KIND_NAMES.get(kind, kind)} run") for kind, number in isolability.runs.items()]
     )
     time = "" if isolability.duration_s is None else f" in {isolability.duration_s / 60:.1f} min of rig time"
-    confused = isolability.confused
+    total, confused = len(isolability.pairs), isolability.confused
+    told = "This plan tells" if isolability.planned else "These runs tell"
     if confused:
-        pairs = [
-            f"{join_names([*map(display_name, pair.effects)])} (sin² {pair.sin2:.2f}, d′ {pair.separation:.0f})"
-            for pair in confused
-        ]
-        yield (
-            f"{count_text(len(confused), 'pair')} of effects {'is' if len(confused) == 1 else 'are'} hardly "
-            f"distinguishable with these runs: {join_names(pairs)}."
-        )
+        pairs = "; ".join(" / ".join(map(display_name, pair.effects)) for pair in confused[:MAX_NAMED_PAIRS])
+        more = f"; and {len(confused) - MAX_NAMED_PAIRS} more" if len(confused) > MAX_NAMED_PAIRS else ""
+        yield f"{told} {total - len(confused)} of {total} pairs of effects apart; not: {pairs}{more}."
     else:
-        yield "These runs can distinguish every pair of effects of the catalogue."
-    yield f"{'The plan makes' if isolability.planned else 'These are'} {counts}{time}."
+        yield f"{told} all {total} pairs of effects apart."
+    yield f"{'It makes' if isolability.planned else 'They are'} {counts}{time}."
     if isolability.invisible:
         names = join_names([display_name(effect) for effect in isolability.invisible])
         yield f"{capitalise(names)} would not be detected at the default size."

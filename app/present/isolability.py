@@ -129,7 +129,7 @@ def _pair_table(isolability: Isolability) -> Table:
         Field("first_by_second", "first by second", lambda pair: pair.typical_sin2[0], decimals(2)),
         Field("second_by_first", "second by first", lambda pair: pair.typical_sin2[1], decimals(2)),
         Field("d_prime", "d′", lambda pair: pair.separation, decimals(0)),
-        Field("confused", "", lambda pair: "hardly distinguishable" if pair.confused else ""),
+        Field("confused", "", lambda pair: "not told apart" if pair.confused else ""),
         brief_rows=MAX_PAIRS,
     )
 

@@ -77,18 +77,16 @@ def _effect_sentence(effect: PooledEffect, pooled: PooledDiagnosis) -> str:
     members = "campaigns" if effect.of_rig or specimens < len(pooled.campaigns) else "specimens"
     names = [pooled.campaigns[at].source for at in effect.members]
     if effect.where is Where.ALL:
-        belongs = "is the rig's: it is" if effect.of_rig else "is"
-        place = f"{belongs} in all {count} {members}"
+        place = ("the rig's, " if effect.of_rig else "") + f"in all {count} {members}"
     elif effect.where is Where.SOME:
-        place = f"is in {len(names)} of {count} campaigns ({_listed(names)})"
+        place = f"in {len(names)} of {count} campaigns, {_listed(names)}"
     else:
-        place = f"is in one campaign alone, {_listed(names)}"
-    likely = probability_text(effect.where_probabilities[effect.where])
-    sure = f"probability {probability_text(effect.probability)}; {likely} that it is just there, if anywhere"
-    alike = (
-        f"; these campaigns do not tell it from {join_names([display_name(rival) for rival in effect.confusable_with])}"
-    )
-    return f"{name} {place} ({sure}){alike if effect.confusable_with else ''}."
+        place = f"only in {_listed(names)}"
+    sure, there = map(probability_text, (effect.probability, effect.where_probabilities[effect.where]))
+    just = {Where.ALL: "in all", Where.SOME: "just in these"}.get(effect.where, "only there")
+    sure = f"probability {sure}{'' if there == sure else f'; {there} that it is {just}'}"
+    alike = f"; not told from {join_names([display_name(rival) for rival in effect.confusable_with])}"
+    return f"{name}: {place} ({sure}){alike if effect.confusable_with else ''}."
 
 
 def _size_sentence(effect: PooledEffect) -> str:
@@ -122,7 +120,7 @@ def _unnamed_sentences(pooled: PooledDiagnosis) -> tuple[str, ...]:
     if not pooled.unnamed:
         return ()
     causes = join_names([f"{name} ({probability_text(value)})" for name, value in pooled.unnamed.items()])
-    return (f"Beside that all campaigns share a deviation without a name, best described by: {causes}.",)
+    return (f"All campaigns also share a deviation that no effect explains, best described by: {causes}.",)
 
 
 def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
