@@ -573,14 +573,15 @@ def _sentences(isolability: Isolability) -> Iterator[str]:
         [count_text(number, f"{KIND_NAMES.get(kind, kind)} run") for kind, number in isolability.runs.items()]
     )
     time = "" if isolability.duration_s is None else f" in {isolability.duration_s / 60:.1f} min of rig time"
-    total, confused = len(isolability.pairs), isolability.confused
+    confused, seen = isolability.confused, len(isolability.effects) - len(isolability.invisible)
+    alike = {effect for pair in confused for effect in pair.effects} - set(isolability.invisible)
     told = "This plan tells" if isolability.planned else "These runs tell"
     if confused:
         pairs = "; ".join(" / ".join(map(display_name, pair.effects)) for pair in confused[:MAX_NAMED_PAIRS])
         more = f"; and {len(confused) - MAX_NAMED_PAIRS} more" if len(confused) > MAX_NAMED_PAIRS else ""
-        yield f"{told} {total - len(confused)} of {total} pairs of effects apart; not: {pairs}{more}."
+        yield f"{told} {seen - len(alike)} of {seen} effects apart from all others; not: {pairs}{more}."
     else:
-        yield f"{told} all {total} pairs of effects apart."
+        yield f"{told} all {seen} effects apart."
     yield f"{'It makes' if isolability.planned else 'They are'} {counts}{time}."
     if isolability.invisible:
         names = join_names([display_name(effect) for effect in isolability.invisible])

@@ -226,8 +226,8 @@ def _bug_sentence(error: Exception) -> str:
 
 _LIKE = {
     **dict.fromkeys("−–─▬", "-"), **dict.fromkeys("“”″", '"'), **dict.fromkeys("’′", "'"), **dict.fromkeys("█▓░●", "#"),
-    "μ": "µ", "µ": "u", "≥": ">=", "≤": "<=", "≈": "~", "±": "+-", "×": "x", "·": "*", "•": "*", "→": "->", "←": "<-",
-    "│": "|", "°": " deg", "√": "sqrt",
+    "○": "o", "μ": "µ", "µ": "u", "≥": ">=", "≤": "<=", "≈": "~", "±": "+-", "×": "x", "·": "*", "•": "*", "→": "->",
+    "←": "<-", "│": "|", "°": " deg", "√": "sqrt",
 }  # fmt: skip
 """What says the same where a console lacks a sign; Greek letters have their names, and Unicode knows of others."""
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")

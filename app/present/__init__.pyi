@@ -114,6 +114,7 @@ from .identification import identified_campaigns_document as identified_campaign
 from .identification import joint_figure as joint_figure
 from .identification import left_out_section as left_out_section
 from .identification import left_out_table as left_out_table
+from .identification import parameter_symbol as parameter_symbol
 from .identification_figures import drag_figure as drag_figure
 from .identification_figures import joint_fit_figure as joint_fit_figure
 from .identification_figures import relaxation_fit_figure as relaxation_fit_figure

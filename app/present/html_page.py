@@ -22,7 +22,9 @@ from dragrig.rig import AnyFloatArray, Campaign, Run, software_version
 if TYPE_CHECKING:
     from dragrig.analysis.gap import Diagnosis
 
-_NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±′]) (?=[\d−-])|(?<=\w) (?=[=<±] )")
+_NO_BREAK = re.compile(
+    r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±′×]) (?=[\d−-])|(?<=\w) (?=[=<±×] )"
+)
 _APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")
 _CODE = re.compile(r"`([^`]+)`")
 

@@ -55,7 +55,7 @@ def isolability_document(isolability: Isolability) -> Document:
         "matrix",
         "A matrix of effects: below the diagonal sin² of the angle between each two, above it d′ between them.",
         "Below the diagonal: sin² of the angle between what two effects can do to the force, in hundredths; dark where "
-        "they are similar. Above: d′ between them at their default sizes. Similar effects are neighbours.",
+        "they are similar. Above: d′ between them at their default sizes. On it: the number beside each name.",
         lambda: present.isolability_figure(isolability),
     )
     return Document(

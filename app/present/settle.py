@@ -126,7 +126,7 @@ def _way_section(record: SettleRecord) -> Section:
                 Field("minutes", "min so far", lambda row: row[1].spent_min, decimals(1)),
                 Field("verdict", "verdict", lambda row: verdict_text(row[1])),
                 Field("causes", "just these causes", lambda row: row[1].surest, decimals(2)),
-                Field("expected", "expected to settle of what was open", expected),
+                Field("expected", "expected to settle", expected),
             ),
             Section("why", "Why these runs", (Items(tuple(_reasons(record))),)),
         ),
@@ -164,8 +164,8 @@ def probabilities_figure(record: SettleRecord) -> "MatplotlibFigure":
             axes.plot(minutes, values, "o-", color=colour, clip_on=False)
             labels.append(CurveLabel(values[-1], display_name(name), colour))
         certain = [step.probability for step in steps]
-        axes.plot(minutes, certain, "D-", color=BLACK, linewidth=2.4, zorder=3, clip_on=False)
-        labels.append(CurveLabel(certain[-1], f"verdict: {verdict_text(steps[-1])}", BLACK))
+        axes.plot(minutes, certain, "D-", color=BLACK, linewidth=4.0, zorder=1.5, clip_on=False)
+        labels.append(CurveLabel(certain[-1], f"verdict {probability_text(certain[-1])}", BLACK))
         surest = [step.surest for step in steps]
         axes.plot(minutes, surest, "s--", color=GREY, clip_on=False)
         labels.append(CurveLabel(surest[-1], "just these causes", GREY))

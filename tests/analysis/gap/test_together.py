@@ -163,7 +163,7 @@ def test_an_effect_in_one_specimen_is_told_as_that_specimens() -> None:
     assert (effect.effect, effect.where, effect.members) == ("stribeck", Where.ONE, (2,))
     assert effect.probability == pytest.approx(0.97)
     assert np.argmax(effect.presence) == 2
-    assert "in one campaign alone, campaign-9" in pooled_document(pooled).answer
+    assert pooled_document(pooled).answer == "Stribeck friction: only in campaign-9 (probability 0.97)."
 
 
 def test_an_effect_in_some_specimens_is_told_with_their_names() -> None:
@@ -380,7 +380,7 @@ def test_a_strong_effect_of_several_campaigns_is_named_from_their_run_files(lab:
 def test_page_and_picture_say_what_is_in_all_campaigns(lab: Lab) -> None:
     assert "Stribeck friction: in all 2 campaigns" in lab.page
     assert "all runs of copied are in first too" in lab.page
-    assert "Size of each effect by campaign" in lab.page
+    assert "Filled points have the effect." in lab.page
     assert lab.picture.startswith(b"\x89PNG")
 
 
