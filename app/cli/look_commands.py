@@ -293,7 +293,7 @@ def compare_command(
     with ProgressMeter("comparing") as meter:
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
     document = comparison_document(comparison)
-    write_report(document, report, overwrite=overwrite)
+    write_report(document, report, a, *filter(None, (b,)), overwrite=overwrite)
     written: list[Path] = []
     if out is not None:
         with ProgressMeter("drawing") as meter:

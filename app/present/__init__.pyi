@@ -147,6 +147,7 @@ from .numbers import shortest as shortest
 from .numbers import shortest_percent as shortest_percent
 from .numbers import significant as significant
 from .numbers import size_text as size_text
+from .numbers import start_position_mm as start_position_mm
 from .numbers import to_json_value as to_json_value
 from .numbers import unit_text as unit_text
 from .paper import PaperReportData as PaperReportData

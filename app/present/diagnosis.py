@@ -413,7 +413,6 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
 
 
 def _parameter_table(diagnosis: Diagnosis) -> Table:
-
     verdict = _stated_hypothesis(diagnosis)
 
     return Table.of(

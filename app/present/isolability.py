@@ -97,7 +97,6 @@ def isolability_document(isolability: Isolability) -> Document:
 
 
 def _effect_table(isolability: Isolability) -> Table:
-
     return Table.of(
         "effects",
         "Similar effects are neighbours",
@@ -167,7 +166,6 @@ def effects_document(effects: Sequence[Effect]) -> Document:
 
 
 def _effect_section(effect: Effect) -> Section:
-
     facts = {
         "visible in": f"{effect.visible_in} ({effect.channel})",
         "confused with": ", ".join(effect.confused_with),

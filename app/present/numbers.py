@@ -230,6 +230,11 @@ def run_problem(info: "RunInfo", bad_reason: str | None = None) -> str:
     return f"{info.status}: {info.reason}" if info.reason else str(info.status)
 
 
+def start_position_mm(info: "RunInfo") -> float:
+    """Return the absolute position of a run's start; 0 where it is not known, as of an imported run."""
+    return _numeric_attribute(info.header.entry, "origin_mm") or 0.0
+
+
 def _numeric_attribute(parameters: "Mapping[str, Attribute]", name: str) -> float | None:
     value = parameters.get(name)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

@@ -85,6 +85,7 @@ class PaperReportData:
 
 
 SKEW_POINTS = 120
+MAX_IN_LEAD = 3
 TWO_DECIMALS = decimals(2)
 
 
@@ -375,6 +376,7 @@ def paper_document(results: PaperReportData, tables: Mapping[str, Table], model:
             "Inside an Intestine” (2012) predicts, what comes back when its tests are simulated and identified, and "
             "where the paper is inconsistent. Nothing here was measured on a gut: every run is simulated, and the "
             "paper's own data are not in its text.",
+            f"The first inconsistencies: {'; '.join(finding.title for finding in results.findings[:MAX_IN_LEAD])}.",
         ),
         sections=(
             Section("conclusion", "What comes back", _joint_figure(results)),

@@ -274,7 +274,6 @@ def measures_table(measures: RunMeasures) -> Table:
 
 
 def _event_table(events: tuple[RunEvent, ...]) -> Table:
-
     return Table.of(
         "events",
         "By the clock of the run",
