@@ -4,6 +4,7 @@ Every run is checked against the stage's limits with its run-up and run-down, an
 disk; the settings of the rig are checked against each other, and the calibrations for their age and their sensor.
 """
 
+import os
 import random
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +39,7 @@ from dragrig.rig.devices import (
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.protocols import MAX_RUNS, RunProtocol, expand_sweep
 from dragrig.rig.protocols.strokes import ReturnProtocol
-from dragrig.rig.runfile import free_bytes
+from dragrig.rig.runfile import existing_folder, free_bytes
 from dragrig.rig.stops import RunOn, Stops, run_on_remark
 
 _MAX_RETURN_ACCEL_MM_S2 = 400.0
@@ -441,6 +442,8 @@ def preflight(
     largest = max((preview.size_bytes for preview in previews), default=0)
     reserve = round(rig.recording.reserve_mb * 1e6)
     needed = total + largest + reserve
+    if not os.access(existing_folder(folder), os.W_OK):
+        findings.insert(0, f"{folder}: no runs can be written here; name another folder with --out")
     if needed > free:
         findings.append(
             f"{folder}: {free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB needed: {(needed - reserve) / 1e6:.1f} MB for "

@@ -286,7 +286,7 @@ def draw_strain_laws(figure: Figure | SubFigure, fits: Sequence[RelaxationFit], 
         axes.set_xlabel("Strain (%)")
         axes.set_title(ELEMENT_TITLES[index])
     handles, words = panels[0].get_legend_handles_labels()
-    figure.legend(handles, words, loc="outside upper left", ncols=len(words))
+    figure.legend(handles, words, loc="outside lower left", ncols=len(words))
 
 
 def _draw_published_walls(axes: Axes, index: int) -> list[FloatArray]:
