@@ -64,8 +64,9 @@ def _checksum_text(sources: Iterable[str | Path]) -> str:
     """Return one checksum over those of all run files, by which a page is known to be of just these samples."""
     paths = [path for source in sources if (path := Path(source)).is_dir() or path.suffix == ".h5"]
     infos = [info for path in paths for info in (read_campaign(path).runs if path.is_dir() else (read_info(path),))]
-    digest = sha256("\n".join(info.raw_sha256 for info in infos).encode()).hexdigest()
-    return f"SHA-256 of the checksums of {count_text(len(infos), 'run file')}: {digest[:16]}" if infos else ""
+    sums = [info.raw_sha256 for info in infos if info.raw_sha256]
+    digest = sha256("\n".join(sums).encode()).hexdigest()
+    return f"SHA-256 of the checksums of {count_text(len(sums), 'run file')}: {digest[:16]}" if sums else ""
 
 
 def notebook_html(result: object) -> str:

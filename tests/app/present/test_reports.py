@@ -150,7 +150,7 @@ def test_a_page_stands_beside_its_run_and_is_not_replaced_unasked(
 
 def test_a_page_says_how_and_of_which_samples_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["/usr/bin/dragrig", "report", "my runs"])
-    blank, drag = (Path(shutil.copy(CAMPAIGN / name, tmp_path)) for name in ("005-blank.h5", "010-drag.h5"))
+    blank, drag = dragrig.run("drag", out=tmp_path).files
     told = [dragrig.report(path).read_text("utf-8").split("<footer>")[1] for path in (blank, drag, tmp_path)]
     assert all("dragrig report &#39;my runs&#39;</span>" in footer for footer in told)
     assert all(re.search(r"written \d{4}-\d\d-\d\d", footer) for footer in told)
