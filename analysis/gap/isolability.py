@@ -224,51 +224,36 @@ deviates by up to 0.41 of the norm from the catalogue's best fit (`bench/forms.p
 
 @dataclass(frozen=True, slots=True)
 class Visibility:
-    """How clearly runs show an effect.
-
-    Attributes
-    ----------
-    channel
-        Where it is visible: `force`, `position`, or `spectrum` for a line that block means average out.
-    d_prime
-        At the default size, median over its variants: norm of the whitened signature with nuisances projected out.
-    usual, smallest, unit
-        Default size, and smallest detectable size, median over its variants; None where no run shows it.
-    smallest_mN
-        Rms force of the smallest where it acts; None for effects on the position.
-    """
+    """How clearly runs show an effect."""
 
     effect: str
     channel: str
+    """Where it is visible: `force`, `position`, or `spectrum` for a line that block means average out."""
     d_prime: float
+    """At the default size, median over its variants: norm of the whitened signature with nuisances projected out."""
     usual: float
     smallest: float | None
     unit: str
+    """`usual`, `smallest`, `unit`: default size, and smallest detectable size, median over its variants; None where no
+    run shows it."""
     smallest_mN: float | None = None
+    """Rms force of the smallest where it acts; None for effects on the position."""
 
 
 @dataclass(frozen=True, slots=True)
 class EffectPair:
-    """Two effects and the angle between them.
-
-    Attributes
-    ----------
-    sin2
-        sin² of the angle: minimum over the variants of both, with signs where amplitudes have one.
-    typical_sin2
-        Share of the first that the second leaves, median over the first's variants, and vice versa.
-    d_prime
-        d′ between the two, each at its default size in turn and the other at its best, median over variants.
-    confused
-        Whether these runs can hardly distinguish them.
-    """
+    """Two effects and the angle between them."""
 
     effects: tuple[str, str]
     channel: str
     sin2: float
+    """sin² of the angle: minimum over the variants of both, with signs where amplitudes have one."""
     typical_sin2: tuple[float, float]
+    """Share of the first that the second leaves, median over the first's variants, and vice versa."""
     d_prime: tuple[float, float]
+    """d′ between the two, each at its default size in turn and the other at its best, median over variants."""
     confused: bool
+    """Whether these runs can hardly distinguish them."""
 
     @property
     def separation(self) -> float:
@@ -278,36 +263,24 @@ class EffectPair:
 
 @dataclass(frozen=True, slots=True)
 class Isolability:
-    """Which effects a set of runs can tell apart.
-
-    Attributes
-    ----------
-    source
-        Name of the plan or campaign.
-    planned
-        Whether the runs are still to be made.
-    runs
-        Number of runs by kind that a diagnosis uses.
-    duration_s
-        Rig time with rests and returns; None if unknown.
-    effects
-        Visibility of each effect; on the force, similar effects are adjacent.
-    pairs
-        All pairs within a channel, the most similar first.
-    remarks
-        Questions not analysed, a sentence each.
-    backends
-        Where the runs come from; those of a plan are simulated.
-    """
+    """Which effects a set of runs can tell apart."""
 
     source: str
+    """Name of the plan or campaign."""
     planned: bool
+    """Whether the runs are still to be made."""
     runs: Mapping[str, int]
+    """Number of runs by kind that a diagnosis uses."""
     duration_s: float | None
+    """Rig time with rests and returns; None if unknown."""
     effects: tuple[Visibility, ...]
+    """Visibility of each effect; on the force, similar effects are adjacent."""
     pairs: tuple[EffectPair, ...]
+    """All pairs within a channel, the most similar first."""
     remarks: tuple[str, ...] = ()
+    """Questions not analysed, a sentence each."""
     backends: tuple[str, ...] = ()
+    """Where the runs come from; those of a plan are simulated."""
 
     def visible_in(self, channel: str) -> tuple[Visibility, ...]:
         """Return the visible effects of a channel, in order."""
