@@ -114,7 +114,6 @@ from .identification import identified_campaigns_document as identified_campaign
 from .identification import joint_figure as joint_figure
 from .identification import left_out_section as left_out_section
 from .identification import left_out_table as left_out_table
-from .identification import parameter_symbol as parameter_symbol
 from .identification_figures import drag_figure as drag_figure
 from .identification_figures import joint_fit_figure as joint_fit_figure
 from .identification_figures import relaxation_fit_figure as relaxation_fit_figure
@@ -135,6 +134,7 @@ from .numbers import grouped_files as grouped_files
 from .numbers import interval_text as interval_text
 from .numbers import listed_exclusions as listed_exclusions
 from .numbers import p_value_text as p_value_text
+from .numbers import parameter_symbol as parameter_symbol
 from .numbers import percent as percent
 from .numbers import percent_difference as percent_difference
 from .numbers import probability_text as probability_text

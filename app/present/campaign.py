@@ -259,7 +259,7 @@ def campaign_runs_document(campaign: Campaign) -> Document:
 
 
 def campaigns_list_document(campaigns: "Sequence[CampaignSummary]") -> Document:
-    """Lay out the campaigns of a folder, a line each; those whose sessions made no run are counted."""
+    """Lay out the campaigns of a folder, a line each, and count those without a run."""
     shown = [campaign for campaign in campaigns if campaign.kinds or campaign.unreadable]
     empty = f", and {len(campaigns) - len(shown)} without a run" if len(shown) < len(campaigns) else ""
     table = Table.of(

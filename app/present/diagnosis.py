@@ -137,7 +137,7 @@ NOTHING_NEXT = "Nothing: no run would change the answer."
 
 
 def settled_cell(gain_bits: float | None, open_bits: float | None) -> FormattedNumber | str:
-    """Write how much of what was open is expected to be settled; nothing where that is not known."""
+    """Write the share of the open question that is expected to be settled; nothing where it is not known."""
     if gain_bits is None or not open_bits:
         return ""
     return FormattedNumber(gain_bits / open_bits, percent_text(gain_bits / open_bits))
@@ -359,7 +359,7 @@ def ranking_table(diagnosis: Diagnosis) -> Table:
 
 
 def hypothesis_role(hypothesis: RankedHypothesis, diagnosis: Diagnosis) -> str:
-    """Return what a hypothesis is in the diagnosis: the verdict, indistinguishable from it, or ""."""
+    """Return the role of a hypothesis in the diagnosis: the verdict, indistinguishable from it, or ""."""
     if is_stated_verdict(hypothesis, diagnosis):
         return "verdict"
     untried = () if diagnosis.decision_inputs is None else diagnosis.decision_inputs.excluded
@@ -438,14 +438,14 @@ def _stated_hypothesis(diagnosis: Diagnosis) -> RankedHypothesis | None:
 
 
 def _parameter_meaning(parameter: str, diagnosis: Diagnosis) -> str:
-    """Return what a parameter is; nothing where several effects have one of its name."""
+    """Return the meaning of a parameter; nothing where several effects have one of its name."""
     known = [catalogue()[effect] for effect in diagnosis.effects if effect in catalogue()]
     meanings = [own.meaning for effect in known for own in effect.parameters if parameter.endswith(own.name)]
     return meanings[0] if len(meanings) == 1 else ""
 
 
 def r2_table(shrink: GapReduction, *, named: bool) -> Table:
-    """Tabulate R² of steady drag beside what the paper prints; empty where the runs give none."""
+    """Tabulate R² of steady drag beside the values that the paper prints; empty where the runs give none."""
     boundary = published.BOUNDARY_MM_S if shrink.boundary_mm_s is None else shrink.boundary_mm_s
     columns = (
         Column("form", "R² of steady drag"),

@@ -49,6 +49,7 @@ from dragrig.present import (
     interval_text,
     listed_exclusions,
     p_value_text,
+    parameter_symbol,
     percent,
     quantity_json,
     shortest,
@@ -476,24 +477,6 @@ def _log_law_blocks(law: LogLaw) -> tuple[Block, ...]:
         for letter, quantity in (("a", law.intercept), ("b", law.slope))
     )
     return Text(f"Force = a + b ln(v / 1 mm/s), R² {law.r2:.3f}: {fits}."), Table("log-law", "", columns, rows)
-
-
-_SYMBOLS = {
-    "friction_coefficient": "μ", "friction_shown": "μ · gain", "mucus_scale": "mucus viscosity ×",
-    "mucus_shown": "mucus viscosity · gain ×", "stiffness_scale": "wall stiffness ×", "fast_time_scale": "τ1 ×",
-    "slow_time_scale": "τ2 ×", "insertion_dwell_scale": "contact age ×", "force_gain": "force gain",
-    "contact_angle_offset_deg": "contact angle offset",
-}  # fmt: skip
-_WALL_PARAMETER = re.compile(r"(eta|tau|E|e)(\d)(_scale|_shown)?")
-
-
-def parameter_symbol(name: str) -> str:
-    """Return a parameter as on paper, a factor with ×: μ, η1, τ2, E1 ×; a name that is none of these as it is."""
-    if (wall := _WALL_PARAMETER.fullmatch(name)) is None:
-        return _SYMBOLS.get(name, name)
-    letter, number, kind = wall.groups()
-    symbol = {"eta": "η", "tau": "τ"}.get(letter, "E") + number
-    return symbol + {"_scale": " ×", "_shown": " · gain ×"}.get(kind or "", "")
 
 
 def identification_json(identification: Identification) -> Mapping[str, object]:
