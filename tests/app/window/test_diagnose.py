@@ -170,7 +170,7 @@ def test_the_budget_is_the_first_page_of_a_diagnosis(qtbot: QtBot) -> None:
     assert [table.item(row, 0).text() for row in range(table.rowCount())] == [
         "Velocity ripple",
         "Tissue ageing or preconditioning",
-        "No name",
+        "Unexplained",
     ]
     assert [table.item(row, 1).text() for row in range(table.rowCount())] == ["55 %", "20 %", "25 %"]
 
