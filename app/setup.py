@@ -91,7 +91,7 @@ def resolve_pace(pace: Pace | None, *, double: bool) -> Pacing:
     """
     if not double:
         if pace not in {None, "fast", "real"}:
-            raise SettingsError(f"pace {pace}: is fast or real; a double alone runs a number of times faster.")
+            raise SettingsError(f"pace {pace}: choose fast or real here; only a double runs a number of times faster.")
         return Pacing(real_time=pace == "real")
     times_faster = 1.0 if pace is None or pace == "real" else pace
     if isinstance(times_faster, str) or not 0 < times_faster <= _MAX_TIMES_FASTER:
@@ -696,8 +696,10 @@ def create_lab(folder: Path) -> tuple[Path, ...]:
     Raises
     ------
     OutputError
-        When `folder` cannot be written or is a lab folder already; nothing is replaced.
+        When `folder` cannot be written, is a lab folder already or lies in one; nothing is replaced.
     """
+    if (around := rig_file_of(folder.absolute().parent)) is not None:
+        raise OutputError(f"{folder}: lies in the lab {around.parent}; use that one, or name a folder outside of it.")
     rig = find_settings(RigSettings, "rig", "bench")
     rig_file, history, root = folder / RIG_FILE, folder / CALIBRATION_FILE, folder / rig.data.root
     for existing in (path for path in (rig_file, history) if path.exists()):

@@ -49,7 +49,7 @@ from dragrig.config import (
     shipped_files,
 )
 from dragrig.engine_host import RigSelection
-from dragrig.present import UNIT_SUFFIXES, Document, attribute_texts, drawn, unused_path
+from dragrig.present import UNIT_SUFFIXES, Document, attribute_texts, drawn, start_position_mm, unused_path
 from dragrig.rig import (
     AnyFloatArray,
     Campaign,
@@ -528,9 +528,9 @@ def describe_rig(rig: RigSelection) -> RigDescription:
     resolve_pace(rig.pace, double=setup.double)
     simulated = setup.backend == "simulated"
     if simulated:
-        title, meaning = "SIMULATED", "nothing moves; rig and gut are simulated with the friction model"
+        title, meaning = "SIMULATED", "no hardware: rig and gut are simulated"
     elif setup.double:
-        title, meaning = "DOUBLE", "nothing moves; card and drive are doubles"
+        title, meaning = "DOUBLE", "no hardware: card and drive are simulated (doubles)"
     else:
         title, meaning = "HARDWARE", "the real stage moves"
     return RigDescription(
@@ -702,7 +702,7 @@ def shown_trace(path: Path, window_s: float | None = None, order: int | None = N
         start_s=float(run.trace.time[0]) if len(run.trace.time) else 0.0,
         run=run,
         even=even,
-        channels=_shown_channels(run.trace.channels, even, _origin_mm(info)),
+        channels=_shown_channels(run.trace.channels, even, start_position_mm(info)),
         filtered={},
         units=run.trace.units,
         limits_mm=_limits_mm(path),
@@ -721,15 +721,9 @@ def filtered_anew(
     smooth = filter_run(shown.run, settings, None if force is None else (force,), for_display=True).trace
     return replace(
         shown,
-        filtered=_shown_channels(smooth.channels, shown.even, _origin_mm(shown.run.info)),
+        filtered=_shown_channels(smooth.channels, shown.even, start_position_mm(shown.run.info)),
         units={**shown.run.trace.units, **smooth.units},
     )
-
-
-def _origin_mm(info: RunInfo) -> float:
-    """Return the absolute position of a run's start; 0 where it is not known, as of an imported run."""
-    origin_mm = info.header.entry.get("origin_mm", 0.0)
-    return float(origin_mm) if isinstance(origin_mm, int | float) else 0.0
 
 
 def _limits_mm(path: Path) -> tuple[float, float] | None:

@@ -4,6 +4,7 @@ Every run is checked against the stage's limits with its run-up and run-down, an
 disk; the settings of the rig are checked against each other, and the calibrations for their age and their sensor.
 """
 
+import os
 import random
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -38,7 +39,7 @@ from dragrig.rig.devices import (
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.protocols import MAX_RUNS, RunProtocol, expand_sweep
 from dragrig.rig.protocols.strokes import ReturnProtocol
-from dragrig.rig.runfile import free_bytes
+from dragrig.rig.runfile import existing_folder, free_bytes
 from dragrig.rig.stops import RunOn, Stops, run_on_remark
 
 _MAX_RETURN_ACCEL_MM_S2 = 400.0
@@ -384,9 +385,9 @@ def specimen_remark(specimen: Specimen) -> str:
         return ""
     first = specimen.not_stated[0]
     return (
-        f"specimen {specimen.name}, whose wall counts as {specimen.wall_thickness_mm:g} mm thick: not stated, and so "
-        f"recorded as {UNSTATED}, are {', '.join(specimen.not_stated)}; state them in the window's form, "
-        f"with --specimen FILE or --set specimen.{first}=…"
+        f"specimen {specimen.name} is not described: wall thickness taken as {specimen.wall_thickness_mm:g} mm; "
+        f"{', '.join(specimen.not_stated)} recorded as {UNSTATED}; state them in the window's form, with "
+        f"--specimen FILE or --set specimen.{first}=…"
     )
 
 
@@ -439,11 +440,14 @@ def preflight(
     free = free_bytes(folder)
     total = sum(preview.size_bytes for preview in previews)
     largest = max((preview.size_bytes for preview in previews), default=0)
-    needed = total + largest + round(rig.recording.reserve_mb * 1e6)
+    reserve = round(rig.recording.reserve_mb * 1e6)
+    needed = total + largest + reserve
+    if not os.access(existing_folder(folder), os.W_OK):
+        findings.insert(0, f"{folder}: no runs can be written here; name another folder with --out")
     if needed > free:
         findings.append(
-            f"{folder}: {free / 1e6:.0f} MB are free where the session needs up to {needed / 1e6:.0f} MB, "
-            f"{rig.recording.reserve_mb:g} MB of it in reserve (recording.reserve_mb); make room or name another folder"
+            f"{folder}: {free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB needed: {(needed - reserve) / 1e6:.1f} MB for "
+            f"the runs and {reserve / 1e6:g} MB in reserve (recording.reserve_mb); make room or name another folder"
         )
     fastest_mm_s = max((preview.speed_mm_s for preview in previews), default=0.0)
     remarks = [run_on_remark(failure, on, fastest_mm_s) for failure, on in furthest.items() if on.distance_mm]

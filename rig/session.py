@@ -322,7 +322,7 @@ class Session:
             # Its own prompt waits.
             return None
         can_redo = any(result.run.follows < 0 for result in self._results)
-        prompt = Prompt(f"Paused. Next is {run.summary}; done continues", run, can_redo, hands=False)
+        prompt = Prompt(f"Paused. Next is {run.summary}; done goes on", run, can_redo, hands=False)
         answer = self._operator.ask(prompt)
         self.engine.require_not_aborted()
         return answer if answer is not Answer.DONE else None
@@ -353,7 +353,8 @@ class Session:
             self._go_to(run)
         if text := self._prompt_text(run):
             can_redo = any(result.run.follows < 0 for result in self._results)
-            prompt = Prompt(text, run, can_redo, can_skip=True, hands=self._backend.needs_hands)
+            told = text if self._backend.needs_hands else f"{text} (simulated: nothing to do)"
+            prompt = Prompt(told, run, can_redo, can_skip=True, hands=self._backend.needs_hands)
             answer = self._operator.ask(prompt)
             self.engine.require_not_aborted()
             if answer is not Answer.DONE:

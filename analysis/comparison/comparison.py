@@ -238,25 +238,18 @@ PEAK_FORCE, HOLD_FORCE, STEADY_SPEED = "peak", "hold", "speed"
 
 @dataclass(frozen=True, slots=True)
 class RunCondition:
-    """Kind, speed, strain, travel, capsule and fixture of a run; None where the run does not say.
-
-    Attributes
-    ----------
-    speed_mm_s
-        Without sign; `measured` where no protocol states it.
-    travel_mm
-        With the sign of its direction.
-    capsule
-        Diameter [mm], length [mm], mass [g] and contact angle [deg].
-    """
+    """Kind, speed, strain, travel, capsule and fixture of a run; None where the run does not say."""
 
     kind: str
     signal: str
     fixture: str
     speed_mm_s: float | None
+    """Without sign; `measured` where no protocol states it."""
     shear_strain: float | None
     travel_mm: float | None
+    """With the sign of its direction."""
     capsule: tuple[float | None, ...]
+    """Diameter [mm], length [mm], mass [g] and contact angle [deg]."""
     measured: bool = False
     strokes: str = ""
     """Of a motion of several strokes, which has no speed and no steady force, as its protocol writes them."""
@@ -377,32 +370,22 @@ class DifferenceVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MeasureDifference:
-    """One measure of two runs.
-
-    Attributes
-    ----------
-    measure, unit
-        As in `analysis.measures`, in words.
-    a, b
-        As recorded.
-    zeros
-        Rest offsets that were subtracted from both first; None where none were.
-    value
-        B − A; None where either is missing, with the `reason`.
-    noise
-        Its standard error by the noise of both runs.
-    spread
-        Its standard deviation between repeats on one specimen, unknown zeros included.
-    """
+    """One measure of two runs."""
 
     measure: str
     unit: str
+    """`measure`, `unit`: as in `analysis.measures`, in words."""
     a: Estimate
     b: Estimate
+    """`a`, `b`: as recorded."""
     zeros: tuple[float, float] | None = None
+    """Rest offsets that were subtracted from both first; None where none were."""
     value: float | None = None
+    """B − A; None where either is missing, with the `reason`."""
     noise: float | None = None
+    """Its standard error by the noise of both runs."""
     spread: float = 0.0
+    """Its standard deviation between repeats on one specimen, unknown zeros included."""
     reason: str = ""
 
     @property
@@ -492,22 +475,16 @@ class MotionDifference:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunPair:
-    """Two runs of the same condition.
-
-    Attributes
-    ----------
-    shift_s
-        Added to the times of B so that both start to move together; None where unknown.
-    phases
-        The filtered traces by phase; empty where they cannot be aligned, with the reason in `remarks`.
-    """
+    """Two runs of the same condition."""
 
     condition: RunCondition
     a: ComparedRun
     b: ComparedRun
     shift_s: float | None
+    """Added to the times of B so that both start to move together; None where unknown."""
     differences: tuple[MeasureDifference, ...]
     phases: tuple[PhaseDifference, ...]
+    """The filtered traces by phase; empty where they cannot be aligned, with the reason in `remarks`."""
     motion: MotionDifference
     remarks: tuple[str, ...] = ()
     b_is_model: bool = False
@@ -532,30 +509,22 @@ class RunPair:
 
 @dataclass(frozen=True, slots=True)
 class GroupDifference:
-    """One measure over all pairs of one condition.
-
-    Attributes
-    ----------
-    a, b
-        Means of both sides, zeros subtracted where the pairs' are.
-    value, noise, error
-        Mean of B − A, its standard error by noise alone, and by noise and scatter.
-    relative
-        The difference over A; None where A is hardly a force at all.
-    rms_mN
-        Of the difference of the filtered traces, over all pairs.
-    """
+    """One measure over all pairs of one condition."""
 
     condition: RunCondition
     measure: str
     pairs: int
     a: float
     b: float
+    """`a`, `b`: means of both sides, zeros subtracted where the pairs' are."""
     value: float
     noise: float
     error: float
+    """`value`, `noise`, `error`: mean of B − A, its standard error by noise alone, and by noise and scatter."""
     relative: float | None
+    """The difference over A; None where A is hardly a force at all."""
     rms_mN: float | None
+    """Of the difference of the filtered traces, over all pairs."""
 
     @property
     def verdict(self) -> DifferenceVerdict:
@@ -572,31 +541,22 @@ class GroupDifference:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
-    """All results of a comparison.
-
-    Attributes
-    ----------
-    pairs
-        In the order of A's runs.
-    alone_a, alone_b
-        Runs without a partner, and why.
-    zero_mN
-        Standard deviation of a sensor's unknown zero, allowed for where the rest does not show it.
-    groups
-        The largest differences first.
-    sentences
-        The result in words.
-    """
+    """All results of a comparison."""
 
     a: ComparedSide
     b: ComparedSide
     pairs: tuple[RunPair, ...]
+    """In the order of A's runs."""
     alone_a: tuple[Exclusion, ...]
     alone_b: tuple[Exclusion, ...]
+    """`alone_a`, `alone_b`: runs without a partner, and why."""
     zero_mN: float
+    """Standard deviation of a sensor's unknown zero, allowed for where the rest does not show it."""
     groups: tuple[GroupDifference, ...]
+    """The largest differences first."""
     remarks: tuple[str, ...] = ()
     sentences: tuple[str, ...] = field(default=())
+    """The result in words."""
 
     def __repr__(self) -> str:
         return f"<comparison of {self.a.name} and {self.b.name}: {' '.join(self.sentences[1:2])}>"

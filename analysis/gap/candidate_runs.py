@@ -11,7 +11,7 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from dragrig.analysis import Experiment, capitalise, join_names, prepare_channels, significant_text
+from dragrig.analysis import Experiment, capitalise, join_names, percent_text, prepare_channels
 from dragrig.analysis.gap.design import Study
 from dragrig.analysis.gap.diagnosis import NextExperiment, NextRun, display_name
 from dragrig.analysis.gap.run_data import MAX_BLOCK_MM, RunData, run_noun
@@ -445,19 +445,13 @@ def run_text(step: PlanStep) -> str:
 
 
 def recommendation_reason(run: NextRun, open_bits: float, compared: int, subject: str) -> str:
-    """Say why a run is recommended: its information on `subject`, and its time."""
-    gain_bits = run.gain_bits or 0.0
-    told = f"{bits_text(gain_bits)} of the {bits_text(open_bits)} bit that"
-    most = f", most of it about {join_names([display_name(name) for name in run.about])}" if run.about else ""
+    """Say why a run is recommended: what it best shows or tells, how much of that, and its time."""
+    most = f", above all {join_names([display_name(name) for name in run.about])}" if run.about else ""
+    settled = min((run.gain_bits or 0.0) / open_bits, 1.0) if open_bits > 0 else 0.0
     return (
-        f"{run_subject(run.step)} is expected to tell {told} {subject}{most}: {run.minutes:.1f} min of rig time, "
-        f"the most per minute of {compared} candidate runs."
+        f"{run_subject(run.step)} best {subject}{most}: in {run.minutes:.1f} min of rig time it is expected to settle "
+        f"{percent_text(settled)} of what is open, the most per minute of {compared} candidate runs."
     )
-
-
-def bits_text(bits: float) -> str:
-    """Write an amount of information with two digits."""
-    return significant_text(bits, 2)
 
 
 def run_subject(step: PlanStep) -> str:

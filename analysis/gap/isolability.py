@@ -224,51 +224,36 @@ deviates by up to 0.41 of the norm from the catalogue's best fit (`bench/forms.p
 
 @dataclass(frozen=True, slots=True)
 class Visibility:
-    """How clearly runs show an effect.
-
-    Attributes
-    ----------
-    channel
-        Where it is visible: `force`, `position`, or `spectrum` for a line that block means average out.
-    d_prime
-        At the default size, median over its variants: norm of the whitened signature with nuisances projected out.
-    usual, smallest, unit
-        Default size, and smallest detectable size, median over its variants; None where no run shows it.
-    smallest_mN
-        Rms force of the smallest where it acts; None for effects on the position.
-    """
+    """How clearly runs show an effect."""
 
     effect: str
     channel: str
+    """Where it is visible: `force`, `position`, or `spectrum` for a line that block means average out."""
     d_prime: float
+    """At the default size, median over its variants: norm of the whitened signature with nuisances projected out."""
     usual: float
     smallest: float | None
     unit: str
+    """`usual`, `smallest`, `unit`: default size, and smallest detectable size, median over its variants; None where no
+    run shows it."""
     smallest_mN: float | None = None
+    """Rms force of the smallest where it acts; None for effects on the position."""
 
 
 @dataclass(frozen=True, slots=True)
 class EffectPair:
-    """Two effects and the angle between them.
-
-    Attributes
-    ----------
-    sin2
-        sin² of the angle: minimum over the variants of both, with signs where amplitudes have one.
-    typical_sin2
-        Share of the first that the second leaves, median over the first's variants, and vice versa.
-    d_prime
-        d′ between the two, each at its default size in turn and the other at its best, median over variants.
-    confused
-        Whether these runs can hardly distinguish them.
-    """
+    """Two effects and the angle between them."""
 
     effects: tuple[str, str]
     channel: str
     sin2: float
+    """sin² of the angle: minimum over the variants of both, with signs where amplitudes have one."""
     typical_sin2: tuple[float, float]
+    """Share of the first that the second leaves, median over the first's variants, and vice versa."""
     d_prime: tuple[float, float]
+    """d′ between the two, each at its default size in turn and the other at its best, median over variants."""
     confused: bool
+    """Whether these runs can hardly distinguish them."""
 
     @property
     def separation(self) -> float:
@@ -278,36 +263,24 @@ class EffectPair:
 
 @dataclass(frozen=True, slots=True)
 class Isolability:
-    """Which effects a set of runs can tell apart.
-
-    Attributes
-    ----------
-    source
-        Name of the plan or campaign.
-    planned
-        Whether the runs are still to be made.
-    runs
-        Number of runs by kind that a diagnosis uses.
-    duration_s
-        Rig time with rests and returns; None if unknown.
-    effects
-        Visibility of each effect; on the force, similar effects are adjacent.
-    pairs
-        All pairs within a channel, the most similar first.
-    remarks
-        Questions not analysed, a sentence each.
-    backends
-        Where the runs come from; those of a plan are simulated.
-    """
+    """Which effects a set of runs can tell apart."""
 
     source: str
+    """Name of the plan or campaign."""
     planned: bool
+    """Whether the runs are still to be made."""
     runs: Mapping[str, int]
+    """Number of runs by kind that a diagnosis uses."""
     duration_s: float | None
+    """Rig time with rests and returns; None if unknown."""
     effects: tuple[Visibility, ...]
+    """Visibility of each effect; on the force, similar effects are adjacent."""
     pairs: tuple[EffectPair, ...]
+    """All pairs within a channel, the most similar first."""
     remarks: tuple[str, ...] = ()
+    """Questions not analysed, a sentence each."""
     backends: tuple[str, ...] = ()
+    """Where the runs come from; those of a plan are simulated."""
 
     def visible_in(self, channel: str) -> tuple[Visibility, ...]:
         """Return the visible effects of a channel, in order."""
@@ -559,6 +532,10 @@ def smallest_visible_text(visibility: Visibility) -> str:
     return f"{visibility.smallest:.2g}{unit}"
 
 
+MAX_NAMED_PAIRS = 5
+"""Pairs that are not told apart and that a sentence names."""
+
+
 def isolability_sentences(isolability: Isolability) -> tuple[str, ...]:
     """Return the main results, the most important sentence first."""
     return tuple(_sentences(isolability))
@@ -569,19 +546,16 @@ def _sentences(isolability: Isolability) -> Iterator[str]:
         [count_text(number, f"{KIND_NAMES.get(kind, kind)} run") for kind, number in isolability.runs.items()]
     )
     time = "" if isolability.duration_s is None else f" in {isolability.duration_s / 60:.1f} min of rig time"
-    confused = isolability.confused
+    confused, seen = isolability.confused, len(isolability.effects) - len(isolability.invisible)
+    alike = {effect for pair in confused for effect in pair.effects} - set(isolability.invisible)
+    told = "This plan tells" if isolability.planned else "These runs tell"
     if confused:
-        pairs = [
-            f"{join_names([*map(display_name, pair.effects)])} (sin² {pair.sin2:.2f}, d′ {pair.separation:.0f})"
-            for pair in confused
-        ]
-        yield (
-            f"{count_text(len(confused), 'pair')} of effects {'is' if len(confused) == 1 else 'are'} hardly "
-            f"distinguishable with these runs: {join_names(pairs)}."
-        )
+        pairs = "; ".join(" / ".join(map(display_name, pair.effects)) for pair in confused[:MAX_NAMED_PAIRS])
+        more = f"; and {len(confused) - MAX_NAMED_PAIRS} more" if len(confused) > MAX_NAMED_PAIRS else ""
+        yield f"{told} {seen - len(alike)} of {seen} effects apart from all others; not: {pairs}{more}."
     else:
-        yield "These runs can distinguish every pair of effects of the catalogue."
-    yield f"{'The plan makes' if isolability.planned else 'These are'} {counts}{time}."
+        yield f"{told} all {seen} effects apart."
+    yield f"{'It makes' if isolability.planned else 'They are'} {counts}{time}."
     if isolability.invisible:
         names = join_names([display_name(effect) for effect in isolability.invisible])
         yield f"{capitalise(names)} would not be detected at the default size."

@@ -278,7 +278,7 @@ def recommend_force_run(weighed: WeighedCauses, budget: ExperimentBudget) -> Rec
     last = max(study.runs, key=lambda run: run.session_start_s)
     budget = replace(budget, mounted=budget.mounted or mounting(last.experiment.kind))
     runs = greedy_search(question, list(zip(candidates, grams, strict=True)), budget)
-    experiment = next_experiment_of(runs, question.open_bits, len(candidates), "is open about which causes act")
+    experiment = next_experiment_of(runs, question.open_bits, len(candidates), "shows which causes act")
     return Recommendation(experiment, question.open_causes)
 
 
@@ -343,10 +343,9 @@ def recommend_for_pair(
     question = _which_of_two(study_of_names, design, angles, pairs)
     grams = _candidate_grams(study_of_names, design, candidates)
     runs = greedy_search(question, list(zip(candidates, grams, strict=True)), budget)
-    between = (
-        f"between {display_name('+'.join(pairs[0]))}" if len(pairs) == 1 else "between effects that are most alike"
-    )
-    return next_experiment_of(runs, question.open_bits, len(candidates), f"is open {between}")
+    one, other = map(display_name, pairs[0])
+    subject = f"tells {one} from {other}" if len(pairs) == 1 else "shows which of the most similar effects act"
+    return next_experiment_of(runs, question.open_bits, len(candidates), subject)
 
 
 def _closest_pairs(angles: SignatureAngles) -> Iterator[tuple[str, str]]:
@@ -590,7 +589,7 @@ def recommend_position_run(
     question = WhatMovesAstray(motions, assumed_effects, weights)
     thinned = [(candidate_run, (_thinned_blocks(run),) * candidate_run.step.repeats) for candidate_run, run in observed]
     runs = greedy_search(question, thinned, replace(budget, runs=min(budget.runs, MAX_NEXT_RUNS)), MAX_NEXT_RUNS)
-    return next_experiment_of(runs, question.open_bits, len(observed), "is open about what leads the stage astray")
+    return next_experiment_of(runs, question.open_bits, len(observed), "shows what leads the stage astray")
 
 
 def _assumed_position_effect(

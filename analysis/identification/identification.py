@@ -25,18 +25,12 @@ MIN_P_VALUE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterEstimate(EstimatedQuantity):
-    """A parameter of the joint fit, or a product of some.
-
-    Attributes
-    ----------
-    prior
-        Its 95 % interval before any run.
-    learnt
-        Relative reduction of the prior's width by the runs, 0 where they do not constrain it.
-    """
+    """A parameter of the joint fit, or a product of some."""
 
     prior: tuple[float, float] = (float("nan"), float("nan"))
+    """Its 95 % interval before any run."""
     learnt: float = 0.0
+    """Relative reduction of the prior's width by the runs, 0 where they do not constrain it."""
     meaning: str = ""
 
     @property
@@ -70,33 +64,24 @@ class RunResidual:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointFit:
-    """The nominal model's parameters from all runs of a specimen at once.
-
-    Attributes
-    ----------
-    parameters, combinations
-        Posterior of each parameter, and of the products that the model names.
-    correlation
-        Between the parameters, shape `(P, P)`.
-    chi2, degrees, p_value
-        χ², run factors and priors included, its degrees of freedom, and the probability of at least as much; NaN
-        where no run shows its noise.
-    converged
-        Whether the optimiser did; if not, the intervals are invalid.
-    steps
-        Evaluations of the model with its derivatives.
-    """
+    """The nominal model's parameters from all runs of a specimen at once."""
 
     nominal: str
     parameters: tuple[ParameterEstimate, ...]
     combinations: tuple[ParameterEstimate, ...]
+    """`parameters`, `combinations`: posterior of each parameter, and of the products that the model names."""
     correlation: FloatArray
+    """Between the parameters, shape `(P, P)`."""
     runs: tuple[RunResidual, ...]
     chi2: float
     degrees: int
     p_value: float
+    """`chi2`, `degrees`, `p_value`: χ², run factors and priors included, its degrees of freedom, and the probability of
+    at least as much; NaN where no run shows its noise."""
     converged: bool
+    """Whether the optimiser did; if not, the intervals are invalid."""
     steps: int
+    """Evaluations of the model with its derivatives."""
     remarks: tuple[str, ...] = ()
 
     @property
@@ -112,56 +97,39 @@ class JointFit:
 
 @dataclass(frozen=True, slots=True)
 class ThirdBranchTest:
-    """Whether five elements suffice, or a third Maxwell branch explains more.
-
-    Attributes
-    ----------
-    suffices
-        None where the run cannot decide.
-    p_value
-        Probability of at least such an improvement by noise alone.
-    third_time_s, third_force_mN
-        Time constant of the best third branch, and its force at the start of the hold.
-    sentence
-        The result in words.
-    """
+    """Whether five elements suffice, or a third Maxwell branch explains more."""
 
     suffices: bool | None
+    """None where the run cannot decide."""
     p_value: float | None
+    """Probability of at least such an improvement by noise alone."""
     third_time_s: float | None
     third_force_mN: float | None
+    """`third_time_s`, `third_force_mN`: time constant of the best third branch, and its force at the start of the hold.
+    """
     sentence: str
+    """The result in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelaxationFit:
-    """The five elements of one relaxation run.
-
-    Attributes
-    ----------
-    file, shear_strain
-        Run and its strain.
-    elements
-        E1, E2, E3 [kPa], eta1, eta2 [kPa·s], in this order; empty where the run supports none, with the reason
-        in `remark`.
-    times
-        Time constants η1/E1 and η2/E2 [s].
-    correlation
-        Between the elements, shape `(5, 5)`.
-    zero
-        The sensor's zero [mN].
-    chi2, degrees
-        χ² and its degrees of freedom.
-    """
+    """The five elements of one relaxation run."""
 
     file: str
     shear_strain: float
+    """`file`, `shear_strain`: run and its strain."""
     elements: tuple[EstimatedQuantity, ...] = ()
+    """E1, E2, E3 [kPa], eta1, eta2 [kPa·s], in this order; empty where the run supports none, with the reason in
+    `remark`."""
     times: tuple[EstimatedQuantity, ...] = ()
+    """Time constants η1/E1 and η2/E2 [s]."""
     correlation: FloatArray | None = None
+    """Between the elements, shape `(5, 5)`."""
     zero: Estimate = field(default_factory=Estimate)
+    """The sensor's zero [mN]."""
     chi2: float | None = None
     degrees: int = 0
+    """`chi2`, `degrees`: χ² and its degrees of freedom."""
     test: ThirdBranchTest | None = None
     converged: bool = False
     remark: str = ""
@@ -194,28 +162,20 @@ class RelaxationResult:
 
 @dataclass(frozen=True, slots=True)
 class CoulombRun:
-    """The friction coefficient of one run in the vacuum fixture.
-
-    Attributes
-    ----------
-    force
-        Mean steady force of the filtered trace along the motion, zero subtracted [mN]; a backward speed is negative.
-    mu
-        With all of it as Coulomb friction, as in the paper.
-    mu_without_viscous
-        With the model's viscous friction subtracted first.
-    viscous_mN, viscous_share
-        That friction, and its share of the force.
-    """
+    """The friction coefficient of one run in the vacuum fixture."""
 
     file: str
     speed_mm_s: float
     weight_mN: float
     force: Estimate
+    """Mean steady force of the filtered trace along the motion, zero subtracted [mN]; a backward speed is negative."""
     mu: Estimate
+    """With all of it as Coulomb friction, as in the paper."""
     mu_without_viscous: Estimate
+    """With the model's viscous friction subtracted first."""
     viscous_mN: float
     viscous_share: float | None
+    """`viscous_mN`, `viscous_share`: that friction, and its share of the force."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,29 +52,20 @@ class FindingNumber:
 
 @dataclass(frozen=True, slots=True)
 class PaperFinding:
-    """One finding.
-
-    Attributes
-    ----------
-    key
-        Short name for tables.
-    where
-        The paper's equations, tables or sections concerned.
-    paper
-        The paper's statement, paraphrased.
-    shown
-        The evidence of the numbers.
-    practice
-        dragrig's choice.
-    """
+    """One finding."""
 
     key: str
+    """Short name for tables."""
     title: str
     where: str
+    """The paper's equations, tables or sections concerned."""
     paper: str
+    """The paper's statement, paraphrased."""
     numbers: tuple[FindingNumber, ...]
     shown: str
+    """The evidence of the numbers."""
     practice: str
+    """dragrig's choice."""
 
     def value(self, quantity: str) -> float:
         """Return one of the numbers; raises `KeyError` for an unknown quantity."""

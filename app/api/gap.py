@@ -76,24 +76,16 @@ class DiagnosedCampaign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiagnosedFolder:
-    """The diagnosis of one of many campaigns.
-
-    Attributes
-    ----------
-    source
-        Its folder.
-    result
-        None where the campaign could not be diagnosed.
-    run_ids
-        Ids of its runs by the names of their files.
-    why_not
-        Why there is no diagnosis, a sentence; empty where there is one.
-    """
+    """The diagnosis of one of many campaigns."""
 
     source: str
+    """Its folder."""
     result: Diagnosis | None
+    """None where the campaign could not be diagnosed."""
     run_ids: Mapping[str, str]
+    """Ids of its runs by the names of their files."""
     why_not: str = ""
+    """Why there is no diagnosis, a sentence; empty where there is one."""
 
 
 class DiagnosisChoices(TypedDict, total=False):
@@ -315,19 +307,13 @@ def gap_diagnose_many(
 
 @dataclass(frozen=True, slots=True)
 class FolderToPool:
-    """A campaign to be pooled with others.
-
-    Attributes
-    ----------
-    name, listing
-        As it was named, and as its runs state it.
-    counted_elsewhere
-        Of runs that an earlier campaign has too: that campaign's name by their ids.
-    """
+    """A campaign to be pooled with others."""
 
     name: str
     listing: Campaign
+    """`name`, `listing`: as it was named, and as its runs state it."""
     counted_elsewhere: Mapping[str, str] = field(default_factory=dict)
+    """Of runs that an earlier campaign has too: that campaign's name by their ids."""
 
 
 def gap_diagnose_together(

@@ -273,24 +273,16 @@ def _require_joint_fit(result: Identification) -> JointFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedFolder:
-    """The identification of one of many campaigns.
-
-    Attributes
-    ----------
-    source
-        Its folder.
-    result
-        None where nothing could be identified.
-    files
-        The files written.
-    why_not
-        Why there is no result, or no model, a sentence; empty where there is one.
-    """
+    """The identification of one of many campaigns."""
 
     source: str
+    """Its folder."""
     result: Identification | None
+    """None where nothing could be identified."""
     files: tuple[Path, ...] = ()
+    """The files written."""
     why_not: str = ""
+    """Why there is no result, or no model, a sentence; empty where there is one."""
 
     @property
     def failed(self) -> bool:

@@ -94,7 +94,7 @@ def _run_report(path: Path) -> str:
     from dragrig.present import render_page, run_document
 
     run, mark = read_run(path), read_mark(path)
-    return render_page(run_document(run, None if mark is None else mark.reason))
+    return render_page(run_document(run, None if mark is None else mark.reason), path)
 
 
 EXAMINING_COST, WRITING_COST = 4, 1
@@ -106,7 +106,7 @@ def _campaign_report(folder: Path, workers: int | None, progress: Progress) -> s
 
     run_files([folder])
     examining, writing = parts_of(progress, EXAMINING_COST, WRITING_COST)
-    text = render_page(campaign_document(examine_campaign(folder, workers, examining)))
+    text = render_page(campaign_document(examine_campaign(folder, workers, examining)), folder)
     writing(1, 1)
     return text
 
@@ -203,7 +203,7 @@ def _write_paper_files(
     progress(1, 3)
     document = drawn(paper_document(data, tables, None if model is None else model.name))
     progress(2, 3)
-    (report_file,) = write_texts(folder, {PAPER_REPORT_FILE: render_page(document)})
+    (report_file,) = write_texts(folder, {PAPER_REPORT_FILE: render_page(document, folder)})
     progress(3, 3)
     return PaperReport(folder, report_file, model, written, made.files, data.identification, data.findings)
 

@@ -45,24 +45,16 @@ DEFAULT_SETTLE_MIN = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settlement:
-    """A settled gap, or how far it was settled.
-
-    Attributes
-    ----------
-    folder
-        The campaign.
-    record
-        The decision after each batch, and the reason of the end.
-    diagnosed
-        The last diagnosis.
-    made
-        How the last session ended; None where no run was made this time.
-    """
+    """A settled gap, or how far it was settled."""
 
     folder: Path
+    """The campaign."""
     record: SettleRecord
+    """The decision after each batch, and the reason of the end."""
     diagnosed: DiagnosedCampaign
+    """The last diagnosis."""
     made: "Made | None" = None
+    """How the last session ended; None where no run was made this time."""
 
 
 class SettleHands(TypedDict, total=False):

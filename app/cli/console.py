@@ -74,16 +74,16 @@ def print_warning(sentence: str) -> None:
 
 
 def write_report(
-    document: "Document", path: Path | None, *, overwrite: bool, progress: "Progress | None" = None
+    document: "Document", path: Path | None, *sources: str | Path, overwrite: bool, progress: "Progress | None" = None
 ) -> None:
-    """Write a result's page, where one is wanted; it is for a screen, whatever form figures beside it have."""
+    """Write the page of a result of some campaigns or runs, where one is wanted; it is for a screen in any form."""
     if path is None:
         return
     from dragrig.analysis import no_progress
     from dragrig.present import FigureForm, drawn, figure_form, render_page, write_text
 
     with figure_form(FigureForm()):
-        write_text(render_page(drawn(document, progress or no_progress)), path, overwrite=overwrite)
+        write_text(render_page(drawn(document, progress or no_progress), *sources), path, overwrite=overwrite)
 
 
 def print_written(*, as_json: bool, **files: Path | None) -> None:
@@ -226,8 +226,8 @@ def _bug_sentence(error: Exception) -> str:
 
 _LIKE = {
     **dict.fromkeys("−–─▬", "-"), **dict.fromkeys("“”″", '"'), **dict.fromkeys("’′", "'"), **dict.fromkeys("█▓░●", "#"),
-    "μ": "µ", "µ": "u", "≥": ">=", "≤": "<=", "≈": "~", "±": "+-", "×": "x", "·": "*", "•": "*", "→": "->", "←": "<-",
-    "│": "|", "°": " deg", "√": "sqrt",
+    "○": "o", "μ": "µ", "µ": "u", "≥": ">=", "≤": "<=", "≈": "~", "±": "+-", "×": "x", "·": "*", "•": "*", "→": "->",
+    "←": "<-", "│": "|", "°": " deg", "√": "sqrt",
 }  # fmt: skip
 """What says the same where a console lacks a sign; Greek letters have their names, and Unicode knows of others."""
 _GREEK = re.compile(r"GREEK (SMALL|CAPITAL) LETTER (\w+)")

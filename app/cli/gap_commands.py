@@ -122,7 +122,7 @@ def diagnose_command(
                 diagnosed.result, source=diagnosed.source, model=named, run_ids=diagnosed.run_ids
             )
         # Written before anything is printed: a reader such as head ends the command.
-        write_report(document, report, overwrite=overwrite, progress=reporting)
+        write_report(document, report, *campaigns, overwrite=overwrite, progress=reporting)
         drawn: list[Path] = []
         for path in () if figures is None else save_figures(document, figures, overwrite=overwrite):
             drawn.append(path)
@@ -177,7 +177,7 @@ def evaluate_command(
 
     evaluation = gap_evaluate(model, campaign, specimen=specimen)
     document = evaluation_document(evaluation)
-    write_report(document, report, overwrite=overwrite)
+    write_report(document, report, campaign, overwrite=overwrite)
     print_document(document, as_json=as_json)
     print_written(as_json=as_json, report=report)
     if evaluation.verdict is PromiseVerdict.NOT_KEPT:
@@ -307,7 +307,7 @@ def settle_command(
                 **settings,
             )
     document = settlement_document(settled.record, settled.diagnosed.result, source=str(settled.folder))
-    write_report(document, report, overwrite=overwrite)
+    write_report(document, report, settled.folder, overwrite=overwrite)
     print_document(document, as_json=as_json)
     print_written(as_json=as_json, folder=settled.folder, report=report)
 
@@ -342,7 +342,7 @@ def isolability_command(
     with ProgressMeter("computing") as meter:
         isolating, reporting = parts_of(meter.at, ISOLATE_COST, PAGE_COST * (report is not None))
         document = isolability_document(gap_isolability(source, without=without, progress=isolating, **settings))
-        write_report(document, report, overwrite=overwrite, progress=reporting)
+        write_report(document, report, source, overwrite=overwrite, progress=reporting)
     print_document(document, as_json=as_json)
     print_written(as_json=as_json, report=report)
 

@@ -88,6 +88,7 @@ def list_command(folder: Path | None, rebuild: bool, as_json: bool) -> None:
 @click.option("--specimen", metavar="NAME", default="", help="Name or id of the specimen.")
 @click.option("--kind", metavar="NAME", default="", help="Kind of run: drag, relaxation, …, or sentinel.")
 @click.option("--operator", metavar="NAME", default="", help="Part of the operator's name.")
+@click.option("--date", metavar="DATE", default="", help="Begun on this day.")
 @click.option("--since", metavar="DATE", default="", help="Begun at this time or later.")
 @click.option("--until", metavar="DATE", default="", help="Begun at this time or earlier, or on this day.")
 @click.option("--bad/--good", "marked", default=None, help="Marked bad, or not (default: either).")
@@ -99,6 +100,7 @@ def find_command(
     specimen: str,
     kind: str,
     operator: str,
+    date: str,
     since: str,
     until: str,
     marked: bool | None,
@@ -112,7 +114,7 @@ def find_command(
     """
     from dragrig.api import run_query
 
-    query = run_query(specimen, kind, operator, since, until, marked)
+    query = run_query(specimen, kind, operator, since or date, until or date, marked)
     found, hint = _ask_runs(folder, lambda listing: _found_or_hint(listing, query))
     if as_json:
         paths = [join_path(str(parent), name) for parent, names in found.items() for name in names]
@@ -226,8 +228,10 @@ def _picture_target(out: Path | None, pictures: int, overwrite: bool) -> _Pictur
 @click.command("report")
 @options.inputs_or_newest
 @click.option(
+    "--report",
     "--out",
     "-o",
+    "out",
     metavar="FILE.html",
     type=click.Path(path_type=Path),
     help="Report file (default: beside the run, or in the campaign's folder).",
@@ -293,7 +297,7 @@ def compare_command(
     with ProgressMeter("comparing") as meter:
         comparison = compare(a, b, model=model, effects=effects, specimen=specimen, progress=meter.at)
     document = comparison_document(comparison)
-    write_report(document, report, overwrite=overwrite)
+    write_report(document, report, a, *filter(None, (b,)), overwrite=overwrite)
     written: list[Path] = []
     if out is not None:
         with ProgressMeter("drawing") as meter:

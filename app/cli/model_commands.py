@@ -335,7 +335,7 @@ def identify_command(
             fitting, reporting = parts_of(meter.at, IDENTIFY_COST * len(campaigns), PAGE_COST * (report is not None))
             population = identify_together(campaigns, **choices, workers=workers, scheduler=scheduler, progress=fitting)
             document = population_document(population)
-            write_report(document, report, overwrite=overwrite, progress=reporting)
+            write_report(document, report, *campaigns, overwrite=overwrite, progress=reporting)
         print_document(document, as_json=as_json)
         print_written(as_json=as_json, report=report)
         return
@@ -366,7 +366,7 @@ def identify_command(
         result = identified.result
         # Written before anything is printed: a reader such as head ends the command.
         document = identification_document(result)
-        write_report(document, report, overwrite=overwrite, progress=reporting)
+        write_report(document, report, campaign, overwrite=overwrite, progress=reporting)
         written: list[Path] = [] if report is None else [report]
         if save_model is not None:
             written.append(save_identified_model(identified, save_model, overwrite=overwrite))

@@ -169,7 +169,7 @@ class TerminalOperator:
         checks = outcome.checks.values
         results = []
         if "rest_offset_mN" in checks:
-            results.append(f"at rest {checks['rest_offset_mN']:+.1f} mN, noise {checks['rest_noise_mN']:.1f} mN")
+            results.append(f"at rest {checks['rest_offset_mN']:+z.1f} mN, noise {checks['rest_noise_mN']:.1f} mN")
         results.append(f"following error {1000 * float(checks['following_error_mm']):.1f} µm")
         line = f"{self._order:3d}  {run.summary:22} {outcome.status.value:9} {', '.join(results)}"
         reason = [outcome.reason] if outcome.status is not RunStatus.COMPLETE else []

@@ -107,7 +107,7 @@ measured_specimen = click.option(
 """Adds `--specimen`, as the argument `specimen`: one of those whose runs are examined."""
 overwrite = click.option("--overwrite", is_flag=True, is_eager=True, help="Replace existing files.")
 yes = click.option(
-    "--yes", "-y", is_flag=True, help="Answer every prompt that needs no hands or eyes at the rig with done."
+    "--yes", "-y", is_flag=True, help="Answer prompts with done, but on a real rig those for hands or eyes."
 )
 override_limit = click.option(
     "--override-limit",

@@ -212,29 +212,20 @@ def read_json(path: Path) -> Mapping[str, object]:
 
 @dataclass(frozen=True, slots=True)
 class BlindExam:
-    """The result of an exam.
-
-    Attributes
-    ----------
-    cases, seed
-        Number of campaigns, and their seed.
-    answers_sha256
-        Hash of the answers, written before any campaign.
-    failed
-        Why campaigns were not diagnosed, by their names; they are not in the score.
-    timings_s
-        Of this call; the only part that differs between two exams with the same seed.
-    plant
-        The plant of the campaigns: `written` or `drawn`.
-    """
+    """The result of an exam."""
 
     cases: int
     seed: int
+    """`cases`, `seed`: number of campaigns, and their seed."""
     answers_sha256: str
+    """Hash of the answers, written before any campaign."""
     score: ExamScore
     failed: Mapping[str, str] = field(default_factory=dict)
+    """Why campaigns were not diagnosed, by their names; they are not in the score."""
     timings_s: Mapping[str, float] = field(default_factory=dict)
+    """Of this call; the only part that differs between two exams with the same seed."""
     plant: str = WRITTEN_PLANT
+    """The plant of the campaigns: `written` or `drawn`."""
 
     def document(self) -> Mapping[str, object]:
         """Return the result as JSON."""

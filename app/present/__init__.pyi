@@ -134,6 +134,7 @@ from .numbers import grouped_files as grouped_files
 from .numbers import interval_text as interval_text
 from .numbers import listed_exclusions as listed_exclusions
 from .numbers import p_value_text as p_value_text
+from .numbers import parameter_symbol as parameter_symbol
 from .numbers import percent as percent
 from .numbers import percent_difference as percent_difference
 from .numbers import probability_text as probability_text
@@ -146,6 +147,7 @@ from .numbers import shortest as shortest
 from .numbers import shortest_percent as shortest_percent
 from .numbers import significant as significant
 from .numbers import size_text as size_text
+from .numbers import start_position_mm as start_position_mm
 from .numbers import to_json_value as to_json_value
 from .numbers import unit_text as unit_text
 from .paper import PaperReportData as PaperReportData

@@ -259,11 +259,13 @@ def campaign_runs_document(campaign: Campaign) -> Document:
 
 
 def campaigns_list_document(campaigns: "Sequence[CampaignSummary]") -> Document:
-    """Lay out the campaigns of a folder, a line each."""
+    """Lay out the campaigns of a folder, a line each, and count those without a run."""
+    shown = [campaign for campaign in campaigns if campaign.kinds or campaign.unreadable]
+    empty = f", and {len(campaigns) - len(shown)} without a run" if len(shown) < len(campaigns) else ""
     table = Table.of(
         "campaigns",
         "",
-        campaigns,
+        shown,
         Field("folder", "campaign", lambda campaign: str(campaign.folder)),
         Field("began", "began", lambda campaign: f"{campaign.began:%Y-%m-%d %H:%M}" if campaign.began else ""),
         Field("specimens", "specimen", lambda campaign: ", ".join(campaign.specimens)),
@@ -277,7 +279,7 @@ def campaigns_list_document(campaigns: "Sequence[CampaignSummary]") -> Document:
         Field("unreadable", "unreadable", lambda campaign: campaign.unreadable, shortest()),
     )
     return Document(
-        title=f"{len(campaigns)} campaign{'' if len(campaigns) == 1 else 's'}",
+        title=f"{count_text(len(shown), 'campaign')}{empty}",
         sections=(Section("campaigns", "", (table,)),),
         data=campaigns,
     )

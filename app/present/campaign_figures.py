@@ -164,7 +164,7 @@ def campaign_figure(runs: Iterable[Run], name: str = "", bad: Collection[Path] =
 
 
 def overview_figure(digests: Sequence[RunSummary], name: str = "") -> Figure:
-    """Draw an overview of a campaign from what `summarise_run` kept of its runs."""
+    """Draw an overview of a campaign from the digests of its runs."""
     title = " · ".join(part for part in ("Campaign", name) if part)
     backends = ", ".join(sorted({run.backend for run in digests}))
     chosen = [(draw, [run for run in digests if has(run)]) for draw, has in _OVERVIEW_PANELS]
@@ -187,7 +187,7 @@ def _overview_panels(figure: Figure, count: int) -> list[Axes]:
 
 
 def campaign_speed_figure(digests: Sequence[RunSummary], name: str = "") -> Figure:
-    """Draw the steady forces of a campaign against speed, from what `summarise_run` kept of its runs."""
+    """Draw the steady forces of a campaign against speed, from the digests of its runs."""
     sliding = list(filter(_is_sliding, digests))
     return speed_figure(
         SpeedPanel(_steady_forces(sliding), quantity=STEADY_ABOVE_REST),
@@ -431,7 +431,7 @@ def _following_error_curve(name: str, run: Run, colour: str) -> TraceCurve:
 
 
 def _mark_repeatability(difference: Axes, pair: RunPair) -> None:
-    """Mark what equal runs may differ by."""
+    """Mark the difference that equal runs may have."""
     main = pair.main[-1]
     difference.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
     if main.error is not None:

@@ -102,7 +102,6 @@ def comparison_json(comparison: Comparison) -> Mapping[str, object]:
 
 
 def _group_table(groups: Iterable[GroupDifference]) -> Table:
-
     return Table.of(
         "conditions-table",
         "",

@@ -43,7 +43,6 @@ from dragrig.present import (
     probability_text,
     round_to_sum,
     shortest,
-    significant,
     unit_text,
 )
 from dragrig.present.diagnosis_sentences import (
@@ -133,13 +132,15 @@ def diagnosis_document(
     )
 
 
-BITS_EXPLAINED = (
-    "Bits are what a run is expected to tell beyond the runs above it. One bit is the answer to whether an effect acts "
-    "that is as likely as not."
-)
-
-
+SETTLED_EXPLAINED = "What a run is expected to settle comes on top of what the runs above it settle."
 NOTHING_NEXT = "Nothing: no run would change the answer."
+
+
+def settled_cell(gain_bits: float | None, open_bits: float | None) -> FormattedNumber | str:
+    """Write the share of the open question that is expected to be settled; nothing where it is not known."""
+    if gain_bits is None or not open_bits:
+        return ""
+    return FormattedNumber(gain_bits / open_bits, percent_text(gain_bits / open_bits))
 
 
 def next_text(diagnosis: Diagnosis) -> str:
@@ -155,6 +156,10 @@ def next_experiment_document(recommendation: NextExperiment | None) -> Document:
         return Document(title="Next runs", answer=NOTHING_NEXT, data=next_experiment_json(None))
 
     caption = f"{recommendation.minutes:.1f} min of rig time in all"
+
+    def settled(run: NextRun) -> FormattedNumber | str:
+        return settled_cell(run.gain_bits, recommendation.open_bits)
+
     return Document(
         title="Next runs",
         answer=recommendation.reason,
@@ -169,10 +174,10 @@ def next_experiment_document(recommendation: NextExperiment | None) -> Document:
                         recommendation.runs,
                         Field("run", "run", lambda run: run_text(run.step)),
                         Field("minutes", "min", lambda run: run.minutes, decimals(1)),
-                        Field("gain", "bit", lambda run: run.gain_bits, significant(2)),
-                        Field("about", "most of it about", lambda run: display_name("+".join(run.about))),
+                        Field("settled", "expected to settle of what is open", settled),
+                        Field("about", "above all", lambda run: display_name("+".join(run.about))),
                     ),
-                    Text(BITS_EXPLAINED, TextKind.EXPLANATION),
+                    Text(SETTLED_EXPLAINED, TextKind.EXPLANATION),
                 ),
             ),
         ),
@@ -206,9 +211,8 @@ def _budget_section(diagnosis: Diagnosis) -> Section:
             Figure(
                 "budget",
                 "A bar of the gap, cut into its named parts and the rest; below it, gap and parts in some runs.",
-                "The gap by its parts; hatched, what has no name. Below, in grey, what the model leaves of a run when "
-                "it is fitted to the others, and in the bar's colours what each part adds to it, with the root "
-                "mean square of one, first where it acts most.",
+                "The gap by its parts; hatched: unexplained. Below, the runs in which a part acts most: in grey what "
+                "the model leaves of a run when fitted to the others, in the bar's colours what each part adds.",
                 lambda: present.budget_figure(budget),
                 bars=budget_bars(budget),
             ),
@@ -355,7 +359,7 @@ def ranking_table(diagnosis: Diagnosis) -> Table:
 
 
 def hypothesis_role(hypothesis: RankedHypothesis, diagnosis: Diagnosis) -> str:
-    """Return what a hypothesis is in the diagnosis: the verdict, indistinguishable from it, or ""."""
+    """Return the role of a hypothesis in the diagnosis: the verdict, indistinguishable from it, or ""."""
     if is_stated_verdict(hypothesis, diagnosis):
         return "verdict"
     untried = () if diagnosis.decision_inputs is None else diagnosis.decision_inputs.excluded
@@ -409,7 +413,6 @@ def _size_section(diagnosis: Diagnosis, model: str | None) -> Section:
 
 
 def _parameter_table(diagnosis: Diagnosis) -> Table:
-
     verdict = _stated_hypothesis(diagnosis)
 
     return Table.of(
@@ -435,14 +438,14 @@ def _stated_hypothesis(diagnosis: Diagnosis) -> RankedHypothesis | None:
 
 
 def _parameter_meaning(parameter: str, diagnosis: Diagnosis) -> str:
-    """Return what a parameter is; nothing where several effects have one of its name."""
+    """Return the meaning of a parameter; nothing where several effects have one of its name."""
     known = [catalogue()[effect] for effect in diagnosis.effects if effect in catalogue()]
     meanings = [own.meaning for effect in known for own in effect.parameters if parameter.endswith(own.name)]
     return meanings[0] if len(meanings) == 1 else ""
 
 
 def r2_table(shrink: GapReduction, *, named: bool) -> Table:
-    """Tabulate R² of steady drag beside what the paper prints; empty where the runs give none."""
+    """Tabulate R² of steady drag beside the values that the paper prints; empty where the runs give none."""
     boundary = published.BOUNDARY_MM_S if shrink.boundary_mm_s is None else shrink.boundary_mm_s
     columns = (
         Column("form", "R² of steady drag"),
@@ -458,12 +461,8 @@ def r2_table(shrink: GapReduction, *, named: bool) -> Table:
     if all(value is None for row in rows for value in row[2:]):
         rows = []
     else:
-        rows.append(("as printed", "the paper's", published.R2_BELOW, published.R2_ABOVE))
-    caption = (
-        "Eq. 15 exceeds 1 where the model varies more than the measurement. The paper's values are as printed, for "
-        "another gut; its measurements are not published"
-    )
-    return Table("r2", caption, columns, tuple(rows))
+        rows.append(("as printed", "in the paper", published.R2_BELOW, published.R2_ABOVE))
+    return Table("r2", "Eq. 15 of the paper may exceed 1; the paper's values are for another gut", columns, tuple(rows))
 
 
 def _runs_section(diagnosis: Diagnosis) -> Section:

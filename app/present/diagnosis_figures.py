@@ -676,7 +676,7 @@ def pooled_sizes_figure(pooled: PooledDiagnosis) -> Figure:
 
 
 def _beyond_common_folder(sources: Sequence[str]) -> list[str]:
-    """Return folders without what their paths begin with in common."""
+    """Return folders without the common beginning of their paths."""
     parts = [PurePath(source).parts for source in sources]
     common = next((at for at, names in enumerate(zip(*parts, strict=False)) if len(set(names)) > 1), 0)
     return ["/".join(names[common:]) or source for names, source in zip(parts, sources, strict=True)]

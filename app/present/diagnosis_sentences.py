@@ -101,7 +101,7 @@ def calibration_sentence(diagnosis: Diagnosis) -> str:
 def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, ...]:
     """Say how large the residual of held-out runs is, and what share of the gap closes where an effect is named."""
     runs = f" on {count_text(len(shrink.runs), 'run')} held out of fit and model choice" if shrink.runs else ""
-    floor = f"noise and repeatability alone: {force_text(shrink.noise_floor_mN)}"
+    floor = f"noise and scatter of repeats alone: {force_text(shrink.noise_floor_mN)}"
     before, after = force_text(shrink.gap_before_mN), force_text(shrink.gap_after_mN)
     sizes = f"Residual (rms){runs}: {before} without the effect, {after} with it; {floor}."
     if shrink.position_um is not None:
@@ -111,11 +111,11 @@ def shrink_sentences(shrink: GapReduction, *, named: bool = True) -> tuple[str, 
         return (f"Residual (rms){runs}: {before}; {floor}.",)
     if shrink.closed is None or not isfinite(shrink.closed):
         sizes = f"Residual (rms){runs}: {before}; {floor}."
-        return sizes, "This is too close to noise and repeatability to say what share of a gap closes."
+        return sizes, "This is too close to noise to say what share of a gap closes."
     share, interval = percent_text(shrink.closed), _closed_interval_text(shrink)
     if shrink.closed > 1:
         details = "; ".join(detail for detail in (share, interval) if detail)
-        return sizes, f"The whole gap closes ({details}): the residual is below noise and repeatability."
+        return sizes, f"The whole gap closes ({details}): the residual is below noise."
     closed = f"{capitalise(share)} of the gap closes" + (f" ({interval})" if interval else "")
     return sizes, f"{closed}{': it grows' if shrink.closed < 0 else ''}."
 
@@ -138,9 +138,8 @@ def sizes_differ_sentence(diagnosis: Diagnosis) -> str:
     if not budget.gap_mN > 0 or abs(log(shrink.gap_before_mN / budget.gap_mN)) < log(SAME_SIZE):
         return ""
     return (
-        f"The residual is not the budget's gap of {significant(2)(budget.gap_mN)} mN. It includes noise, counts only "
-        "times that tell effects apart, and is what each run leaves after factors of its own; the budget counts all "
-        "times, and gives to a run's own factors only what the causes do not explain."
+        f"Gap ({significant(2)(budget.gap_mN)} mN): what the causes add to the force, at all times. Residual: what a "
+        "run leaves after factors of its own, noise included, at times that tell effects apart."
     )
 
 
@@ -187,7 +186,7 @@ def _confusable_sentences(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"{capitalise(join_names(confusable))} cannot be distinguished from {it} with these runs."
     excluded_names = [display_name(name) for name in diagnosis.confusable_with if name in excluded]
     if excluded_names:
-        yield f"Excluded from the search and hardly distinguishable from {it}: {join_names(excluded_names)}."
+        yield f"These runs would hardly tell {it} from {join_names(excluded_names)}, left out of the search."
 
 
 def _residual_sentences(diagnosis: Diagnosis) -> Iterator[str]:
@@ -268,14 +267,14 @@ def excess_text(where: GapLocation, p_text: str = "") -> str:
     """Say how large the excess of all runs is over noise, repeatability and tolerance, and how sure it is."""
     if where.rms < SMALL_RMS:
         sure = f"real{f' ({p_text})' if p_text else ''}" if where.p < ALPHA else "not sure"
-        return f"the gap is {sure}, but small: below {SMALL_RMS:g} standard deviations"
-    return f"{significant(2)(where.rms)} standard deviations of what is expected{f', {p_text}' if p_text else ''}"
+        return f"the gap is {sure}, but small: below {SMALL_RMS:g} of noise and scatter"
+    return f"{significant(2)(where.rms)} times noise and scatter of repeats{f', {p_text}' if p_text else ''}"
 
 
 def domain_sentence(where: GapLocation) -> str:
     """Say what the residual is mainly a function of."""
     if not where.present:
-        return "The means over blocks exceed noise and repeatability nowhere."
+        return "Nowhere does the residual exceed noise and scatter of repeats."
     if not where.domain and where.runs == 1:
         return "A single run does not show what the residual is a function of."
     if not where.domain:
@@ -284,7 +283,7 @@ def domain_sentence(where: GapLocation) -> str:
     basis = "" if where.runs == 1 else " on held-out runs"
     if not isfinite(score):
         return f"The residual is mainly a function of {name}."
-    share = f"which accounts for {100 * score:.0f} % of its squares{basis}"
+    share = f"which explains {100 * score:.0f} % of it{basis}"
     if score < MIN_SCORE:
         return "The gap does not follow speed, position, strain or time alone."
     return f"The residual {'is mainly a function of' if score >= MAIN_SCORE else 'depends most on'} {name}, {share}."

@@ -217,12 +217,13 @@ def isolability_figure(isolability: Isolability) -> Figure:
         figure = new_figure(max(side, 10.0), side + 0.7, title, isolability_sentences(isolability)[0])
         axes = figure.add_subplot(aspect="equal")
         for row, effect in enumerate(names):
-            axes.add_patch(Rectangle((row - 0.5, row - 0.5), 1, 1, facecolor="#F1F3F5", edgecolor=GRID))
+            axes.add_patch(Rectangle((row - 0.5, row - 0.5), 1, 1, facecolor=PALE, edgecolor=GRID))
+            axes.text(row, row, str(row + 1), ha="center", va="center", fontsize=CELL_PT, weight="bold")
             for column, column_effect in enumerate(names[:row]):
                 pair = isolability.pair(effect, column_effect)
                 if pair is not None:
                     _draw_pair_cells(axes, row, column, pair)
-        _set_effect_ticks(axes, [display_name(effect) for effect in names])
+        _set_effect_ticks(axes, [f"{number} {display_name(effect)}" for number, effect in enumerate(names, 1)])
         figure.supxlabel(legend, x=0.03, ha="left", fontsize=SMALL_PT, color=GREY)
         return figure
 

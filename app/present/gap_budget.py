@@ -52,7 +52,7 @@ LEAST_STATED = 0.05
 SURE = 0.9
 """An effect whose probability of presence is smaller is called probable in sentences."""
 ALL = "all"
-_NAMES = {MODEL: "the model itself", SPECIMEN: "the specimen itself", UNEXPLAINED: "no name"}
+_NAMES = {MODEL: "the model itself", SPECIMEN: "the specimen itself", UNEXPLAINED: "unexplained"}
 OTHERS = "others"
 _OWNERS = {MODEL: "the nominal model's", SPECIMEN: "the specimen's"}
 _IN_RELAXATIONS = " in relaxations"
@@ -202,7 +202,7 @@ def _channel_sentence(budget: GapBudget, here: ChannelBudget) -> str:
 
 
 def _parts_text(here: ChannelBudget) -> str:
-    """Say what share each part has; `nothing has a name`, `all is velocity ripple`."""
+    """Say what share each part has; `nothing is explained`, `all is velocity ripple`."""
     percents = here.percents
     rest = percents.get(UNEXPLAINED, 0)
     shares = [(percents[entry.cause], _stated_name(entry)) for entry in here.large[:MAX_SENTENCE_PARTS]]
@@ -210,12 +210,12 @@ def _parts_text(here: ChannelBudget) -> str:
     if others > 0 and shares:
         shares.append((others, OTHERS))
     if not shares:
-        return "nothing has a name" if rest >= 100 else f"{rest} % has no name"
+        return "nothing is explained" if rest >= 100 else f"{rest} % is unexplained"
     if here.single:
         return f"{ALL} is {shares[0][1]}"
     (share, name), *further = shares
     parts = [f"{share} % is {name}", *(f"{share} % {name}" for share, name in further)]
-    return f"{', '.join(parts)}; {f'{rest} % has no name' if rest > 0 else 'nothing is left without a name'}"
+    return f"{', '.join(parts)}; {f'{rest} % is unexplained' if rest > 0 else 'nothing is left unexplained'}"
 
 
 def _vague_parts_text(here: ChannelBudget) -> str:
@@ -223,7 +223,7 @@ def _vague_parts_text(here: ChannelBudget) -> str:
     parts = [f"at least {_WHOLE_PERCENT(low)} is {_stated_name(entry)}" for entry, low in _surely(here) if low > 0]
     possible = [part_name(entry) for entry, low in _surely(here) if not low]
     if possible:
-        parts.append(f"these runs do not say how much is {join_names(possible)}")
+        parts.append(f"these runs leave open how much is {join_names(possible)}")
     return ", ".join(parts)
 
 
@@ -240,9 +240,7 @@ def _roughness_sentence(here: ChannelBudget) -> str:
         return ""
     parts = ", ".join(f"{part_name(entry)} {_interval_text(entry)}" for entry in rough)
     over = any(entry.share_95ci is not None and entry.share_95ci[1] > 1 for entry in rough)
-    return (
-        f"These runs fix the shares only roughly: {parts}{'; above 100 % a part overshoots the gap' if over else ''}."
-    )
+    return f"The shares are rough: {parts}{'; above 100 % a part overshoots the gap' if over else ''}."
 
 
 def budget_bars(budget: GapBudget | None) -> tuple[Bar, ...]:
@@ -277,7 +275,7 @@ def _bar_parts(here: ChannelBudget, colours: Mapping[str, str]) -> Iterator[BarP
 
 
 def _vague_bar_parts(here: ChannelBudget, colours: Mapping[str, str]) -> Iterator[BarPart]:
-    """Yield what each part has at least; what lies between that and the whole is any of them, or without a name."""
+    """Yield what each part has at least; what lies between that and the whole is any of them, or unexplained."""
     surely = _surely(here)
     for entry, low in surely:
         if low > 0:

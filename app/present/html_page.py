@@ -1,10 +1,15 @@
 """Documents as HTML pages: single files with their figures inside, which need no network."""
 
 import re
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from functools import lru_cache
+from hashlib import sha256
 from itertools import pairwise
+from pathlib import Path
+from shlex import join
 from typing import TYPE_CHECKING, cast
 from xml.etree import ElementTree as ET
 from zlib import crc32
@@ -15,20 +20,22 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from dragrig import present
-from dragrig.analysis import Comparison, Identification, printable
+from dragrig.analysis import Comparison, Identification, count_text, printable
 from dragrig.present import Document, figure_form, svg_text
-from dragrig.rig import AnyFloatArray, Campaign, Run, software_version
+from dragrig.rig import AnyFloatArray, Campaign, Run, read_campaign, read_info, software_version
 
 if TYPE_CHECKING:
     from dragrig.analysis.gap import Diagnosis
 
-_NO_BREAK = re.compile(r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±′]) (?=[\d−-])|(?<=\w) (?=[=<±] )")
+_NO_BREAK = re.compile(
+    r"(?<=\d) (?=(?:%|‰|mm|mN|kPa|Pa|ms|s|µm|Hz|g)(?!\w))|(?<=[=<±′×]) (?=[\d−-])|(?<=\w) (?=[=<±×] )"
+)
 _APOSTROPHE = re.compile(r"(?<=\w)'(?=\w)")
 _CODE = re.compile(r"`([^`]+)`")
 
 
-def render_page(document: Document) -> str:
-    """Return a document as one HTML page; the letters of all its figures stand in the page once."""
+def render_page(document: Document, *sources: str | Path) -> str:
+    """Return a document as one HTML page, which says by which command and of which campaigns and runs it was made."""
     with figure_form(document.figure_form):
         figures = {figure.name: inline_svg(svg_text(figure), figure.shows) for figure in document.figures()}
     glyphs = {name: path for figure in figures.values() for name, path in figure.glyphs.items()}
@@ -40,8 +47,26 @@ def render_page(document: Document) -> str:
             "kind_of": lambda block: type(block).__name__.lower(),
             "drawings": {name: _markup(figure.element) for name, figure in figures.items()},
             "glyphs": _markup("".join(glyphs.values())),
+            "origin": tuple(
+                filter(None, (f"written {datetime.now().astimezone():%Y-%m-%d}", _command(), _checksum_text(sources)))
+            ),
         },
     )
+
+
+def _command() -> str:
+    """Return the command that runs, between backticks; nothing in a program of one's own."""
+    program, *arguments = sys.argv or [""]
+    return f"`{join(['dragrig', *arguments])}`" if Path(program).stem == "dragrig" else ""
+
+
+def _checksum_text(sources: Iterable[str | Path]) -> str:
+    """Return one checksum over those of all run files, by which a page is known to be of just these samples."""
+    paths = [path for source in sources if (path := Path(source)).is_dir() or path.suffix == ".h5"]
+    infos = [info for path in paths for info in (read_campaign(path).runs if path.is_dir() else (read_info(path),))]
+    sums = [info.raw_sha256 for info in infos if info.raw_sha256]
+    digest = sha256("\n".join(sums).encode()).hexdigest()
+    return f"SHA-256 of the checksums of {count_text(len(sums), 'run file')}: {digest[:16]}" if sums else ""
 
 
 def notebook_html(result: object) -> str:

@@ -45,9 +45,11 @@ from dragrig.present import (
     decimals,
     estimate_text,
     exclusions_json,
+    grouped_files,
     interval_text,
     listed_exclusions,
     p_value_text,
+    parameter_symbol,
     percent,
     quantity_json,
     shortest,
@@ -81,12 +83,13 @@ def identification_document(identification: Identification) -> Document:
         title=f"Identification of specimen {identification.specimen}",
         badges=identification.backends,
         answer=_answer(identification),
-        lead=(f"{runs}; intervals hold 95 %, ± is a standard error.",),
+        lead=(*_wall_sentence(identification.relaxation), f"{runs}; intervals hold 95 %, ± is a standard error."),
         sections=(
             Section("joint-figure", "", figures),
             Section("joint", "Joint fit", (Text("None."),) if joint is None else _joint_blocks(joint)),
             *sections,
             left_out_section(identification.left_out),
+            Section("appendix", "Appendix", () if joint is None else (_residual_table(joint.runs),)),
             Section("remarks", "Remarks", (Items(identification.remarks, remarks=True),)),
         ),
         data=identification_json(identification),
@@ -120,15 +123,24 @@ def _answer(identification: Identification) -> str:
     known = sorted((entry for entry in joint.parameters if entry.determined), key=lambda entry: entry.half_width)
     if not known:
         return f"The runs of specimen {name} determine none of the {joint.nominal} model's parameters."
-    best = "; ".join(
-        f"{entry.name} {value_with_error(entry.value, entry.standard_error)} {unit_text(entry.unit)}".rstrip()
-        for entry in known[:MAX_IN_ANSWER]
-    )
+    best = "; ".join(map(_named_value, known[:MAX_IN_ANSWER]))
     doubt = "" if joint.holds else "the residuals exceed noise, and "
     return (
         f"Specimen {name}: {doubt}the runs determine {len(known)} of {len(joint.parameters)} parameters. "
         f"Best known: {best}."
     )
+
+
+def _wall_sentence(relaxation: RelaxationResult | None) -> Iterator[str]:
+    """Give the wall's elements in their units, of the first relaxation that has some."""
+    fit = None if relaxation is None else next((fit for fit in relaxation.fits if fit.elements and fit.converged), None)
+    if fit is not None:
+        yield f"The wall at {100 * fit.shear_strain:.3g} % strain: {', '.join(map(_named_value, fit.elements))}."
+
+
+def _named_value(quantity: EstimatedQuantity) -> str:
+    value, symbol = value_with_error(quantity.value, quantity.standard_error), parameter_symbol(quantity.name)
+    return f"{symbol}{'' if symbol.endswith('×') else ' ='} {value} {unit_text(quantity.unit)}".rstrip()
 
 
 def _drag_figure(drag: DragResult) -> Figure:
@@ -158,7 +170,7 @@ def identified_campaigns_document(campaigns: Sequence[tuple[str, Identification 
     """Lay out the joint fits of several campaigns: folder, identification, and why there is none."""
     fits = [result.joint for _, result, _ in campaigns if result is not None and result.joint is not None]
     names = list(dict.fromkeys(parameter.name for fit in fits for parameter in fit.parameters))
-    columns = (Column("campaign", "campaign"), *(Column(name, name) for name in names))
+    columns = (Column("campaign", "campaign"), *(Column(name, parameter_symbol(name)) for name in names))
     rows = tuple((source, *_campaign_cells(result, names)) for source, result, _ in campaigns)
     return Document(
         title=f"{len(rows)} campaigns",
@@ -190,26 +202,27 @@ def _joint_blocks(fit: JointFit) -> tuple[Block, ...]:
             "parameters",
             "",
             fit.parameters,
-            Field("parameter", "parameter", lambda parameter: parameter.name),
+            Field("symbol", "parameter", lambda parameter: parameter_symbol(parameter.name)),
             Field("value", "value", lambda parameter: _value_cell(parameter if parameter.determined else None)),
             Field("interval_95", "95 % interval", interval),
             Field("unit", "unit", lambda parameter: unit_text(parameter.unit)),
             Field("prior_95", "prior, 95 %", lambda parameter: range_text(parameter.prior, parameter.standard_error)),
             Field("learnt", "narrowed by", lambda parameter: parameter.learnt if fit.converged else "", percent()),
             Field("meaning", "meaning", lambda parameter: parameter.meaning),
+            Field("parameter", "key in files", lambda parameter: parameter.name),
         ),
         Table.of(
             "combinations",
             "Combinations",
             fit.combinations,
-            Field("combination", "combination", lambda product: product.name),
+            Field("symbol", "combination", lambda product: parameter_symbol(product.name)),
             Field("value", "value", lambda product: _value_cell(product if product.determined else None)),
             Field("interval_95", "95 % interval", interval),
             Field("half_width", "± 95 %", lambda product: _half_width_text(product) if interval(product) else ""),
             Field("unit", "unit", lambda product: unit_text(product.unit)),
+            Field("combination", "key in files", lambda product: product.name),
         ),
         Items((*_joint_fit_warnings(fit), *fit.remarks), remarks=True),
-        _residual_table(fit.runs),
     )
 
 
@@ -245,11 +258,11 @@ def _half_width_text(quantity: EstimatedQuantity) -> str:
 
 
 def _joint_fit_warnings(fit: JointFit) -> Iterator[str]:
-    unknown = [parameter.name for parameter in fit.parameters if not parameter.determined]
+    unknown = [parameter_symbol(parameter.name) for parameter in fit.parameters if not parameter.determined]
     if unknown:
         yield f"these runs do not determine {join_names(unknown)}"
     strange = [
-        parameter.name
+        parameter_symbol(parameter.name)
         for parameter in fit.parameters
         if parameter.determined and not parameter.prior[0] <= parameter.value <= parameter.prior[1]
     ]
@@ -257,7 +270,7 @@ def _joint_fit_warnings(fit: JointFit) -> Iterator[str]:
         yield f"outside of the 95 % interval of the prior: {join_names(strange)}"
     unexplained = [run.file for run in fit.runs if run.exceeds_noise]
     if unexplained:
-        yield f"the model leaves more than noise in {join_names(unexplained)}"
+        yield f"the model leaves more than noise in {grouped_files(unexplained)}"
 
 
 def _residual_table(runs: Sequence[RunResidual]) -> Table:
@@ -315,7 +328,7 @@ def _relaxation_blocks(relaxation: RelaxationResult) -> tuple[Block, ...]:
             elements,
             Field("file", "run", lambda row: row[1].file if row[1] else ""),
             Field("strain", "strain", lambda row: f"{100 * row[1].shear_strain:.3g} %" if row[1] else ""),
-            Field("element", "element", lambda row: element_symbol(row[0].name)),
+            Field("element", "element", lambda row: parameter_symbol(row[0].name)),
             Field("value", "value", lambda row: _value_cell(row[0])),
             Field("interval_95", "95 % interval", lambda row: interval_text(row[0])),
             Field("half_width", "± 95 %", lambda row: _half_width_text(row[0])),
@@ -326,7 +339,7 @@ def _relaxation_blocks(relaxation: RelaxationResult) -> tuple[Block, ...]:
             "strain-laws",
             "Elements against strain",
             relaxation.laws,
-            Field("element", "element", lambda law: element_symbol(law.element)),
+            Field("element", "element", lambda law: parameter_symbol(law.element)),
             Field("unit", "unit", lambda law: unit_text(law.unit)),
             Field("law", "against strain ε", _strain_law_text),
             Field("r2", "R²", lambda law: "" if law.r2 is None else law.r2, decimals(3)),
@@ -353,7 +366,7 @@ def _relaxation_fit_sentences(fit: RelaxationFit) -> Iterator[str]:
 def _correlated_pairs(fit: RelaxationFit) -> list[str]:
     if fit.correlation is None:
         return []
-    names = [element_symbol(element.name) for element in fit.elements]
+    names = [parameter_symbol(element.name) for element in fit.elements]
     return [
         f"{names[row]} and {names[column]} (correlation {decimals(2)(fit.correlation[row, column])})"
         for row in range(len(names))
@@ -464,11 +477,6 @@ def _log_law_blocks(law: LogLaw) -> tuple[Block, ...]:
         for letter, quantity in (("a", law.intercept), ("b", law.slope))
     )
     return Text(f"Force = a + b ln(v / 1 mm/s), R² {law.r2:.3f}: {fits}."), Table("log-law", "", columns, rows)
-
-
-def element_symbol(name: str) -> str:
-    """Return an element or a time constant as on paper: η1, τ2."""
-    return name.replace("eta", "η").replace("tau", "τ")
 
 
 def identification_json(identification: Identification) -> Mapping[str, object]:

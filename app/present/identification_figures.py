@@ -1,5 +1,6 @@
 """Figures of an identification: joint fit, relaxation fits with strain laws, Coulomb test, steady drag."""
 
+import re
 import textwrap
 from collections.abc import Sequence
 
@@ -52,6 +53,7 @@ from dragrig.present import (
     gaps_after_samples,
     min_max_envelope,
     new_figure,
+    parameter_symbol,
     set_log_x,
     significant,
     speed_figure,
@@ -145,9 +147,13 @@ def _identified_text(parameter: ParameterEstimate, fit: JointFit) -> str:
     return value_with_error(parameter.value, error) + ("" if parameter.unit == "1" else f" {parameter.unit}")
 
 
+SESSION_TIME = re.compile(r"^\d{8}-\d{6}-")
+"""What names of run files begin with, and what does not tell them apart within a session."""
+
+
 def _run_names(runs: Sequence[RunResidual]) -> list[str]:
     several = len({run.channel for run in runs}) > 1
-    names = [run.file.removesuffix(".h5") for run in runs]
+    names = [SESSION_TIME.sub("", run.file.removesuffix(".h5")) for run in runs]
     return [f"{name} {run.channel}" if several else name for name, run in zip(names, runs, strict=True)]
 
 
@@ -203,7 +209,9 @@ def _draw_intervals(
     for row, (parameter, (low, value, high)) in enumerate(zip(rows, places, strict=True)):
         if parameter.determined:
             _draw_interval(axes, row, (low, value, high) if fit.converged else (value, value, value), reach, colour)
-    axes.set_yticks(range(len(rows)), [_cut_middle(parameter.name) for parameter in rows], fontsize=TEXT_PT)
+    axes.set_yticks(
+        range(len(rows)), [_cut_middle(parameter_symbol(parameter.name)) for parameter in rows], fontsize=TEXT_PT
+    )
     axes.set_ylim(len(rows) - 0.5, -0.5)
     axes.set_xlim(-reach, reach)
     axes.grid(visible=False, axis="y")
@@ -278,7 +286,7 @@ def draw_strain_laws(figure: Figure | SubFigure, fits: Sequence[RelaxationFit], 
         axes.set_xlabel("Strain (%)")
         axes.set_title(ELEMENT_TITLES[index])
     handles, words = panels[0].get_legend_handles_labels()
-    figure.legend(handles, words, loc="outside upper left", ncols=len(words))
+    figure.legend(handles, words, loc="outside lower left", ncols=len(words))
 
 
 def _draw_published_walls(axes: Axes, index: int) -> list[FloatArray]:

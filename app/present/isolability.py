@@ -55,7 +55,7 @@ def isolability_document(isolability: Isolability) -> Document:
         "matrix",
         "A matrix of effects: below the diagonal sin² of the angle between each two, above it d′ between them.",
         "Below the diagonal: sin² of the angle between what two effects can do to the force, in hundredths; dark where "
-        "they are similar. Above: d′ between them at their default sizes. Similar effects are neighbours.",
+        "they are similar. Above: d′ between them at their default sizes. On it: the number beside each name.",
         lambda: present.isolability_figure(isolability),
     )
     return Document(
@@ -97,7 +97,6 @@ def isolability_document(isolability: Isolability) -> Document:
 
 
 def _effect_table(isolability: Isolability) -> Table:
-
     return Table.of(
         "effects",
         "Similar effects are neighbours",
@@ -129,7 +128,7 @@ def _pair_table(isolability: Isolability) -> Table:
         Field("first_by_second", "first by second", lambda pair: pair.typical_sin2[0], decimals(2)),
         Field("second_by_first", "second by first", lambda pair: pair.typical_sin2[1], decimals(2)),
         Field("d_prime", "d′", lambda pair: pair.separation, decimals(0)),
-        Field("confused", "", lambda pair: "hardly distinguishable" if pair.confused else ""),
+        Field("confused", "", lambda pair: "not told apart" if pair.confused else ""),
         brief_rows=MAX_PAIRS,
     )
 
@@ -167,7 +166,6 @@ def effects_document(effects: Sequence[Effect]) -> Document:
 
 
 def _effect_section(effect: Effect) -> Section:
-
     facts = {
         "visible in": f"{effect.visible_in} ({effect.channel})",
         "confused with": ", ".join(effect.confused_with),

@@ -3,6 +3,7 @@
 `to_json_value` gives values as JSON knows them: dataclasses become objects, NaN and infinities null.
 """
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from datetime import date
@@ -228,6 +229,29 @@ def run_problem(info: "RunInfo", bad_reason: str | None = None) -> str:
     if info.status is RunStatus.COMPLETE:
         return ""
     return f"{info.status}: {info.reason}" if info.reason else str(info.status)
+
+
+_SYMBOLS = {
+    "friction_coefficient": "μ", "friction_shown": "μ · gain", "mucus_scale": "mucus viscosity ×",
+    "mucus_shown": "mucus viscosity · gain ×", "stiffness_scale": "wall stiffness ×", "fast_time_scale": "τ1 ×",
+    "slow_time_scale": "τ2 ×", "insertion_dwell_scale": "contact age ×", "force_gain": "force gain",
+    "contact_angle_offset_deg": "contact angle offset",
+}  # fmt: skip
+_WALL_PARAMETER = re.compile(r"(eta|tau|E|e)(\d)(_scale|_shown)?")
+
+
+def parameter_symbol(name: str) -> str:
+    """Return a parameter as on paper, a factor with ×: μ, η1, τ2, E1 ×; a name that is none of these as it is."""
+    if (wall := _WALL_PARAMETER.fullmatch(name)) is None:
+        return _SYMBOLS.get(name, name)
+    letter, number, kind = wall.groups()
+    symbol = {"eta": "η", "tau": "τ"}.get(letter, "E") + number
+    return symbol + {"_scale": " ×", "_shown": " · gain ×"}.get(kind or "", "")
+
+
+def start_position_mm(info: "RunInfo") -> float:
+    """Return the absolute position of a run's start; 0 where it is not known, as of an imported run."""
+    return _numeric_attribute(info.header.entry, "origin_mm") or 0.0
 
 
 def _numeric_attribute(parameters: "Mapping[str, Attribute]", name: str) -> float | None:

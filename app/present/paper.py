@@ -85,6 +85,7 @@ class PaperReportData:
 
 
 SKEW_POINTS = 120
+MAX_IN_LEAD = 3
 TWO_DECIMALS = decimals(2)
 
 
@@ -371,6 +372,7 @@ def paper_document(results: PaperReportData, tables: Mapping[str, Table], model:
         badges=("simulated",),
         answer=_paper_answer(results),
         lead=(
+            f"The first: {', '.join(f'“{finding.title}”' for finding in results.findings[:MAX_IN_LEAD])}.",
             "What the friction model of “Modeling of Velocity-dependent Frictional Resistance of a Capsule Robot "
             "Inside an Intestine” (2012) predicts, what comes back when its tests are simulated and identified, and "
             "where the paper is inconsistent. Nothing here was measured on a gut: every run is simulated, and the "

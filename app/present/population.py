@@ -38,6 +38,7 @@ from dragrig.present import (
     left_out_section,
     new_figure,
     p_value_text,
+    parameter_symbol,
     quantity_json,
     unit_text,
 )
@@ -93,7 +94,8 @@ def _answer(population: Population, parameters: Sequence[PopulationParameter]) -
             "runs determine."
         )
     named = "; ".join(
-        f"{entry.name} {_range(entry)} {unit_text(entry.unit)}".rstrip() for entry in differing[:MAX_IN_ANSWER]
+        f"{parameter_symbol(entry.name)} {_range(entry)} {unit_text(entry.unit)}".rstrip()
+        for entry in differing[:MAX_IN_ANSWER]
     )
     alike = len(known) - len(differing)
     rest = f"; {alike} {'has' if alike == 1 else 'have'} {NO_SPREAD}" if alike else ""
@@ -118,7 +120,7 @@ def _pair_text(parameter: PopulationParameter) -> str:
     own = [value.own for value in parameter.specimens if value.own is not None]
     values = " and ".join(value_with_error(quantity.value, quantity.standard_error) for quantity in own)
     unit = f" {unit_text(parameter.unit)}".rstrip()
-    return f"{parameter.name} {values}{unit} ({p_value_text(parameter.spread_p or 0.0)})"
+    return f"{parameter_symbol(parameter.name)} {values}{unit} ({p_value_text(parameter.spread_p or 0.0)})"
 
 
 def _relative_spread(parameter: PopulationParameter) -> float:
@@ -144,7 +146,7 @@ def _specimens_table(population: Population, parameters: Sequence[PopulationPara
         "population",
         "Of two specimens there is no interval of the mean; p is the probability of any such difference by chance",
         parameters,
-        Field("parameter", "parameter", lambda entry: entry.name),
+        Field("parameter", "parameter", lambda entry: parameter_symbol(entry.name)),
         Field("first", population.specimens[0], lambda entry: own(entry, population.specimens[0])),
         Field("second", population.specimens[1], lambda entry: own(entry, population.specimens[1])),
         Field("p", "difference", _p_text),
@@ -158,7 +160,7 @@ def _population_table(parameters: Sequence[PopulationParameter]) -> Table:
         "population",
         f"± is a standard error; “{NO_SPREAD}” where an apparent spread as large has a probability of 5 % or more",
         parameters,
-        Field("parameter", "parameter", lambda entry: entry.name),
+        Field("parameter", "parameter", lambda entry: parameter_symbol(entry.name)),
         Field("mean", "mean", lambda entry: _value_cell(entry.mean if entry.determined else None)),
         Field("mean_95", "95 % interval", lambda entry: interval_text(entry.mean) if entry.determined else ""),
         Field("spread", "spread between specimens", _spread_cell),
@@ -193,7 +195,7 @@ def _rig_table(parameters: Sequence[PopulationParameter]) -> Table:
         "rig",
         "One value for all campaigns",
         parameters,
-        Field("parameter", "parameter", lambda entry: entry.name),
+        Field("parameter", "parameter", lambda entry: parameter_symbol(entry.name)),
         Field("value", "value", lambda entry: _value_cell(entry.mean if entry.determined else None)),
         Field("interval_95", "95 % interval", lambda entry: interval_text(entry.mean) if entry.determined else ""),
         Field("same_p", "same in all campaigns", _p_text),
@@ -209,7 +211,7 @@ def _p_text(parameter: PopulationParameter) -> str:
 def _specimen_table(parameter: PopulationParameter) -> Table:
     return Table.of(
         f"specimens-{parameter.name}",
-        f"{parameter.name}: by the specimen's own runs, and with what the other specimens add",
+        f"{parameter_symbol(parameter.name)}: by the specimen's own runs, and with what the other specimens add",
         parameter.specimens,
         Field("specimen", "specimen", lambda value: value.specimen),
         Field("own", "own runs", lambda value: _value_cell(value.own)),
@@ -293,7 +295,7 @@ def _draw_parameter(axes: Axes, parameter: PopulationParameter, specimens: Seque
     axes.set_yticks(rows[:shown], words[:shown] if names else [], size=SMALL_PT)
     axes.set_ylim(rows[shown - 1] + 0.7, -0.7)
     axes.grid(visible=False, axis="y")
-    axes.set_title(parameter.name)
+    axes.set_title(parameter_symbol(parameter.name))
     none = NO_SPREAD if parameter.spread_p is not None and not parameter.spreads else ""
     axes.set_xlabel(" · ".join(filter(None, (unit_text(parameter.unit), none))))
 

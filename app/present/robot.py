@@ -64,7 +64,7 @@ def robot_document(study: RobotStudy) -> Document:
         answer=" ".join(robot_sentences(study)),
         sections=(
             Section("speeds", "Speed and work", (*_drive_tables(study), *_settling(study.drives))),
-            Section("period", "One period", tuple(_period_figure(study, driven) for driven in study.drives)),
+            Section("period", "One period", (_period_figure(study),)),
             Section("price", "The price of the gap", _price_blocks(study)),
             Section("assumptions", "What is assumed", _assumption_blocks(study)),
         ),
@@ -92,14 +92,11 @@ def _reached(study: RobotStudy) -> tuple[str, ...]:
     hard, gut = named[HARD_DRIVE], named[GUT_DRIVE]
     if gut.gut.speed_mm_s <= 0:
         return (_speed_sentence(study, gut, "the gut"),)
-    first = (
-        f"The drive that is best on the hard surface reaches {hard.hard.speed_mm_s:.1f} mm/s there and "
-        f"{hard.gut.speed_mm_s:.1f} mm/s in the gut."
+    return (
+        f"In the gut the robot reaches {gut.gut.speed_mm_s:.1f} mm/s with the drive chosen for it.",
+        f"With the drive that is best on the hard surface it reaches {hard.gut.speed_mm_s:.1f} mm/s, and "
+        f"{hard.hard.speed_mm_s:.1f} mm/s there.",
     )
-    chosen = f"The drive chosen for the gut reaches {gut.gut.speed_mm_s:.1f} mm/s there"
-    if hard.gut.speed_mm_s > 0:
-        chosen += f", {gut.gut.speed_mm_s / hard.gut.speed_mm_s:.1f} times as much"
-    return first, chosen + "."
 
 
 def _speed_sentence(study: RobotStudy, driven: DrivenRobot, on: str) -> str:
@@ -177,60 +174,51 @@ def _settling(drives: Sequence[DrivenRobot]) -> tuple[Text, ...]:
     return tuple(blocks)
 
 
-def _period_figure(study: RobotStudy, driven: DrivenRobot) -> Figure:
-    number = study.drives.index(driven) + 1
+def _period_figure(study: RobotStudy) -> Figure:
     return Figure(
-        f"robot-period-{number}",
-        f"Force, positions and slip over one period in the gut, {driven.name}.",
-        f"In the gut, drive {driven.name}. Positions count from the period's begin; shaded is where the housing slips.",
-        lambda: period_figure(driven.gut, driven.name, study.robot.inner_mass_g),
+        "robot-period",
+        "Force, positions and slip over one period in the gut, a column for each drive.",
+        "Positions count from the period's begin; shaded is where the housing slips.",
+        lambda: period_figure(study.drives, study.robot.inner_mass_g),
     )
 
 
-def period_figure(walk: SteadyWalk, name: str, inner_mass_g: float) -> MatplotlibFigure:
-    """Draw force, positions and speed over the last period of a walk."""
+def period_figure(drives: Sequence[DrivenRobot], inner_mass_g: float) -> MatplotlibFigure:
+    """Draw force, positions and speed over the last period in the gut, with the drives side by side."""
+    with figure_style():
+        figure = new_figure(5.0 + 5.5 * len(drives), 8.0, "One period of the robot in the gut", narrow=len(drives) == 1)
+        panels = figure.subplots(3, len(drives), sharex="col", sharey="row", squeeze=False)
+        for driven, column in zip(drives, panels.T, strict=True):
+            _draw_period(column.tolist(), driven.gut, inner_mass_g)
+            column[0].set_title(f"{driven.name}: {driven.gut.speed_mm_s:.2f} mm/s")
+        for axes, label in zip(panels[:, 0], ("Force (mN)", "Position (mm)", "Speed (mm/s)"), strict=True):
+            axes.set_ylabel(label)
+            low, high = axes.get_ylim()
+            axes.set_ylim(low, high + 0.3 * (high - low))
+            axes.legend(loc="upper right", ncols=2, fontsize=SMALL_PT, labelcolor="linecolor")
+        return figure
+
+
+def _draw_period(panels: Sequence[Axes], walk: SteadyWalk, inner_mass_g: float) -> None:
+    force_axes, place_axes, speed_axes = panels
     period, drive = walk.last[-1], walk.drive
     time = np.linspace(0.0, drive.period_s, CURVE_POINTS)
     place, velocity, friction = walk.walker.sample(period.begin_s + time)
     relative_mm, acceleration = _relative_motion(drive, time)
-    slips = walk.walker.slips[period.first_slip :]
     push = -MN_PER_G_MM_S2 * inner_mass_g * acceleration
-    resting = velocity == 0
-    with figure_style():
-        figure = new_figure(
-            9.0, 8.0, "One period of the robot in the gut", f"{name}: {walk.speed_mm_s:.2f} mm/s", narrow=True
-        )
-        force_axes, place_axes, speed_axes = figure.subplots(3, 1, sharex=True)
-        for axes in (force_axes, place_axes, speed_axes):
-            for slip in slips:
-                begin, end = (1e3 * (at - period.begin_s) for at in (slip.start_s, slip.end_s))
-                axes.axvspan(begin, end, color=tint(BLUE, 0.12), linewidth=0)
-            axes.axhline(0.0, color=GREY, linewidth=0.8)
-        force_axes.plot(1e3 * time, push, color=BLACK, label="push on the housing, −m s″")
-        force_axes.plot(
-            1e3 * time, np.where(resting, push, friction), color=VERMILLION, linewidth=1.8, label="friction against it"
-        )
-        place_axes.plot(1e3 * time, place - period.begin_mm, color=BLUE, label="housing")
-        place_axes.plot(
-            1e3 * time, place - period.begin_mm + relative_mm, color=BLACK, linewidth=1.8, label="inner mass"
-        )
-        speed_axes.plot(1e3 * time, velocity, color=BLUE, label="slip of the housing")
-        for axes, label in (
-            (force_axes, "Force (mN)"),
-            (place_axes, "Position (mm)"),
-            (speed_axes, "Speed (mm/s)"),
-        ):
-            axes.set_ylabel(label)
-            _legend(axes)
-        speed_axes.set_xlim(0.0, 1e3 * drive.period_s)
-        speed_axes.set_xlabel("Time in the period (ms)")
-        return figure
-
-
-def _legend(axes: Axes) -> None:
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.3 * (high - low))
-    axes.legend(loc="upper right", ncols=2, fontsize=SMALL_PT, labelcolor="linecolor")
+    for axes in panels:
+        for slip in walk.walker.slips[period.first_slip :]:
+            begin, end = (1e3 * (at - period.begin_s) for at in (slip.start_s, slip.end_s))
+            axes.axvspan(begin, end, color=tint(BLUE, 0.12), linewidth=0)
+        axes.axhline(0.0, color=GREY, linewidth=0.8)
+    against = np.where(velocity == 0, push, friction)
+    force_axes.plot(1e3 * time, push, color=BLACK, label="push on the housing, −m s″")
+    force_axes.plot(1e3 * time, against, color=VERMILLION, linewidth=1.8, label="friction against it")
+    place_axes.plot(1e3 * time, place - period.begin_mm, color=BLUE, label="housing")
+    place_axes.plot(1e3 * time, place - period.begin_mm + relative_mm, color=BLACK, linewidth=1.8, label="inner mass")
+    speed_axes.plot(1e3 * time, velocity, color=BLUE, label="slip of the housing")
+    speed_axes.set_xlim(0.0, 1e3 * drive.period_s)
+    speed_axes.set_xlabel("Time in the period (ms)")
 
 
 def _relative_motion(drive: "RobotDrive", time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from dragrig import present
 from dragrig.analysis import RunMeasures, measure, minutes_since_excision, range_text, value_with_error
 from dragrig.present import (
     Code,
+    Column,
     Document,
     Facts,
     Field,
@@ -16,6 +17,7 @@ from dragrig.present import (
     FormattedNumber,
     Section,
     Table,
+    Text,
     attributes_json,
     decimals,
     duration_text,
@@ -37,7 +39,13 @@ UNIT_SUFFIXES: Final = {
 }  # fmt: skip
 """Endings of names and the units that they stand for, longer ones first."""
 
-_ATTRIBUTE_LABELS: Final = {"accel": "acceleration", "mass": "mass", "rest": "rest before", "hold": "hold after"}
+_ATTRIBUTE_LABELS: Final = {
+    "accel": "acceleration",
+    "mass": "mass",
+    "rest": "rest before",
+    "hold": "hold after",
+    "command_t0_uncertainty": "start of the command uncertain by",
+}
 
 _TIME_FORMAT: Final = "%Y-%m-%d %H:%M:%S %z"
 
@@ -92,8 +100,9 @@ def recording_texts(info: RunInfo) -> dict[str, str]:
 
 def further_attribute_texts(info: RunInfo) -> dict[str, str]:
     """Return what else the file's header holds."""
-    shown = {"operator", "note", "plan", "software"}
-    return attribute_texts({key: value for key, value in info.header.entry.items() if key not in shown})
+    shown, known = {"operator", "note", "plan", "software"}, ("command_t0_uncertainty_s", 0.0)
+    entry = info.header.entry.items()
+    return attribute_texts({key: value for key, value in entry if key not in shown and (key, value) != known})
 
 
 def _attribute_label(name: str) -> str:
@@ -184,17 +193,18 @@ class InspectedFile:
 
 
 def files_document(files: Sequence[InspectedFile]) -> Document:
-    """Lay out what run files contain, a section each."""
-    names = [str(file.info.path) for file in files]
-    alone = len(files) == 1
-    return Document(
-        title=names[0] if alone else f"{len(files)} run files",
-        sections=tuple(
-            Section(file.info.path.stem, "" if alone else name, (Facts(_file_texts(file)),))
-            for file, name in zip(files, names, strict=True)
-        ),
-        data=[_file_json(file) for file in files],
-    )
+    """Lay out what run files contain: all of a single one, and a line for each of several."""
+    data = [_file_json(file) for file in files]
+    if len(files) == 1:
+        name = str(files[0].info.path)
+        return Document(title=name, sections=(Section("file", "", (Facts(_file_texts(files[0])),)),), data=data)
+    shown = ("run", "start", "samples", "marked bad", "noted", "checksum")
+    texts = [_file_texts(file) for file in files]
+    known = [name for name in shown if any(text[name] for text in texts)]
+    rows = tuple((str(file.info.path), *map(text.get, known)) for file, text in zip(files, texts, strict=True))
+    table = Table("files", "", (Column("file", "file"), *(Column(name, name) for name in known)), rows)
+    hint = Text(f"`dragrig info {files[0].info.path}` shows all of one.") if files else Text("")
+    return Document(title=f"{len(files)} run files", sections=(Section("files", "", (table, hint)),), data=data)
 
 
 def _file_texts(file: InspectedFile) -> dict[str, str]:
@@ -206,7 +216,7 @@ def _file_texts(file: InspectedFile) -> dict[str, str]:
         "capsule": attribute_texts(header.capsule),
         "specimen": specimen_texts(info),
         "checks": check_texts(info.checks),
-        "further": attribute_texts(header.entry),
+        "further": further_attribute_texts(info),
     }
     return {
         "run": f"{info.kind}, {info.status.value}{reason}",
@@ -274,7 +284,6 @@ def measures_table(measures: RunMeasures) -> Table:
 
 
 def _event_table(events: tuple[RunEvent, ...]) -> Table:
-
     return Table.of(
         "events",
         "By the clock of the run",

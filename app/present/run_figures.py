@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 
-from dragrig.analysis import RunMeasures, clipped_samples, filter_run, steady_force, steady_stretch, value_with_error
+from dragrig.analysis import RunMeasures, filter_run, measure, steady_stretch, value_with_error
 from dragrig.config import AnalysisError
 from dragrig.present import (
     BLACK,
@@ -33,6 +33,7 @@ from dragrig.present import (
     run_title,
     set_log_x,
     set_time_range,
+    start_position_mm,
     write_legend,
 )
 from dragrig.rig import (
@@ -127,12 +128,14 @@ SLIDING_KINDS = frozenset({"drag", "coulomb", "blank", "return"})
 
 @dataclass(frozen=True, slots=True)
 class SteadyLevel:
-    """Mean force of steady sliding [mN], and from when to when it was taken [s]."""
+    """Mean force of steady sliding [mN], from when to when it was taken [s], and that at rest; NaN if not known."""
 
     begin_s: float
     end_s: float
     force_mN: float
     text: str
+    rest_mN: float
+    above_rest_text: str
 
 
 def filtered_trace(run: Run) -> FilteredTrace | None:
@@ -159,13 +162,38 @@ def steady_level(run: Run, measures: RunMeasures | None = None) -> SteadyLevel |
     """Return the mean force of steady sliding; None for other kinds, or with too little steady sliding."""
     if run.info.kind not in SLIDING_KINDS:
         return None
-    estimate = steady_force(run, clipped_samples(run))[0] if measures is None else measures.steady_force
+    known = measure(run) if measures is None else measures
+    steady, rest, above = known.steady_force, known.rest_offset.value, known.steady_above_rest
     stretch, _ = steady_stretch(run)
-    if estimate.value is None or not stretch.any():
+    if steady.value is None or not stretch.any():
         return None
     inside = run.trace.time[stretch]
-    text = f"steady {value_with_error(estimate.value, estimate.standard_error)} mN"
-    return SteadyLevel(float(inside[0]), float(inside[-1]), estimate.value, text)
+    return SteadyLevel(
+        float(inside[0]),
+        float(inside[-1]),
+        steady.value,
+        f"steady {value_with_error(steady.value, steady.standard_error)} mN",
+        np.nan if rest is None else rest,
+        f"steady − rest {value_with_error(above.value, above.standard_error)} mN",
+    )
+
+
+MIN_BRACKET = 0.2
+"""Share of the panel's height from which on the bracket between rest and steady sliding has room for its text."""
+
+
+def _draw_bracket(axes: Axes, level: SteadyLevel) -> None:
+    """Draw the force at rest, and a bracket from there to that of steady sliding."""
+    low, high = axes.get_ylim()
+    if not abs(level.force_mN - level.rest_mN) > MIN_BRACKET * (high - low):
+        return
+    at = level.begin_s + (level.end_s - level.begin_s) / 4
+    axes.plot([axes.get_xlim()[0], at], [level.rest_mN] * 2, color=BLACK, linestyle=":", linewidth=1.2)
+    axes.annotate(
+        "", (at, level.force_mN), (at, level.rest_mN), arrowprops={"arrowstyle": "<->", "shrinkA": 0, "shrinkB": 0}
+    )
+    middle = at, (level.force_mN + level.rest_mN) / 2
+    axes.annotate(level.above_rest_text, middle, (8, 0), textcoords="offset points", va="center")
 
 
 PHASE_TINTS = ("#F5F6F7", "#FCEED3", "#EAF4FB", "#FBE4D6", "#F3EEF7")
@@ -410,12 +438,12 @@ def force_panel(
 
 
 def position_panel(run: Run, gap: BoolArray) -> TracePanel:
-    """Return encoder position, and the commanded position where the file has it."""
-    time, trace = run.trace.time, run.trace
-    curves = [TraceCurve(time, trace.position, gap, LineStyle("encoder", "#59BFA0", 3.2))]
+    """Return encoder position, and the commanded position where the file has it, both absolute."""
+    time, trace, start_mm = run.trace.time, run.trace, start_position_mm(run.info)
+    curves = [TraceCurve(time, trace.position + start_mm, gap, LineStyle("encoder", "#59BFA0", 3.2))]
     # Of a foreign measurement without a command the position stands for it.
     if run.info.header.backend != "external" or not np.array_equal(trace.command, trace.position):
-        curves.append(TraceCurve(time, trace.command, gap, LineStyle("command", BLACK, 1.0, dashed=True)))
+        curves.append(TraceCurve(time, trace.command + start_mm, gap, LineStyle("command", BLACK, 1.0, dashed=True)))
     return TracePanel("Position (mm)", tuple(curves), 2e-3)
 
 
@@ -596,8 +624,9 @@ def run_figure(
     filter_output = filtered_trace(run)
     smooth = filter_output if filtered else None
     gap = gaps_after_samples(run.trace.time, run.trace.sample_rate_hz)
+    steady = steady_level(run, measures)
     panels = [
-        force_panel(run, smooth, gap, steady=steady_level(run, measures)),
+        force_panel(run, smooth, gap, steady=steady),
         position_panel(run, gap),
         speed_panel(run, measured_speed(run, filter_output), gap),
     ]
@@ -610,5 +639,7 @@ def run_figure(
         if ramp is not None:
             draw_relaxation(figure, run, panels, ramp)
         else:
-            draw_panel_column(figure.add_gridspec(1, 1)[0], run, panels)
+            first, *_ = draw_panel_column(figure.add_gridspec(1, 1)[0], run, panels)
+            if steady is not None:
+                _draw_bracket(first, steady)
         return figure

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from dragrig import present
-from dragrig.analysis import capitalise, join_names, range_text, value_with_error
+from dragrig.analysis import capitalise, join_names, value_with_error
 from dragrig.analysis.gap import CampaignEvidence, PooledDiagnosis, PooledEffect, PopulationSize, Where, display_name
 from dragrig.present import (
     Document,
@@ -47,9 +47,9 @@ def pooled_document(pooled: PooledDiagnosis) -> Document:
         answer=answer,
         lead=(*filter(None, lead), *_unnamed_sentences(pooled)),
         sections=(
-            Section("effects", "Which effects, and where", (*_effects_section(pooled),)),
+            Section("campaigns", "Which campaign has which effect", (_campaign_table(pooled), _alone_text(pooled))),
             Section("sizes", "How large in each campaign", (*_sizes_section(pooled),)),
-            Section("campaigns", "Each campaign alone", (_campaign_table(pooled), _alone_text(pooled))),
+            Section("effects", "All effects", (*_effects_section(pooled),)),
             Section("remarks", "Remarks", (Items(tuple(map(capitalise, pooled.remarks)), remarks=True),)),
         ),
         data=pooled_json(pooled),
@@ -77,18 +77,17 @@ def _effect_sentence(effect: PooledEffect, pooled: PooledDiagnosis) -> str:
     members = "campaigns" if effect.of_rig or specimens < len(pooled.campaigns) else "specimens"
     names = [pooled.campaigns[at].source for at in effect.members]
     if effect.where is Where.ALL:
-        belongs = "is the rig's: it is" if effect.of_rig else "is"
-        place = f"{belongs} in all {count} {members}"
+        place = ("the rig's, " if effect.of_rig else "") + f"in all {count} {members}"
     elif effect.where is Where.SOME:
-        place = f"is in {len(names)} of {count} campaigns ({_listed(names)})"
+        place = f"in {len(names)} of {count} campaigns, {_listed(names)}"
     else:
-        place = f"is in one campaign alone, {_listed(names)}"
-    likely = probability_text(effect.where_probabilities[effect.where])
-    sure = f"probability {probability_text(effect.probability)}; {likely} that it is just there, if anywhere"
-    alike = (
-        f"; these campaigns do not tell it from {join_names([display_name(rival) for rival in effect.confusable_with])}"
-    )
-    return f"{name} {place} ({sure}){alike if effect.confusable_with else ''}."
+        place = f"only in {_listed(names)}"
+    sure, there = f"probability {probability_text(effect.probability)}", effect.where_probabilities[effect.where]
+    if there < effect.probability:
+        just = {Where.ALL: "in all", Where.SOME: "just in these"}.get(effect.where, "only there")
+        sure += f"; {probability_text(there)} that it is {just}"
+    alike = f"; not told from {join_names([display_name(rival) for rival in effect.confusable_with])}"
+    return f"{name}: {place} ({sure}){alike if effect.confusable_with else ''}."
 
 
 def _size_sentence(effect: PooledEffect) -> str:
@@ -122,22 +121,16 @@ def _unnamed_sentences(pooled: PooledDiagnosis) -> tuple[str, ...]:
     if not pooled.unnamed:
         return ()
     causes = join_names([f"{name} ({probability_text(value)})" for name, value in pooled.unnamed.items()])
-    return (f"Beside that all campaigns share a deviation without a name, best described by: {causes}.",)
+    return (f"All campaigns also share a deviation that no effect explains, best described by: {causes}.",)
 
 
 def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
     basis = (
-        "Rig: it has one set of parameters for all campaigns. Gut: a population of specimens with a spread. The "
-        "probability together weighs all campaigns at once, beside every other cause that they may share; the best one "
-        "alone is the highest that any single campaign gives. A size is the mean of the population that these "
-        "specimens are from, not what one campaign has: that is known better, and stands in its own diagnosis."
+        "Rig: it has one set of parameters for all campaigns. Gut: a population of specimens with a spread, of which "
+        "the size is the mean. The probability together weighs all campaigns at once, beside every other cause that "
+        "they may share; the best one alone is the highest that any single campaign gives."
     )
     named = pooled.established
-
-    def interval(effect: PooledEffect) -> str:
-        size = effect.size if effect in named else None
-        return "" if size is None else range_text(size.interval_95, size.standard_error)
-
     table = Table.of(
         "effects",
         "",
@@ -147,9 +140,7 @@ def _effects_section(pooled: PooledDiagnosis) -> tuple[Text | Table, ...]:
         Field("where", "where", lambda effect: where_text(effect, pooled) if effect in named else ""),
         Field("probability", "together", lambda effect: _probability(effect.probability)),
         Field("alone", "best one alone", lambda effect: _probability(max(effect.alone, default=0.0))),
-        Field("size", "size ± standard error", lambda effect: _size_cell(effect.size if effect in named else None)),
-        Field("size_95ci", "95 % interval", interval),
-        Field("spread", "spread between", lambda effect: _spread_cell(effect) if effect in named else ""),
+        Field("size", "mean size ± error", lambda effect: _size_cell(effect.size if effect in named else None)),
         Field("confusable", "not told from", lambda effect: ", ".join(map(display_name, effect.confusable_with))),
         brief_rows=max(MAX_LISTED, len(named)),
     )
@@ -167,12 +158,6 @@ def _size_cell(size: PopulationSize | None) -> FormattedNumber | str:
     return FormattedNumber(size.mean, f"{value_with_error(size.mean, size.standard_error)} {unit}".rstrip())
 
 
-def _spread_cell(effect: PooledEffect) -> FormattedNumber | str:
-    if effect.size is None or len(effect.members) < 2:
-        return ""
-    return FormattedNumber(effect.size.spread, _ROUGH(effect.size.spread))
-
-
 def _sizes_section(pooled: PooledDiagnosis) -> tuple[Figure, ...]:
     shown = [effect for effect in pooled.established if effect.size is not None]
     if not shown:
@@ -181,17 +166,19 @@ def _sizes_section(pooled: PooledDiagnosis) -> tuple[Figure, ...]:
         Figure(
             "sizes",
             "A panel for each effect: its size in each campaign with an error bar, and a band for the population.",
-            "Size of each effect by campaign; bars hold 95 %. Filled points have the effect. The line is the mean of "
-            "these, the band holds 95 % of specimens, as far as they differ beyond their errors.",
+            "Filled points have the effect. Bars hold 95 % and allow for forms other than the catalogue's: the size "
+            "in a campaign's own diagnosis, by that form, is narrower. The line is the mean of the population, the "
+            "band holds 95 % of its specimens.",
             lambda: present.pooled_sizes_figure(pooled),
         ),
     )
 
 
 def _campaign_table(pooled: PooledDiagnosis) -> Table:
-    def together(campaign: CampaignEvidence) -> str:
-        at = pooled.campaigns.index(campaign)
-        return ", ".join(display_name(effect.effect) for effect in pooled.established if at in effect.members)
+    def dots(effect: PooledEffect) -> Field[CampaignEvidence]:
+        having = [pooled.campaigns[at] for at in effect.members]
+        name = display_name(effect.effect)
+        return Field(effect.effect, name, lambda campaign: "●" if campaign in having else "○")
 
     return Table.of(
         "campaigns",
@@ -206,14 +193,14 @@ def _campaign_table(pooled: PooledDiagnosis) -> Table:
             lambda each: " + ".join(map(display_name, each.effects)) or each.verdict.value.replace("_", " "),
         ),
         Field("probability", "probability", lambda campaign: _probability(campaign.probability)),
-        Field("together", "effects together", together),
+        *map(dots, pooled.established),
         brief_rows=MAX_LISTED,
     )
 
 
 def _alone_text(pooled: PooledDiagnosis) -> Text:
     first = pooled.campaigns[0].source if pooled.campaigns else "CAMPAIGN"
-    return Text(f"`dragrig gap diagnose {first}` shows one of them in full.")
+    return Text(f"`dragrig gap diagnose {first}` shows one of them in full, with the sizes of its effects.")
 
 
 def pooled_json(pooled: PooledDiagnosis) -> Mapping[str, object]:

@@ -315,15 +315,11 @@ def _check_force(rig: RigSettings, scaling: Scaling, limits: NoiseLimits, readin
 
 def _liveness_remark(rig: RigSettings, limits: NoiseLimits, reading: RawReading) -> str:
     """Say how a dead sensor would show, and which setting is missing for that."""
-    noise_uV, least_uV, own_uV = 1e6 * reading.force_noise_V, 1e6 * limits.least_V, 1e6 * limits.converter_V
-    alive = f"{noise_uV:.0f} µV of it from millisecond to millisecond, the converter's own {own_uV:.0f}, "
-    if least_uV:
-        alive += f"dead below {least_uV:.0f}"
+    if limits.least_V:
+        fast_uV, dead_uV = 1e6 * reading.force_noise_V, 1e6 * limits.least_V
+        alive = f"alive: {fast_uV:.0f} µV from millisecond to millisecond, a dead input has less than {dead_uV:.0f}"
     else:
-        alive += (
-            "so that only an input that repeats itself counts as dead: dragrig calibrate force notes the noise of the "
-            "living sensor, if it is clearly more"
-        )
+        alive = "alive; how quiet a dead input is, is not known yet: dragrig calibrate force measures it"
     if rig.hardware.card.force.unplugged == "floating":
         alive += "; a pulled cable may not show: put a resistor at the input (hardware.card.force.unplugged)"
     return alive

@@ -2,6 +2,7 @@ from .campaigns import SessionRecord as SessionRecord
 from .campaigns import read_campaign as read_campaign
 from .campaigns import read_mark as read_mark
 from .campaigns import read_note as read_note
+from .filesystem import existing_folder as existing_folder
 from .filesystem import free_bytes as free_bytes
 from .filesystem import replace_text as replace_text
 from .finisher import Finisher as Finisher

@@ -186,13 +186,19 @@ def refusal_remedy(path: Path, system: str) -> str:
 
 
 def free_bytes(folder: Path) -> int:
-    """Return the free space where `folder` is or will be; raises `OutputError` when nothing of its path exists."""
+    """Return the free space where `folder` is or will be; raises `OutputError` when it cannot be read."""
+    existing = existing_folder(folder)
+    try:
+        return shutil.disk_usage(existing).free
+    except OSError as error:
+        raise OutputError(f"{existing}: its free space cannot be read ({error.strerror}).") from error
+
+
+def existing_folder(folder: Path) -> Path:
+    """Return the folder or the nearest one above it that exists; raises `OutputError` where there is none."""
     for existing in (folder.absolute(), *folder.absolute().parents):
         if existing.is_dir():
-            try:
-                return shutil.disk_usage(existing).free
-            except OSError as error:
-                raise OutputError(f"{existing}: its free space cannot be read ({error.strerror}).") from error
+            return existing
     raise OutputError(f"{folder}: no part of this path exists; choose another folder.")
 
 

@@ -32,6 +32,13 @@ def test_init_makes_a_lab_whose_rig_is_the_shipped_one(tmp_path: Path) -> None:
     assert calibration.read_calibrations(tmp_path / "lab") == ()
 
 
+def test_no_lab_is_made_in_a_lab(tmp_path: Path) -> None:
+    create_lab(tmp_path / "lab")
+    with pytest.raises(OutputError, match=r"lies in the lab .*lab; use that one"):
+        create_lab(tmp_path / "lab" / "runs" / "another")
+    assert list((tmp_path / "lab" / "runs").iterdir()) == []
+
+
 @pytest.mark.parametrize("name", ["rig.toml", "calibration.jsonl"])
 def test_init_writes_over_nothing(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / name).write_text("mine", "utf-8")

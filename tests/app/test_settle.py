@@ -76,7 +76,7 @@ def test_a_batch_is_made_in_its_campaign_and_its_diagnosis_ends_the_loop(tmp_pat
     assert sorted(run.kind for run in read_campaign(folder).runs) == sorted(kinds)
     assert SettleRecord.model_validate_json(ended.model_dump_json()) == ended
     document = settlement_document(ended, STRIBECK)
-    assert batch.reason.split(" is expected")[0].split(",")[0] in document_text(document)
+    assert batch.reason.split(" best ")[0].split(",")[0] in document_text(document)
     assert json.loads(json.dumps(to_json_value(document.data)))["settle"]["batches"][0]["plan"]["name"] == "few"
 
 
@@ -105,7 +105,7 @@ def test_one_campaign_holds_all_batches_and_every_decision(tmp_path: Path, share
     said = document_text(document)
     assert str(settled.record.steps[-1].runs) in document.lead[0]
     for batch in settled.record.batches[1:]:
-        assert batch.reason.split(" is expected")[0].split(",")[0] in said
+        assert batch.reason.split(" best ")[0].split(",")[0] in said
     assert "probabilities" in [figure.name for figure in document.figures()]
     assert json.loads(json.dumps(to_json_value(document.data)))["settle"]["batches"][0]["plan"]["name"] == "few"
 

@@ -125,7 +125,7 @@ def test_a_plan_in_a_file_says_what_it_would_make(tmp_path: Path, capsys: pytest
 def test_the_page_holds_every_effect(drags: Isolability) -> None:
     text = render_page(isolability_document(drags))
     assert "Stribeck friction" in text
-    assert "hardly distinguishable" in text
+    assert "not told apart" in text
 
 
 def test_the_page_is_presentable(browser: "Browser", drags: Isolability, tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def test_the_plan_file_of_a_campaign_that_strays_is_taken(tmp_path: Path, capsys
     campaign, out = tmp_path / "thin", tmp_path / "next.toml"
     dragrig.simulate(plan(THIN), out=campaign, effects=[SCALE])
     assert main(["gap", "next", str(campaign), "--quiet", "--minutes", "3", "--save-plan", str(out)]) == 0
-    assert "is expected to tell" in capsys.readouterr().out
+    assert "it is expected to settle" in capsys.readouterr().out
     assert main(["check", str(out)]) == 0
 
 

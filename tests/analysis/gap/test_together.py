@@ -142,7 +142,7 @@ def test_an_effect_of_the_rig_is_told_as_the_rigs() -> None:
     pooled = diagnose_together(five)
     [effect] = pooled.established
     assert (effect.effect, effect.where, effect.of_rig) == ("payload_inertia", Where.ALL, True)
-    assert "is the rig's: it is in all 5 campaigns" in pooled_document(pooled).answer
+    assert "the rig's, in all 5 campaigns" in pooled_document(pooled).answer
     assert effect.size is not None
     low, high = effect.size.interval_95
     assert low < 0.8 * 20.0 < high
@@ -150,9 +150,9 @@ def test_an_effect_of_the_rig_is_told_as_the_rigs() -> None:
 
 def test_campaigns_of_one_specimen_are_not_told_as_so_many_specimens() -> None:
     apart = [campaign(seed, stribeck=2.0) for seed in range(3)]
-    assert "Stribeck friction is in all 3 specimens" in pooled_document(diagnose_together(apart)).answer
+    assert "Stribeck friction: in all 3 specimens" in pooled_document(diagnose_together(apart)).answer
     again = [replace(evidence, specimen="P7") for evidence in apart[:2]]
-    assert "Stribeck friction is in all 3 campaigns" in pooled_document(diagnose_together([*again, apart[2]])).answer
+    assert "Stribeck friction: in all 3 campaigns" in pooled_document(diagnose_together([*again, apart[2]])).answer
 
 
 def test_an_effect_in_one_specimen_is_told_as_that_specimens() -> None:
@@ -163,7 +163,7 @@ def test_an_effect_in_one_specimen_is_told_as_that_specimens() -> None:
     assert (effect.effect, effect.where, effect.members) == ("stribeck", Where.ONE, (2,))
     assert effect.probability == pytest.approx(0.97)
     assert np.argmax(effect.presence) == 2
-    assert "in one campaign alone, campaign-9" in pooled_document(pooled).answer
+    assert pooled_document(pooled).answer == "Stribeck friction: only in campaign-9 (probability 0.97)."
 
 
 def test_an_effect_in_some_specimens_is_told_with_their_names() -> None:
@@ -378,9 +378,9 @@ def test_a_strong_effect_of_several_campaigns_is_named_from_their_run_files(lab:
 
 
 def test_page_and_picture_say_what_is_in_all_campaigns(lab: Lab) -> None:
-    assert "Stribeck friction is in all 2 campaigns" in lab.page
+    assert "Stribeck friction: in all 2 campaigns" in lab.page
     assert "all runs of copied are in first too" in lab.page
-    assert "Size of each effect by campaign" in lab.page
+    assert "Filled points have the effect." in lab.page
     assert lab.picture.startswith(b"\x89PNG")
 
 

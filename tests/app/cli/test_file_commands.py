@@ -62,13 +62,30 @@ def test_info_says_what_is_inside_and_verifies_it(command: Command, practice: Pa
     answer = command.json("info", "c")
     assert {row["kind"] for row in answer} == {"relaxation", "blank", "coulomb", "drag"}
     assert all(row["channels"]["force"] == "mN" for row in answer)
-    assert "drag" in command("info", "c/010-drag.h5").out
+    alone = command("info", "c/010-drag.h5").out
+    assert "travel 40 mm" in alone
+    assert "uncertain" not in alone
+    lines = command("info", "c").out.splitlines()
+    assert [line.split()[0] for line in lines if line.startswith("c/")] == [row["file"] for row in answer]
+    assert "dragrig info c/001-relaxation.h5 shows all of one." in lines
     (run,) = dragrig.simulate("blank", out=practice / "own", assignments=["speed_mm_s=40", "way_back=stay"])
     assert command.json("info", "c/own", "--verify")[0]["intact"] is True
     tampered = run.info.path
     tamper(tampered)
     printed = command("info", tampered, "--verify", code=2)
     assert tampered.name in printed.err
+
+
+def test_a_session_that_made_no_run_is_counted_and_not_listed(
+    command: Command, practice: Path, finished_here: None
+) -> None:
+    kept = practice.parent / "kept" / "session-1.toml"
+    dragrig.simulate("blank", out=practice / "own", assignments=["way_back=stay"])
+    kept.parent.mkdir()
+    shutil.copy(next((practice / "own").glob("session-*.toml")), kept)
+    assert command("list", ".").out.startswith("2 campaigns, and 1 without a run\n")
+    assert {Path(row["folder"]).name for row in command.json("list", ".")} == {"c", "own", "kept"}
+    assert "kept" not in command("list", ".").out
 
 
 def tamper(path: Path) -> None:

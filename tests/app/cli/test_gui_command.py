@@ -70,7 +70,7 @@ def test_an_unsupported_pace_is_refused(
     require_qt()
     monkeypatch.chdir(tmp_path)
     assert main(["gui", "--backend", "simulated", "--pace", "20"]) == 2
-    assert "is fast or real" in capsys.readouterr().err
+    assert "choose fast or real here" in capsys.readouterr().err
 
 
 def test_a_queue_knows_its_progress_and_the_time_left() -> None:

@@ -303,7 +303,12 @@ def test_the_progress_of_a_repeated_first_run_is_shown(run: Runner, tmp_path: Pa
         (("drag", "--out", "taken"), "taken"),
         (("drag", "--out", "taken/below"), "taken"),
         (("drag", "--set", "travel_mm=140"), "outside the stage's travel"),
-        (("drag", "--set", "rig.recording.reserve_mb=1e9"), "MB are free"),
+        (("drag", "--set", "rig.recording.reserve_mb=1e9"), "MB in reserve"),
+        pytest.param(
+            ("drag", "--out", "/proc/self/x"),
+            "/proc/self/x: no runs can be written here",
+            marks=pytest.mark.skipif(sys.platform != "linux", reason="of Linux"),
+        ),
     ],
 )
 def test_an_impossible_plan_is_reported_before_anything_moves(

@@ -87,7 +87,7 @@ def test_parameters_stand_where_their_priors_have_them() -> None:
     nominal = np.sqrt(0.75 * 1.34)
     log_sd = np.log(1.34 / 0.75) / (2 * 1.96)
     assert middles == pytest.approx([np.log(1.05 / nominal) / log_sd, -0.2 / (1.4 / 1.96)], rel=1e-3)
-    assert names(axes) == ["stiffness_scale", "contact_angle_offset_deg"]
+    assert names(axes) == ["wall stiffness ×", "contact angle offset"]
 
 
 def test_what_lies_far_outside_is_pointed_at() -> None:

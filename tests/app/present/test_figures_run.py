@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.text import Text
+from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 
 import dragrig
@@ -132,7 +132,9 @@ def test_the_filtered_force_can_be_left_out(drag: Run) -> None:
 
 
 def test_position_speed_and_set_speed(drag: Run, figure: Figure) -> None:
-    np.testing.assert_array_equal(line(panel(figure, "Position (mm)"), "encoder")[1], drag.trace.position)
+    begun = drag.info.header.entry["origin_mm"]
+    assert begun == 40.0
+    np.testing.assert_array_equal(line(panel(figure, "Position (mm)"), "encoder")[1], drag.trace.position + begun)
     time, speed = line(panel(figure, "Speed (mm/s)"), "measured")
     assert speed[(time > 1.5) & (time < 2.5)] == pytest.approx(10, abs=0.05)
     during, wanted = line(panel(figure, "Speed (mm/s)"), "set")
@@ -243,6 +245,15 @@ def test_the_steady_level_stands_where_the_runs_measure_says(drag: Run, figure: 
     assert level[0] == level[1]
     inside = (drag.trace.time >= time[0]) & (drag.trace.time <= time[1])
     assert level[0] == pytest.approx(drag.trace.force[inside].mean(), abs=0.05)
+
+
+def test_a_bracket_stands_between_rest_and_steady_sliding(drag: Run, figure: Figure) -> None:
+    rest = drag.trace.force[drag.trace.phase == Phase.REST].mean()
+    _, level = line(panel(figure, "Force (mN)"), "steady")
+    arrows = [one for one in panel(figure, "Force (mN)").texts if isinstance(one, Annotation) and not one.get_text()]
+    assert [sorted([one.xy[1], one.xyann[1]]) for one in arrows] == [pytest.approx([rest, level[0]], abs=0.05)]
+    (told,) = [text for text in texts(figure) if text.startswith("steady − rest ")]
+    assert float(told.split()[3]) == pytest.approx(level[0] - rest, abs=0.1)
 
 
 @pytest.mark.parametrize(

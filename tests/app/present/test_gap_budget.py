@@ -93,18 +93,20 @@ def plain_page(diagnosis: Diagnosis) -> str:
 def test_the_first_sentence_says_what_the_gap_is_made_of() -> None:
     assert {name: budget_sentences(given_budget) for name, given_budget in BUDGETS.items()} == {
         "two": (
-            "Of a gap of 12 mN, 55 % is velocity ripple, 20 % tissue ageing or preconditioning; 25 % has no name.",
+            "Of a gap of 12 mN, 55 % is velocity ripple, 20 % tissue ageing or preconditioning; 25 % is unexplained.",
         ),
-        "one": ("Of a gap of 12 mN, 83 % is Stribeck friction or adhesion, 6 % the model itself; 11 % has no name.",),
-        "none": ("Of a gap of 12 mN, nothing has a name.",),
+        "one": (
+            "Of a gap of 12 mN, 83 % is Stribeck friction or adhesion, 6 % the model itself; 11 % is unexplained.",
+        ),
+        "none": ("Of a gap of 12 mN, nothing is explained.",),
         "many": (
             "Of a gap of 12 mN, 34 % is hyperelastic wall or wall lift-off, 31 % the model itself, 15 % the specimen "
-            "itself, 7 % Stribeck friction, 5 % others; 11 % has no name.",
+            "itself, 7 % Stribeck friction, 5 % others; 11 % is unexplained.",
             "None of it is encoder scale: that runs against the gap (−3 %).",
         ),
         "channels": (
-            "Of a gap of 12 mN in the force, 80 % is Stribeck friction; 20 % has no name.",
-            "Of the gap in the position, 90 % is velocity ripple; 10 % has no name.",
+            "Of a gap of 12 mN in the force, 80 % is Stribeck friction; 20 % is unexplained.",
+            "Of the gap in the position, 90 % is velocity ripple; 10 % is unexplained.",
         ),
         "over": ("Of a gap of 12 mN, all is Stribeck friction.",),
     }
@@ -114,10 +116,10 @@ def test_the_first_sentence_says_what_the_gap_is_made_of() -> None:
 def test_small_parts_and_a_rest_below_nothing_are_not_named() -> None:
     both = budget(entry("stribeck", 0.6), entry("folds", 0.44), entry("unexplained", -0.04, 0.0, None))
     assert budget_sentences(both) == (
-        "Of a gap of 12 mN, 60 % is Stribeck friction, 44 % circular folds; nothing is left without a name.",
+        "Of a gap of 12 mN, 60 % is Stribeck friction, 44 % circular folds; nothing is left unexplained.",
     )
     little = budget(entry("stribeck", 0.01), entry("unexplained", 0.99, 12.0, None))
-    assert budget_sentences(little) == ("Of a gap of 12 mN, 99 % has no name.",)
+    assert budget_sentences(little) == ("Of a gap of 12 mN, 99 % is unexplained.",)
 
 
 def test_the_budget_stands_before_the_verdict() -> None:
@@ -204,7 +206,7 @@ def test_a_budget_knows_no_nan() -> None:
     diagnosis = diagnosed(broken)
     first, *_ = json.loads(json.dumps(to_json_value(diagnosis_json(diagnosis)), allow_nan=False))["budget"]
     assert (first["share_95ci"], first["rms_mN"], first["presence"]) == (None, None, None)
-    assert text(diagnosis).startswith("Of the gap, 70 % is Stribeck friction; 30 % has no name.")
+    assert text(diagnosis).startswith("Of the gap, 70 % is Stribeck friction; 30 % is unexplained.")
     for shown in (text(diagnosis), re.sub(r"<[^>]*>", " ", plain_page(diagnosis))):
         assert "nan" not in shown.lower().split()
     assert budget_figure(broken).axes
@@ -219,7 +221,7 @@ def test_the_table_has_every_part_with_its_numbers() -> None:
     )
     assert re.search(r"Encoder scale +−3 % +−9 % to 2 % ", shown)
     assert re.search(r"Adhesion +1 % ", shown)
-    assert re.search(r"No name +11 % ", shown)
+    assert re.search(r"Unexplained +11 % ", shown)
     assert not re.search(r"channel +part of the gap", shown)
     assert re.search(r"position +Velocity ripple +90 % +84 % to 95 % +– +0\.98", text(diagnosed(CHANNELS)))
 
@@ -266,7 +268,7 @@ def test_whole_per_cent_sum_up_and_are_the_same_in_bar_table_and_sentence(given_
                 assert f"all is {part.name}." in sentences
                 continue
             assert part.size == f"{here.percents[cause_of(part.name, here)]} %"
-            assert part.size in sentences or "nothing has a name" in sentences
+            assert part.size in sentences or "nothing is explained" in sentences
             assert part.name == "others" or re.search(f"{re.escape(capitalise(part.name))} +{part.size} ", shown)
 
 
@@ -283,7 +285,7 @@ BESIDE = budget(entry("specimen", 0.93), entry("stribeck", 0.05), entry("unexpla
 
 def test_a_gap_of_the_model_or_the_specimen_is_called_theirs() -> None:
     assert budget_sentences(OWN)[0] == (
-        "The gap is mostly the nominal model's own: of 50 mN, 80 % is the model itself; 20 % has no name."
+        "The gap is mostly the nominal model's own: of 50 mN, 80 % is the model itself; 20 % is unexplained."
     )
     assert budget_sentences(MIXED)[0].startswith(
         "The gap is mostly the nominal model's and the specimen's own: of 12 mN, 40 % is the specimen itself, 35 % "
@@ -296,7 +298,7 @@ def test_a_gap_of_the_model_or_the_specimen_is_called_theirs() -> None:
     in_both = budget(*OWN.entries, entry("servo_lag", 1.0, channel="position"), gap_mN=nan)
     assert budget_sentences(in_both)[0] == (
         "The gap is mostly the nominal model's own: of the gap in the force, 80 % is the model itself; "
-        "20 % has no name."
+        "20 % is unexplained."
     )
 
 
@@ -315,14 +317,16 @@ def test_a_gap_of_the_models_own_is_not_called_unknown() -> None:
 
 def test_where_the_whole_gap_is_is_not_said_of_a_rest() -> None:
     lives = "It lives in the steady force of drag runs"
-    assert not re.search(f"No name .*{lives}", text(replace(UNKNOWN, budget=OWN)))
-    assert re.search(f"No name .*{lives}", text(replace(UNKNOWN, budget=budget(entry("unexplained", 1.0, 12.0, None)))))
+    assert not re.search(f"Unexplained .*{lives}", text(replace(UNKNOWN, budget=OWN)))
+    assert re.search(
+        f"Unexplained .*{lives}", text(replace(UNKNOWN, budget=budget(entry("unexplained", 1.0, 12.0, None))))
+    )
 
 
 def test_an_effect_that_is_not_sure_is_called_probable() -> None:
     unsure = budget(entry("stribeck", 0.7, presence=0.64), entry("model", 0.1, presence=0.6), entry("unexplained", 0.2))
     assert budget_sentences(unsure) == (
-        "Of a gap of 12 mN, 70 % is probably Stribeck friction, 10 % the model itself; 20 % has no name.",
+        "Of a gap of 12 mN, 70 % is probably Stribeck friction, 10 % the model itself; 20 % is unexplained.",
     )
 
 
@@ -358,21 +362,21 @@ def with_intervals(given_budget: GapBudget, *intervals: tuple[float, float]) -> 
 def test_shares_are_stated_as_surely_as_the_runs_fix_them() -> None:
     rough = with_intervals(OWN, (0.51, 0.86), (0.14, 0.49))
     assert budget_sentences(rough)[1:] == (
-        "These runs fix the shares only roughly: the model itself 51 % to 86 %, no name 14 % to 49 %.",
+        "The shares are rough: the model itself 51 % to 86 %, unexplained 14 % to 49 %.",
     )
     vague = with_intervals(OWN, (-0.66, 1.31), (-0.31, 1.66))
     assert budget_sentences(vague) == (
-        "Of a gap of 50 mN, these runs do not say how much is the model itself.",
-        "These runs fix the shares only roughly: the model itself −66 % to 131 %, no name −31 % to 166 %; "
+        "Of a gap of 50 mN, these runs leave open how much is the model itself.",
+        "The shares are rough: the model itself −66 % to 131 %, unexplained −31 % to 166 %; "
         "above 100 % a part overshoots the gap.",
     )
     (part,) = budget_bars(vague)[0].parts
-    assert (part.name, part.share, part.size, part.hatched) == ("the model itself or no name", 1.0, "100 %", True)
+    assert (part.name, part.share, part.size, part.hatched) == ("the model itself or unexplained", 1.0, "100 %", True)
     overshot = with_intervals(TOO_MUCH, (0.75, 1.84), (-0.84, 0.25))
     assert budget_sentences(overshot)[0] == "Of a gap of 12 mN, at least 75 % is Stribeck friction."
     assert [(part.name, part.share, part.size) for part in budget_bars(overshot)[0].parts] == [
         ("Stribeck friction", 0.75, "at least 75 %"),
-        ("Stribeck friction or no name", 0.25, "25 %"),
+        ("Stribeck friction or unexplained", 0.25, "25 %"),
     ]
 
 
@@ -394,8 +398,8 @@ def test_what_of_the_model_is_off_is_said_in_plain_words(what: str, words: str) 
 
 
 def test_two_sizes_of_a_gap_are_told_apart() -> None:
-    assert "The residual is not the budget’s gap of 50 mN." in plain_page(replace(STRIBECK, budget=OWN))
-    assert "is not the budget’s gap" not in plain_page(replace(STRIBECK, budget=replace(OWN, gap_mN=9.5)))
+    assert "Gap (50 mN): what the causes add" in plain_page(replace(STRIBECK, budget=OWN))
+    assert "what the causes add" not in plain_page(replace(STRIBECK, budget=replace(OWN, gap_mN=9.5)))
 
 
 @drawn("channels")

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import sys
 from html import unescape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -143,7 +144,19 @@ def test_a_page_stands_beside_its_run_and_is_not_replaced_unasked(
     assert "005-blank.html: is there already; name another file, or say --overwrite" in capsys.readouterr().err
     assert page.read_text("utf-8") == "mine"
     assert main(["report", str(run), "--overwrite"]) == 0
+    assert main(["report", str(run), "--report", str(tmp_path / "named.html")]) == 0
     assert "Blank run" in page.read_text("utf-8")
+
+
+def test_a_page_says_how_and_of_which_samples_it_was_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/dragrig", "report", "my runs"])
+    blank, drag = dragrig.run("drag", out=tmp_path).files
+    told = [dragrig.report(path).read_text("utf-8").split("<footer>")[1] for path in (blank, drag, tmp_path)]
+    assert all("dragrig report &#39;my runs&#39;</span>" in footer for footer in told)
+    assert all(re.search(r"written \d{4}-\d\d-\d\d", footer) for footer in told)
+    sums = [re.findall(r"checksums of (\d) run files?: ([0-9a-f]{16})", footer) for footer in told]
+    assert [count for [(count, _)] in sums] == ["1", "1", "2"]
+    assert len({checksum for [(_, checksum)] in sums}) == 3
 
 
 def test_what_cannot_be_reported_on_is_said(tmp_path: Path) -> None:

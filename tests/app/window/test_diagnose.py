@@ -142,7 +142,7 @@ def test_a_specimen_is_identified_and_reported_on(window: MainWindow, until: Unt
     assert not page.results.isVisible()
     names = {cell.text() for table in page.identification.findChildren(QTableWidget) for row in range(table.rowCount())
              if (cell := table.item(row, 0)) is not None}  # fmt: skip
-    assert "friction_coefficient" in names
+    assert "μ" in names
     assert (campaign / "identified" / "model.toml").is_file()
     assert [figure.renderer().isValid() for figure in page.identification.findChildren(DrawnFigure)] == [True]
     assert not page.open_report.isVisible()
@@ -170,7 +170,7 @@ def test_the_budget_is_the_first_page_of_a_diagnosis(qtbot: QtBot) -> None:
     assert [table.item(row, 0).text() for row in range(table.rowCount())] == [
         "Velocity ripple",
         "Tissue ageing or preconditioning",
-        "No name",
+        "Unexplained",
     ]
     assert [table.item(row, 1).text() for row in range(table.rowCount())] == ["55 %", "20 %", "25 %"]
 

@@ -288,7 +288,7 @@ def test_a_specimen_is_stated_in_the_form_and_recorded(window: MainWindow, until
     new.specimen.put("excised_at", "2026-05-04T09:15")
     new.specimen.put("id", "P7")
     new.update_preview()
-    assert "not stated, and so recorded as unknown, are animal" in run.preview.conditions.text()
+    assert "is not described: wall thickness taken as" in run.preview.conditions.text()
     press(new.queue)
     press(new.queue)
     kept = run.queue.as_text()

@@ -27,7 +27,7 @@ from dragrig.window.session_queue import QueuedSession, QueueState, SessionQueue
 from settled import EFFECT, FIRST, begun_loop, little_lab
 
 pytestmark = pytest.mark.usefixtures("finished_here")
-REASON = "A drag at 5 mm/s is expected to tell 0.4 of 1 bit."
+REASON = "A drag at 5 mm/s best shows which causes act."
 
 
 @pytest.fixture(scope="module")
