@@ -528,9 +528,9 @@ def describe_rig(rig: RigSelection) -> RigDescription:
     resolve_pace(rig.pace, double=setup.double)
     simulated = setup.backend == "simulated"
     if simulated:
-        title, meaning = "SIMULATED", "nothing moves; rig and gut are simulated with the friction model"
+        title, meaning = "SIMULATED", "no hardware: everything you see is simulated"
     elif setup.double:
-        title, meaning = "DOUBLE", "nothing moves; card and drive are doubles"
+        title, meaning = "DOUBLE", "no hardware: card and drive are doubles"
     else:
         title, meaning = "HARDWARE", "the real stage moves"
     return RigDescription(

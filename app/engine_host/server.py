@@ -337,7 +337,7 @@ def _queued_run(run: PlannedRun) -> QueuedRun:
 
 
 _STANDING = (Phase.REST, Phase.HOLD)
-NOT_YET_RESET = "not reset since the start; check: path clear, hands out, e-stop in reach"
+NOT_YET_RESET = "the guard is not reset since the start"
 
 
 def serve(
@@ -418,7 +418,7 @@ class EngineHost:
     def run(self) -> None:
         """Handle requests until the client is gone."""
         self._sender.say(HostReady(os.getpid()))
-        self._sender.say(GuardState(self._trip_reason))
+        self._sender.say(GuardState(self._trip_reason, tripped=False))
         with closing(self._idle):
             while not self._receiver.gone.is_set():
                 try:
@@ -462,7 +462,7 @@ class EngineHost:
 
     def _start(self, job: SessionJob) -> None:
         if self._trip_reason:
-            sentence = f"the guard is tripped: {self._trip_reason}; remove the cause, then reset the guard"
+            sentence = f"nothing may move: {self._trip_reason}; remove the cause, then reset the guard"
             self._sender.say(SessionFinished(job.number, None, sentence))
             return
         self._operator.job = job.number
@@ -530,7 +530,7 @@ class EngineHost:
     def _attempt(self, work: Callable[[], Event], refused: Callable[[str], Event], *, guarded: bool) -> None:
         """Do work beside sessions and report its result, or why there is none; `guarded`, with an armed guard alone."""
         if self._trip_reason and guarded:
-            self._sender.say(refused(f"the guard is tripped: {self._trip_reason}; reset it first"))
+            self._sender.say(refused(f"nothing may move: {self._trip_reason}; reset the guard first"))
             return
         try:
             result = work()

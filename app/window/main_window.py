@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from PySide6.QtCore import QEvent, QObject, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import (
     QAbstractSpinBox,
@@ -109,7 +109,8 @@ class GuiThreadCollector(QObject):
                 return
 
 
-_MAX_COMPLAINTS = 4
+_MAX_COMPLAINTS, _PASSING_MS = 4, 30_000
+NOT_ARMED = "Nothing can move yet. Check: path clear, hands out, e-stop in reach. Then press Reset the guard."
 _NOTICE_PX = 6
 """Around what a notice says: it takes its room from the page."""
 
@@ -159,6 +160,9 @@ class NoticeBar(QWidget):
         )
         self.homing_text = MessageText("prompt")
         self.homing = card(self.homing_text, role="notice", margin=_NOTICE_PX)
+        self.passing = QTimer(self)
+        self.passing.setSingleShot(True)
+        self.passing.timeout.connect(partial(self.settle, Topic.PASSING))
         self.complaint_text = MessageText(most_lines=2)
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
         self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice", margin=_NOTICE_PX)
@@ -169,15 +173,18 @@ class NoticeBar(QWidget):
         for frame in notices:
             frame.hide()
 
-    def show_trip(self, reason: str) -> None:
-        """Show why the guard is tripped; hide when it is armed."""
-        self.trip_text.setText(f"GUARD TRIPPED: {reason.rstrip('.')}. Nothing moves until the guard is reset.")
-        self.trip.setVisible(bool(reason))
+    def show_guard(self, guard: GuardState) -> None:
+        """Show why nothing may move, as an alarm only where something tripped the guard; hide when it is armed."""
+        tripped = f"GUARD TRIPPED: {guard.reason.rstrip('.')}. Nothing moves until the guard is reset."
+        self.trip_text.setText(tripped if guard.tripped else NOT_ARMED)
+        set_role(self.trip, "trip" if guard.tripped else "calm")
+        self.trip.setVisible(bool(guard.reason))
 
     def ask(self, prompt: PromptShown) -> None:
         """Show a prompt."""
         self._prompt = prompt
         self.prompt_text.setText(f"{prompt.text}.")
+        self.answers[Answer.DONE].setText("&Done" if prompt.hands else "Continue (&D)")
         self.hands.setVisible(prompt.hands)
         self.answers[Answer.REDO].setVisible(prompt.can_redo)
         self.answers[Answer.SKIP].setVisible(prompt.can_skip)
@@ -203,6 +210,8 @@ class NoticeBar(QWidget):
         """Show an error, with the time, below those already shown, the last four at most."""
         self._complaints.pop(sentence, None)
         self._complaints[sentence] = (time.strftime("%H:%M:%S"), topic)
+        if topic == Topic.PASSING:
+            self.passing.start(_PASSING_MS)
         for oldest in list(self._complaints)[:-_MAX_COMPLAINTS]:
             del self._complaints[oldest]
         self._show_complaints()
@@ -348,12 +357,13 @@ class MainWindow(QMainWindow):
             case HostReady():
                 self.notices.lost.hide()
                 self.run.devices.check()
-            case GuardState(reason):
+            case GuardState(reason, tripped):
                 self.notices.hide_prompt()
-                self.notices.show_trip(reason)
+                self.notices.show_guard(event)
                 self.reset.setEnabled(bool(reason))
-                self.guard.setText("guard: TRIPPED" if reason else "guard: armed")
-                set_role(self.guard, "wrong" if reason else "fine")
+                state, role = ("TRIPPED", "wrong") if tripped else ("NOT ARMED", "changed")
+                self.guard.setText(f"guard: {state if reason else 'armed'}")
+                set_role(self.guard, role if reason else "fine")
                 if not reason:
                     self.notices.settle(Topic.GUARD)
             case StageHomes(sentence):
@@ -465,8 +475,8 @@ class MainWindow(QMainWindow):
     def _restart(self) -> None:
         self.notices.lost.hide()
         self.engine.restart()
-        # Until the new engine says so itself, and it starts tripped.
-        starting = GuardState("the engine is starting")
+        # Until the new engine says so itself.
+        starting = GuardState("the engine is starting", tripped=False)
         self.take(starting)
         self.run.await_engine(starting.reason)
 
@@ -557,8 +567,12 @@ class MainWindow(QMainWindow):
     def _restore(self) -> None:
         shape = self._stored.shape("geometry")
         if shape is None or not self.restoreGeometry(shape):
-            room = self.screen().availableGeometry()
-            self.resize(min(1440, room.width()), min(960, room.height()))
+            room = self.screen().availableGeometry().size()
+            usual = QSize(1440, 960)
+            self.resize(usual.boundedTo(room))
+            if usual.boundedTo(room) != usual:
+                # Only the desktop knows how high its title bar is.
+                self.setWindowState(Qt.WindowState.WindowMaximized)
         index = round(self._stored.number("page", 0))
         self.go_to(self.pages.widget(index) if 0 <= index < self.pages.count() else self.run)
 

@@ -179,7 +179,7 @@ class HandView(QWidget):
         jog = flow(self.jog, _titled("by", self.distance), _titled("at", self.speed))
         touch = flow(self.touch, _titled("within", self.most), _titled("until", self.force),
                      _titled("at", self.approach), _titled("then back by", self.back))  # fmt: skip
-        off_switch = row(label("Pressed limit switch that home or jog may leave"), self.override, 1)
+        off_switch = row(label("Allow moving off a pressed limit switch:"), self.override, 1)
         jogging = card(jog, *(field.problem for field in self._jogged_by))
         touching = card(touch, *(field.problem for field in self._touched_by))
         motions = column(self.state, card(row(self.home, 1)), jogging, off_switch, touching, 1, margin=8)
@@ -477,6 +477,8 @@ def _mirror_text(entry: QueuedSession) -> str:
 
 _PROGRESS_INTERVAL_S = 0.2
 _MISSING = ": missing runs"
+_OWN_ENDS = ("by operator", "ended at a prompt")
+"""What the reason of a session says that the person ended, who knows it."""
 _LOG_LINES = 10_000
 
 
@@ -680,11 +682,12 @@ class RunPage(QWidget):
             return
         if self._engine.lost or self._trip_reason:
             self._queue_started = False
-            cause = "the engine has ended; start it again" if self._engine.lost else "the guard is tripped; reset it"
+            cause = "the engine has ended; start it again" if self._engine.lost else "the guard is not armed; reset it"
             self.complained.emit(f"{entry.title} is waiting: {cause}, then start the queue.", Topic.GUARD)
             return
         entry.stage = QueueState.RUNNING
-        self.settled.emit(Topic.SESSION)
+        for topic in (Topic.SESSION, Topic.PASSING):
+            self.settled.emit(topic)
         self._engine.ask(entry.job)
         self.tabs.setCurrentWidget(self.live)
         self.live.begin_session(f"{entry.title}: preparing …")
@@ -714,14 +717,14 @@ class RunPage(QWidget):
         match event:
             case RigIdle(reading, question):
                 if not question or question != self.answered:  # else read just before the answer arrived
-                    self.live.show_idle(reading, "prompt open" if question else "idle")
+                    self.live.show_idle(reading, "waiting for your answer" if question else "nothing moves")
                 return
             case HostReady(pid):
                 self.write_log(f"Engine ready, process {pid}.")
                 self._engine.ask(WatchRig(self.devices.watch.isChecked()))
                 return
-            case GuardState(reason):
-                self.write_log(f"GUARD TRIPPED: {reason}." if reason else "Guard armed.")
+            case GuardState(reason, tripped):
+                self.write_log(f"{'GUARD TRIPPED' if tripped else 'Guard'}: {reason or 'armed'}.")
                 self._trip_reason = reason
             case StageMoved(sentence, problem):
                 self.hand.end(sentence or f"Not done: {problem}")
@@ -800,7 +803,7 @@ class RunPage(QWidget):
     def _run_ended(self, event: RunFinished) -> None:
         run, status = f"Run {event.order}", event.status.value
         self.write_log(f"{', '.join(filter(None, (f'{run} {status}', event.reason)))}: {event.samples} samples.")
-        self.live.end_run(f"{run}, {status}: {event.run.summary}")
+        self.live.end_run(f"{run} ({event.run.summary}): {status}")
         for warning in event.warnings:
             self.complained.emit(f"{run}, {event.run.summary}: {warning}.", Topic.SESSION)
 
@@ -821,7 +824,8 @@ class RunPage(QWidget):
             if event.status is RunStatus.TRIPPED:
                 self._trip_reason = event.reason
             else:
-                self.complained.emit(f"Session ended: {event.reason}", Topic.SESSION)
+                own = any(words in event.reason for words in _OWN_ENDS)
+                self.complained.emit(f"Session ended: {event.reason}", Topic.PASSING if own else Topic.SESSION)
         if event.folder is not None:
             self.new.session_over(event.folder)
         for entry in self.queue.entries:

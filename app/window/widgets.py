@@ -121,6 +121,7 @@ QLabel[role="fine"] {{ color: #00664B; font-weight: 600; }}
 QFrame[role="card"] {{ background: {PAPER}; border: 1px solid {GRID}; border-radius: 6px; }}
 QFrame[role="notice"] {{ background: #FFF4D6; border: 2px solid #8A5A00; border-radius: 6px; }}
 QFrame[role="trip"] {{ background: #FBE3E6; border: 3px solid {STOP_COLOUR}; border-radius: 6px; }}
+QFrame[role="calm"] {{ background: #E3F1FA; border: 2px solid {BLUE}; border-radius: 6px; }}
 QFrame[role="simulated"] {{ background: #E3F1FA; border: 2px dashed {BLUE}; border-radius: 6px; }}
 QFrame[role="hardware"] {{ background: #FFE9D6; border: 3px solid {VERMILLION}; border-radius: 6px; }}
 QPushButton, QToolButton {{ background: {PAPER}; border: 1px solid {PALE}; border-radius: 5px; padding: 7px 14px; }}
@@ -596,6 +597,8 @@ class Topic(StrEnum):
     """Until it is dismissed."""
     SESSION = "session"
     """Until the next session starts."""
+    PASSING = "passing"
+    """Until the next session starts, or half a minute is over: the person did it."""
     HAND = "by hand"
     """Until the next motion by hand or calibration starts."""
     CLOSING = "closing"

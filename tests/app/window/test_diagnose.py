@@ -45,7 +45,7 @@ def window(
     settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
     made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), BUSY)
     made.show()
-    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
+    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: NOT ARMED", timeout=WAIT_MS)
     made.go_to(made.diagnose)
     yield made
     made.close_in_order("the tests are over")
