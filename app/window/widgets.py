@@ -651,24 +651,23 @@ class DocumentView(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self.answer = label("", "title", wrap=True)
-        self.lead = MessageText()
         self.tabs = QTabWidget()
-        self.setLayout(column(self.answer, self.lead, self.tabs, stretch={2: 1}))
+        self.setLayout(column(self.answer, self.tabs, stretch={1: 1}))
 
     def show_document(self, document: Document, pages: Mapping[str, QWidget] | None = None) -> None:
         """Show a document; `pages` are further tabs by their titles, which stay the caller's."""
         pages = pages or {}
         self.answer.setText(_plain(document.answer or document.title))
         problem = (f"! {document.problem}",) if document.problem else ()
-        self.lead.setText("\n".join(map(_plain, (*problem, *document.lead))))
-        self.lead.setVisible(bool(self.lead.text()))
+        # It scrolls with the first tab: above them all it would take the room of a figure.
+        lead = [label(_plain(sentence), wrap=True) for sentence in (*problem, *document.lead)]
         while self.tabs.count():
             page = self.tabs.widget(0)
             self.tabs.removeTab(0)
             if page not in pages.values():
                 page.deleteLater()
         for section in document.content:
-            area = scrolling(column(*_widgets(section.content), 1, margin=10))
+            area = scrolling(column(*(() if self.tabs.count() else lead), *_widgets(section.content), 1, margin=10))
             self.tabs.addTab(area, _plain(section.heading or "Result"))
         for title, page in pages.items():
             self.tabs.addTab(page, title)
