@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Mapping
 
-from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtWidgets import QComboBox, QListWidget, QSplitter, QWidget
+from PySide6.QtCore import QSignalBlocker, Signal
+from PySide6.QtWidgets import QComboBox, QListWidget, QWidget
 
 from dragrig.config import ANY_NUMBER, Calibration, DragrigError, NumberRange, SettingsError
 from dragrig.engine_host import (
@@ -244,13 +244,7 @@ class CalibrateView(QWidget):
         left = card(column(self.sensor, fields, row(1, self.cancel, self.start), stretch={1: 1}))
         self.deciding = bare_widget(row(1, self.discard, self.store))
         right = bare_widget(column(self.state, self.record, self.deciding, 0, margin=8, stretch={1: 1, 3: 1}))
-        splitter = QSplitter(Qt.Orientation.Horizontal)
-        splitter.addWidget(left)
-        splitter.addWidget(right)
-        splitter.setSizes([340, 660])
-        splitter.setStretchFactor(1, 1)
-        splitter.setChildrenCollapsible(False)
-        self.setLayout(column(splitter))
+        self.setLayout(row(left, right, stretch={0: 1, 1: 2}))
         self._say("The result is shown before it is stored.")
         self._discard_record()
         self._show_state()

@@ -15,7 +15,6 @@ from PySide6.QtWidgets import (
     QPlainTextEdit,
     QProgressBar,
     QPushButton,
-    QSplitter,
     QTreeWidget,
     QTreeWidgetItem,
     QWidget,
@@ -79,6 +78,7 @@ from dragrig.window.widgets import (
     row,
     scrolling,
     set_role,
+    split,
     table,
     tabs_of,
     top_items,
@@ -717,7 +717,7 @@ class RunPage(QWidget):
         match event:
             case RigIdle(reading, question):
                 if not question or question != self.answered:  # else read just before the answer arrived
-                    self.live.show_idle(reading, "waiting for your answer" if question else "nothing moves")
+                    self.live.show_idle(reading, "prompt open" if question else "at rest")
                 return
             case HostReady(pid):
                 self.write_log(f"Engine ready, process {pid}.")
@@ -905,11 +905,4 @@ class RunPage(QWidget):
     def _lay_out(self) -> None:
         bar = column(self.queue_view.progress, row(1, self.pause, self.abort, self.start_queue))
         right = bare_widget(column(self.why, self.tabs, bar, stretch={1: 1}))
-        splitter = QSplitter(Qt.Orientation.Horizontal)
-        splitter.addWidget(self.new)
-        splitter.addWidget(right)
-        splitter.setSizes([400, 1000])
-        splitter.setStretchFactor(0, 1)
-        splitter.setStretchFactor(1, 3)
-        splitter.setChildrenCollapsible(False)
-        self.setLayout(column(splitter, margin=6))
+        self.setLayout(column(split(self.new, right, (340, 680), self._stored, "run"), margin=6))

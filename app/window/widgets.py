@@ -1,7 +1,7 @@
 """Style sheet, small widgets that every page uses, the view of a result's document, settings stored between days."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -43,6 +43,7 @@ from PySide6.QtWidgets import (
     QPushButton,
     QScrollArea,
     QSizePolicy,
+    QSplitter,
     QStackedWidget,
     QTableWidget,
     QTableWidgetItem,
@@ -465,6 +466,21 @@ def card(*widgets: QWidget | QLayout | int, role: str = "card", margin: int = 10
     return made
 
 
+def split(left: QWidget, right: QWidget, sizes: Sequence[int], stored: "StoredSettings", name: str) -> QSplitter:
+    """Return two parts side by side, whose border is where a person left it."""
+    made = QSplitter(Qt.Orientation.Horizontal)
+    for part in (left, right):
+        made.addWidget(part)
+    made.setStretchFactor(0, 1)
+    made.setStretchFactor(1, 3)
+    made.setSizes(sizes)
+    made.setChildrenCollapsible(False)
+    if (state := stored.shape(f"{name} border")) is not None:
+        made.restoreState(state)
+    made.splitterMoved.connect(lambda *_: stored.keep(f"{name} border", made.saveState()))
+    return made
+
+
 def ask_room_for_shown_page(stack: QStackedWidget | QTabWidget) -> None:
     """Let only the page that is shown ask for room."""
     for at in range(stack.count()):
@@ -630,7 +646,7 @@ class StoredSettings:
             return default
 
     def shape(self, name: str) -> QByteArray | None:
-        """Return a window's geometry."""
+        """Return the geometry of a window, or the state of a border."""
         value = self._settings.value(name)
         return value if isinstance(value, QByteArray) else None
 
@@ -708,21 +724,42 @@ def _table(block: Table) -> Iterator[QWidget]:
     shown = named(table([column.heading for column in block.columns]), block.caption or block.name)
     rows = block.brief_cells
     fill_table(shown, [[cell.text for cell in row] for row in rows])
-    _fit_height(shown, len(rows))
+    fit_height(shown, len(rows))
     yield shown
     if block.omitted_text:
         yield label(block.omitted_text, "faint")
 
 
-def _fit_height(shown: QTableWidget, rows: int) -> None:
+def fit_height(shown: QTableWidget, rows: int, row_px: int = ROW_PX) -> None:
     """Make a table as tall as its rows, so that the page scrolls and not the table in it."""
     shown.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    shown.verticalHeader().setDefaultSectionSize(ROW_PX)
-    shown.setFixedHeight(shown.horizontalHeader().sizeHint().height() + ROW_PX * rows + 20)
+    shown.verticalHeader().setDefaultSectionSize(row_px)
+    shown.setFixedHeight(shown.horizontalHeader().sizeHint().height() + row_px * rows + 20)
 
 
 _PICTURES: Mapping[str, str] = {"pdf": "PDF", "svg": "SVG", "png": f"PNG, {PRINT_DPI} dpi"}
 """Endings of the files that a figure can be saved in, and what they are called."""
+
+
+def require_ending(ending: str, known: Iterable[str]) -> None:
+    """Raise `OutputError` for the ending of a file that a picture cannot be saved in."""
+    if ending not in known:
+        raise OutputError(f".{ending}: a picture is saved as {', '.join(known)}; change the name's ending.")
+
+
+def ask_where(parent: QWidget, name: str, ending: str, save: Callable[[str], None]) -> None:
+    """Ask for the file that a picture is saved in."""
+    types = f"{ending.upper()} (*.{ending})"
+    choose_path(parent, "Save the picture", f"{name}.{ending}", save, filter_=types, folder=False, new_file=ending)
+
+
+def save_picture(path: str, content: Callable[[str], bytes]) -> str:
+    """Write a picture as its name's ending says; return what came of it."""
+    try:
+        write_picture(content(Path(path).suffix.lower().removeprefix(".")), Path(path))
+    except DragrigError as error:
+        return str(error)
+    return f"Saved: {path}"
 
 
 def picture_of_width(svg: str, width_mm: float, ending: str) -> bytes:
@@ -730,8 +767,7 @@ def picture_of_width(svg: str, width_mm: float, ending: str) -> bytes:
 
     Raises `OutputError` for another ending.
     """
-    if ending not in _PICTURES:
-        raise OutputError(f".{ending}: a figure is saved as {', '.join(_PICTURES)}; change the name's ending.")
+    require_ending(ending, _PICTURES)
     if ending == "svg":
         return svg_of_width(svg, width_mm).encode()
     renderer = QSvgRenderer(QByteArray(svg.encode()))
@@ -776,13 +812,13 @@ class DrawnFigure(QSvgWidget):
         policy.setHeightForWidth(True)
         self.setSizePolicy(policy)
         self.setMinimumSize(QSize(MIN_FIGURE_WIDTH_PX, self.heightForWidth(MIN_FIGURE_WIDTH_PX)))
-        self._name, self._svg = figure.name, figure.drawing
+        self._svg = figure.drawing
         self._answer = label("", "faint", wrap=True)
-        width = f"{DOUBLE_COLUMN_MM:.0f} mm wide, which fits two columns of most journals"
+        width = f"The figure {DOUBLE_COLUMN_MM:.0f} mm wide, which fits two columns of most journals"
         self.saving = bare_widget(
             row(
                 *(
-                    button(f"Save as {words}…", partial(self._ask_where, ending), "", f"The figure {width}")
+                    button(f"Save as {words}…", partial(ask_where, self, figure.name, ending, self.save), "", width)
                     for ending, words in _PICTURES.items()
                 ),
                 self._answer,
@@ -791,26 +827,9 @@ class DrawnFigure(QSvgWidget):
         )
         """What saves it."""
 
-    def _ask_where(self, ending: str) -> None:
-        choose_path(
-            self,
-            "Save the figure",
-            f"{self._name}.{ending}",
-            self.save,
-            filter_=f"{ending.upper()} (*.{ending})",
-            folder=False,
-            new_file=ending,
-        )
-
     def save(self, path: str) -> None:
         """Write the figure as its name's ending says, as wide as two columns of a journal, and say what came of it."""
-        ending = Path(path).suffix.lower().removeprefix(".")
-        try:
-            write_picture(picture_of_width(self._svg, DOUBLE_COLUMN_MM, ending), Path(path))
-        except DragrigError as error:
-            self._answer.setText(str(error))
-        else:
-            self._answer.setText(f"Saved: {path}")
+        self._answer.setText(save_picture(path, lambda ending: picture_of_width(self._svg, DOUBLE_COLUMN_MM, ending)))
 
     def hasHeightForWidth(self) -> bool:
         """Whether the height follows from the width."""

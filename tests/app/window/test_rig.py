@@ -170,7 +170,7 @@ def test_the_force_sensor_is_calibrated_and_the_record_seen_before_it_is_stored(
     until(lambda: not calibrate.busy)
     assert "cancelled by operator" in calibrate.state.text()
     assert not window.notices.prompt.isVisible()
-    until(lambda: window.run.live.readings.about.text() == "live: nothing moves")  # no prompt is open any more
+    until(lambda: window.run.live.readings.about.text() == "live: at rest")  # no prompt is open any more
     assert calibrate.record.isHidden()
 
     before = read_calibrations(lab)

@@ -15,9 +15,9 @@ from windows import WAIT_MS, Until, dressed, opened, press, require_qt
 
 require_qt()
 
-from PySide6.QtCore import QPoint, QPointF, QSettings, Qt
+from PySide6.QtCore import QPoint, QPointF, QSettings, QSize, Qt
 from PySide6.QtGui import QWheelEvent
-from PySide6.QtWidgets import QApplication, QComboBox, QWidget
+from PySide6.QtWidgets import QApplication, QComboBox, QSplitter, QWidget
 from pytestqt.qtbot import QtBot
 
 import dragrig
@@ -340,10 +340,10 @@ def test_the_stage_is_homed_jogged_and_touched_off_by_hand(window: MainWindow, u
     hand, notices, about = window.run.hand, window.notices, window.run.live.readings.about
     press(hand.home)
     until(notices.prompt.isVisible)
-    until(lambda: about.text() == "live: waiting for your answer")  # of a motion by hand, not of a session
+    until(lambda: about.text() == "live: prompt open")  # of a motion by hand, not of a session
     press(notices.answers[Answer.ABORT])
     until(lambda: not hand.busy)
-    until(lambda: about.text() == "live: nothing moves")
+    until(lambda: about.text() == "live: at rest")
 
     def done(action: QWidget) -> str:
         press(action)
@@ -561,7 +561,7 @@ def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window
     window.run.new.update_preview()
     press(window.run.new.start)
     until(window.notices.prompt.isVisible)
-    until(lambda: shown.about.text() == "live: waiting for your answer")
+    until(lambda: shown.about.text() == "live: prompt open")
     assert (position.text(), speed.text()) == ("40.00 mm", "–")
     press(window.notices.answers[Answer.DONE])
     until(lambda: moving(window) and speed.text() == "0.2 mm/s")
@@ -571,7 +571,7 @@ def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window
     press(window.stop_button)
     until(lambda: not window.run.session_running)
     assert speed.text() == "–"
-    until(lambda: shown.about.text() == "live: nothing moves")
+    until(lambda: shown.about.text() == "live: at rest")
     assert 40.0 < float(position.text().split()[0]) < 50.0  # where it was stopped
     assert 20.0 < float(force.text().split()[0]) < 60.0  # the capsule is in the gut
     assert "Session ended" in window.notices.complaint_text.text()
@@ -591,7 +591,7 @@ def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window
     window.run.devices.watch.setChecked(False)
     assert (force.text(), shown.about.text()) == ("–", "not read between sessions")
     window.run.devices.watch.setChecked(True)
-    until(lambda: shown.about.text() == "live: nothing moves")
+    until(lambda: shown.about.text() == "live: at rest")
 
 
 def test_a_reading_that_nothing_follows_is_grey_with_its_age(qtbot: QtBot, until: Until) -> None:
@@ -809,9 +809,20 @@ def test_settings_and_waiting_sessions_survive_closing_the_window(
     first.run.new.operator.setText("B. Person")
     first.run.new.mirror.setText("/second disk")
     first.run.new.pace.setCurrentText("as fast as possible")
+    first.resize(940, 640)
+    for page, left_px in ((first.run, 380), (first.look, 430)):
+        first.go_to(page)
+        (border,) = page.findChildren(QSplitter)
+        border.moveSplitter(left_px, 1)
     first.close_in_order("closed")
     second = opened(qtbot, lab, careful_settings)
     try:
+        assert second.size() == QSize(940, 640)
+        assert second.pages.currentWidget() is second.look
+        for page, left_px in ((second.run, 380), (second.look, 430)):
+            second.go_to(page)
+            QApplication.processEvents()
+            assert page.findChildren(QSplitter)[0].sizes()[0] == pytest.approx(left_px, abs=5)
         (entry,) = second.run.queue.entries
         assert entry.stage is QueueState.WAITING
         assert (entry.job.plan, entry.job.operator) == (first.run.queue.entries[1].job.plan, "C. Person")
@@ -963,7 +974,7 @@ def test_homing_is_called_homing_and_no_prompt_open_where_none_is(window: MainWi
     for event in (prompt, RigIdle(IdleReading(3.0, None), 4711)):
         window.take(event)
         window.run.take(event)
-    assert about.text() == "live: waiting for your answer"
+    assert about.text() == "live: prompt open"
     press(notices.answers[Answer.DONE])
     window.run.take(RigIdle(IdleReading(3.0, None), 4711))  # it was on its way
     assert about.text() == "live: preparing"
@@ -981,7 +992,7 @@ def test_the_simulated_rig_remembers_home_position_and_the_capsule_in_the_gut(
             until(lambda: notices.prompt.isVisible() or not hand.busy)
             if notices.prompt.isVisible():
                 press(notices.answers[Answer.DONE])
-        until(lambda: shown.about.text() == "live: nothing moves")
+        until(lambda: shown.about.text() == "live: at rest")
 
     done(hand.home)
     assert position.text() == "0.00 mm"
@@ -991,14 +1002,14 @@ def test_the_simulated_rig_remembers_home_position_and_the_capsule_in_the_gut(
     fill(window, speed_mm_s="20", start_mm="30", prompt="Put it in", prompt_each="yes", repeats="2")
     press(window.run.new.start)
     until(notices.prompt.isVisible)
-    until(lambda: shown.about.text() == "live: waiting for your answer")
+    until(lambda: shown.about.text() == "live: prompt open")
     assert (position.text(), abs(float(force.text().split()[0].replace("−", "-"))) < 5.0) == ("30.00 mm", True)
     press(notices.answers[Answer.DONE])
     until(notices.answers[Answer.REDO].isVisible)  # before the second run
-    until(lambda: shown.about.text() == "live: waiting for your answer")
+    until(lambda: shown.about.text() == "live: prompt open")
     assert 25.0 < float(force.text().split()[0]) < 60.0
     press(notices.answers[Answer.ABORT])
-    until(lambda: not window.run.session_running and shown.about.text() == "live: nothing moves")
+    until(lambda: not window.run.session_running and shown.about.text() == "live: at rest")
     assert position.text() == "40.00 mm"
     assert 25.0 < float(force.text().split()[0]) < 60.0
     fill(window, start_mm="")
