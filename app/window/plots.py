@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 import pyqtgraph
 from pyqtgraph.exporters import SVGExporter
-from PySide6.QtCore import QBuffer, QEvent, QObject, QPoint, QRectF, QSize, Qt, Signal
+from PySide6.QtCore import QEvent, QObject, QPoint, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QImage, QPainter
 from PySide6.QtWidgets import QMenu, QToolTip, QWidget
 
 from dragrig.analysis import printable
 from dragrig.present import BLACK, GREY, GRID, PAPER
 from dragrig.window.trace_pyramid import TracePath, TracePyramid
-from dragrig.window.widgets import SMALL_PX, ask_where, require_ending, save_picture, themed
+from dragrig.window.widgets import SMALL_PX, ask_where, png_of, require_ending, save_picture, themed
 
 PlotValues = npt.NDArray[np.floating]
 _MIN_COLUMNS = 200
@@ -263,14 +263,13 @@ class TimePlot:
         if ending == "svg":
             parts = "".join(_svg_part(plot, top) for plot, top in zip(shown, tops, strict=True))
             return f'<svg xmlns="{_SVG}" viewBox="0 0 {size.width()} {size.height()}">{parts}</svg>'.encode()
-        picture, content = QImage(size * _PNG_SCALE, QImage.Format.Format_RGB32), QBuffer()
+        picture = QImage(size * _PNG_SCALE, QImage.Format.Format_RGB32)
         picture.setDevicePixelRatio(_PNG_SCALE)
         painter = QPainter(picture)
         for plot, top in zip(shown, tops, strict=True):
             plot.render(painter, QRectF(plot.rect().translated(0, top)), plot.rect())
         painter.end()
-        picture.save(content, b"png")
-        return bytes(content.data().data())
+        return png_of(picture)
 
     def hide_times(self) -> None:
         """Hide the time axis; a plot below shows it."""

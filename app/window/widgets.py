@@ -787,7 +787,14 @@ def picture_of_width(svg: str, width_mm: float, ending: str) -> bytes:
         picture.setDotsPerMeterY(round(1000 * dots_per_mm))
         picture.fill(Qt.GlobalColor.white)
         _paint(renderer, picture)
-        QImageWriter(content, QByteArray(b"png")).write(picture)
+        return png_of(picture)
+    return bytes(content.data().data())
+
+
+def png_of(picture: QImage) -> bytes:
+    """Return a picture as the content of a PNG file."""
+    content = QBuffer()
+    QImageWriter(content, QByteArray(b"png")).write(picture)
     return bytes(content.data().data())
 
 

@@ -191,6 +191,7 @@ def test_cursors_show_values_and_their_difference(page: LookPage, until: Until) 
     choose(page, until, 0, 1, 2, 3)
     page.resize(1010, 540)  # what a window of 1024 by 650 leaves
     until(lambda: values.rowCount() == 5 and values.visibleRegion().boundingRect() == values.rect())
+    assert values.viewport().height() >= values.verticalHeader().length()
     assert page.rect().contains(QRect(values.mapTo(page, QPoint()), values.size()))
     page.overlay.cursors.click()
     assert not values.isVisible()
