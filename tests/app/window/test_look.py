@@ -220,7 +220,7 @@ def test_the_plots_are_saved_as_they_are_on_the_screen_from_a_menu_of_their_own(
         assert picture.size == (4 * plot.widget.width(), 4 * height)
         assert len(picture.convert("RGB").getcolors(1 << 24) or ()) > 10, "nothing is drawn"
     svg = (tmp_path / "force.svg").read_text("utf-8")
-    assert all(words in svg for words in ("Force (mN)", "Speed (mm/s)", "Time (s)", "0  drag 5 mm/s"))
+    assert all(words in svg for words in ("Force (mN)", "mm/s", "Time (s)"))
     clips = re.findall(r'id="([^"]*clip)"', svg)
     assert len(set(clips)) == len(clips) == 2  # or one plot would be cut to the other's size
     assert "saved as png, svg" in save_picture(str(tmp_path / "force.pdf"), plot.picture)
