@@ -41,6 +41,7 @@ from dragrig.config import (
     SettingsError,
     field_descriptions,
     find_table,
+    lab_plans,
     number_text,
     parse,
     parse_value,
@@ -214,11 +215,12 @@ class PlanForm(Form):
         return parse(Plan, {**data, "steps": steps}, self.plan.name)
 
 
-def known_plans(lab: Path | None = None) -> tuple[str, ...]:
-    """Return the available plans: those in the lab folder and in its folder `plans`, then the shipped ones."""
-    folders = () if lab is None else (lab, lab / "plans")
-    files = sorted(path for folder in folders for path in folder.glob("*.toml") if _is_plan(path))
-    return (*map(str, files), *shipped_files("plan"))
+def known_plans(lab: Path | None = None) -> dict[str, str]:
+    """Return what each plan is for, by file or shipped name: those of the lab, then the shipped ones of other names."""
+    own = {} if lab is None else lab_plans(lab)
+    shipped = [name for name in shipped_files("plan") if name not in own]
+    names = (*map(str, own.values()), *shipped)
+    return {name: str(find_table("plan", name)[0].get("description", "")) for name in names}
 
 
 def plan_form(name_or_path: str) -> PlanForm:
@@ -372,14 +374,6 @@ def _parse_number(field: FormField, text: str, group: str) -> float | list[float
     except SettingsError as error:
         raise SettingsError(f"{group}, {field.name}: {error}") from None
     return numbers if field.kind is FieldKind.NUMBERS or len(numbers) > 1 else numbers[0]
-
-
-def _is_plan(path: Path) -> bool:
-    try:
-        data, _ = find_table("plan", str(path))
-    except SettingsError:
-        return False
-    return "steps" in data
 
 
 _POINTS_PER_SEGMENT = 24

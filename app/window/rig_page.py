@@ -61,7 +61,7 @@ class SettingsView(QWidget):
         self.groups.setMaximumWidth(_GROUPS_PX)
         self.groups.currentRowChanged.connect(self._show_group)
         self.heading = label("", "title")
-        self.editor = FormEditor()
+        self.editor = FormEditor(explains=True)
         self.editor.changed.connect(self._show_state)
         self.state = MessageText(most_lines=2)
         self.problem = MessageText("wrong", most_lines=2)

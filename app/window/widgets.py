@@ -150,7 +150,7 @@ QTreeWidget, QTableWidget, QListWidget {{ background: {PAPER}; border: 1px solid
     alternate-background-color: {SURFACE_COLOUR};
     selection-background-color: #CFE6F5; selection-color: {BLACK}; }}
 QTableWidget::item {{ padding: 0 7px; }}
-QTreeWidget::item {{ padding: 3px 0; }}
+QTreeView::item {{ padding: 3px 4px; }}
 QTableWidget::item:selected {{ background: #CFE6F5; color: {BLACK}; }}
 QHeaderView::section {{ background: {SURFACE_COLOUR}; border: none; border-bottom: 1px solid {GRID}; padding: 5px 7px;
     color: {GREY}; }}

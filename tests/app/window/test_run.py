@@ -502,6 +502,24 @@ def test_a_plan_from_a_file_is_opened(window: MainWindow, tmp_path: Path) -> Non
     assert window.run.preview.runs.rowCount() == 4
 
 
+def test_plans_that_are_put_into_the_lab_meanwhile_are_listed_with_what_they_are_for(
+    window: MainWindow, until: Until, lab: Path
+) -> None:
+    plans = window.run.new.plans
+    chosen = plans.currentData()
+    folder = lab / "plans"
+    folder.mkdir(exist_ok=True)
+    file = folder / "evening.toml"
+    file.write_text('name = "evening"\ndescription = "Short, for the evening"\n[[steps]]\nkind = "blank"\n', "utf-8")
+    until(lambda: plans.findData(str(file)) >= 0)
+    assert plans.model().index(plans.findData(str(file)), 1).data() == "Short, for the evening"
+    assert plans.model().index(plans.findData("first"), 1).data().startswith("Eight runs to begin with")
+    assert plans.currentData() == chosen
+    file.unlink()
+    until(lambda: plans.findData(str(file)) < 0)
+    assert plans.currentData() == chosen
+
+
 def test_every_file_is_copied_to_the_chosen_mirror(window: MainWindow, until: Until, tmp_path: Path) -> None:
     fill(window, speed_mm_s="20")
     window.run.new.mirror.setText(str(tmp_path))
@@ -585,7 +603,7 @@ def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window
     assert window.run.queue.entries[-1].stage is QueueState.ABORTED
     assert not window.notices.prompt.isVisible()
     assert "Session ended: ended at a prompt" in window.notices.complaint_text.text()
-    assert 0 < window.notices.passing.remainingTime() <= 30_000
+    assert window.notices.passing.isActive()
     window.notices.passing.timeout.emit()  # half a minute later
     assert not window.notices.complaint.isVisible()
     window.run.devices.watch.setChecked(False)
