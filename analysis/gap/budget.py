@@ -382,11 +382,9 @@ def held_out_explanations(
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
     used = np.unique(np.concatenate([competition.scaled_columns(key)[0] - 1 for key in sets]))
     grams, values = [], []
-    first = 0
-    for run, whitening in zip(design.runs, competition.whitenings, strict=True):
-        rows = slice(first, first + run.residual.size)
-        first = rows.stop
-        own = np.column_stack((run.residual, run.columns[:, nuisances], competition.columns[rows][:, used]))
+    for run, whitening, rows in zip(design.runs, competition.whitenings, design.run_rows, strict=True):
+        columns = np.concatenate([piece[rows] for piece in competition.pieces], axis=1)[:, used]
+        own = np.column_stack((run.residual, run.columns[:, nuisances], columns))
         values.append(own)
         grams.append(whitening.gram(own))
     return [_held_out_explanation(study, causes, established, key, used, values, grams) for key in sets]

@@ -425,6 +425,12 @@ class Design:
         return [run.columns[:, indices] for run in self.runs]
 
     @property
+    def run_rows(self) -> list[slice]:
+        """Return the place of each run's blocks among those of all runs."""
+        ends = np.cumsum([run.residual.size for run in self.runs]).tolist()
+        return [slice(end - run.residual.size, end) for run, end in zip(self.runs, ends, strict=True)]
+
+    @property
     def whitenings(self) -> tuple[Whitening, ...]:
         """Whitening of each run."""
         return tuple(run.whitening for run in self.runs)

@@ -196,7 +196,7 @@ def tell(weighed: WeighedCauses) -> Diagnosis:
     )
     next_runs = Recommendation()
     if options.next_runs is not None:
-        next_runs = recommend_next_run(study, search, position, classification, options.next_runs)
+        next_runs = recommend_next_run(weighed, options.next_runs)
     diagnosis = Diagnosis(
         specimen=selection.specimen,
         backends=selection.backends,

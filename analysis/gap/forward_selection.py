@@ -234,6 +234,17 @@ class ForceSearchResult:
         return (*self.singles, *(step.fit for step in self.steps if step.fit is not None))
 
     @cached_property
+    def fitted(self) -> Design:
+        """The campaign linearised around the nominal parameters of the best hypothesis, with the dictionary.
+
+        Far from the truth the signatures would be those of another specimen.
+        """
+        if not self.fits:
+            return self.nominal
+        best = min(self.fits, key=lambda fit: fit.chi2)
+        return linearise(self.study, best.parameters.z, dictionary=True, reference=self.nominal)
+
+    @cached_property
     def excess(self) -> float:
         """Chi-square of the nominal model above its expectation."""
         return self.chi2 - self.block_count

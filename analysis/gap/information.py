@@ -10,13 +10,12 @@ which causes are there and the forces of the further runs, estimated from the di
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from math import exp, inf, log2, sqrt
 from typing import Self
 
 import numpy as np
 
-from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise, schur_complement
+from dragrig.analysis.gap.design import ColumnKind, Design, Study, linearise
 from dragrig.analysis.gap.diagnosis import UNEXPLAINED, OpenCauses
 from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.presence import (
@@ -24,11 +23,12 @@ from dragrig.analysis.gap.presence import (
     Cause,
     CauseKind,
     CauseSet,
+    ColumnStore,
     Competition,
+    ForceCompetition,
     collect_causes,
-    fitted_design,
-    form_error_whitenings,
     judge_presence,
+    products_with_causes,
 )
 from dragrig.rig import FloatArray, IndexArray
 
@@ -181,65 +181,52 @@ def _log_dets(roots: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum(axis=1))
 
 
-def forecast(search: ForceSearchResult, further: Study) -> tuple[BudgetForecast, list[FloatArray]]:
-    """Return the entropy of the causes of a gap, and the information of each of some further runs on it.
+def forecast(
+    search: ForceSearchResult, competition: ForceCompetition, further: Study
+) -> tuple[BudgetForecast, list[FloatArray]]:
+    """Return a forecast without any further run, and the information of each of some runs, to be added by `with_run`.
 
     Parameters
     ----------
-    search
-        Hypotheses that were fitted to the force of the campaign.
+    search, competition
+        Hypotheses that were fitted to the force of the campaign, and all causes that may act on it.
     further
         Study of the further runs alone, at the same sampling.
-
-    Returns
-    -------
-    forecast
-        Without any further run.
-    grams
-        Information of each further run, to be added by `with_run`.
     """
-    study, count = search.study, len(search.study.runs)
-    so_far = fitted_design(search)
-    design = _joined(so_far, linearise(further, so_far.z, dictionary=True))
-    both = _joined_study(study, further)
-    whitenings = (*form_error_whitenings(so_far, search.nominal), *design.whitenings[count:])
+    made, added = search.fitted, linearise(further, search.fitted.z, dictionary=True)
+    design = replace(
+        made,
+        runs=(*made.runs, *added.runs),
+        grams=(*made.grams, *added.grams),
+        block_counts=(*made.block_counts, *added.block_counts),
+    )
     # Sizes count where an effect acts in any run: one that no run so far shows is as likely there as any.
-    store = collect_causes(search, both, design, whitenings)
+    whitenings = (*competition.whitenings, *added.whitenings)
+    store = collect_causes(search, _joined_study(search.study, further), design, whitenings)
+    return _in_telling_directions(*_predicted(design, competition, store))
+
+
+def _predicted(
+    design: Design, competition: ForceCompetition, store: ColumnStore
+) -> tuple[tuple[tuple[str, ...], ...], FloatArray, FloatArray, FloatArray, list[FloatArray]]:
+    """Return explanations, probabilities, means and covariances of coefficients, and the further runs' information."""
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
-    causes, columns = store.shared_priors(), store.release()
-    edges = np.cumsum([0, *(run.residual.size for run in design.runs)]).tolist()
-    values_of_run = [
-        np.column_stack((run.columns[:, nuisances], columns[low:high]))
-        for run, (low, high) in zip(design.runs, pairwise(edges), strict=True)
-    ]
-    total = np.zeros((1 + nuisances.size + columns.shape[1],) * 2)
-    for run, whitening, values in zip(design.runs[:count], whitenings, values_of_run, strict=False):
-        whitening.add_gram(total, np.column_stack((run.residual, values)))
+    causes = store.shared_priors()
+    total, products = products_with_causes(design, competition.whitenings, store.columns)
     posterior = _Posterior(total, design.prior_precision[nuisances], design.prior_mean[nuisances], causes)
-    column_rows = np.arange(1 + nuisances.size, len(total))
-    products = schur_complement(design, total, nuisances, column_rows, 1 + np.arange(nuisances.size))
     likely = _likely_explanations(Competition(causes, products))
     weights = np.array([weight for _, weight in likely])
     needed = np.unique(np.concatenate([posterior.rows(explanation) for explanation, _ in likely]))
     means, covariances = posterior.of([explanation for explanation, _ in likely], needed)
-    grams = []
-    for run, values in zip(design.runs[count:], values_of_run[count:], strict=True):
-        shown = values[:, needed]
-        gap = means[:, needed >= nuisances.size] @ shown[:, needed >= nuisances.size].T
-        form_error = FORM_ERROR * np.sqrt(weights @ gap**2)
+    of_causes = needed >= nuisances.size
+    grams, made = [], len(competition.whitenings)
+    for run, rows in zip(design.runs[made:], design.run_rows[made:], strict=True):
+        values = (run.columns[:, nuisances], *(piece[rows] for piece in store.columns))
+        shown = np.concatenate(values, axis=1)[:, needed]
+        form_error = FORM_ERROR * np.sqrt(weights @ (means[:, of_causes] @ shown[:, of_causes].T) ** 2)
         grams.append(run.whitening.with_form_error(form_error).gram(shown))
-    return _in_telling_directions(
-        tuple(_named(causes, explanation) for explanation, _ in likely), weights, means, covariances, grams
-    )
-
-
-def _joined(made: Design, further: Design) -> Design:
-    return replace(
-        made,
-        runs=(*made.runs, *further.runs),
-        grams=(*made.grams, *further.grams),
-        block_counts=(*made.block_counts, *further.block_counts),
-    )
+    names = tuple(_named(causes, explanation) for explanation, _ in likely)
+    return names, weights, means, covariances, grams
 
 
 def _joined_study(made: Study, further: Study) -> Study:

@@ -56,7 +56,6 @@ from dragrig.analysis.gap.diagnosis import (
     marginal_probability,
 )
 from dragrig.analysis.gap.features import FORM_LOSS
-from dragrig.analysis.gap.forward_selection import ForceSearchResult
 from dragrig.analysis.gap.information import bits_to_change, entropy_bits, expected_bits, forecast
 from dragrig.analysis.gap.isolability import CONFUSED_SIN2, SignatureAngles
 from dragrig.analysis.gap.position_channel import (
@@ -71,6 +70,7 @@ from dragrig.analysis.gap.position_channel import (
     score_model_classes,
 )
 from dragrig.analysis.gap.studies import CapsuleStudy
+from dragrig.analysis.gap.weighing import WeighedCauses
 from dragrig.config import AnalysisError
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.effects import Channel, catalogue
@@ -260,21 +260,12 @@ class Recommendation:
     """Why no run is recommended for a position error whose cause is uncertain, a sentence each."""
 
 
-def recommend_force_run(search: ForceSearchResult, budget: ExperimentBudget) -> Recommendation:
-    """Recommend one run from the short grid, or several from the full grid.
+def recommend_force_run(weighed: WeighedCauses, budget: ExperimentBudget) -> Recommendation:
+    """Recommend one run from the short grid, or several from the full grid, that tell of the causes in the force.
 
-    Parameters
-    ----------
-    search
-        Hypotheses that were fitted to the force of a campaign.
-    budget
-        Number of runs and rig time.
-
-    Returns
-    -------
     Nothing if the nominal model is not the friction model.
     """
-    study = search.study
+    study = weighed.study
     if not isinstance(study, CapsuleStudy):
         return Recommendation()
     specimen = campaign_specimen(study)
@@ -282,7 +273,8 @@ def recommend_force_run(search: ForceSearchResult, budget: ExperimentBudget) -> 
     candidates = _allowed(grid, study, budget)
     if not candidates:
         return Recommendation()
-    question, grams = forecast(search, study_of_candidates(study, candidates))
+    further = study_of_candidates(study, candidates)
+    question, grams = forecast(weighed.search, weighed.causes.competition, further)
     last = max(study.runs, key=lambda run: run.session_start_s)
     budget = replace(budget, mounted=budget.mounted or mounting(last.experiment.kind))
     runs = greedy_search(question, list(zip(candidates, grams, strict=True)), budget)
@@ -646,18 +638,13 @@ def _distinct_motions(runs: Sequence[PositionErrors]) -> list[PositionErrors]:
     return [distinct[ordered[index]] for index in indices]
 
 
-def recommend_next_run(
-    study: Study,
-    search: ForceSearchResult,
-    position: PositionAnalysis,
-    classification: Classification,
-    budget: ExperimentBudget,
-) -> Recommendation:
+def recommend_next_run(weighed: WeighedCauses, budget: ExperimentBudget) -> Recommendation:
     """Recommend the next runs, for the force or for the position: whichever tells more per minute.
 
     Where nothing explains a position error, motions that were not made yet come first.
     """
-    of_force = recommend_force_run(search, budget)
+    study, position, classification = weighed.study, weighed.position, weighed.verdict
+    of_force = recommend_force_run(weighed, budget)
     if not position.has_position_error:
         return of_force
     of_position = recommend_position_run(study, position, classification.probabilities, budget)

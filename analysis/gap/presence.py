@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
-from itertools import pairwise
 from math import log
 
 import numpy as np
@@ -28,7 +27,6 @@ from dragrig.analysis.gap.design import (
     Study,
     added_force,
     chain_with,
-    linearise,
     nominal_residuals,
     parameter_derivatives,
     project_dictionary,
@@ -198,8 +196,8 @@ class Competition:
 class ForceCompetition(Competition):
     """Causes of the gap in the force."""
 
-    columns: FloatArray
-    """Columns at all blocks of all runs, shape `(N, C)` [mN per unit]."""
+    pieces: tuple[FloatArray, ...]
+    """Columns at all blocks of all runs [mN per unit], side by side, of shape `(N, k)` each."""
     whitenings: tuple[Whitening, ...]
     """Whitening of each run, the form error included."""
     design: Design
@@ -255,16 +253,6 @@ class ColumnStore:
         pairs = zip(owners.tolist(), (indices - starts[owners]).tolist(), strict=True)
         return np.column_stack([self.columns[owner][:, column] for owner, column in pairs])
 
-    def release(self) -> FloatArray:
-        """Return all columns, shape `(N, C)`, and keep none: together with the pieces they would need twice as much."""
-        result = np.empty((len(self.columns[0]), self._count))
-        last = self._count
-        while self.columns:
-            block = self.columns.pop()
-            result[:, last - block.shape[1] : last] = block
-            last -= block.shape[1]
-        return result
-
     def shared_priors(self) -> tuple[Cause, ...]:
         """Return all causes; those of a name share its prior probability."""
         names = [cause.name for cause in self.causes]
@@ -278,22 +266,10 @@ def prepare_competition(search: ForceSearchResult, *, all_periods: bool = False)
 
     `all_periods` adds the columns of periodic effects at all periods, which campaigns are pooled by.
     """
-    design = fitted_design(search)
+    design = search.fitted
     whitenings = form_error_whitenings(design, search.nominal)
     store = collect_causes(search, search.study, design, whitenings, all_periods=all_periods)
-    # The dictionary has become causes; beside them it would need as much memory again.
     return _compete(design.with_columns(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR), whitenings, store)
-
-
-def fitted_design(search: ForceSearchResult) -> Design:
-    """Return a campaign linearised around the nominal parameters of the best hypothesis, with the dictionary.
-
-    Far from the truth the signatures would be those of another specimen.
-    """
-    if not search.fits:
-        return search.nominal
-    best = min(search.fits, key=lambda fit: fit.chi2)
-    return linearise(search.study, best.parameters.z, dictionary=True, reference=search.nominal)
 
 
 def form_error_whitenings(design: Design, nominal: Design) -> tuple[Whitening, ...]:
@@ -341,16 +317,24 @@ def collect_causes(
 
 
 def _compete(design: Design, whitenings: tuple[Whitening, ...], store: ColumnStore) -> ForceCompetition:
-    columns = store.release()
+    _, products = products_with_causes(design, whitenings, store.columns)
+    return ForceCompetition(store.shared_priors(), products, tuple(store.columns), whitenings, design, store.periodic)
+
+
+def products_with_causes(
+    design: Design, whitenings: Sequence[Whitening], pieces: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return products of residual (first), nuisances and causes over the runs that have a whitening.
+
+    Then those of residual and causes alone, the nuisances projected out.
+    """
     nuisances = design.columns_of(ColumnKind.NOMINAL, ColumnKind.MODEL_ERROR)
-    edges = np.cumsum([0, *(run.residual.size for run in design.runs)]).tolist()
-    total = np.zeros((1 + nuisances.size + columns.shape[1],) * 2)
-    for run, whitening, (low, high) in zip(design.runs, whitenings, pairwise(edges), strict=True):
-        whitening.add_gram(total, np.column_stack((run.residual, run.columns[:, nuisances], columns[low:high])))
-    products = schur_complement(
-        design, total, nuisances, np.arange(1 + nuisances.size, len(total)), 1 + np.arange(nuisances.size)
-    )
-    return ForceCompetition(store.shared_priors(), products, columns, whitenings, design, store.periodic)
+    total = np.zeros((1 + nuisances.size + sum(piece.shape[1] for piece in pieces),) * 2)
+    for run, whitening, rows in zip(design.runs, whitenings, design.run_rows, strict=False):
+        values = (run.residual[:, None], run.columns[:, nuisances], *(piece[rows] for piece in pieces))
+        whitening.add_gram(total, np.concatenate(values, axis=1))
+    of_causes, of_nuisances = np.arange(1 + nuisances.size, len(total)), 1 + np.arange(nuisances.size)
+    return total, schur_complement(design, total, nuisances, of_causes, of_nuisances)
 
 
 def _add_unnamed_causes(store: ColumnStore, study: Study, design: Design) -> Iterator[tuple[str, IndexArray]]:
@@ -575,9 +559,8 @@ class _EffectCauses:
         return self._free_laws[laws[-2 if beyond and len(laws) > 1 else -1]]
 
     def _whitened(self, values: FloatArray) -> FloatArray:
-        edges = np.cumsum([0, *(run.residual.size for run in self._design.runs)]).tolist()
-        pairs = zip(self._whitenings, pairwise(edges), strict=True)
-        return np.concatenate([whitening.whiten(values[low:high]) for whitening, (low, high) in pairs])
+        pairs = zip(self._whitenings, self._design.run_rows, strict=True)
+        return np.concatenate([whitening.whiten(values[rows]) for whitening, rows in pairs])
 
     def _add(
         self,

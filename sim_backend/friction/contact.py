@@ -142,7 +142,7 @@ def leading_motion(motion: Motion, slack_mm: float = REVERSAL_SLACK_MM) -> Motio
     pieces = motion.pieces()
     times = pieces.breaks_s
     position = motion.position(times)
-    turns = [0, *np.sort(turning_samples(position, slack_mm)).tolist(), position.size - 1]
+    turns = [0, *turning_samples(position, slack_mm).tolist(), position.size - 1]
     leading = _without_short_reversals(position, turns)
     if np.array_equal(leading, position):
         return motion

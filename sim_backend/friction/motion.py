@@ -198,10 +198,28 @@ def _at_rest(position_mm: FloatArray, window: int, span_mm: float) -> BoolArray:
 
 
 def turning_samples(position_mm: FloatArray, min_mm: float) -> IndexArray:
-    """Return peaks and valleys of a position with a prominence of at least `min_mm`."""
-    from scipy.signal import find_peaks
+    """Return, in order, peaks and valleys from which a position moves at least `min_mm` to both sides.
 
-    return np.concatenate([find_peaks(side * position_mm, prominence=min_mm)[0] for side in (1.0, -1.0)])
+    They are those of `scipy.signal.find_peaks` with this prominence, the first of equal ones; it takes longer to load
+    than a short run to simulate.
+    """
+    steps = np.diff(position_mm)
+    moving = np.flatnonzero(steps)
+    bends = np.flatnonzero(np.diff(np.sign(steps[moving])))
+    middles = (moving[bends] + 1 + moving[bends + 1]) // 2
+    turns: list[int] = []
+    rising: bool | None = None
+    low = high = 0
+    for at in [*middles.tolist(), position_mm.size - 1]:
+        high = at if position_mm[at] > position_mm[high] else high
+        low = at if position_mm[at] < position_mm[low] else low
+        if rising is not False and position_mm[high] - position_mm[at] >= min_mm:
+            turns += [high] if rising else []
+            rising, low = False, at
+        elif rising is not True and position_mm[at] - position_mm[low] >= min_mm:
+            turns += [low] if rising is False else []
+            rising, high = True, at
+    return np.array(turns, dtype=np.intp)
 
 
 def _monotone_between(position_mm: FloatArray, edges: IndexArray) -> FloatArray:

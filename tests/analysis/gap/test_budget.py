@@ -88,12 +88,13 @@ def prepared(scale: float = 1.0, runs: int = RUNS) -> tuple[SimpleNamespace, Cau
             )
             for number in range(runs)
         ],
+        run_rows=[slice(number * BLOCKS, (number + 1) * BLOCKS) for number in range(runs)],
         columns_of=as_kinds,
         prior_precision=PRIOR_PRECISION,
         prior_mean=PRIOR_MEAN,
     )
     competition = SimpleNamespace(
-        causes=CAUSES, design=design, whitenings=WHITENINGS[:runs], columns=np.concatenate(COLUMNS[:runs]),
+        causes=CAUSES, design=design, whitenings=WHITENINGS[:runs], pieces=(np.concatenate(COLUMNS[:runs]),),
         scaled_columns=scaled_columns,
     )  # fmt: skip
     presence = Presence(PROBABILITIES, {entry.name: entry.kind for entry in CAUSES}, LOG_ODDS)
