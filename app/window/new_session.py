@@ -73,7 +73,7 @@ class PlanEditor(FormEditor):
 
 
 class PlanChoice(QComboBox):
-    """The plans by name; the list that opens has also what each is for."""
+    """The plans by name; the list that opens has their descriptions too."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -87,7 +87,7 @@ class PlanChoice(QComboBox):
         self.setView(view)
 
     def describe(self, at: int, about: str) -> None:
-        """Say what a plan is for."""
+        """Set the description of a plan."""
         self._items.setItem(at, 1, QStandardItem(about))
 
 
