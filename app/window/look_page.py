@@ -628,6 +628,7 @@ class LookPage(QWidget):
         self._traces = FileWorker(self._refused, self)
         self._table = FileWorker(self._refused, self)
         self.exporting = FileWorker(self._refused, self)
+        self.export.setMaximumHeight(34)  # of the bar of tabs
         self.tabs.setCornerWidget(bare_widget(row(self.state, self.export)))
         self.setLayout(column(split(card(self.browser), self.tabs, (400, 600), stored, "look"), margin=8))
         self.browser.chosen.connect(self._show_selected)

@@ -68,7 +68,7 @@ QPushButton:focus, QToolButton:focus {{ border: 2px solid {BLUE}; padding: 6px 1
 QPushButton:disabled, QToolButton:disabled {{ color: {PALE}; background: {SURFACE_COLOUR}; }}
 QPushButton[role="main"] {{ background: {BLUE}; color: white; font-weight: 600; border-color: {BLUE}; }}
 QPushButton[role="main"]:focus {{ border: 2px solid {BLACK}; }}
-QPushButton[role="main"]:disabled {{ background: {PALE}; border-color: {PALE}; color: white; }}
+QPushButton[role="main"]:disabled {{ background: {GRID}; border-color: {GRID}; color: {GREY}; }}
 QPushButton[role="stop"] {{ background: {STOP_COLOUR}; color: white; font-size: 22px; font-weight: 800;
     border: 3px solid #6B0013; border-radius: 8px; padding: 6px 18px; }}
 QPushButton[role="page"] {{ border: none; border-bottom: 4px solid transparent; border-radius: 0;
@@ -85,7 +85,8 @@ QTreeWidget, QTableWidget, QListWidget {{ background: {PAPER}; border: 1px solid
     alternate-background-color: {SURFACE_COLOUR};
     selection-background-color: #CFE6F5; selection-color: {BLACK}; }}
 QTableWidget::item {{ padding: 0 7px; }}
-QTreeView::item {{ padding: 3px 4px; }}
+QTreeView::item {{ padding: 3px 0; }}
+QComboBox QTreeView::item {{ padding: 3px 6px; }}
 QTableWidget::item:selected {{ background: #CFE6F5; color: {BLACK}; }}
 QHeaderView::section {{ background: {SURFACE_COLOUR}; border: none; border-bottom: 1px solid {GRID}; padding: 5px 7px;
     color: {GREY}; }}
@@ -103,6 +104,7 @@ QProgressBar::chunk {{ background: #8CC4E6; border-radius: 4px; }}
 QSplitter::handle {{ background: {SURFACE_COLOUR}; }}
 QToolTip {{ background: {BLACK}; color: {PAPER}; border: none; padding: 6px; }}
 QCheckBox::indicator {{ width: 18px; height: 18px; }}
+QCheckBox::indicator:unchecked {{ background: {PAPER}; border: 1px solid {PALE}; border-radius: 3px; }}
 QMenu {{ background: {PAPER}; border: 1px solid {PALE}; }}
 QMenu::item {{ padding: 6px 22px; }}
 QMenu::item:selected {{ background: {BLUE}; color: white; }}
