@@ -146,6 +146,7 @@ class RunBrowser(QWidget):
         if self.folder.text() != self._listed_folder:
             self.tree.clear()
         self._listed_folder = self.folder.text()
+        self._again_soon.stop()  # it would take this reading's place, and tell nothing
         self._read()
 
     def _read(self, *, quiet: bool = False) -> None:

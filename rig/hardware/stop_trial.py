@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 
 from dragrig.config import DeviceError, RigSettings, reason_of
-from dragrig.rig import RELAY_BEATS, Clock, RigCheck, StopName, TripCause
+from dragrig.rig import RELAY_BEATS, Clock, RigCheck, StopName
 from dragrig.rig.hardware.dialects import Dialect, Lack
 from dragrig.rig.hardware.drive import MonitoredStage, PositionModeStage
 from dragrig.rig.hardware.lines import CardLines
@@ -24,8 +24,6 @@ _POLL_S = 0.005
 _SILENCE_MARGIN_S = 0.3
 _MIN_SILENCE_SHARE = 0.5
 _MIN_SEEN_S = 1e-3
-
-
 _ABSENT = {
     StopName.ENABLE: "not wired (hardware.card.lines.enable is empty): only the serial line switches the drive",
     StopName.RELAY: "not wired (hardware.card.lines.heartbeat is empty): a killed program takes no power away",
@@ -91,11 +89,7 @@ class StopTrial:
                 f"the drive stays on when {self._wired.enable} goes low: check the wire, and the drive's setting of "
                 "this input; without it, nothing but the serial line switches the drive off",
             )
-        fault, open_s = self._stage.fault, self._stage.last_beat_s + RELAY_BEATS * self._wired.heartbeat_s
-        if (self._wired.heartbeat and off_s > open_s) or (fault and fault.cause is TripCause.WATCHDOG):
-            raise DeviceError(
-                "the heartbeat came late and may have stopped the drive: end other programs, and try again."
-            )
+        self._refuse_late_beats(from_s)
         return self._found(StopName.ENABLE, off_s - from_s, "its enable line went low", from_mm)
 
     def _try_relay(self) -> RigCheck:
@@ -131,6 +125,7 @@ class StopTrial:
                 f"{self._rig.hardware.drive.silence_s:g} s: set up what it does then, or wire a heartbeat relay "
                 "(hardware.card.lines.heartbeat)",
             )
+        self._refuse_late_beats(from_s)
         travel_mm = abs(after.position_mm - before.position_mm)
         took_s = travel_mm / (self._speed_mm_s * pace) if self._in_motion else passed_s
         if took_s < _MIN_SILENCE_SHARE * self._rig.hardware.drive.silence_s:
@@ -140,6 +135,11 @@ class StopTrial:
             )
         heard = "the last request (hardware.drive.silence_s)"
         return self._found(StopName.WATCHDOG, took_s, heard, before.position_mm)
+
+    def _refuse_late_beats(self, from_s: float) -> None:
+        """End a trial in which the relay may have stopped the drive, because this computer stood still."""
+        if self._wired.heartbeat and self._stage.beat_late_since(from_s):
+            raise DeviceError("the heartbeat came late and may have stopped the drive: end other programs, try again.")
 
     def _keep_quiet(self) -> None:
         until_s = time.monotonic() + self._quiet_s

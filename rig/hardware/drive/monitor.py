@@ -115,7 +115,7 @@ class Monitor:
         self._stop_sent = False
         self._drive_on = False
         self._guard_is_blind = self._power_released = False
-        self._polled_s = self._beaten_s = float("-inf")
+        self._polled_s = self._beaten_s = self._late_beat_s = float("-inf")
         self._moved_at_beat = False
         self._unheard_seen_s: float | None = None
         self._withholds_polls = self._withholds_beats = False
@@ -184,6 +184,10 @@ class Monitor:
     def last_beat_s(self) -> float:
         """When the heartbeat last changed its line, as of `time.monotonic`."""
         return self._beaten_s
+
+    def beat_late_since(self, from_s: float) -> bool:
+        """Return whether a relay may have opened since a `time.monotonic`: a beat came late, or is late now."""
+        return self._late_beat_s >= from_s or time.monotonic() - self._beaten_s > self._relay_s
 
     @contextmanager
     def withholding(self, *, polls: bool = False, beats: bool = False) -> Iterator[None]:
@@ -284,6 +288,7 @@ class Monitor:
     def _beat(self, now_s: float) -> None:
         if now_s - self._beaten_s < self._beat_s / 2 or not self._may_beat():
             return
+        self._late_beat_s = now_s if now_s - self._beaten_s > self._relay_s else self._late_beat_s
         self._beaten_s = now_s
         self._moved_at_beat = self._sync.moving
         try:

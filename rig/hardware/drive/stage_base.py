@@ -366,6 +366,10 @@ class MonitoredStage(ABC):
         """When the heartbeat last changed its line, as of `time.monotonic`."""
         return self._monitor.last_beat_s
 
+    def beat_late_since(self, from_s: float) -> bool:
+        """Return whether a relay may have opened since a `time.monotonic`: a beat came late, or is late now."""
+        return self._monitor.beat_late_since(from_s)
+
     def await_end(self, cancel: Signal) -> None:
         """Wait until the motion begun last is over, for `guard.stale_data_s` at most: no sample is taken any more.
 
