@@ -17,6 +17,7 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from dragrig import config
 from dragrig.analysis import (
     Progress,
     TableRow,
@@ -29,25 +30,6 @@ from dragrig.analysis import (
 from dragrig.analysis.gap import Diagnosis, SettleRecord
 from dragrig.api import ExportFormatName, check, check_setup, filter_settings, run_query
 from dragrig.catalogue import ask_runs
-from dragrig.config import (
-    ANY_NUMBER,
-    DragrigError,
-    NumberRange,
-    Plan,
-    PlanError,
-    PlanStep,
-    RunFileError,
-    Settings,
-    SettingsError,
-    field_descriptions,
-    find_table,
-    number_text,
-    parse,
-    parse_value,
-    read_number,
-    read_numbers,
-    shipped_files,
-)
 from dragrig.engine_host import RigSelection
 from dragrig.present import UNIT_SUFFIXES, Document, attribute_texts, drawn, start_position_mm, unused_path
 from dragrig.rig import (
@@ -106,7 +88,7 @@ class FormField:
     """Label without the unit."""
     help: str
     kind: FieldKind
-    allowed: NumberRange = ANY_NUMBER
+    allowed: config.NumberRange = config.ANY_NUMBER
     """Of a number, or of each of several."""
     default: str = ""
     """Default value as text; empty without one."""
@@ -167,7 +149,7 @@ class Form:
             for field in group.fields:
                 try:
                     parse_field(field, texts.get(field.key, "").strip(), group.name)
-                except SettingsError as error:
+                except config.SettingsError as error:
                     problems[number, field.key] = str(error).split(": ", 1)[-1]
         return problems
 
@@ -181,7 +163,7 @@ class Form:
 class PlanForm(Form):
     """A plan as a form, whose groups are its steps."""
 
-    plan: Plan
+    plan: config.Plan
     source: str
 
     def place_of(self, sentence: str, step: int | None = None) -> "FieldPlace | None":
@@ -201,7 +183,7 @@ class PlanForm(Form):
         key = first_key_named(self.groups[number], sentence)
         return None if key is None else (number, key)
 
-    def filled(self, values: Sequence[Mapping[str, str]]) -> Plan:
+    def filled(self, values: Sequence[Mapping[str, str]]) -> config.Plan:
         """Return the plan with these values in its steps.
 
         Raises
@@ -211,23 +193,24 @@ class PlanForm(Form):
         """
         steps = [{"kind": step.name, **step.parsed(texts)} for step, texts in zip(self.groups, values, strict=True)]
         data = self.plan.model_dump(mode="json", exclude_unset=True)
-        return parse(Plan, {**data, "steps": steps}, self.plan.name)
+        return config.parse(config.Plan, {**data, "steps": steps}, self.plan.name)
 
 
-def known_plans(lab: Path | None = None) -> tuple[str, ...]:
-    """Return the available plans: those in the lab folder and in its folder `plans`, then the shipped ones."""
-    folders = () if lab is None else (lab, lab / "plans")
-    files = sorted(path for folder in folders for path in folder.glob("*.toml") if _is_plan(path))
-    return (*map(str, files), *shipped_files("plan"))
+def known_plans(lab: Path | None = None) -> dict[str, str]:
+    """Return the descriptions of plans by file or shipped name: the lab's, then the shipped ones of other names."""
+    own = {} if lab is None else config.lab_plans(lab)
+    shipped = [name for name in config.shipped_files("plan") if name not in own]
+    names = (*map(str, own.values()), *shipped)
+    return {name: str(config.find_table("plan", name)[0].get("description", "")) for name in names}
 
 
 def plan_form(name_or_path: str) -> PlanForm:
     """Return a plan's form; raises `SettingsError` or `PlanError` when there is no such plan, or it is invalid."""
-    data, source = find_table("plan", name_or_path)
-    return form_from_plan(parse(Plan, data, source), source)
+    data, source = config.find_table("plan", name_or_path)
+    return form_from_plan(config.parse(config.Plan, data, source), source)
 
 
-def form_from_plan(plan: Plan, source: str) -> PlanForm:
+def form_from_plan(plan: config.Plan, source: str) -> PlanForm:
     """Return the form of a plan in memory; raises `PlanError`."""
     beside = Path(source).absolute().parent if Path(source).is_file() else None
     steps = tuple(_step_form(step, f"{source}: steps[{index}]", beside) for index, step in enumerate(plan.steps))
@@ -241,11 +224,11 @@ def first_key_named(group: FormGroup, sentence: str) -> str | None:
     return min(starts, key=starts.__getitem__) if starts else None
 
 
-def _step_form(step: PlanStep, where: str, beside: Path | None) -> FormGroup:
+def _step_form(step: config.PlanStep, where: str, beside: Path | None) -> FormGroup:
     protocol = protocol_kinds().get(step.kind)
     if protocol is None:
-        raise PlanError(f"{where}: kind = {step.kind!r} is not a kind of run.")
-    fields = (*form_fields(protocol, sweeps=True), *form_fields(PlanStep, sweeps=False))
+        raise config.PlanError(f"{where}: kind = {step.kind!r} is not a kind of run.")
+    fields = (*form_fields(protocol, sweeps=True), *form_fields(config.PlanStep, sweeps=False))
     values = {field.key: value_text(step.parameters[field.key]) for field in fields if field.key in step.parameters}
     own = step.model_dump(mode="json", exclude_unset=True)
     values |= {key: value_text(value) for key, value in own.items() if key not in _HIDDEN_KEYS and value is not None}
@@ -255,7 +238,7 @@ def _step_form(step: PlanStep, where: str, beside: Path | None) -> FormGroup:
 
 
 @cache
-def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]:
+def form_fields(model: type[config.Settings], *, sweeps: bool) -> tuple[FormField, ...]:
     """Return the fields of a settings class from its schema, without its inner groups.
 
     Parameters
@@ -266,11 +249,11 @@ def form_fields(model: type[Settings], *, sweeps: bool) -> tuple[FormField, ...]
     schema = model.model_json_schema()
     properties, shared = schema["properties"], schema.get("$defs", {})
     kinds = {key: field.annotation for key, field in model.model_fields.items()}
-    groups = {key for key, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, Settings)}
+    groups = {key for key, kind in kinds.items() if isinstance(kind, type) and issubclass(kind, config.Settings)}
     order = [key for key in properties if key not in _HIDDEN_KEYS | groups]
     if issubclass(model, RunProtocol):
         order.sort(key=lambda key: key in RunProtocol.model_fields)
-    required, about = frozenset(schema.get("required", ())), field_descriptions(model)
+    required, about = frozenset(schema.get("required", ())), config.field_descriptions(model)
     return tuple(
         _form_field(
             key, _resolved_schema(properties[key], shared), about.get(key, ""), sweeps=sweeps, required=key in required
@@ -314,10 +297,10 @@ def _form_field(key: str, entry: Mapping[str, object], description: str, *, swee
     )
 
 
-def _range(entry: Mapping[str, object], unit: str) -> NumberRange:
+def _range(entry: Mapping[str, object], unit: str) -> config.NumberRange:
     low, above, high = (entry.get(bound) for bound in ("minimum", "exclusiveMinimum", "maximum"))
     lowest = above if isinstance(above, int | float) else low
-    return NumberRange(
+    return config.NumberRange(
         unit,
         float(lowest) if isinstance(lowest, int | float) else -inf,
         float(high) if isinstance(high, int | float) else inf,
@@ -331,7 +314,7 @@ def value_text(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int | float):
-        return number_text(value)
+        return config.number_text(value)
     if isinstance(value, list | tuple) and all(isinstance(item, float | int) for item in value):
         return ", ".join(map(value_text, value))
 
@@ -351,10 +334,10 @@ def parse_field(field: FormField, text: str, group: str) -> object:
         case FieldKind.SWITCH:
             return text == "yes"
         case FieldKind.LIST:
-            tables = parse_value(f"[{' '.join(text.splitlines())}]")
+            tables = config.parse_value(f"[{' '.join(text.splitlines())}]")
             if isinstance(tables, str):
                 example = "{key = 12.5, …} with commas between, and decimals with a point"
-                raise SettingsError(f"{group}, {field.name}: cannot be read; write {example}.")
+                raise config.SettingsError(f"{group}, {field.name}: cannot be read; write {example}.")
             return tables
         case FieldKind.NUMBER | FieldKind.NUMBERS:
             return _parse_number(field, text, group)
@@ -367,19 +350,11 @@ def parse_field(field: FormField, text: str, group: str) -> object:
 def _parse_number(field: FormField, text: str, group: str) -> float | list[float]:
     try:
         if field.kind is FieldKind.NUMBER and not field.sweeps:
-            return read_number(text, field.allowed)
-        numbers = list(read_numbers(text, field.allowed))
-    except SettingsError as error:
-        raise SettingsError(f"{group}, {field.name}: {error}") from None
+            return config.read_number(text, field.allowed)
+        numbers = list(config.read_numbers(text, field.allowed))
+    except config.SettingsError as error:
+        raise config.SettingsError(f"{group}, {field.name}: {error}") from None
     return numbers if field.kind is FieldKind.NUMBERS or len(numbers) > 1 else numbers[0]
-
-
-def _is_plan(path: Path) -> bool:
-    try:
-        data, _ = find_table("plan", str(path))
-    except SettingsError:
-        return False
-    return "steps" in data
 
 
 _POINTS_PER_SEGMENT = 24
@@ -468,7 +443,7 @@ def last_heard(folder: Path) -> str:
 
 
 def preview_session(
-    plan: Plan | str, rig: RigSelection, specimen: Sequence[str] = (), campaign: CampaignToExtend | None = None
+    plan: config.Plan | str, rig: RigSelection, specimen: Sequence[str] = (), campaign: CampaignToExtend | None = None
 ) -> SessionPreview:
     """Check a plan without moving anything.
 
@@ -485,7 +460,7 @@ def preview_session(
         For invalid settings, and such as do not suit the campaign.
     """
     choices = replace(rig, assignments=(*rig.assignments, *specimen)).choices()
-    steps = plan.steps if isinstance(plan, Plan) else plan_form(plan).plan.steps
+    steps = plan.steps if isinstance(plan, config.Plan) else plan_form(plan).plan.steps
     if campaign is None:
         stage = resolve_rig(**rig.choices()).rig.stage
         checked = check(plan, **choices)
@@ -494,8 +469,8 @@ def preview_session(
 
     try:
         setup, remarks = setup_to_append(plan, campaign.latest, campaign.before, running=campaign.running, **choices)
-    except SettingsError as error:
-        raise SettingsError(_in_words_of_the_form(str(error))) from error
+    except config.SettingsError as error:
+        raise config.SettingsError(_in_words_of_the_form(str(error))) from error
     folder, stage = campaign.before.folder, setup.rig.stage
     checked = check_setup(setup, folder)
     checked = replace(checked, remarks=(*map(_in_words_of_the_form, remarks), *checked.remarks))
@@ -510,7 +485,7 @@ def _in_words_of_the_form(sentence: str) -> str:
     )
 
 
-def _conditions(checked: Preflight, steps: Sequence[PlanStep]) -> str:
+def _conditions(checked: Preflight, steps: Sequence[config.PlanStep]) -> str:
     """Say the facts that no curve shows: capsule, fixture and order of each step."""
     parts = []
     for number, step in enumerate(steps):
@@ -528,7 +503,7 @@ def describe_rig(rig: RigSelection) -> RigDescription:
     resolve_pace(rig.pace, double=setup.double)
     simulated = setup.backend == "simulated"
     if simulated:
-        title, meaning = "SIMULATED", "no hardware: rig and gut are simulated"
+        title, meaning = "SIMULATED", "no hardware: everything you see is simulated"
     elif setup.double:
         title, meaning = "DOUBLE", "no hardware: card and drive are simulated (doubles)"
     else:
@@ -728,7 +703,7 @@ def filtered_anew(
 
 def _limits_mm(path: Path) -> tuple[float, float] | None:
     # An imported run has no session, and that of an old one may not be readable any more.
-    with suppress(RunFileError, SettingsError):
+    with suppress(config.RunFileError, config.SettingsError):
         stage = session_record_of_run(path).rig.stage
         return stage.lowest_mm, stage.highest_mm
     return None
@@ -751,7 +726,7 @@ def steady_rows(paths: Sequence[Path]) -> tuple[TableRow, ...]:
         try:
             bad = read_mark(path)
             return table_row(read_run(path), bad.reason if bad else None)
-        except RunFileError as error:
+        except config.RunFileError as error:
             return unreadable_row(path, error)
 
     return tuple(map(measured, paths))
@@ -844,7 +819,7 @@ class FurtherRuns:
     """Runs that settle a campaign's gap, and why."""
 
     folder: Path
-    plan: Plan
+    plan: config.Plan
     minutes: float
     """Rig time."""
     count: int
@@ -1012,5 +987,5 @@ def _run_diagnosis(connection: "Connection[DiagnosisEvent, object]", task: Diagn
     with suppress(OSError):
         try:
             connection.send(_WORK[task.work](task, progress))
-        except DragrigError as error:
+        except config.DragrigError as error:
             connection.send(DiagnosisFailed(str(error)))

@@ -145,7 +145,7 @@ def main() -> int:
         stored = StoredSettings(QSettings(str(Path(place) / "window.ini"), QSettings.Format.IniFormat))
         window = MainWindow(RigSelection(rig=lab / "rig.toml", backend="simulated"), lab, stored, PATIENT)
         window.show()
-        watch.until(lambda: window.guard.text() == "guard: TRIPPED")
+        watch.until(lambda: window.guard.text() == "guard: NOT ARMED")
         window.reset.click()
         watch.until(lambda: window.guard.text() == "guard: armed")
         # Slow enough to last until the end.

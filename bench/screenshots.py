@@ -87,7 +87,7 @@ def run_page(camera: Photographer) -> None:
     new = window.run.new
     new.plans.setCurrentIndex(new.plans.findData("drag"))
     new.operator.setText("A. Person")
-    camera.until(lambda: bool(window.guard.text().startswith("guard: TRIPPED")))
+    camera.until(lambda: bool(window.guard.text().startswith("guard: NOT ARMED")))
     camera.take("tripped")
     window.engine.ask(ResetGuard())
     camera.until(lambda: window.guard.text() == "guard: armed")
@@ -145,7 +145,7 @@ def rig_page(camera: Photographer) -> None:
     window = camera.window
     window.go_to(window.rig)
     settings = window.rig.settings
-    camera.until(lambda: window.guard.text().startswith("guard: TRIPPED"))
+    camera.until(lambda: window.guard.text().startswith("guard: NOT ARMED"))
     settings.groups.setCurrentRow(5)
     settings.editor.put("force_limit_mN", "6000")
     camera.take("settings")

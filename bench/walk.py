@@ -203,7 +203,7 @@ class Person:
         self.read_at_s = float("-inf")
         window.engine.event_received.connect(self._note_reading)
         window.engine.sampled.connect(lambda _: self._note_reading(None))
-        self.until(lambda: window.guard.text() == "guard: TRIPPED" and window.run.devices.devices.rowCount() > 0)
+        self.until(lambda: window.guard.text() == "guard: NOT ARMED" and window.run.devices.devices.rowCount() > 0)
         return window
 
     def _note_reading(self, event: object) -> None:
@@ -659,7 +659,7 @@ def lose_the_engine(person: Person) -> None:
     person.live_for(1.5)
     person.step("engine lost")
     person.click(window.notices.restart)
-    person.until(lambda: window.guard.text() == "guard: TRIPPED" and window.reset.isEnabled())
+    person.until(lambda: window.guard.text() == "guard: NOT ARMED" and window.reset.isEnabled())
     person.live_for(2.0)
     person.step("engine started again")
     person.page(2)
@@ -724,7 +724,7 @@ def on_the_doubles(person: Person) -> None:
     person.type_in(rig.settings.editor.editors["force_limit_mN"], "6000")
     person.step("a setting changed")
     person.click(rig.settings.save)
-    person.until(lambda: window.guard.text() == "guard: TRIPPED" and window.reset.isEnabled())
+    person.until(lambda: window.guard.text() == "guard: NOT ARMED" and window.reset.isEnabled())
     person.step("settings saved")
     person.arm()
     person.tab(rig.tabs, rig.calibrate)

@@ -66,6 +66,7 @@ from .settings import describe_validation_error as describe_validation_error
 from .settings import field_descriptions as field_descriptions
 from .settings import find_settings as find_settings
 from .settings import find_table as find_table
+from .settings import lab_plans as lab_plans
 from .settings import merge_tables as merge_tables
 from .settings import mistakes_in as mistakes_in
 from .settings import nested_table as nested_table

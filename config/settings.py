@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, ModelWrapValidatorHandler, Validatio
 from pydantic_core import ErrorDetails
 
 from dragrig.config.errors import NO_TEXT, SettingsError
-from dragrig.config.lab import read_text
+from dragrig.config.lab import read_text, rig_file_of
 from dragrig.config.typed_numbers import number_text, read_number
 
 _MAX_FILE_BYTES = 4 * 1024 * 1024
@@ -418,8 +418,21 @@ def shipped_files(kind: str) -> dict[str, Traversable]:
     return dict(sorted(files.items()))
 
 
+def lab_plans(lab: Path) -> dict[str, Path]:
+    """Return the plans in a lab folder and its folder `plans` by name: the files that have steps."""
+    files = (path for folder in (lab, lab / "plans") for path in sorted(folder.glob("*.toml")))
+    return {path.stem: path for path in files if _has_steps(path)}
+
+
+def _has_steps(path: Path) -> bool:
+    try:
+        return "steps" in read_toml(path)
+    except SettingsError:
+        return False
+
+
 def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tuple[Table, str]:
-    """Read settings from a file (also relative to the folder `beside`) or by shipped name.
+    """Read settings from a file (also relative to the folder `beside`) or by name: a plan of the lab, or shipped.
 
     Returns the table and its origin for error messages; raises `SettingsError` when there is neither.
     """
@@ -430,6 +443,10 @@ def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tupl
                 return read_toml(candidate), str(candidate)
         missing = "is a folder, not a file" if path.is_dir() else "there is no such file"
         raise SettingsError(f"{name_or_path}: {missing}; check the path.")
+    rig_file = rig_file_of(Path()) if kind == "plan" else None
+    own = {} if rig_file is None else lab_plans(rig_file.parent)
+    if name_or_path in own:
+        return read_toml(own[name_or_path]), str(own[name_or_path])
     shipped = shipped_files(kind)
     if name_or_path in shipped:
         return parse_toml(shipped[name_or_path].read_text("utf-8"), name_or_path), f"shipped {kind} {name_or_path}"
@@ -437,7 +454,7 @@ def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tupl
         raise SettingsError(f"{name_or_path}: is a file whose name does not end in .toml, as one of a {kind} must.")
     missing = "is a folder" if path.is_dir() else "there is no such file"
     raise SettingsError(
-        f"{name_or_path}: {missing} and no {kind} of this name; {suggestion(name_or_path, list(shipped))}"
+        f"{name_or_path}: {missing} and no {kind} of this name; {suggestion(name_or_path, [*own, *shipped])}"
     )
 
 

@@ -322,7 +322,7 @@ class Session:
             # Its own prompt waits.
             return None
         can_redo = any(result.run.follows < 0 for result in self._results)
-        prompt = Prompt(f"Paused. Next is {run.summary}; done goes on", run, can_redo, hands=False)
+        prompt = Prompt(f"Paused. Next is {run.summary}", run, can_redo, hands=False)
         answer = self._operator.ask(prompt)
         self.engine.require_not_aborted()
         return answer if answer is not Answer.DONE else None

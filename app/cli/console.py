@@ -11,11 +11,9 @@ import tempfile
 import time
 import traceback
 import unicodedata
-from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, TypeVar
 
@@ -24,7 +22,7 @@ import click
 from dragrig.analysis import printable
 from dragrig.config import NO_TEXT, AbortedError, DragrigError, is_text
 from dragrig.end_signals import EndSignals
-from dragrig.present import duration_text, to_json_value
+from dragrig.present import TimeLeft, to_json_value
 
 if TYPE_CHECKING:
     from rich.console import ConsoleRenderable, RenderableType
@@ -307,11 +305,6 @@ SILENT_FIRST_S = 1.0
 """Shorter tasks show no progress."""
 _FIRST_LINE_S = 5.0
 _MAX_LINE_INTERVAL_S = 60.0
-_PACE_KNOWN_FROM = 0.1
-"""From this share on the time left is shown."""
-_OVERDUE_S = 1.0
-_FEW_S, _MINUTE_S = 5.0, 59.5
-"""The end is loading, drawing and writing, which nobody can foretell to the second: then a bound is said."""
 
 
 class ProgressMeter:
@@ -336,13 +329,10 @@ class ProgressMeter:
         self._clock = clock
         self._started = clock()
         self._paused_at: float | None = None
-        self._course: list[tuple[float, float]] = [(0.0, 0.0)]
-        """Shares of the total and when they were done, rising."""
         self._above = above
         self._shown = not (is_quiet() if quiet is None else quiet)
         self._bar: tuple[RichProgress, TaskID] | None = None
-        self._ends_at: float | None = None
-        """When the work is over at the present pace, by the clock; None while nobody knows."""
+        self._left = TimeLeft()
         self._next_line_s = _FIRST_LINE_S
 
     def __enter__(self) -> Self:
@@ -366,10 +356,7 @@ class ProgressMeter:
             self._started += self._clock() - self._paused_at
             self._paused_at = None
         elapsed_s = self._clock() - self._started
-        if self._done > self._course[-1][0] * self._total:
-            self._course.append((self._done / self._total, elapsed_s))
-        left_s = self._left_s(elapsed_s)
-        self._ends_at = None if left_s is None else self._clock() + left_s
+        self._left.at(self._done / self._total if self._total > 0 else 1.0, elapsed_s)
         if not self._shown or elapsed_s < SILENT_FIRST_S:
             return
         with self._silent_once_closed():
@@ -409,26 +396,7 @@ class ProgressMeter:
         echo(f"{self._label}: {100 * self._done / self._total:.0f} %{left and f', {left}'}", err=True)
 
     def _time_left(self) -> str:
-        """Say how much time is left now; a step in progress may have taken longer than all was to take."""
-        if self._ends_at is None:
-            return ""
-        left_s = self._ends_at - self._clock()
-        if left_s < -_OVERDUE_S:
-            return "takes longer than expected"
-        if left_s < _FEW_S:
-            return f"less than {_FEW_S:.0f} s left"
-        return f"{f'{left_s:.0f} s' if left_s < _MINUTE_S else duration_text(left_s)} left"
-
-    def _left_s(self, elapsed_s: float) -> float | None:
-        """Return the time left at the pace of the latter half of the finished part; before a tenth nobody knows it.
-
-        The first half may have been loading and starting processes, or another kind of work.
-        """
-        if not _PACE_KNOWN_FROM * self._total <= self._done < self._total or self._done <= 0:
-            return None
-        share = self._done / self._total
-        half, half_s = self._course[max(0, bisect_right(self._course, (share / 2, inf)) - 1)]
-        return (elapsed_s - half_s) / (share - half) * (1.0 - share)
+        return self._left.text(self._clock() - self._started)
 
     @contextmanager
     def _silent_once_closed(self) -> Iterator[None]:
@@ -452,7 +420,7 @@ def _start_bar(
                 yield above
             yield from super().get_renderables()
 
-    class TimeLeft(ProgressColumn):
+    class LeftColumn(ProgressColumn):
         def render(self, task: "Task") -> Text:
             del task
             return Text(time_left())
@@ -461,7 +429,7 @@ def _start_bar(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
-        TimeLeft(),
+        LeftColumn(),
         console=Console(stderr=True),
         transient=True,
     )

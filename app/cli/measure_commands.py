@@ -65,7 +65,8 @@ def check_command(
 ) -> None:
     """Check PLAN, a file or a shipped name; without PLAN, check the rig. Nothing moves without --live.
 
-    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, first, paper, relaxation.
+    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, first, paper, relaxation. The lab's own come
+    first: files of the lab folder and of its folder plans.
 
     With PLAN: every run with its range, speed and duration, and each limit that it violates.
 
@@ -184,7 +185,8 @@ def run_command(
 
     A run file in place of a plan repeats its whole session, with the settings stored in it.
 
-    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, first, paper, relaxation.
+    Shipped plans: blank, coulomb, demo, diagnose, drag, drag-sweep, first, paper, relaxation. The lab's own come
+    first: files of the lab folder and of its folder plans.
 
     Everything is checked before anything moves. Ctrl-C stops the stage first and keeps the recorded samples; p, typed
     at the terminal, pauses the session after the run in progress. The campaign's folder is printed at the end.

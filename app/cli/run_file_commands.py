@@ -272,7 +272,7 @@ def _protocol_settings(assignments: tuple[str, ...]) -> dict[str, object]:
     type=click.Choice(["csv", "parquet", "mat", "npz", "tdms", "eln"]),
     default="csv",
     show_default=True,
-    help="File format; tdms: for LabVIEW and DIAdem; eln: a campaign as one archive for electronic laboratory notebooks.",
+    help="tdms: for LabVIEW and DIAdem; eln: a campaign as one archive for electronic laboratory notebooks.",
 )
 @click.option("--decimal", metavar="MARK", help="Decimal mark of CSV, . or ,")
 @click.option("--delimiter", metavar="MARK", help="Between the columns of CSV: , ; | or tab.")

@@ -248,9 +248,11 @@ class RigExamined:
 
 @dataclass(frozen=True, slots=True)
 class GuardState:
-    """Why the guard is tripped; empty when it is armed."""
+    """Why nothing may move; empty when the guard is armed."""
 
     reason: str
+    tripped: bool = True
+    """Whether something tripped it; otherwise it has only not been reset since the start."""
 
 
 @dataclass(frozen=True, slots=True)

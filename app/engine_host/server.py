@@ -24,58 +24,9 @@ from dragrig.api import (
     store_calibration,
     touch_off,
 )
-from dragrig.campaign_session import (
-    Made,
-    append_to_campaign,
-    resume_campaign,
-    start_campaign,
-)
+from dragrig.campaign_session import Made, append_to_campaign, resume_campaign, start_campaign
 from dragrig.config import Calibration, DragrigError, SettingsError, TrippedError, reason_of
-from dragrig.engine_host.messages import (
-    SILENCE_LIMITS,
-    AbortSession,
-    CalibrateEncoder,
-    CalibrateForce,
-    CalibrationJob,
-    CalibrationMeasured,
-    CalibrationStored,
-    Event,
-    ExamineRig,
-    GuardState,
-    HandMotion,
-    Heartbeat,
-    HomeStage,
-    HostReady,
-    JogStage,
-    LiveRingWriter,
-    MirrorStatus,
-    OperatorWarning,
-    PauseSession,
-    PromptReply,
-    PromptShown,
-    QueuedRun,
-    Request,
-    RequestRefused,
-    ResetGuard,
-    RigExamined,
-    RigIdle,
-    RigSelection,
-    RingMemory,
-    RunFinished,
-    RunStarted,
-    SentinelCompared,
-    SessionFinished,
-    SessionJob,
-    SessionStarted,
-    SessionWaiting,
-    SilenceLimits,
-    StageHomes,
-    StageMoved,
-    StopHost,
-    StoreCalibration,
-    TouchOffStage,
-    WatchRig,
-)
+from dragrig.engine_host import messages
 from dragrig.hosted_session import SessionOptions, idle_reader
 from dragrig.present import sensor_calibration_document
 from dragrig.rig import (
@@ -106,13 +57,13 @@ CLIENT_FROZEN = "the window did not respond while the stage could move"
 class EventSender:
     """Sends events in order from its own thread; `say` returns at once."""
 
-    def __init__(self, connection: "Connection[Event, Request]") -> None:
+    def __init__(self, connection: "Connection[messages.Event, messages.Request]") -> None:
         self._connection = connection
-        self._events: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
+        self._events: queue.SimpleQueue[messages.Event | None] = queue.SimpleQueue()
         self._thread = Thread(target=self._send_all, name="sender", daemon=True)
         self._thread.start()
 
-    def say(self, event: Event) -> None:
+    def say(self, event: messages.Event) -> None:
         """Queue an event."""
         self._events.put(event)
 
@@ -144,11 +95,15 @@ class RequestReceiver:
         Set to have the session wait for a person before its next run.
     """
 
-    def __init__(self, connection: "Connection[Event, Request]", silence: SilenceLimits = SILENCE_LIMITS) -> None:
+    def __init__(
+        self,
+        connection: "Connection[messages.Event, messages.Request]",
+        silence: messages.SilenceLimits = messages.SILENCE_LIMITS,
+    ) -> None:
         self._connection = connection
         self._silence = silence
         # No SimpleQueue: up to Python 3.12, its `get` waits for ever when a signal's handler outlasts the timeout.
-        self._requests: queue.Queue[tuple[int, Request] | None] = queue.Queue()
+        self._requests: queue.Queue[tuple[int, messages.Request] | None] = queue.Queue()
         self._lock = Lock()
         # Numbers of the request received last, of the current one, and of the last one that an abort applies to.
         self._received = self._current = self._aborted = 0
@@ -160,7 +115,7 @@ class RequestReceiver:
         self.stands = False
         Thread(target=self._receive_all, name="receiver", daemon=True).start()
 
-    def next(self, within_s: float | None = None) -> Request | None:
+    def next(self, within_s: float | None = None) -> messages.Request | None:
         """Wait for a request; None once the client is gone, and when none arrives in this time."""
         with suppress(queue.Empty):
             if not self.gone.is_set() and (numbered := self._requests.get(timeout=within_s)) is not None:
@@ -220,7 +175,7 @@ class RequestReceiver:
                     request = self._connection.recv()
                     last_s, frozen = time.monotonic(), False
                     self._receive(request)
-                    if isinstance(request, StopHost):
+                    if isinstance(request, messages.StopHost):
                         reason = "the window was closed"
                         break
                     continue
@@ -235,21 +190,21 @@ class RequestReceiver:
         self._abort_all(reason)
         self._requests.put(None)
 
-    def _receive(self, request: Request) -> None:
+    def _receive(self, request: messages.Request) -> None:
         match request:
-            case AbortSession(reason):
+            case messages.AbortSession(reason):
                 self._abort_all(reason)
-            case PromptReply(question, answer):
+            case messages.PromptReply(question, answer):
                 with self._lock:
                     answers = self._answers.get(question)
                 if answers is not None:
                     answers.put(answer)
-            case PauseSession(on):
+            case messages.PauseSession(on):
                 if on:
                     self.pause.set()
                 else:
                     self.pause.clear()
-            case Heartbeat() | StopHost():
+            case messages.Heartbeat() | messages.StopHost():
                 pass
             case _:
                 with self._lock:
@@ -270,7 +225,7 @@ class RequestReceiver:
 class RemoteOperator:
     """A session's operator and observer in the client process; only `ask` waits for it."""
 
-    def __init__(self, sender: EventSender, receiver: RequestReceiver, live: LiveRingWriter) -> None:
+    def __init__(self, sender: EventSender, receiver: RequestReceiver, live: messages.LiveRingWriter) -> None:
         self._sender, self._receiver, self._live = sender, receiver, live
         self._numbers = count(1)
         self._order = 0
@@ -283,13 +238,15 @@ class RemoteOperator:
         """Show a prompt and wait for the answer, which is an abort if the session is aborted."""
         number = next(self._numbers)
         self._receiver.pause.clear()
-        shown = PromptShown(number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands, prompt.can_measure)
+        shown = messages.PromptShown(
+            number, prompt.text, prompt.can_redo, prompt.can_skip, prompt.hands, prompt.can_measure
+        )
         look = prompt.look
 
         def show() -> None:
             reading = look() if look is not None else None
             if isinstance(reading, IdleReading):
-                self._sender.say(RigIdle(reading, number))
+                self._sender.say(messages.RigIdle(reading, number))
 
         idle = None if look is None else show
         return self._receiver.await_answer(number, lambda: self._sender.say(shown), idle)
@@ -297,24 +254,24 @@ class RemoteOperator:
     def begins(self, programme: Programme, pending: Sequence[PlannedRun], *, real_time: bool) -> None:
         """Report the runs still to make."""
         del programme
-        self._sender.say(SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time, self.folder))
+        self._sender.say(messages.SessionStarted(self.job, tuple(map(_queued_run, pending)), real_time, self.folder))
 
     def homes(self, *, over: bool) -> None:
         """Report that the stage moves to its origin."""
-        self._sender.say(StageHomes("" if over else HOMING))
+        self._sender.say(messages.StageHomes("" if over else HOMING))
 
     def waits(self, run: PlannedRun, duration_s: float) -> None:
         """Report a rest, during which the stage stands."""
         self._receiver.stands = True
         self._live.begin()
-        self._sender.say(SessionWaiting(_queued_run(run), duration_s))
+        self._sender.say(messages.SessionWaiting(_queued_run(run), duration_s))
 
     def run_begins(self, run: PlannedRun, order: int) -> None:
         """Report the start of a run."""
         self._order = order
         self._receiver.stands = False
         self._live.begin()
-        self._sender.say(RunStarted(_queued_run(run), order))
+        self._sender.say(messages.RunStarted(_queued_run(run), order))
 
     def reads(self, reading: Reading) -> None:
         """Write a block of samples to the live ring."""
@@ -325,32 +282,34 @@ class RemoteOperator:
         """Report the end of a run."""
         self._receiver.stands = False
         queued, warnings = _queued_run(run), tuple(outcome.checks.warnings)
-        self._sender.say(RunFinished(queued, self._order, outcome.status, outcome.reason, outcome.samples, warnings))
+        self._sender.say(
+            messages.RunFinished(queued, self._order, outcome.status, outcome.reason, outcome.samples, warnings)
+        )
 
     def sentinel_compared(self, drift: Drift) -> None:
         """Report how far the specimen has drifted."""
-        self._sender.say(SentinelCompared(drift.measured.order, str(drift)))
+        self._sender.say(messages.SentinelCompared(drift.measured.order, str(drift)))
 
 
-def _queued_run(run: PlannedRun) -> QueuedRun:
-    return QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm, run.follows >= 0)
+def _queued_run(run: PlannedRun) -> messages.QueuedRun:
+    return messages.QueuedRun(run.index, run.summary, run.wait_s, run.duration_s, run.start_mm, run.follows >= 0)
 
 
 _STANDING = (Phase.REST, Phase.HOLD)
-NOT_YET_RESET = "not reset since the start; check: path clear, hands out, e-stop in reach"
+NOT_YET_RESET = "the guard is not reset since the start"
 
 
 def serve(
-    connection: "Connection[Event, Request]",
-    memory: RingMemory,
-    rig: RigSelection,
-    silence: SilenceLimits = SILENCE_LIMITS,
+    connection: "Connection[messages.Event, messages.Request]",
+    memory: messages.RingMemory,
+    rig: messages.RigSelection,
+    silence: messages.SilenceLimits = messages.SILENCE_LIMITS,
 ) -> None:
     """Host an engine until the client leaves or dies; the target of the host process."""
     # Ctrl-C in the terminal reaches the client too; a running session handles it by itself.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sender, receiver = EventSender(connection), RequestReceiver(connection, silence)
-    EngineHost(sender, receiver, LiveRingWriter(memory), rig).run()
+    EngineHost(sender, receiver, messages.LiveRingWriter(memory), rig).run()
     sender.close()
 
 
@@ -363,7 +322,7 @@ _RETRY_S = 5.0
 class IdleRig:
     """The rig while nothing is asked of it: opened to be read, its drive off, and closed for whoever moves it."""
 
-    def __init__(self, rig: RigSelection) -> None:
+    def __init__(self, rig: messages.RigSelection) -> None:
         self._rig = rig
         self._backend: Backend | None = None
         self._look: Callable[[], IdleReading] = lambda: IdleReading(None, None)
@@ -409,7 +368,9 @@ class IdleRig:
 class EngineHost:
     """Handles requests on the process's main thread, where a session can handle signals."""
 
-    def __init__(self, sender: EventSender, receiver: RequestReceiver, live: LiveRingWriter, rig: RigSelection) -> None:
+    def __init__(
+        self, sender: EventSender, receiver: RequestReceiver, live: messages.LiveRingWriter, rig: messages.RigSelection
+    ) -> None:
         self._sender, self._receiver, self._rig = sender, receiver, rig
         self._operator = RemoteOperator(sender, receiver, live)
         self._trip_reason = NOT_YET_RESET
@@ -417,14 +378,16 @@ class EngineHost:
 
     def run(self) -> None:
         """Handle requests until the client is gone."""
-        self._sender.say(HostReady(os.getpid()))
-        self._sender.say(GuardState(self._trip_reason))
+        self._sender.say(messages.HostReady(os.getpid()))
+        self._sender.say(messages.GuardState(self._trip_reason, tripped=False))
         with closing(self._idle):
             while not self._receiver.gone.is_set():
                 try:
                     self._handle_next()
                 except Exception as error:  # noqa: BLE001  # the client must know, and the host must go on
-                    self._sender.say(RequestRefused(f"a bug ({type(error).__name__}: {error}); please report it."))
+                    self._sender.say(
+                        messages.RequestRefused(f"a bug ({type(error).__name__}: {error}); please report it.")
+                    )
 
     def _handle_next(self) -> None:
         request = self._receiver.next(self._idle.interval_s)
@@ -433,56 +396,58 @@ class EngineHost:
             self._idle.close()
             self._handle(request)
         elif (reading := self._idle.look()) is not None:
-            self._sender.say(RigIdle(reading))
+            self._sender.say(messages.RigIdle(reading))
 
-    def _handle(self, request: Request) -> None:
+    def _handle(self, request: messages.Request) -> None:
         match request:
-            case WatchRig(on):
+            case messages.WatchRig(on):
                 self._idle.on = on
-            case SessionJob():
+            case messages.SessionJob():
                 self._start(request)
-            case ExamineRig():
+            case messages.ExamineRig():
                 self._sender.say(self._examine())
-            case ResetGuard():
+            case messages.ResetGuard():
                 self._reset()
-            case HomeStage() | JogStage() | TouchOffStage():
-                overrides = not isinstance(request, TouchOffStage) and request.override is not None
+            case messages.HomeStage() | messages.JogStage() | messages.TouchOffStage():
+                overrides = not isinstance(request, messages.TouchOffStage) and request.override is not None
                 # Off a pressed switch the guard can only be reset afterwards; everything else stays guarded.
-                self._attempt(partial(self._moved_by, request), partial(StageMoved, ""), guarded=not overrides)
-            case CalibrateForce() | CalibrateEncoder():
+                self._attempt(partial(self._moved_by, request), partial(messages.StageMoved, ""), guarded=not overrides)
+            case messages.CalibrateForce() | messages.CalibrateEncoder():
                 # Weights are hung on a stage that stands, its drive off; a travel needs the guard.
-                guarded = isinstance(request, CalibrateEncoder)
+                guarded = isinstance(request, messages.CalibrateEncoder)
                 self._attempt(
-                    partial(self._calibrated, request), partial(CalibrationMeasured, None, None), guarded=guarded
+                    partial(self._calibrated, request),
+                    partial(messages.CalibrationMeasured, None, None),
+                    guarded=guarded,
                 )
-            case StoreCalibration(entry):
-                self._attempt(partial(self._store, entry), CalibrationStored, guarded=False)
+            case messages.StoreCalibration(entry):
+                self._attempt(partial(self._store, entry), messages.CalibrationStored, guarded=False)
             case _:
                 pass
 
-    def _start(self, job: SessionJob) -> None:
+    def _start(self, job: messages.SessionJob) -> None:
         if self._trip_reason:
-            sentence = f"the guard is tripped: {self._trip_reason}; remove the cause, then reset the guard"
-            self._sender.say(SessionFinished(job.number, None, sentence))
+            sentence = f"nothing may move: {self._trip_reason}; remove the cause, then reset the guard"
+            self._sender.say(messages.SessionFinished(job.number, None, sentence))
             return
         self._operator.job = job.number
         self._receiver.pause.clear()
-        finished = SessionFinished(job.number, RunStatus.FAILED, "the engine met a bug")
+        finished = messages.SessionFinished(job.number, RunStatus.FAILED, "the engine met a bug")
         try:
             made = self._run_session(job)
             session, mirror = made.session, None
             if report := made.mirrored:
-                mirror = MirrorStatus(report.folder, len(report.copied), tuple(report.missing.items()))
-            finished = SessionFinished(job.number, session.status, session.reason, made.folder, mirror)
+                mirror = messages.MirrorStatus(report.folder, len(report.copied), tuple(report.missing.items()))
+            finished = messages.SessionFinished(job.number, session.status, session.reason, made.folder, mirror)
         except DragrigError as error:
-            finished = SessionFinished(job.number, None, str(error))
+            finished = messages.SessionFinished(job.number, None, str(error))
         finally:
             self._receiver.stops(None)
             self._sender.say(finished)
         if finished.status is RunStatus.TRIPPED:
             self._trip(finished.reason)
 
-    def _run_session(self, job: SessionJob) -> Made:
+    def _run_session(self, job: messages.SessionJob) -> Made:
         def begun(abort: Callable[[str], None], folder: Path) -> None:
             self._operator.folder = folder
             self._receiver.stops(abort)
@@ -495,7 +460,7 @@ class EngineHost:
             begun=begun,
             pause=self._receiver.pause,
             mirror=job.mirror,
-            tell=lambda sentence: self._sender.say(OperatorWarning(sentence)),
+            tell=lambda sentence: self._sender.say(messages.OperatorWarning(sentence)),
         )
         if job.resume is not None:
             self._require_this_rig(job.resume)
@@ -523,14 +488,16 @@ class EngineHost:
         except TrippedError as error:
             self._trip(str(error))
         except DragrigError as error:
-            self._sender.say(RequestRefused(str(error)))
+            self._sender.say(messages.RequestRefused(str(error)))
         else:
             self._trip("")
 
-    def _attempt(self, work: Callable[[], Event], refused: Callable[[str], Event], *, guarded: bool) -> None:
+    def _attempt(
+        self, work: Callable[[], messages.Event], refused: Callable[[str], messages.Event], *, guarded: bool
+    ) -> None:
         """Do work beside sessions and report its result, or why there is none; `guarded`, with an armed guard alone."""
         if self._trip_reason and guarded:
-            self._sender.say(refused(f"the guard is tripped: {self._trip_reason}; reset it first"))
+            self._sender.say(refused(f"nothing may move: {self._trip_reason}; reset the guard first"))
             return
         try:
             result = work()
@@ -542,57 +509,57 @@ class EngineHost:
             self._receiver.stops(None)
         self._sender.say(result)
 
-    def _moved_by(self, motion: HandMotion) -> StageMoved:
+    def _moved_by(self, motion: messages.HandMotion) -> messages.StageMoved:
         """Make a motion by hand, as the command of its name does; an abort stops it as it does a session."""
         rig, person, begun = self._rig, self._operator, self._receiver.stops
         # A request's fields have the names of the function's parameters.
         match motion:
-            case HomeStage():
+            case messages.HomeStage():
                 move = home(**asdict(motion), pace=rig.pace, person=person, begun=begun, **rig.choices())
-            case JogStage():
+            case messages.JogStage():
                 move = jog(**asdict(motion), pace=rig.pace, person=person, begun=begun, **rig.choices())
-            case TouchOffStage():
+            case messages.TouchOffStage():
                 contact = touch_off(**asdict(motion), pace=rig.pace, person=person, begun=begun, **rig.choices())
-                return StageMoved(
+                return messages.StageMoved(
                     f"Contact at {contact.position_mm:.3f} mm, where the force changed by {contact.force_mN:.1f} mN; "
                     "stored as contact.toml in the lab folder."
                 )
         if move.trip is not None:
             self._trip(move.trip.message)
             stays = f"and the guard stays tripped: {move.trip.message}."
-            return StageMoved(f"The stage is at {move.position_mm:.3f} mm, {stays}")
+            return messages.StageMoved(f"The stage is at {move.position_mm:.3f} mm, {stays}")
         freed = (
             f" The {LIMIT_SWITCH_CAUSES[motion.override]} is free: reset the guard."
             if motion.override is not None
             else ""
         )
-        return StageMoved(f"The stage is at {move.position_mm:.3f} mm.{freed}")
+        return messages.StageMoved(f"The stage is at {move.position_mm:.3f} mm.{freed}")
 
-    def _calibrated(self, job: CalibrationJob) -> CalibrationMeasured:
+    def _calibrated(self, job: messages.CalibrationJob) -> messages.CalibrationMeasured:
         """Calibrate as the command does, but leave the result to be looked at before it is stored."""
         rig, person = self._rig, self._operator
 
         def begun(abort: Callable[[str], None]) -> None:
             self._receiver.stops(abort)
-            self._receiver.stands = isinstance(job, CalibrateForce) or job.by_hand
+            self._receiver.stands = isinstance(job, messages.CalibrateForce) or job.by_hand
 
-        calibrate = calibrate_force if isinstance(job, CalibrateForce) else calibrate_encoder
+        calibrate = calibrate_force if isinstance(job, messages.CalibrateForce) else calibrate_encoder
         made = calibrate(**asdict(job), store=False, pace=rig.pace, person=person, begun=begun, **rig.choices())
         record = sensor_calibration_document(made.entry, made.points, made.line, made.notes, stored=False)
-        return CalibrationMeasured(made.entry, record)
+        return messages.CalibrationMeasured(made.entry, record)
 
-    def _store(self, entry: Calibration) -> CalibrationStored:
+    def _store(self, entry: Calibration) -> messages.CalibrationStored:
         store_calibration(entry, **self._rig.choices())
-        return CalibrationStored()
+        return messages.CalibrationStored()
 
     def _trip(self, reason: str) -> None:
         self._trip_reason = reason
-        self._sender.say(GuardState(reason))
+        self._sender.say(messages.GuardState(reason))
 
-    def _examine(self) -> RigExamined:
+    def _examine(self) -> messages.RigExamined:
         checks: list[RigCheck] = []
         try:
             checks.extend(examine(**self._rig.choices()))
         except DragrigError as error:
-            return RigExamined(tuple(checks), str(error))
-        return RigExamined(tuple(checks))
+            return messages.RigExamined(tuple(checks), str(error))
+        return messages.RigExamined(tuple(checks))

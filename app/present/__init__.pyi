@@ -124,6 +124,7 @@ from .model_figures import forces_figure as forces_figure
 from .model_figures import skew_figure as skew_figure
 from .model_figures import spread_selection as spread_selection
 from .numbers import NumberFormat as NumberFormat
+from .numbers import TimeLeft as TimeLeft
 from .numbers import attributes_json as attributes_json
 from .numbers import decimals as decimals
 from .numbers import duration_text as duration_text

@@ -4,11 +4,12 @@
 """
 
 import re
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from datetime import date
 from functools import partial
-from math import floor, isfinite
+from math import floor, inf, isfinite
 from typing import TYPE_CHECKING, TypeAlias
 
 from dragrig.analysis import UNKNOWN, range_text, significant_text, value_with_error, with_minus_sign
@@ -119,6 +120,45 @@ def duration_text(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+_PACE_KNOWN_FROM = 0.1
+"""From this share on the time left is said."""
+_OVERDUE_S = 1.0
+_FEW_S, _MINUTE_S = 5.0, 59.5
+"""The end is loading, drawing and writing, which nobody can foretell to the second: then a bound is said."""
+
+
+class TimeLeft:
+    """How long a work still takes, at the pace of the latter half of its finished part.
+
+    The first half may have been loading and starting processes, or another kind of work.
+    """
+
+    def __init__(self) -> None:
+        self._course: list[tuple[float, float]] = [(0.0, 0.0)]
+        """Shares of the work and when they were done, rising."""
+        self._ends_s: float | None = None
+
+    def at(self, share: float, elapsed_s: float) -> None:
+        """Take note of how much is done after a time; before a tenth nobody knows the pace."""
+        if share > self._course[-1][0]:
+            self._course.append((share, elapsed_s))
+        self._ends_s = None
+        if _PACE_KNOWN_FROM <= share < 1.0:
+            half, half_s = self._course[max(0, bisect_right(self._course, (share / 2, inf)) - 1)]
+            self._ends_s = elapsed_s + (elapsed_s - half_s) / (share - half) * (1.0 - share)
+
+    def text(self, elapsed_s: float) -> str:
+        """Say how much time is left now; a step in progress may have taken longer than all was to take."""
+        if self._ends_s is None:
+            return ""
+        left_s = self._ends_s - elapsed_s
+        if left_s < -_OVERDUE_S:
+            return "takes longer than expected"
+        if left_s < _FEW_S:
+            return f"less than {_FEW_S:.0f} s left"
+        return f"{f'{left_s:.0f} s' if left_s < _MINUTE_S else duration_text(left_s)} left"
 
 
 def size_text(count: float) -> str:

@@ -6,16 +6,8 @@ from typing import Any, TypeVar
 
 from PySide6.QtCore import QObject, QRunnable, QThreadPool, QTimer, Signal
 
+from dragrig import engine_host
 from dragrig.config import DragrigError
-from dragrig.engine_host import (
-    HEARTBEAT_S,
-    SILENCE_LIMITS,
-    EngineClient,
-    HostLost,
-    Request,
-    RigSelection,
-    SilenceLimits,
-)
 
 ResultT = TypeVar("ResultT")
 
@@ -107,11 +99,14 @@ class EngineLink(QObject):
     """Live samples."""
 
     def __init__(
-        self, rig: RigSelection, parent: QObject | None = None, silence: SilenceLimits = SILENCE_LIMITS
+        self,
+        rig: engine_host.RigSelection,
+        parent: QObject | None = None,
+        silence: engine_host.SilenceLimits = engine_host.SILENCE_LIMITS,
     ) -> None:
         super().__init__(parent)
         self._rig, self._silence = rig, silence
-        self._client = EngineClient(rig, silence)
+        self._client = engine_host.EngineClient(rig, silence)
         self._heartbeat_at = 0.0
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._poll)
@@ -127,14 +122,14 @@ class EngineLink(QObject):
         """Whether the host is gone."""
         return self._client.lost
 
-    def ask(self, request: Request) -> None:
+    def ask(self, request: engine_host.Request) -> None:
         """Send a request."""
         self._client.ask(request)
 
     def restart(self) -> None:
         """Start another host in place of a lost one, or of one that does nothing now; it reads the settings anew."""
         self._client.close()
-        self._client = EngineClient(self._rig, self._silence)
+        self._client = engine_host.EngineClient(self._rig, self._silence)
 
     def close(self) -> None:
         """End the host, after stopping a running session."""
@@ -143,13 +138,13 @@ class EngineLink(QObject):
 
     def _poll(self) -> None:
         now = time.monotonic()
-        if now - self._heartbeat_at >= HEARTBEAT_S:
+        if now - self._heartbeat_at >= engine_host.HEARTBEAT_S:
             self._heartbeat_at = now
             self._client.beat()
         # Events first: a run's start comes before its samples.
         for event in self._client.events():
             self.event_received.emit(event)
-            if isinstance(event, HostLost):
+            if isinstance(event, engine_host.HostLost):
                 return
         fresh = self._client.live.read()
         if fresh is not None:

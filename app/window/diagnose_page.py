@@ -1,5 +1,6 @@
 """The page of campaigns: diagnosis (verdict, where the gap is, before and after, next runs), identification, report."""
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from PySide6.QtWidgets import QComboBox, QLineEdit, QProgressBar, QSizePolicy, Q
 
 from dragrig.analysis.gap import Diagnosis, RunTraces, plan_of_next_runs
 from dragrig.config import DragrigError, NumberRange
-from dragrig.present import BLUE, PALE, VERMILLION, next_text
+from dragrig.present import BLUE, PALE, VERMILLION, TimeLeft, next_text
 from dragrig.views import (
     CampaignWork,
     CompletedDiagnosis,
@@ -104,7 +105,7 @@ class DiagnosisResults(QWidget):
 
 
 _POLL_MS = 100
-_LEAST_DOCUMENT_PX = 200
+_LEAST_DOCUMENT_PX, _PROGRESS_PX = 200, 250
 _DOING = {
     CampaignWork.DIAGNOSE: "Diagnosing",
     CampaignWork.IDENTIFY: "Identifying",
@@ -135,6 +136,7 @@ class DiagnosePage(QWidget):
         self.setObjectName("page")
         self._stored, self._mirror = stored, mirror
         self._process: DiagnosisProcess | None = None
+        self._left, self._begun_s = TimeLeft(), 0.0
         self.campaign = named(QLineEdit(stored.text("campaign")), "Campaign to diagnose")
         self.campaign.setPlaceholderText("folder of run files")
         self.campaign.textChanged.connect(lambda _: self._show_state())
@@ -174,6 +176,7 @@ class DiagnosePage(QWidget):
         self.report_path: Path | None = None
         self.cancel = button("C&ancel", self.stop, help_="End the work; the runs are not changed")
         self.progress = named(QProgressBar(), "Progress of the diagnosis")
+        self.progress.setMinimumWidth(_PROGRESS_PX)
         self.state = ElidedLabel("Choose a campaign; it need not be complete.", "faint")
         self.results = DiagnosisResults()
         self.results.next_wanted.connect(self._want_next)
@@ -193,7 +196,7 @@ class DiagnosePage(QWidget):
         self.identification.setMinimumHeight(_LEAST_DOCUMENT_PX)
         doing = row(self.start, self.identify, self.report, self.cancel, self.state, self.progress, self.open_report,
                     stretch={4: 1})  # fmt: skip
-        choice = card(head, self.minutes.problem, doing)
+        choice = card(head, self.minutes.problem, doing, margin=4)
         choice.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
         self.setLayout(column(choice, self.results, self.identification, 0, margin=8, stretch={1: 1, 2: 1}))
         self.results.hide()
@@ -244,6 +247,7 @@ class DiagnosePage(QWidget):
         campaign = campaign or self.campaign.text().strip()
         nominal = self.nominal.currentText().strip()
         self._process = DiagnosisProcess(DiagnosisTask(campaign, nominal, work, minutes, self._mirror()))
+        self._left, self._begun_s = TimeLeft(), time.monotonic()
         self.progress.setRange(0, 0)
         self.state.setText(f"{_DOING[work]} {campaign} …")
         self._timer.start(_POLL_MS)
@@ -267,11 +271,15 @@ class DiagnosePage(QWidget):
     def _poll(self) -> None:
         if self._process is None:
             return
+        drawing = "drawing" if 0 < self.progress.maximum() == self.progress.value() else ""
+        left = self._left.text(time.monotonic() - self._begun_s) or drawing
+        self.progress.setFormat(f"%p %, {left}" if left else "%p %")
         for event in self._process.events():
             match event:
                 case DiagnosisProgress(done, total):
                     self.progress.setRange(0, max(total, 1))
                     self.progress.setValue(done)
+                    self._left.at(done / max(total, 1), time.monotonic() - self._begun_s)
                 case CompletedDiagnosis():
                     self.results.show_diagnosis(event)
                     self.results.show()

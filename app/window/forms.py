@@ -6,7 +6,7 @@ The number in a field of its own is, whatever the desktop's language, the text t
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
 
-from PySide6.QtCore import QSize, Signal
+from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import (
     QAbstractSpinBox,
@@ -21,12 +21,14 @@ from PySide6.QtWidgets import (
 
 from dragrig.config import NumberRange, SettingsError, number_text, read_number
 from dragrig.views import FieldKind, FieldPlace, Form, FormField
-from dragrig.window.widgets import bare_widget, column, label, named, set_role
+from dragrig.window.widgets import bare_widget, column, label, named, row, set_role
 
 DEFAULT_TEXT = "default"
 CHANGED_MARK = " ●"
 """Beside the name of a field that was changed."""
 _MIN_TEXT_PX = 240
+_SENTENCES = frozenset({"prompt", "note"})
+"""Keys of texts that are longer than a line."""
 FieldEditor = QLineEdit | QPlainTextEdit | QComboBox | QCheckBox
 
 
@@ -34,12 +36,18 @@ class FormEditor(QWidget):
     """Edits a form, one group of fields at a time; `changed` after every change by a person.
 
     What `mark` is told of a field is shown beside its name and below it.
+
+    Parameters
+    ----------
+    explains
+        Whether the meaning of each field stands beside it; otherwise only its tooltip has it.
     """
 
     changed = Signal()
 
-    def __init__(self) -> None:
+    def __init__(self, *, explains: bool = False) -> None:
         super().__init__()
+        self._explains = explains
         self.about = label("", "faint", wrap=True)
         self.editors: dict[str, FieldEditor] = {}
         self.captions: dict[str, QLabel] = {}
@@ -108,9 +116,12 @@ class FormEditor(QWidget):
         inner.setObjectName("bare")
         layout.setContentsMargins(0, 0, 8, 0)
         layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
-        for key, editor in self.editors.items():
-            layout.addRow(self.captions[key], editor)
-            layout.addRow(self.problems[key])
+        for field in group.fields:
+            about = [label(_field_help(field), "faint", wrap=True)] if self._explains else []
+            beside = row(self.editors[field.key], *about, stretch={0: 2, 1: 3})
+            beside.setAlignment(self.editors[field.key], Qt.AlignmentFlag.AlignTop)
+            layout.addRow(self.captions[field.key], beside)
+            layout.addRow(self.problems[field.key])
         inner.setLayout(layout)
         self._rows.replaceWidget(self._fields, inner)
         self._fields.hide()
@@ -137,9 +148,10 @@ class FormEditor(QWidget):
                 editor = QCheckBox("yes")
                 editor.setChecked(text == "yes")
                 editor.toggled.connect(lambda _: self.changed.emit())
-            case FieldKind.LIST:
+            case _ if field.kind is FieldKind.LIST or field.key in _SENTENCES:
                 editor = QPlainTextEdit(text)
-                editor.setFixedHeight(110)
+                editor.setPlaceholderText(field.empty)
+                editor.setFixedHeight(110 if field.kind is FieldKind.LIST else 62)
                 editor.setTabChangesFocus(True)
                 editor.textChanged.connect(self.changed.emit)
             case _:

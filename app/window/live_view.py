@@ -157,7 +157,7 @@ class RigReadings(QWidget):
         old = age_s is not None and age_s > STALE_S
         if old:
             self.readings["Speed"].setText(_NO_VALUE)
-        age = "" if age_s is None else f"{duration_text(age_s)} ago; " if old else "live; "
+        age = "" if age_s is None else f"{duration_text(age_s)} ago; " if old else "live: "
         self.about.setText(f"{age}{self._live_about}")
         for reading in self.readings.values():
             set_role(reading, "old reading" if old else "reading")

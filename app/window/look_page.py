@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
     QHeaderView,
     QLineEdit,
     QMenu,
-    QSplitter,
     QToolButton,
     QTreeWidget,
     QTreeWidgetItem,
@@ -56,12 +55,14 @@ from dragrig.window.widgets import (
     column,
     current_item,
     fill_table,
+    fit_height,
     flow,
     label,
     named,
     parent_of,
     row,
     scrolling,
+    split,
     table,
     tabs_of,
     themed,
@@ -71,6 +72,7 @@ from dragrig.window.widgets import (
 RECORDING, UNREADABLE = "–  a recording", "–  unreadable"
 """Names of files that are no runs that can be read."""
 _RUN_ROLE = int(Qt.ItemDataRole.UserRole)
+_BROWSER_PX = 405
 _FOLLOW_DELAY_MS = 500
 """A file is finished in several steps; the list is read again once they are over."""
 
@@ -126,11 +128,12 @@ class RunBrowser(QWidget):
             self.words_to_find,
             self.tree,
             self.words,
-            row(self.bad, self.good, self.note, self.recover, 1),
+            flow(self.bad, self.good, self.note, self.recover),
             self.settings,
             stretch={2: 3, 5: 2},
         )
         self.setLayout(layout)
+        self.setMinimumWidth(_BROWSER_PX)
         self._show_what_can_be_done([])
 
     @property
@@ -340,7 +343,7 @@ MAX_OVERLAID = 7
 AXES = ("time", "position", "speed")
 """What traces can be drawn against."""
 _PAN_SHARE = 0.2
-_CURSOR_STEPS = 200
+_CURSOR_STEPS, _CURSOR_ROW_PX = 200, 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,8 +380,6 @@ class TraceOverlay(QWidget):
         self.cursors = QCheckBox("&Cursors")
         self.cursors.toggled.connect(lambda shown: self._show_cursors(shown=shown))
         self.values = named(table(("Run", "At A", "At B", "B − A")), "Values at the cursors")
-        self.values.setMinimumHeight(72)
-        self.values.setMaximumHeight(170)
         self.values.hide()
         self.prepared = PreparedTraces(self)
         self.prepared.ready.connect(self._draw_prepared)
@@ -391,12 +392,13 @@ class TraceOverlay(QWidget):
             row(label("Filter window"), self.window_ms, self.window_ms.unit, label("order"), self.order)
         )
         shown = bare_widget(row(label("Channel"), self.channel, label("against"), self.axis))
-        controls = flow(shown, self.raw, filter_, self.cursors, self.fit)
-        for panel, height_px in ((self.channel_plot, 190), (self.speed_plot, 100)):
+        controls = flow(shown, self.raw, self.cursors, filter_, self.fit)
+        for panel, height_px in ((self.channel_plot, 150), (self.speed_plot, 100)):
             panel.widget.setMinimumHeight(height_px)
-        plots = column(self.channel_plot.widget, self.speed_plot.widget, self.values, stretch={0: 6, 1: 4, 2: 4})
+        plots = column(self.channel_plot.widget, self.speed_plot.widget, stretch={0: 6, 1: 4})
         problems = self.window_ms.problem, self.order.problem
-        self.setLayout(column(controls, *problems, scrolling(plots), margin=8, stretch={3: 1}))
+        # What the cursors say stays in view: where there is little room, it is the lower plot that is scrolled to.
+        self.setLayout(column(controls, *problems, scrolling(plots), self.values, margin=8, stretch={3: 1}))
         self._add_shortcuts()
 
     def show_traces(self, traces: Sequence[ShownTrace]) -> None:
@@ -555,6 +557,7 @@ class TraceOverlay(QWidget):
                 title = f"{trace.label}: {name} ({trace.units.get(name, '')})"
                 rows.append((title, _cursor_text(a), _cursor_text(b), _cursor_text(b - a)))
         fill_table(self.values, rows)
+        fit_height(self.values, len(rows), _CURSOR_ROW_PX)
 
 
 def _cursor_text(value: float) -> str:
@@ -626,14 +629,9 @@ class LookPage(QWidget):
         self._traces = FileWorker(self._refused, self)
         self._table = FileWorker(self._refused, self)
         self.exporting = FileWorker(self._refused, self)
-        splitter = QSplitter(Qt.Orientation.Horizontal)
-        splitter.addWidget(card(self.browser))
-        right = QWidget()
-        right.setLayout(column(row(self.state, 1, self.export), self.tabs))
-        splitter.addWidget(right)
-        splitter.setSizes([450, 800])
-        splitter.setStretchFactor(1, 1)
-        self.setLayout(column(splitter, margin=8))
+        self.export.setMaximumHeight(34)  # of the bar of tabs
+        self.tabs.setCornerWidget(bare_widget(row(self.state, self.export)))
+        self.setLayout(column(split(card(self.browser), self.tabs, (400, 600), stored, "look"), margin=8))
         self.browser.chosen.connect(self._show_selected)
         self.browser.complained.connect(self.complained.emit)
         self.overlay.prepared.refused.connect(self._refused)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from PySide6.QtCore import QEvent, QObject, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QSize, Qt, QTimer
 from PySide6.QtGui import QCloseEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import (
     QAbstractSpinBox,
@@ -22,28 +22,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from dragrig import engine_host
 from dragrig.config import DragrigError
 from dragrig.end_signals import rig_open
-from dragrig.engine_host import (
-    SILENCE_LIMITS,
-    Answer,
-    CalibrationMeasured,
-    CalibrationStored,
-    Event,
-    GuardState,
-    HostLost,
-    HostReady,
-    PromptReply,
-    PromptShown,
-    Request,
-    RequestRefused,
-    ResetGuard,
-    RigSelection,
-    SessionFinished,
-    SilenceLimits,
-    StageHomes,
-    StageMoved,
-)
+from dragrig.engine_host import Answer
 from dragrig.views import FurtherRuns, PlanForm, describe_rig
 from dragrig.window.background import EngineLink
 from dragrig.window.diagnose_page import DiagnosePage
@@ -109,7 +91,8 @@ class GuiThreadCollector(QObject):
                 return
 
 
-_MAX_COMPLAINTS = 4
+_MAX_COMPLAINTS, _PASSING_MS = 4, 30_000
+NOT_ARMED = "Nothing can move yet. Check: path clear, hands out, e-stop in reach. Then press Reset the guard."
 _NOTICE_PX = 6
 """Around what a notice says: it takes its room from the page."""
 
@@ -129,7 +112,7 @@ class NoticeBar(QWidget):
     ) -> None:
         super().__init__()
         self._answer = answer
-        self._prompt: PromptShown | None = None
+        self._prompt: engine_host.PromptShown | None = None
         self._complaints: dict[str, tuple[str, str]] = {}
         self.trip_text = MessageText(most_lines=2)
         self.trip = card(self.trip_text, role="trip", margin=_NOTICE_PX)
@@ -159,6 +142,8 @@ class NoticeBar(QWidget):
         )
         self.homing_text = MessageText("prompt")
         self.homing = card(self.homing_text, role="notice", margin=_NOTICE_PX)
+        self.passing = QTimer(self, singleShot=True)
+        self.passing.timeout.connect(partial(self.settle, Topic.PASSING))
         self.complaint_text = MessageText(most_lines=2)
         self.dismiss = button("D&ismiss", self._dismiss, help_="Hide this message")
         self.complaint = card(row(self.complaint_text, self.dismiss, stretch={0: 1}), role="notice", margin=_NOTICE_PX)
@@ -169,15 +154,18 @@ class NoticeBar(QWidget):
         for frame in notices:
             frame.hide()
 
-    def show_trip(self, reason: str) -> None:
-        """Show why the guard is tripped; hide when it is armed."""
-        self.trip_text.setText(f"GUARD TRIPPED: {reason.rstrip('.')}. Nothing moves until the guard is reset.")
-        self.trip.setVisible(bool(reason))
+    def show_guard(self, guard: engine_host.GuardState) -> None:
+        """Show why nothing may move, as an alarm only where something tripped the guard; hide when it is armed."""
+        tripped = f"GUARD TRIPPED: {guard.reason.rstrip('.')}. Nothing moves until the guard is reset."
+        self.trip_text.setText(tripped if guard.tripped else NOT_ARMED)
+        set_role(self.trip, "trip" if guard.tripped else "calm")
+        self.trip.setVisible(bool(guard.reason))
 
-    def ask(self, prompt: PromptShown) -> None:
+    def ask(self, prompt: engine_host.PromptShown) -> None:
         """Show a prompt."""
         self._prompt = prompt
         self.prompt_text.setText(f"{prompt.text}.")
+        self.answers[Answer.DONE].setText("&Done" if prompt.hands else "Continue (&D)")
         self.hands.setVisible(prompt.hands)
         self.answers[Answer.REDO].setVisible(prompt.can_redo)
         self.answers[Answer.SKIP].setVisible(prompt.can_skip)
@@ -203,6 +191,8 @@ class NoticeBar(QWidget):
         """Show an error, with the time, below those already shown, the last four at most."""
         self._complaints.pop(sentence, None)
         self._complaints[sentence] = (time.strftime("%H:%M:%S"), topic)
+        if topic == Topic.PASSING:
+            self.passing.start(_PASSING_MS)
         for oldest in list(self._complaints)[:-_MAX_COMPLAINTS]:
             del self._complaints[oldest]
         self._show_complaints()
@@ -267,10 +257,10 @@ class MainWindow(QMainWindow):
 
     def __init__(
         self,
-        rig: RigSelection,
+        rig: engine_host.RigSelection,
         lab: Path | None = None,
         stored: StoredSettings | None = None,
-        silence: SilenceLimits = SILENCE_LIMITS,
+        silence: engine_host.SilenceLimits = engine_host.SILENCE_LIMITS,
     ) -> None:
         super().__init__()
         self._collector = GuiThreadCollector(self)
@@ -342,34 +332,35 @@ class MainWindow(QMainWindow):
         chosen.setChecked(True)
         chosen.setFocus()
 
-    def take(self, event: Event) -> None:
+    def take(self, event: engine_host.Event) -> None:
         """Handle an event of the engine."""
         match event:
-            case HostReady():
+            case engine_host.HostReady():
                 self.notices.lost.hide()
                 self.run.devices.check()
-            case GuardState(reason):
+            case engine_host.GuardState(reason, tripped):
                 self.notices.hide_prompt()
-                self.notices.show_trip(reason)
+                self.notices.show_guard(event)
                 self.reset.setEnabled(bool(reason))
-                self.guard.setText("guard: TRIPPED" if reason else "guard: armed")
-                set_role(self.guard, "wrong" if reason else "fine")
+                state, role = ("TRIPPED", "wrong") if tripped else ("NOT ARMED", "changed")
+                self.guard.setText(f"guard: {state if reason else 'armed'}")
+                set_role(self.guard, role if reason else "fine")
                 if not reason:
                     self.notices.settle(Topic.GUARD)
-            case StageHomes(sentence):
+            case engine_host.StageHomes(sentence):
                 self.notices.show_homing(sentence)
-            case PromptShown():
+            case engine_host.PromptShown():
                 self.notices.ask(event)
                 QApplication.alert(self)
-            case SessionFinished() | StageMoved() | CalibrationMeasured():
+            case engine_host.SessionFinished() | engine_host.StageMoved() | engine_host.CalibrationMeasured():
                 self.notices.hide_prompt()
                 self.notices.show_homing("")
                 self.notices.settle(Topic.CLOSING)
-            case RequestRefused(sentence):
+            case engine_host.RequestRefused(sentence):
                 self.notices.hide_prompt()
                 self.notices.complain(sentence, Topic.GUARD)
                 self.reset.setEnabled(True)
-            case HostLost(exit_code):
+            case engine_host.HostLost(exit_code):
                 self.reset.setEnabled(False)
                 self.guard.setText("guard: no engine")
                 set_role(self.guard, "wrong")
@@ -455,36 +446,36 @@ class MainWindow(QMainWindow):
 
     def _reset(self) -> None:
         self.reset.setEnabled(False)
-        self.engine.ask(ResetGuard())
+        self.engine.ask(engine_host.ResetGuard())
 
     def _reply(self, question: int, answer: Answer) -> None:
         self.run.answered = question
         self.run.live.readings.end_motion("preparing")
-        self.engine.ask(PromptReply(question, answer))
+        self.engine.ask(engine_host.PromptReply(question, answer))
 
     def _restart(self) -> None:
         self.notices.lost.hide()
         self.engine.restart()
-        # Until the new engine says so itself, and it starts tripped.
-        starting = GuardState("the engine is starting")
+        # Until the new engine says so itself.
+        starting = engine_host.GuardState("the engine is starting", tripped=False)
         self.take(starting)
         self.run.await_engine(starting.reason)
 
-    def _calibrate(self, request: Request) -> None:
+    def _calibrate(self, request: engine_host.Request) -> None:
         self.notices.settle(Topic.HAND)
         self.run.set_calibrating(calibrating=self.rig.calibrate.busy)
         self.engine.ask(request)
 
-    def _follow_calibration(self, event: Event) -> None:
+    def _follow_calibration(self, event: engine_host.Event) -> None:
         calibrate = self.rig.calibrate
         match event:
-            case CalibrationMeasured(_, _, problem):
+            case engine_host.CalibrationMeasured(_, _, problem):
                 calibrate.show_result(event)
                 if problem:
                     self.notices.complain(problem, Topic.HAND)
-            case CalibrationStored():
+            case engine_host.CalibrationStored():
                 calibrate.show_stored(event)
-            case HostLost():
+            case engine_host.HostLost():
                 calibrate.end("The engine has ended; nothing is stored.")
             case _:
                 return
@@ -557,8 +548,12 @@ class MainWindow(QMainWindow):
     def _restore(self) -> None:
         shape = self._stored.shape("geometry")
         if shape is None or not self.restoreGeometry(shape):
-            room = self.screen().availableGeometry()
-            self.resize(min(1440, room.width()), min(960, room.height()))
+            room = self.screen().availableGeometry().size()
+            usual = QSize(1440, 960)
+            self.resize(usual.boundedTo(room))
+            if usual.boundedTo(room) != usual:
+                # Only the desktop knows how high its title bar is.
+                self.setWindowState(Qt.WindowState.WindowMaximized)
         index = round(self._stored.number("page", 0))
         self.go_to(self.pages.widget(index) if 0 <= index < self.pages.count() else self.run)
 
@@ -572,7 +567,7 @@ def qt_application() -> QApplication:
     return application
 
 
-def show_window(rig: RigSelection, lab: Path | None) -> int:
+def show_window(rig: engine_host.RigSelection, lab: Path | None) -> int:
     """Show the window until it is closed; return the exit code.
 
     Raises `SettingsError` when the rig's settings cannot be used.

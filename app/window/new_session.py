@@ -5,8 +5,9 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from PySide6.QtCore import QSignalBlocker, QTimer, Signal
-from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QLineEdit, QWidget
+from PySide6.QtCore import QFileSystemWatcher, QSignalBlocker, QTimer, Signal
+from PySide6.QtGui import QStandardItem, QStandardItemModel
+from PySide6.QtWidgets import QCheckBox, QComboBox, QFormLayout, QHeaderView, QLineEdit, QTreeView, QWidget
 
 from dragrig.config import DragrigError, OutputError, Plan, to_toml
 from dragrig.engine_host import Pace, RigSelection, SessionJob
@@ -71,6 +72,26 @@ class PlanEditor(FormEditor):
         super().edit(form, values, group)
 
 
+class PlanChoice(QComboBox):
+    """The plans by name; the list that opens has their descriptions too."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._items = QStandardItemModel(0, 2, self)
+        self.setModel(self._items)
+        view = QTreeView()
+        view.setRootIsDecorated(False)
+        view.setHeaderHidden(True)
+        view.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        view.setMinimumWidth(_PLANS_PX)
+        self.setView(view)
+
+    def describe(self, at: int, about: str) -> None:
+        """Set the description of a plan."""
+        self._items.setItem(at, 1, QStandardItem(about))
+
+
+_PLANS_PX = 760
 _PREVIEW_HEADER = (
     "Run",
     "Protocol",
@@ -95,7 +116,7 @@ class PlanPreview(QWidget):
         super().__init__()
         self.summary = ElidedLabel("", "title")
         self.findings = MessageText()
-        self.conditions = MessageText(most_lines=2)
+        self.conditions = MessageText(most_lines=4)
         self.runs = named(table(_PREVIEW_HEADER), "Runs of the plan")
         self.runs.setMinimumHeight(_MIN_RUNS_PX)
         self.runs.currentCellChanged.connect(lambda index, *_: self._draw(index))
@@ -182,7 +203,7 @@ class PlanPreview(QWidget):
             self.speed.fit()
 
 
-_EDIT_DELAY_MS = 250
+_EDIT_DELAY_MS, _FOLLOW_DELAY_MS = 250, 500
 _NOT_IN_A_NAME = re.compile(r"[^\w.-]+")
 """What a file's name may have and the name of a plan may not, which folders and files of its runs are named after."""
 _MAX_UNDO = 100
@@ -301,14 +322,19 @@ class NewSession(QWidget):
         self._edited: dict[str, list[dict[str, str]]] = {}
         self._history: list[tuple[str, list[dict[str, str]]]] = []
         self.session: SessionPreview | None = None
-        self.plans = named(QComboBox(), "Plan")
-        for name in known_plans(None if lab is None else lab.absolute()):
-            self.plans.addItem(Path(name).stem if name.endswith(".toml") else name, name)
+        self.plans = named(PlanChoice(), "Plan")
+        self._lab = None if lab is None else lab.absolute()
+        self._plans_changed = QFileSystemWatcher(self)
+        self._plans_changed.directoryChanged.connect(
+            # A file is there before its content is.
+            lambda _: QTimer.singleShot(_FOLLOW_DELAY_MS, self, self._list_plans)
+        )
+        self._list_plans()
         self.open = button("&Open …", self._choose_file, help_="Open a plan file")
         self.save = button(
             "Save …", self._choose_new_file, help_="Write the plan, as it is edited, to a file", keys="Ctrl+S"
         )
-        self._plan_folder = "" if lab is None else str(lab.absolute() / "plans")
+        self._plan_folder = "" if self._lab is None else str(self._lab / "plans")
         self.editor = PlanEditor()
         self.changes = MessageText(most_lines=2)
         self.problem = MessageText("wrong", most_lines=2)
@@ -371,6 +397,21 @@ class NewSession(QWidget):
                 self.plans.addItem(Path(last).stem, last)
             self.plans.setCurrentIndex(max(self.plans.findData(last), 0))
         self._load(str(self.plans.currentData()))
+
+    def _list_plans(self) -> None:
+        """List the plans that there are now; the chosen one stays, and each that is nowhere in the lab."""
+        folders = () if self._lab is None else (self._lab, self._lab / "plans")
+        self._plans_changed.addPaths([str(folder) for folder in folders if folder.is_dir()])
+        known = known_plans(self._lab)
+        with QSignalBlocker(self.plans):
+            for at in reversed(range(self.plans.count())):
+                source = self.plans.itemData(at)
+                if Path(source).parent in folders and source not in known and source != self.plans.currentData():
+                    self.plans.removeItem(at)
+            for at, (source, about) in enumerate(known.items()):
+                if self.plans.findData(source) < 0:
+                    self.plans.insertItem(at, Path(source).stem if source.endswith(".toml") else source, source)
+                self.plans.describe(self.plans.findData(source), about)
 
     def offer(self, name: str, plan: PlanForm) -> None:
         """Show a plan from another page; it stays selectable as long as the window is open."""

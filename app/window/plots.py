@@ -2,17 +2,20 @@
 
 import html
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 import pyqtgraph
-from PySide6.QtCore import QEvent, QObject, Qt, Signal
-from PySide6.QtWidgets import QWidget
+from pyqtgraph.exporters import SVGExporter
+from PySide6.QtCore import QEvent, QObject, QPoint, QRectF, QSize, Qt, Signal
+from PySide6.QtGui import QImage, QPainter
+from PySide6.QtWidgets import QMenu, QToolTip, QWidget
 
 from dragrig.analysis import printable
 from dragrig.present import BLACK, GREY, GRID, PAPER
 from dragrig.window.trace_pyramid import TracePath, TracePyramid
-from dragrig.window.widgets import SMALL_PX, themed
+from dragrig.window.widgets import SMALL_PX, ask_where, png_of, require_ending, save_picture, themed
 
 PlotValues = npt.NDArray[np.floating]
 _MIN_COLUMNS = 200
@@ -71,6 +74,9 @@ class TimePlot:
         self.set_quantity(quantity, unit)
         item.getViewBox().sigResized.connect(lambda _: self._fit_texts())
         self.lines: list[PlotLine] = []
+        self._together = [self]
+        """The plots of the same times, from above."""
+        self._plot.scene().sigMouseClicked.connect(self._offer_picture)
         watch = _StyleWatch(self._plot)
         watch.changed.connect(self._colour)
         self._plot.installEventFilter(watch)
@@ -227,6 +233,43 @@ class TimePlot:
     def follow(self, leader: "TimePlot") -> None:
         """Show the same times as another plot."""
         self._item.setXLink(leader._item)  # noqa: SLF001  # another object of this class
+        self._together = leader._together  # noqa: SLF001
+        self._together.insert(len(self._together) - 1, self)
+
+    def _offer_picture(self, click: "pyqtgraph.GraphicsScene.mouseEvents.MouseClickEvent") -> None:
+        """Offer to save the picture at a click of the right button, which zooms where it is dragged."""
+        if click.button() is not Qt.MouseButton.RightButton:
+            return
+        click.accept()
+        menu = QMenu(self._plot)
+        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        for ending in _PICTURES:
+            ask = partial(ask_where, self._plot, self._quantity, ending, self._save)
+            menu.addAction(f"Save the picture as {ending.upper()} …", ask)
+        menu.popup(click.screenPos().toPoint())
+
+    def _save(self, path: str) -> None:
+        QToolTip.showText(self._plot.mapToGlobal(QPoint()), save_picture(path, self.picture), self._plot)
+
+    def picture(self, ending: str) -> bytes:
+        """Return this plot and those of the same times, as they are on the screen, as a file of this ending.
+
+        Raises `OutputError` for an ending that is neither svg nor png.
+        """
+        require_ending(ending, _PICTURES)
+        shown = [plot._plot for plot in self._together if plot.widget.isVisible()]  # noqa: SLF001
+        tops = [sum(above.height() for above in shown[:at]) for at in range(len(shown))]
+        size = QSize(max(plot.width() for plot in shown), sum(plot.height() for plot in shown))
+        if ending == "svg":
+            parts = "".join(_svg_part(plot, top) for plot, top in zip(shown, tops, strict=True))
+            return f'<svg xmlns="{_SVG}" viewBox="0 0 {size.width()} {size.height()}">{parts}</svg>'.encode()
+        picture = QImage(size * _PNG_SCALE, QImage.Format.Format_RGB32)
+        picture.setDevicePixelRatio(_PNG_SCALE)
+        painter = QPainter(picture)
+        for plot, top in zip(shown, tops, strict=True):
+            plot.render(painter, QRectF(plot.rect().translated(0, top)), plot.rect())
+        painter.end()
+        return png_of(picture)
 
     def hide_times(self) -> None:
         """Hide the time axis; a plot below shows it."""
@@ -285,6 +328,20 @@ class TimePlot:
         self._item.getAxis("bottom").setStyle(showValues=not empty and self._times_shown)
         for line in self._level_lines():
             line.setVisible(not empty)
+
+
+_PICTURES = ("png", "svg")
+_PNG_SCALE = 4
+"""Dots of a saved picture per dot of the screen: about those of print."""
+_SVG = "http://www.w3.org/2000/svg"
+
+
+def _svg_part(plot: "pyqtgraph.PlotWidget", top: int) -> str:
+    """Return a plot as a part of an SVG document, so far below its top."""
+    whole: str = SVGExporter(plot.getPlotItem()).export(toBytes=True).decode().partition("?>")[2]
+    place = f'<svg y="{top}" width="{plot.width()}" height="{plot.height()}" '
+    # Its names are those of every other part.
+    return whole.replace("<svg ", place, 1).replace("ViewBox_1", f"ViewBox_1_{top}")
 
 
 class PlotLine:

@@ -2,20 +2,11 @@
 
 from collections.abc import Callable, Mapping
 
-from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtWidgets import QComboBox, QListWidget, QSplitter, QWidget
+from PySide6.QtCore import QSignalBlocker, Signal
+from PySide6.QtWidgets import QComboBox, QListWidget, QWidget
 
+from dragrig import engine_host
 from dragrig.config import ANY_NUMBER, Calibration, DragrigError, NumberRange, SettingsError
-from dragrig.engine_host import (
-    CalibrateEncoder,
-    CalibrateForce,
-    CalibrationJob,
-    CalibrationMeasured,
-    CalibrationStored,
-    Request,
-    RigSelection,
-    StoreCalibration,
-)
 from dragrig.settings_form import RigSettingsForm, rig_settings_form
 from dragrig.views import (
     FieldKind,
@@ -53,7 +44,7 @@ class SettingsView(QWidget):
     saved = Signal(str)
     """What of it applies only later; empty for nothing."""
 
-    def __init__(self, rig: RigSelection) -> None:
+    def __init__(self, rig: engine_host.RigSelection) -> None:
         super().__init__()
         self._rig = rig
         self._form: RigSettingsForm | None = None
@@ -61,7 +52,7 @@ class SettingsView(QWidget):
         self.groups.setMaximumWidth(_GROUPS_PX)
         self.groups.currentRowChanged.connect(self._show_group)
         self.heading = label("", "title")
-        self.editor = FormEditor()
+        self.editor = FormEditor(explains=True)
         self.editor.changed.connect(self._show_state)
         self.state = MessageText(most_lines=2)
         self.problem = MessageText("wrong", most_lines=2)
@@ -219,7 +210,9 @@ class CalibrateView(QWidget):
     finished = Signal(str)
     """What came of it, for the log."""
 
-    def __init__(self, ask: Callable[[Request], None], stop: Callable[[], None], operator: Callable[[], str]) -> None:
+    def __init__(
+        self, ask: Callable[[engine_host.Request], None], stop: Callable[[], None], operator: Callable[[], str]
+    ) -> None:
         super().__init__()
         self._ask, self._operator = ask, operator
         self.busy = False
@@ -244,13 +237,7 @@ class CalibrateView(QWidget):
         left = card(column(self.sensor, fields, row(1, self.cancel, self.start), stretch={1: 1}))
         self.deciding = bare_widget(row(1, self.discard, self.store))
         right = bare_widget(column(self.state, self.record, self.deciding, 0, margin=8, stretch={1: 1, 3: 1}))
-        splitter = QSplitter(Qt.Orientation.Horizontal)
-        splitter.addWidget(left)
-        splitter.addWidget(right)
-        splitter.setSizes([340, 660])
-        splitter.setStretchFactor(1, 1)
-        splitter.setChildrenCollapsible(False)
-        self.setLayout(column(splitter))
+        self.setLayout(row(left, right, stretch={0: 1, 1: 2}))
         self._say("The result is shown before it is stored.")
         self._discard_record()
         self._show_state()
@@ -268,7 +255,7 @@ class CalibrateView(QWidget):
             self._say(f"A calibration is stored in the lab. {NO_LAB}")
         self._show_state()
 
-    def show_result(self, result: CalibrationMeasured) -> None:
+    def show_result(self, result: engine_host.CalibrationMeasured) -> None:
         """Show what was measured, to be stored or not; or why nothing was."""
         self.busy, self._entry = False, result.entry
         if result.record is None:
@@ -286,7 +273,7 @@ class CalibrateView(QWidget):
             self.finished.emit(f"Calibration measured: {result.record.title}.")
         self._show_state()
 
-    def show_stored(self, stored: CalibrationStored) -> None:
+    def show_stored(self, stored: engine_host.CalibrationStored) -> None:
         """Show that the result is stored, or why not."""
         entry = self._entry
         if stored.problem or entry is None:
@@ -340,7 +327,7 @@ class CalibrateView(QWidget):
         self._show_state()
         self._ask(job)
 
-    def _job(self) -> CalibrationJob:
+    def _job(self) -> engine_host.CalibrationJob:
         group = self._form.groups[self.editor.shown]
         texts = self.editor.values()[self.editor.shown]
         fields = {field.key: field for field in group.fields}
@@ -357,8 +344,8 @@ class CalibrateView(QWidget):
         terms = {"operator": self._operator(), "note": texts["note"].strip()}
         repeats, seconds = int(number("repeats")), number("seconds")
         if group.name == _FORCE.name:
-            return CalibrateForce(numbers("weights"), repeats, seconds, **terms)
-        return CalibrateEncoder(
+            return engine_host.CalibrateForce(numbers("weights"), repeats, seconds, **terms)
+        return engine_host.CalibrateEncoder(
             number("travel_mm"),
             numbers("measured_mm"),
             repeats,
@@ -370,7 +357,7 @@ class CalibrateView(QWidget):
 
     def _store(self) -> None:
         if self._entry is not None:
-            self._ask(StoreCalibration(self._entry))
+            self._ask(engine_host.StoreCalibration(self._entry))
 
     def _discard(self) -> None:
         self._discard_record()
@@ -398,7 +385,11 @@ class RigPage(QWidget):
     """
 
     def __init__(
-        self, rig: RigSelection, ask: Callable[[Request], None], stop: Callable[[], None], operator: Callable[[], str]
+        self,
+        rig: engine_host.RigSelection,
+        ask: Callable[[engine_host.Request], None],
+        stop: Callable[[], None],
+        operator: Callable[[], str],
     ) -> None:
         super().__init__()
         self.setObjectName("page")

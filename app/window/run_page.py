@@ -15,46 +15,13 @@ from PySide6.QtWidgets import (
     QPlainTextEdit,
     QProgressBar,
     QPushButton,
-    QSplitter,
     QTreeWidget,
     QTreeWidgetItem,
     QWidget,
 )
 
+from dragrig import engine_host
 from dragrig.config import DragrigError, NumberRange, Plan
-from dragrig.engine_host import (
-    MAX_OVERRIDE_SPEED_MM_S,
-    AbortSession,
-    Event,
-    ExamineRig,
-    GuardState,
-    HandMotion,
-    HomeStage,
-    HostLost,
-    HostReady,
-    JogStage,
-    LiveSamples,
-    OperatorWarning,
-    PauseSession,
-    PromptShown,
-    QueuedRun,
-    RigExamined,
-    RigIdle,
-    RigSelection,
-    RunFinished,
-    RunStarted,
-    RunStatus,
-    SentinelCompared,
-    SessionFinished,
-    SessionJob,
-    SessionStarted,
-    SessionWaiting,
-    StageHomes,
-    StageMoved,
-    TouchOffStage,
-    TravelEnd,
-    WatchRig,
-)
 from dragrig.present import duration_text
 from dragrig.views import RIG_LIMIT, FurtherRuns, PlanForm, RigDescription, SessionPreview, last_heard
 from dragrig.window.background import EngineLink
@@ -79,6 +46,7 @@ from dragrig.window.widgets import (
     row,
     scrolling,
     set_role,
+    split,
     table,
     tabs_of,
     top_items,
@@ -108,7 +76,7 @@ class DevicesView(QWidget):
         self._request_check()
         self._show_state()
 
-    def show_result(self, result: RigExamined) -> None:
+    def show_result(self, result: engine_host.RigExamined) -> None:
         """Show the result of a check."""
         self._checking = False
         fill_table(
@@ -137,7 +105,11 @@ class DevicesView(QWidget):
             self.status.setText("Checking every device …" if self._checking else self._result_text)
 
 
-_OVERRIDES: Mapping[str, TravelEnd | None] = {"none": None, "low": TravelEnd.LOW, "high": TravelEnd.HIGH}
+_OVERRIDES: Mapping[str, engine_host.TravelEnd | None] = {
+    "none": None,
+    "low": engine_host.TravelEnd.LOW,
+    "high": engine_host.TravelEnd.HIGH,
+}
 _JOG_MM, _JOG_MM_S = 5.0, 10.0
 _TOUCH_MM, _TOUCH_MN, _TOUCH_MM_S = 20.0, 20.0, 1.0
 
@@ -145,7 +117,7 @@ _TOUCH_MM, _TOUCH_MN, _TOUCH_MM_S = 20.0, 20.0, 1.0
 class HandView(QWidget):
     """Motion by hand: home, jog, touch-off; each is announced and asked for first, guarded, and not recorded."""
 
-    def __init__(self, move: Callable[[HandMotion], None], operator: Callable[[], str]) -> None:
+    def __init__(self, move: Callable[[engine_host.HandMotion], None], operator: Callable[[], str]) -> None:
         super().__init__()
         self._request_move, self._operator = move, operator
         self.busy = False
@@ -171,7 +143,9 @@ class HandView(QWidget):
         self.override.currentIndexChanged.connect(lambda _: self._choose_override())
         self._usual_mm_s: float | None = None
         """Speed before a limit switch was overridden."""
-        self.home = button("Ho&me", lambda: self._move(HomeStage(self._side)), help_="Find the stage's origin")
+        self.home = button(
+            "Ho&me", lambda: self._move(engine_host.HomeStage(self._side)), help_="Find the stage's origin"
+        )
         self.jog = button("&Jog", self._jog, help_="Move the stage by the distance")
         self.touch = button("Touc&h off", self._touch, help_="Approach until the force changes; plans can start there")
         self.state = MessageText()
@@ -179,7 +153,7 @@ class HandView(QWidget):
         jog = flow(self.jog, _titled("by", self.distance), _titled("at", self.speed))
         touch = flow(self.touch, _titled("within", self.most), _titled("until", self.force),
                      _titled("at", self.approach), _titled("then back by", self.back))  # fmt: skip
-        off_switch = row(label("Pressed limit switch that home or jog may leave"), self.override, 1)
+        off_switch = row(label("Allow moving off a pressed limit switch:"), self.override, 1)
         jogging = card(jog, *(field.problem for field in self._jogged_by))
         touching = card(touch, *(field.problem for field in self._touched_by))
         motions = column(self.state, card(row(self.home, 1)), jogging, off_switch, touching, 1, margin=8)
@@ -210,7 +184,7 @@ class HandView(QWidget):
         self._show_state()
 
     @property
-    def _side(self) -> TravelEnd | None:
+    def _side(self) -> engine_host.TravelEnd | None:
         return _OVERRIDES[self.override.currentText()]
 
     def _show_state(self) -> None:
@@ -227,27 +201,27 @@ class HandView(QWidget):
             usual_mm_s, self._usual_mm_s = self._usual_mm_s, None
             self._limit_speed()
             self.speed.put(usual_mm_s)
-        elif self._side is not None and (self.speed.value() or 0.0) > MAX_OVERRIDE_SPEED_MM_S:
+        elif self._side is not None and (self.speed.value() or 0.0) > engine_host.MAX_OVERRIDE_SPEED_MM_S:
             self._usual_mm_s = self.speed.value()
-            self.speed.put(MAX_OVERRIDE_SPEED_MM_S)
+            self.speed.put(engine_host.MAX_OVERRIDE_SPEED_MM_S)
         self._limit_speed()
         self._show_state()
 
     def _limit_speed(self) -> None:
-        most = math.inf if self._side is None else MAX_OVERRIDE_SPEED_MM_S
+        most = math.inf if self._side is None else engine_host.MAX_OVERRIDE_SPEED_MM_S
         self.speed.set_range(self._speed_range.within(0.0, most, "the most off a limit switch"))
 
     def _jog(self) -> None:
         match _numbers(self._jogged_by):
             case (float(distance_mm), float(speed_mm_s)):
-                self._move(JogStage(distance_mm, speed_mm_s, self._side))
+                self._move(engine_host.JogStage(distance_mm, speed_mm_s, self._side))
 
     def _touch(self) -> None:
         match _numbers(self._touched_by):
             case (float(most_mm), float(force_mN), float(speed_mm_s), float(back_mm)):
-                self._move(TouchOffStage(most_mm, force_mN, speed_mm_s, back_mm, self._operator()))
+                self._move(engine_host.TouchOffStage(most_mm, force_mN, speed_mm_s, back_mm, self._operator()))
 
-    def _move(self, motion: HandMotion) -> None:
+    def _move(self, motion: engine_host.HandMotion) -> None:
         self.busy = True
         self.state.setText("The motion is being prepared …")
         self._show_state()
@@ -275,7 +249,7 @@ class QueueView(QWidget):
 
     chosen_folder = Signal(str)
     """Folder of a finished session whose runs are to be shown."""
-    chosen_job = Signal(SessionJob)
+    chosen_job = Signal(engine_host.SessionJob)
     """Session that is to be shown in the form."""
     gone_on_with = Signal(QueuedSession)
     """Session whose missing runs are to be made."""
@@ -455,13 +429,13 @@ def _embolden(item: QTreeWidgetItem) -> None:
         item.setFont(place, font)
 
 
-def _run_state_text(entry: QueuedSession, run: QueuedRun) -> str:
+def _run_state_text(entry: QueuedSession, run: engine_host.QueuedRun) -> str:
     ended = entry.ended.get(run.index)
     if entry.resting is not None and entry.resting.index == run.index:
         return "rest before it"
     if ended is None:
         return "running" if entry.current_run is not None and entry.current_run.index == run.index else ""
-    reason = [ended.reason] if ended.status is not RunStatus.COMPLETE else []
+    reason = [ended.reason] if ended.status is not engine_host.RunStatus.COMPLETE else []
     return "; ".join([ended.status.value, *reason, *(f"NOTE {warning}" for warning in ended.warnings)])
 
 
@@ -477,6 +451,8 @@ def _mirror_text(entry: QueuedSession) -> str:
 
 _PROGRESS_INTERVAL_S = 0.2
 _MISSING = ": missing runs"
+_OWN_ENDS = ("by operator", "ended at a prompt")
+"""Parts of the reasons of sessions that the person ended."""
 _LOG_LINES = 10_000
 
 
@@ -497,7 +473,7 @@ class RunPage(QWidget):
     def __init__(
         self,
         engine: EngineLink,
-        rig: RigSelection,
+        rig: engine_host.RigSelection,
         description: RigDescription,
         lab: Path | None,
         stored: StoredSettings,
@@ -525,7 +501,7 @@ class RunPage(QWidget):
         self.why.setAccessibleName("Why these runs are made")
         self.hand = HandView(self._move_by_hand, self.new.operator.text)
         self.hand.set_limits(description)
-        self.devices = DevicesView(lambda: engine.ask(ExamineRig()))
+        self.devices = DevicesView(lambda: engine.ask(engine_host.ExamineRig()))
         self.devices.watch.setChecked(stored.text("watch", "yes") == "yes")
         self.devices.watch.toggled.connect(lambda on: self._watch(on=on))
         self.start_queue = button(
@@ -640,7 +616,7 @@ class RunPage(QWidget):
         title = plan.name if campaign is None else f"{plan.name}, added to {campaign.name}"
         previews = session.preflight.previews
         planned = (preview.run for preview in previews)
-        runs = tuple(QueuedRun(run.index, run.summary, run.wait_s, run.duration_s) for run in planned)
+        runs = tuple(engine_host.QueuedRun(run.index, run.summary, run.wait_s, run.duration_s) for run in planned)
         entry = QueuedSession(job, title, session.preflight.duration_s, len(previews), runs=runs)
         self.queue.add(entry, before=self.queue.next if first else None)
         self.new.keep()
@@ -648,9 +624,9 @@ class RunPage(QWidget):
         self._show_state()
         return entry
 
-    def _new_job(self, plan: Plan, note: str) -> SessionJob:
+    def _new_job(self, plan: Plan, note: str) -> engine_host.SessionJob:
         new = self.new
-        return SessionJob(
+        return engine_host.SessionJob(
             self.queue.next_number(), plan, new.operator.text(), note, new.chosen_pace, mirror=new.chosen_mirror
         )
 
@@ -680,11 +656,12 @@ class RunPage(QWidget):
             return
         if self._engine.lost or self._trip_reason:
             self._queue_started = False
-            cause = "the engine has ended; start it again" if self._engine.lost else "the guard is tripped; reset it"
+            cause = "the engine has ended; start it again" if self._engine.lost else "the guard is not armed; reset it"
             self.complained.emit(f"{entry.title} is waiting: {cause}, then start the queue.", Topic.GUARD)
             return
         entry.stage = QueueState.RUNNING
-        self.settled.emit(Topic.SESSION)
+        for topic in (Topic.SESSION, Topic.PASSING):
+            self.settled.emit(topic)
         self._engine.ask(entry.job)
         self.tabs.setCurrentWidget(self.live)
         self.live.begin_session(f"{entry.title}: preparing …")
@@ -707,69 +684,69 @@ class RunPage(QWidget):
     def stop(self, reason: str) -> None:
         """Stop the stage at once, and the queue."""
         self._queue_started = False
-        self._engine.ask(AbortSession(reason))
+        self._engine.ask(engine_host.AbortSession(reason))
 
-    def take(self, event: Event) -> None:
+    def take(self, event: engine_host.Event) -> None:
         """Handle an event of the engine."""
         match event:
-            case RigIdle(reading, question):
+            case engine_host.RigIdle(reading, question):
                 if not question or question != self.answered:  # else read just before the answer arrived
-                    self.live.show_idle(reading, "prompt open" if question else "idle")
+                    self.live.show_idle(reading, "prompt open" if question else "at rest")
                 return
-            case HostReady(pid):
+            case engine_host.HostReady(pid):
                 self.write_log(f"Engine ready, process {pid}.")
-                self._engine.ask(WatchRig(self.devices.watch.isChecked()))
+                self._engine.ask(engine_host.WatchRig(self.devices.watch.isChecked()))
                 return
-            case GuardState(reason):
-                self.write_log(f"GUARD TRIPPED: {reason}." if reason else "Guard armed.")
+            case engine_host.GuardState(reason, tripped):
+                self.write_log(f"{'GUARD TRIPPED' if tripped else 'Guard'}: {reason or 'armed'}.")
                 self._trip_reason = reason
-            case StageMoved(sentence, problem):
+            case engine_host.StageMoved(sentence, problem):
                 self.hand.end(sentence or f"Not done: {problem}")
                 if sentence:
                     self.write_log(sentence)
                 else:
                     self.complained.emit(problem, Topic.HAND)
-            case RigExamined():
+            case engine_host.RigExamined():
                 self.devices.show_result(event)
                 self.tabs.setTabText(self.tabs.indexOf(self.devices), f"Devi&ces: {self.devices.verdict}")
-            case HostLost(exit_code):
+            case engine_host.HostLost(exit_code):
                 self.write_log(f"ENGINE LOST, exit code {exit_code}.")
                 self._engine_lost(event)
             case _:
                 self._follow_session(event)
         self._show_state()
 
-    def _follow_session(self, event: Event) -> None:
+    def _follow_session(self, event: engine_host.Event) -> None:
         self.queue.take(event)
         match event:
-            case PromptShown():
+            case engine_host.PromptShown():
                 self.write_log(f"Prompt: {event.text}.")
                 self.pause.setChecked(False)
-            case SessionStarted(_, runs):
+            case engine_host.SessionStarted(_, runs):
                 self.write_log(f"Session started, {len(runs)} runs.")
-            case StageHomes(sentence):
+            case engine_host.StageHomes(sentence):
                 self.live.readings.end_motion(sentence or "preparing")
                 self.write_log(f"{sentence or 'Homed'}.")
-            case SessionWaiting(run, duration_s):
+            case engine_host.SessionWaiting(run, duration_s):
                 self.write_log(f"Rest before {run.summary}: {duration_text(duration_s)}.")
                 self.live.begin_rest(run.summary, duration_s, run.start_mm)
-            case RunStarted(run, order):
+            case engine_host.RunStarted(run, order):
                 self.write_log(f"Run {order} started: {run.summary}.")
                 self.live.begin_run(f"Run {order}: {run.summary}", run.start_mm)
-            case RunFinished():
+            case engine_host.RunFinished():
                 self._run_ended(event)
-            case OperatorWarning(sentence):
+            case engine_host.OperatorWarning(sentence):
                 # It was said in the preview, and hides nothing of the page here.
                 self.write_log(sentence)
-            case SentinelCompared(_, sentence):
+            case engine_host.SentinelCompared(_, sentence):
                 self.live.begin(sentence)
                 self.write_log(f"{sentence}.")
-            case SessionFinished():
+            case engine_host.SessionFinished():
                 self._ended(event)
             case _:
                 pass
 
-    def _engine_lost(self, event: HostLost) -> None:
+    def _engine_lost(self, event: engine_host.HostLost) -> None:
         self._queue_started, self._trip_reason = False, ENGINE_LOST
         running = self.queue.current
         self.queue.take(event)
@@ -781,7 +758,7 @@ class RunPage(QWidget):
         self.live.end_run("The engine has ended")
         self.live.readings.clear("no engine")
 
-    def sample(self, fresh: LiveSamples) -> None:
+    def sample(self, fresh: engine_host.LiveSamples) -> None:
         """Show live samples."""
         self.live.take(fresh)
         entry, now = self.queue.current, time.monotonic()
@@ -793,18 +770,18 @@ class RunPage(QWidget):
 
     def _watch(self, *, on: bool) -> None:
         self._stored.keep("watch", "yes" if on else "no")
-        self._engine.ask(WatchRig(on))
+        self._engine.ask(engine_host.WatchRig(on))
         if not on:
             self.live.readings.clear("not read between sessions")
 
-    def _run_ended(self, event: RunFinished) -> None:
+    def _run_ended(self, event: engine_host.RunFinished) -> None:
         run, status = f"Run {event.order}", event.status.value
         self.write_log(f"{', '.join(filter(None, (f'{run} {status}', event.reason)))}: {event.samples} samples.")
-        self.live.end_run(f"{run}, {status}: {event.run.summary}")
+        self.live.end_run(f"{run} ({event.run.summary}): {status}")
         for warning in event.warnings:
             self.complained.emit(f"{run}, {event.run.summary}: {warning}.", Topic.SESSION)
 
-    def _ended(self, event: SessionFinished) -> None:
+    def _ended(self, event: engine_host.SessionFinished) -> None:
         status = "not started" if event.status is None else event.status.value
         self.write_log(": ".join(filter(None, (f"Session {status}", event.reason, str(event.folder or "")))))
         if event.mirror is not None and event.mirror.missing:
@@ -813,15 +790,16 @@ class RunPage(QWidget):
                 f"NOT IN THE MIRROR {mirror}: {names}. The originals are in {event.folder}, the reasons in the queue.",
                 Topic.SESSION,
             )
-        if event.status is RunStatus.COMPLETE:
+        if event.status is engine_host.RunStatus.COMPLETE:
             self.live.end_run(f"Complete: {event.folder}")
         else:
             self._queue_started = False
             self.live.end_run(f"Session ended: {event.reason}")
-            if event.status is RunStatus.TRIPPED:
+            if event.status is engine_host.RunStatus.TRIPPED:
                 self._trip_reason = event.reason
             else:
-                self.complained.emit(f"Session ended: {event.reason}", Topic.SESSION)
+                own = any(words in event.reason for words in _OWN_ENDS)
+                self.complained.emit(f"Session ended: {event.reason}", Topic.PASSING if own else Topic.SESSION)
         if event.folder is not None:
             self.new.session_over(event.folder)
         for entry in self.queue.entries:
@@ -838,12 +816,12 @@ class RunPage(QWidget):
         if start:
             self.run_queue()
 
-    def _move_by_hand(self, motion: HandMotion) -> None:
+    def _move_by_hand(self, motion: engine_host.HandMotion) -> None:
         self.settled.emit(Topic.HAND)
         self._engine.ask(motion)
 
     def _pause(self) -> None:
-        self._engine.ask(PauseSession(self.pause.isChecked()))
+        self._engine.ask(engine_host.PauseSession(self.pause.isChecked()))
         self._show_pause()
 
     def _show_pause(self) -> None:
@@ -901,11 +879,4 @@ class RunPage(QWidget):
     def _lay_out(self) -> None:
         bar = column(self.queue_view.progress, row(1, self.pause, self.abort, self.start_queue))
         right = bare_widget(column(self.why, self.tabs, bar, stretch={1: 1}))
-        splitter = QSplitter(Qt.Orientation.Horizontal)
-        splitter.addWidget(self.new)
-        splitter.addWidget(right)
-        splitter.setSizes([400, 1000])
-        splitter.setStretchFactor(0, 1)
-        splitter.setStretchFactor(1, 3)
-        splitter.setChildrenCollapsible(False)
-        self.setLayout(column(splitter, margin=6))
+        self.setLayout(column(split(self.new, right, (340, 680), self._stored, "run"), margin=6))

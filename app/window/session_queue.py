@@ -7,20 +7,8 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
+from dragrig import engine_host
 from dragrig.config import Plan
-from dragrig.engine_host import (
-    Event,
-    HostLost,
-    MirrorStatus,
-    QueuedRun,
-    RunFinished,
-    RunStarted,
-    RunStatus,
-    SessionFinished,
-    SessionJob,
-    SessionStarted,
-    SessionWaiting,
-)
 
 
 class QueueState(StrEnum):
@@ -44,9 +32,9 @@ _LASTING = frozenset({QueueState.WAITING, QueueState.RUNNING, QueueState.CUT_OFF
 ENGINE_LOST = "the engine ended unexpectedly"
 _STATE_OF_STATUS = {
     None: QueueState.REFUSED,
-    RunStatus.COMPLETE: QueueState.COMPLETE,
-    RunStatus.ABORTED: QueueState.ABORTED,
-    RunStatus.TRIPPED: QueueState.TRIPPED,
+    engine_host.RunStatus.COMPLETE: QueueState.COMPLETE,
+    engine_host.RunStatus.ABORTED: QueueState.ABORTED,
+    engine_host.RunStatus.TRIPPED: QueueState.TRIPPED,
 }
 
 
@@ -54,7 +42,7 @@ _STATE_OF_STATUS = {
 class QueuedSession:
     """A queued session."""
 
-    job: SessionJob
+    job: engine_host.SessionJob
     title: str
     planned_s: float
     run_count: int
@@ -62,12 +50,12 @@ class QueuedSession:
     stage: QueueState = QueueState.WAITING
     reason: str = ""
     folder: str = ""
-    runs: tuple[QueuedRun, ...] = ()
-    ended: dict[int, RunFinished] = field(default_factory=dict)
+    runs: tuple[engine_host.QueuedRun, ...] = ()
+    ended: dict[int, engine_host.RunFinished] = field(default_factory=dict)
     """`runs`, `ended`: its runs, where they are known, and the results of those that ended, by index."""
-    current_run: QueuedRun | None = None
+    current_run: engine_host.QueuedRun | None = None
     """The run in progress, `elapsed_s` after its start."""
-    resting: QueuedRun | None = None
+    resting: engine_host.QueuedRun | None = None
     rest_left_s: float = 0.0
     """`resting`, `rest_left_s`: the run before which the contact rests, and for how long still."""
     last_index: int = -1
@@ -76,18 +64,18 @@ class QueuedSession:
     """Number that each run was made under, by index; a run that is made again has another."""
     elapsed_s: float = 0.0
     real_time: bool = True
-    mirror: MirrorStatus | None = None
+    mirror: engine_host.MirrorStatus | None = None
     """Result of mirroring once the session has ended; None without a mirror."""
 
-    def time_of(self, run: QueuedRun) -> float:
+    def time_of(self, run: engine_host.QueuedRun) -> float:
         """Return the duration of a run, in real time with the wait before it."""
         return run.duration_s + (run.wait_s if self.real_time else 0.0)
 
     @property
-    def missing(self) -> tuple[QueuedRun, ...]:
+    def missing(self) -> tuple[engine_host.QueuedRun, ...]:
         """The runs that an ended session left to be made, as far as this window knows; none without a campaign."""
         early = {QueueState.ABORTED, QueueState.TRIPPED, QueueState.FAILED, QueueState.CUT_OFF}
-        done = {index for index, run in self.ended.items() if run.status is RunStatus.COMPLETE}
+        done = {index for index, run in self.ended.items() if run.status is engine_host.RunStatus.COMPLETE}
         is_left = bool(self.folder) and self.stage in early
         return tuple(run for run in self.runs if run.index not in done) if is_left else ()
 
@@ -116,7 +104,7 @@ class QueuedSession:
         return max(left, 0.0)
 
     @property
-    def last_before_pause(self) -> QueuedRun | None:
+    def last_before_pause(self) -> engine_host.QueuedRun | None:
         """The run after which a pause would begin: the one in progress or prepared, or its way back."""
         now = self.current_run or self.resting
         if now is None:
@@ -129,7 +117,7 @@ class QueuedSession:
         """Number of the runs that are over, made or skipped."""
         return sum(run.index <= self.last_index for run in self.runs) - (self.current_run is not None)
 
-    def number_of(self, run: QueuedRun) -> int | None:
+    def number_of(self, run: engine_host.QueuedRun) -> int | None:
         """Return the number of a run, as in the name of its file; None for a run that was skipped."""
         if run.index in self.numbers:
             return self.numbers[run.index]
@@ -240,30 +228,30 @@ class SessionQueue:
         """Remove the sessions that have ended."""
         self._take_out([entry for entry in self.entries if entry.stage not in _LASTING])
 
-    def take(self, event: Event) -> None:
+    def take(self, event: engine_host.Event) -> None:
         """Store what an event says of the running session."""
         if (entry := self.current) is None:
             return
         match event:
-            case SessionStarted(entry.job.number, runs, real_time, folder):
+            case engine_host.SessionStarted(entry.job.number, runs, real_time, folder):
                 entry.runs, entry.real_time, entry.run_count = runs, real_time, len(runs)
                 entry.folder = str(folder)
-            case SessionWaiting(run, duration_s):
+            case engine_host.SessionWaiting(run, duration_s):
                 entry.resting, entry.rest_left_s = run, duration_s
-            case RunStarted(run, order):
+            case engine_host.RunStarted(run, order):
                 entry.resting = None
                 entry.current_run, entry.last_index, entry.elapsed_s = run, run.index, 0.0
                 entry.numbers[run.index] = order
                 entry.ended.pop(run.index, None)
-            case RunFinished(run):
+            case engine_host.RunFinished(run):
                 entry.ended[run.index] = event
                 entry.current_run = None
-            case SessionFinished(entry.job.number, status, reason, folder, mirror):
+            case engine_host.SessionFinished(entry.job.number, status, reason, folder, mirror):
                 entry.stage = _STATE_OF_STATUS.get(status, QueueState.FAILED)
                 entry.reason, entry.mirror = reason, mirror
                 entry.current_run = entry.resting = None
                 entry.folder = "" if folder is None else str(folder)
-            case HostLost():
+            case engine_host.HostLost():
                 entry.stage, entry.reason = QueueState.FAILED, ENGINE_LOST
                 entry.current_run = entry.resting = None
             case _:

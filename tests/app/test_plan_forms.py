@@ -6,11 +6,13 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+import dragrig
 from dragrig.config.errors import DragrigError, SettingsError
 from dragrig.config.plan import Plan
 from dragrig.config.settings import shipped_files
 from dragrig.engine_host.messages import RigSelection
 from dragrig.rig.protocols import protocol_kinds
+from dragrig.setup import create_lab
 from dragrig.views import FieldKind, describe_rig, known_plans, motion_curves, plan_form, preview_session
 from places import ROOT
 
@@ -68,8 +70,25 @@ def test_strokes_of_a_motion_can_be_edited(tmp_path: Path) -> None:
 def test_plans_of_a_lab_are_offered_first(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text('name = "mine"\n[[steps]]\nkind = "blank"\nspeed_mm_s = 5\n', "utf-8")
     (tmp_path / "rig.toml").write_text("", "utf-8")
-    assert known_plans(tmp_path)[0] == str(tmp_path / "mine.toml")
-    assert str(tmp_path / "rig.toml") not in known_plans(tmp_path)
+    (tmp_path / "plans").mkdir()
+    (tmp_path / "plans" / "drag.toml").write_text('name = "drag"\ndescription = "My own"\n[[steps]]\nkind = "blank"\n')
+    found = known_plans(tmp_path)
+    assert list(found)[:2] == [str(tmp_path / "mine.toml"), str(tmp_path / "plans" / "drag.toml")]
+    assert str(tmp_path / "rig.toml") not in found
+    assert "drag" not in found  # there are no two of a name
+    assert found[str(tmp_path / "plans" / "drag.toml")] == "My own"
+    assert all(known_plans().values())  # what ships says what it is for
+
+
+def test_a_plan_of_the_lab_is_found_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    create_lab(tmp_path)
+    (tmp_path / "plans").mkdir()
+    (tmp_path / "plans" / "short.toml").write_text('name = "short"\n[[steps]]\nkind = "blank"\nspeed_mm_s = 5\n')
+    monkeypatch.chdir(tmp_path / "runs")
+    assert plan_form("short").source == str(tmp_path / "plans" / "short.toml")
+    assert len(dragrig.check("short").previews) == 2
+    with pytest.raises(SettingsError, match="did you mean short"):
+        dragrig.check("shrt")
 
 
 def test_a_preview_shows_the_way_and_what_forbids_it() -> None:

@@ -36,7 +36,7 @@ def main(lab: Path, folder: Path) -> None:
             print(window.notices.complaint_text.text().replace("\n", " "), flush=True)
 
     def begin() -> None:
-        if window.guard.text() == "guard: TRIPPED" and window.reset.isEnabled():
+        if window.guard.text() == "guard: NOT ARMED" and window.reset.isEnabled():
             window.reset.click()
         if window.guard.text() == "guard: armed":
             beginning.stop()

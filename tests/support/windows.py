@@ -91,5 +91,5 @@ def opened(qtbot: "QtBot", lab: Path, settings: Path, silence: SilenceLimits = B
     stored = StoredSettings(QSettings(str(settings), QSettings.Format.IniFormat))
     window = MainWindow(rig, lab, stored, silence)
     window.show()
-    qtbot.waitUntil(lambda: window.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: window.guard.text() == "guard: NOT ARMED", timeout=WAIT_MS)
     return window

@@ -45,7 +45,7 @@ def window(
     settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
     made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), BUSY)
     made.show()
-    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
+    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: NOT ARMED", timeout=WAIT_MS)
     made.go_to(made.diagnose)
     yield made
     made.close_in_order("the tests are over")
@@ -65,8 +65,9 @@ def diagnosed(window: MainWindow, until: Until) -> Diagnosis:
         press(page.start)
         assert not page.start.isEnabled()
         assert page.progress.isVisible()
-        until(lambda: page.progress.value() > 0 or not page.busy)
-        until(lambda: not page.busy)
+        said: list[str] = []
+        until(lambda: said.append(page.progress.text()) or not page.busy)
+        assert any(re.fullmatch(r"\d+ %, .* left", text) for text in said)
     assert page.results.diagnosis is not None, window.notices.complaint_text.text()
     return page.results.diagnosis
 

@@ -48,7 +48,7 @@ def window(
     made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), BUSY)
     made.resize(1500, 1000)
     made.show()
-    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
+    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: NOT ARMED", timeout=WAIT_MS)
     made.notices.ask(PromptShown(1, "Lay a fresh specimen on the foam", hands=True, can_redo=True, can_skip=True))
     made.notices.complain("something went wrong")
     made.run.new.destination.adds.setChecked(True)

@@ -1,5 +1,6 @@
 """The pages that look at runs and diagnose them, used as a person uses them, on real files."""
 
+import re
 import shutil
 import threading
 import time
@@ -8,15 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from property_tests import thorough
 from windows import Until, dressed, press, require_qt
 
 require_qt()
 
-from PySide6.QtCore import QSettings, Qt
+from PySide6.QtCore import QPoint, QRect, QSettings, Qt
 from PySide6.QtGui import QPalette
-from PySide6.QtWidgets import QApplication, QLabel, QTableWidget, QTreeWidgetItem
+from PySide6.QtWidgets import QApplication, QFileDialog, QLabel, QMenu, QTableWidget, QTreeWidgetItem
+from pytestqt.qtbot import QtBot
 
 import dragrig
 from diagnoses import STRIBECK, without_pictures
@@ -27,7 +30,7 @@ from dragrig.views import FORMATS, CompletedDiagnosis, ShownTrace, shown_trace
 from dragrig.window import prepared_traces, widgets
 from dragrig.window.diagnose_page import DiagnosePage
 from dragrig.window.look_page import UNREADABLE, LookPage
-from dragrig.window.widgets import DrawnFigure, StoredSettings, fill_table, table, top_items
+from dragrig.window.widgets import DrawnFigure, StoredSettings, fill_table, save_picture, table, top_items
 from places import copied_runs
 from runfiles import record
 
@@ -186,8 +189,42 @@ def test_cursors_show_values_and_their_difference(page: LookPage, until: Until) 
     trace = page.overlay.traces[0]
     shown = float(values.item(1, 1).text())
     assert shown == pytest.approx(trace.filtered["force"][round(trace.rate_hz)], abs=1e-3)
+    choose(page, until, 0, 1, 2, 3)
+    page.resize(1010, 540)  # what a window of 1024 by 650 leaves
+    until(lambda: values.rowCount() == 5 and values.visibleRegion().boundingRect() == values.rect())
+    assert values.viewport().height() >= values.verticalHeader().length()
+    assert page.rect().contains(QRect(values.mapTo(page, QPoint()), values.size()))
     page.overlay.cursors.click()
     assert not values.isVisible()
+
+
+def test_the_plots_are_saved_as_they_are_on_the_screen_from_a_menu_of_their_own(
+    page: LookPage, until: Until, qtbot: QtBot, tmp_path: Path
+) -> None:
+    choose(page, until, 0)
+    plot = page.overlay.channel_plot
+    view = plot.widget.viewport()
+    qtbot.mouseClick(view, Qt.MouseButton.RightButton, pos=view.rect().center())
+    until(lambda: isinstance(QApplication.activePopupWidget(), QMenu))
+    menu = QApplication.activePopupWidget()
+    assert isinstance(menu, QMenu)
+    assert [action.text() for action in menu.actions()] == ["Save the picture as PNG …", "Save the picture as SVG …"]
+    for action in menu.actions():
+        action.trigger()
+        (dialog,) = (asked for asked in plot.widget.findChildren(QFileDialog) if asked.isVisible())
+        file = tmp_path / f"force.{dialog.defaultSuffix()}"
+        dialog.fileSelected.emit(str(file))
+        dialog.close()
+    menu.close()
+    height = sum(shown.widget.height() for shown in (page.overlay.channel_plot, page.overlay.speed_plot))
+    with Image.open(tmp_path / "force.png") as picture:
+        assert picture.size == (4 * plot.widget.width(), 4 * height)
+        assert len(picture.convert("RGB").getcolors(1 << 24) or ()) > 10, "nothing is drawn"
+    svg = (tmp_path / "force.svg").read_text("utf-8")
+    assert all(words in svg for words in ("Force (mN)", "mm/s", "Time (s)"))
+    clips = re.findall(r'id="([^"]*clip)"', svg)
+    assert len(set(clips)) == len(clips) == 2  # or one plot would be cut to the other's size
+    assert "saved as png, svg" in save_picture(str(tmp_path / "force.pdf"), plot.picture)
 
 
 def test_show_all_undoes_the_zoom(page: LookPage, until: Until) -> None:

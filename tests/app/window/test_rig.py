@@ -170,7 +170,7 @@ def test_the_force_sensor_is_calibrated_and_the_record_seen_before_it_is_stored(
     until(lambda: not calibrate.busy)
     assert "cancelled by operator" in calibrate.state.text()
     assert not window.notices.prompt.isVisible()
-    until(lambda: window.run.live.readings.about.text() == "live; idle")  # no prompt is open any more
+    until(lambda: window.run.live.readings.about.text() == "live: at rest")  # no prompt is open any more
     assert calibrate.record.isHidden()
 
     before = read_calibrations(lab)
@@ -252,7 +252,7 @@ def test_settings_are_saved_and_the_engine_starts_again_once_nothing_runs(
     assert [entry.stage for entry in run.queue.entries] == [QueueState.COMPLETE, QueueState.WAITING], run.queue.entries[
         0
     ].reason
-    assert window.guard.text() == "guard: TRIPPED"  # not what the engine before said
+    assert window.guard.text() == "guard: NOT ARMED"  # not what the engine before said
     assert "reset the guard" in settings.state.text()
     assert run.live.readings.limits.text() == "0 to 120 mm"
     arm(window, until)

@@ -42,7 +42,7 @@ def window(
     made = MainWindow(RigSelection(rig=lab / "rig.toml"), lab, StoredSettings(settings), BUSY)
     made.resize(SMALL)
     made.show()
-    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: TRIPPED", timeout=WAIT_MS)
+    QtBot(request).waitUntil(lambda: made.guard.text() == "guard: NOT ARMED", timeout=WAIT_MS)
     yield made
     made.close_in_order("the tests are over")
 
@@ -80,6 +80,19 @@ def test_notices_never_change_the_windows_size(window: MainWindow, size: QSize) 
     assert window.size() == size
     assert is_whole(window.notices.restart, window)
     window.notices.lost.hide()
+
+
+def test_a_guard_that_nothing_tripped_is_no_alarm(window: MainWindow) -> None:
+    """Red at every start would be red that nobody sees any more."""
+    shown = []
+    for state in (GuardState("not reset", tripped=False), GuardState("force: 9000 mN")):
+        window.take(state)
+        shown.append((window.guard.text(), window.notices.trip.property("role"), window.notices.trip_text.text()))
+        assert window.reset.isEnabled()
+    assert [text for text, _, _ in shown] == ["guard: NOT ARMED", "guard: TRIPPED"]
+    assert [role for _, role, _ in shown] == ["calm", "trip"]
+    assert shown[0][2].startswith("Nothing can move yet. Check: path clear")
+    assert "force: 9000 mN" in shown[1][2]
 
 
 def test_what_somebody_elses_file_says_is_text_and_no_html(window: MainWindow) -> None:
@@ -207,7 +220,7 @@ if __name__ == "__main__":
     room = window.screen().availableGeometry().size()
     stop = window.stop_button
     print(window.devicePixelRatio(), window.width() <= room.width(), window.height() <= room.height(),
-          stop.mapTo(window, stop.rect().bottomRight()).x() < window.width())
+          stop.mapTo(window, stop.rect().bottomRight()).x() < window.width(), window.isMaximized())
     window.close_in_order("done")
 """
     file = tmp_path / "opened.py"
@@ -219,4 +232,4 @@ if __name__ == "__main__":
     surroundings = {**os.environ, "QT_SCALE_FACTOR": "2", "QT_QPA_PLATFORM": f"offscreen:configfile={screen}"}
     done = subprocess.run([sys.executable, str(file)], env=surroundings, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["2.0", "True", "True", "True"], done.stdout
+    assert done.stdout.split() == ["2.0", "True", "True", "True", "True"], done.stdout

@@ -15,9 +15,9 @@ from windows import WAIT_MS, Until, dressed, opened, press, require_qt
 
 require_qt()
 
-from PySide6.QtCore import QPoint, QPointF, QSettings, Qt
+from PySide6.QtCore import QPoint, QPointF, QSettings, QSize, Qt
 from PySide6.QtGui import QWheelEvent
-from PySide6.QtWidgets import QApplication, QComboBox, QWidget
+from PySide6.QtWidgets import QApplication, QComboBox, QSplitter, QWidget
 from pytestqt.qtbot import QtBot
 
 import dragrig
@@ -340,10 +340,10 @@ def test_the_stage_is_homed_jogged_and_touched_off_by_hand(window: MainWindow, u
     hand, notices, about = window.run.hand, window.notices, window.run.live.readings.about
     press(hand.home)
     until(notices.prompt.isVisible)
-    until(lambda: about.text() == "live; prompt open")  # of a motion by hand, not of a session
+    until(lambda: about.text() == "live: prompt open")  # of a motion by hand, not of a session
     press(notices.answers[Answer.ABORT])
     until(lambda: not hand.busy)
-    until(lambda: about.text() == "live; idle")
+    until(lambda: about.text() == "live: at rest")
 
     def done(action: QWidget) -> str:
         press(action)
@@ -462,7 +462,7 @@ def test_a_dead_engine_is_reported_and_can_be_restarted(window: MainWindow, unti
     press(window.notices.restart)
     press(window.run.start_queue)  # before the new one is there
     assert [entry.stage for entry in window.run.queue.entries] == [QueueState.WAITING]
-    until(lambda: window.guard.text() == "guard: TRIPPED")
+    until(lambda: window.guard.text() == "guard: NOT ARMED")
     assert window.engine.pid != pid
     assert not window.notices.lost.isVisible()
 
@@ -500,6 +500,24 @@ def test_a_plan_from_a_file_is_opened(window: MainWindow, tmp_path: Path) -> Non
     file.write_text('name = "own"\n[[steps]]\nkind = "blank"\nspeed_mm_s = [5, 10]\n', "utf-8")
     window.run.new.open_file(str(file))
     assert window.run.preview.runs.rowCount() == 4
+
+
+def test_plans_that_are_put_into_the_lab_meanwhile_are_listed_with_what_they_are_for(
+    window: MainWindow, until: Until, lab: Path
+) -> None:
+    plans = window.run.new.plans
+    chosen = plans.currentData()
+    folder = lab / "plans"
+    folder.mkdir(exist_ok=True)
+    file = folder / "evening.toml"
+    file.write_text('name = "evening"\ndescription = "Short, for the evening"\n[[steps]]\nkind = "blank"\n', "utf-8")
+    until(lambda: plans.findData(str(file)) >= 0)
+    assert plans.model().index(plans.findData(str(file)), 1).data() == "Short, for the evening"
+    assert plans.model().index(plans.findData("first"), 1).data().startswith("Eight runs to begin with")
+    assert plans.currentData() == chosen
+    file.unlink()
+    until(lambda: plans.findData(str(file)) < 0)
+    assert plans.currentData() == chosen
 
 
 def test_every_file_is_copied_to_the_chosen_mirror(window: MainWindow, until: Until, tmp_path: Path) -> None:
@@ -561,17 +579,17 @@ def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window
     window.run.new.update_preview()
     press(window.run.new.start)
     until(window.notices.prompt.isVisible)
-    until(lambda: shown.about.text() == "live; prompt open")
+    until(lambda: shown.about.text() == "live: prompt open")
     assert (position.text(), speed.text()) == ("40.00 mm", "–")
     press(window.notices.answers[Answer.DONE])
     until(lambda: moving(window) and speed.text() == "0.2 mm/s")
     assert 40.0 < float(position.text().split()[0]) < 50.0  # absolute, as the limits beside it
     assert shown.limits.text() == "0 to 150 mm"
-    assert shown.about.text().startswith("live; steady")
+    assert shown.about.text().startswith("live: steady")
     press(window.stop_button)
     until(lambda: not window.run.session_running)
     assert speed.text() == "–"
-    until(lambda: shown.about.text() == "live; idle")
+    until(lambda: shown.about.text() == "live: at rest")
     assert 40.0 < float(position.text().split()[0]) < 50.0  # where it was stopped
     assert 20.0 < float(force.text().split()[0]) < 60.0  # the capsule is in the gut
     assert "Session ended" in window.notices.complaint_text.text()
@@ -584,12 +602,14 @@ def test_a_reading_is_live_or_gone_and_abort_at_a_prompt_ends_the_session(window
     until(lambda: not window.run.session_running)
     assert window.run.queue.entries[-1].stage is QueueState.ABORTED
     assert not window.notices.prompt.isVisible()
-    press(window.notices.dismiss)
+    assert "Session ended: ended at a prompt" in window.notices.complaint_text.text()
+    assert window.notices.passing.isActive()
+    window.notices.passing.timeout.emit()  # half a minute later
     assert not window.notices.complaint.isVisible()
     window.run.devices.watch.setChecked(False)
     assert (force.text(), shown.about.text()) == ("–", "not read between sessions")
     window.run.devices.watch.setChecked(True)
-    until(lambda: shown.about.text() == "live; idle")
+    until(lambda: shown.about.text() == "live: at rest")
 
 
 def test_a_reading_that_nothing_follows_is_grey_with_its_age(qtbot: QtBot, until: Until) -> None:
@@ -774,6 +794,7 @@ def test_a_session_pauses_after_the_run(window: MainWindow, until: Until) -> Non
     press(run.pause)
     press(window.notices.answers[Answer.DONE])
     until(lambda: window.notices.prompt.isVisible() and window.notices.prompt_text.text().startswith("Paused"))
+    assert window.notices.answers[Answer.DONE].text().startswith("Continue")
     assert not run.pause.isChecked()
     assert len(run.queue.current.ended) == 2  # the run and its return stroke
     press(window.notices.answers[Answer.REDO])
@@ -806,9 +827,20 @@ def test_settings_and_waiting_sessions_survive_closing_the_window(
     first.run.new.operator.setText("B. Person")
     first.run.new.mirror.setText("/second disk")
     first.run.new.pace.setCurrentText("as fast as possible")
+    first.resize(940, 640)
+    for page, left_px in ((first.run, 380), (first.look, 430)):
+        first.go_to(page)
+        (border,) = page.findChildren(QSplitter)
+        border.moveSplitter(left_px, 1)
     first.close_in_order("closed")
     second = opened(qtbot, lab, careful_settings)
     try:
+        assert second.size() == QSize(940, 640)
+        assert second.pages.currentWidget() is second.look
+        for page, left_px in ((second.run, 380), (second.look, 430)):
+            second.go_to(page)
+            QApplication.processEvents()
+            assert page.findChildren(QSplitter)[0].sizes()[0] == pytest.approx(left_px, abs=5)
         (entry,) = second.run.queue.entries
         assert entry.stage is QueueState.WAITING
         assert (entry.job.plan, entry.job.operator) == (first.run.queue.entries[1].job.plan, "C. Person")
@@ -932,7 +964,7 @@ def test_a_rest_counts_down_with_live_readings_and_a_pause_is_seen_and_taken_bac
     until(lambda: 0.0 < live.rest_left_s < 28.5)
     left_s = entries[-1].left_s
     assert live.title.text().startswith("Rest before drag 20 mm/s: 2")
-    assert live.readings.about.text() == f"live; rest, {live.title.text().split(': ')[1]}"
+    assert live.readings.about.text() == f"live: rest, {live.title.text().split(': ')[1]}"
     assert live.force.lines[1].drawn.getData()[1].size > 10
     until(lambda: entries[-1].left_s < left_s - 1.0)
     assert 0 < run.queue_view.progress.value() < 200
@@ -960,10 +992,10 @@ def test_homing_is_called_homing_and_no_prompt_open_where_none_is(window: MainWi
     for event in (prompt, RigIdle(IdleReading(3.0, None), 4711)):
         window.take(event)
         window.run.take(event)
-    assert about.text() == "live; prompt open"
+    assert about.text() == "live: prompt open"
     press(notices.answers[Answer.DONE])
     window.run.take(RigIdle(IdleReading(3.0, None), 4711))  # it was on its way
-    assert about.text() == "live; preparing"
+    assert about.text() == "live: preparing"
 
 
 def test_the_simulated_rig_remembers_home_position_and_the_capsule_in_the_gut(
@@ -978,7 +1010,7 @@ def test_the_simulated_rig_remembers_home_position_and_the_capsule_in_the_gut(
             until(lambda: notices.prompt.isVisible() or not hand.busy)
             if notices.prompt.isVisible():
                 press(notices.answers[Answer.DONE])
-        until(lambda: shown.about.text() == "live; idle")
+        until(lambda: shown.about.text() == "live: at rest")
 
     done(hand.home)
     assert position.text() == "0.00 mm"
@@ -988,14 +1020,14 @@ def test_the_simulated_rig_remembers_home_position_and_the_capsule_in_the_gut(
     fill(window, speed_mm_s="20", start_mm="30", prompt="Put it in", prompt_each="yes", repeats="2")
     press(window.run.new.start)
     until(notices.prompt.isVisible)
-    until(lambda: shown.about.text() == "live; prompt open")
+    until(lambda: shown.about.text() == "live: prompt open")
     assert (position.text(), abs(float(force.text().split()[0].replace("−", "-"))) < 5.0) == ("30.00 mm", True)
     press(notices.answers[Answer.DONE])
     until(notices.answers[Answer.REDO].isVisible)  # before the second run
-    until(lambda: shown.about.text() == "live; prompt open")
+    until(lambda: shown.about.text() == "live: prompt open")
     assert 25.0 < float(force.text().split()[0]) < 60.0
     press(notices.answers[Answer.ABORT])
-    until(lambda: not window.run.session_running and shown.about.text() == "live; idle")
+    until(lambda: not window.run.session_running and shown.about.text() == "live: at rest")
     assert position.text() == "40.00 mm"
     assert 25.0 < float(force.text().split()[0]) < 60.0
     fill(window, start_mm="")

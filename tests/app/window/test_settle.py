@@ -10,7 +10,7 @@ from windows import WAIT_MS, Until, opened, press, require_qt
 
 require_qt()
 
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QLabel
 from pytestqt.qtbot import QtBot
 
 import dragrig
@@ -92,7 +92,7 @@ def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
     further = [run for run in read_campaign(campaign).runs if run.header.entry["plan"] == batch.plan.name]
     assert batch.reason in {run.header.entry["note"] for run in further}
     assert ending_sentence(record) in page.state.text()
-    assert ending_sentence(record) in page.results.view.lead.toPlainText()
+    assert ending_sentence(record) in [text.text() for text in page.results.view.findChildren(QLabel)]
     assert page.results.isVisibleTo(page)
     assert read_settle_record(tmp_path / campaign.name) == record
     window.run.new.mirror.clear()
