@@ -45,7 +45,10 @@ def test_a_power_cut_before_the_first_sample_leaves_nothing_that_recover_complai
     (tmp_path / "recorded").mkdir()
     recorded = record_on_emulated_disk(tmp_path / "recorded", seed=2, max_lag_s=0.5, duration_s=0.1)
     draw, empty = random.Random(2), 0
-    for number in range(3 * CUTS):
+    # On a busy machine the moments with a journal and without a sample are few.
+    for number in range(60 * CUTS):
+        if number >= 3 * CUTS and empty:
+            break
         folder = tmp_path / str(number)
         folder.mkdir()
         recorded.disk.cut(draw.uniform(recorded.begun_s, recorded.offers[0][0]), folder, draw)
