@@ -353,8 +353,7 @@ class Session:
             self._go_to(run)
         if text := self._prompt_text(run):
             can_redo = any(result.run.follows < 0 for result in self._results)
-            told = text if self._backend.needs_hands else f"{text} (simulated: nothing to do)"
-            prompt = Prompt(told, run, can_redo, can_skip=True, hands=self._backend.needs_hands)
+            prompt = Prompt(text, run, can_redo, can_skip=True, hands=self._backend.needs_hands)
             answer = self._operator.ask(prompt)
             self.engine.require_not_aborted()
             if answer is not Answer.DONE:

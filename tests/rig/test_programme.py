@@ -202,7 +202,7 @@ def test_a_voltage_that_stays_on_must_not_carry_the_stage_to_an_end(
 def test_a_full_disk_is_found_before_anything_moves(tmp_path: Path) -> None:
     rig = parse(RigSettings, {"recording": {"reserve_mb": 1e12}}, "rig.toml")
     report = preflight(made({"kind": "drag", "speed_mm_s": 5}), rig, LIMITS, tmp_path, "p.toml")
-    assert "are free" in report.findings[-1]
+    assert re.search(r"\d MB free, \d+ MB needed: .* in reserve", report.findings[-1])
 
 
 @given(
@@ -251,6 +251,6 @@ def test_a_session_of_days_says_how_many_and_until_when_and_what_is_in_reserve(t
     days = next(remark for remark in report.remarks if "days" in remark)
     assert re.fullmatch(r"the session takes 10\.0 days, until \d{4}-\d\d-\d\d \d\d:\d\d", days)
     (finding,) = report.findings
-    assert "1e+09 MB of it in reserve (recording.reserve_mb)" in finding
+    assert "MB for the runs and 1e+09 MB in reserve (recording.reserve_mb)" in finding
     short = preflight(made({**step, "repeats": 1, "wait_s": 60}), RigSettings(), LIMITS, tmp_path, "p.toml")
     assert not any("days" in remark for remark in short.remarks)

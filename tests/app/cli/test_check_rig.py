@@ -154,7 +154,7 @@ def test_yes_does_not_stand_for_hands_at_the_double_either(
     [
         (("--double",), "has no double; choose none, or a backend that has one: handed, hardware"),
         (("--backend", "handd", "--double"), "did you mean handed?"),
-        (("--pace", "20"), "a double alone runs a number of times faster"),
+        (("--pace", "20"), "only a double runs a number of times faster"),
         (("--pace", "fast", "--backend", "handed", "--double"), "that of a double is real"),
         (("--pace", "-3", "--backend", "handed", "--double"), "that of a double is real"),
         (("--pace", "nan", "--backend", "handed", "--double"), "is neither fast, real, nor a number"),
