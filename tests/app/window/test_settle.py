@@ -81,7 +81,7 @@ def test_further_runs_are_made_and_diagnosed_with_their_reason_on_the_screen(
         lambda running: seen.append((window.run.why.text(), window.run.why.isVisible())) if running else None
     )
     settle(window, campaign, "as fast as possible")
-    until(with_answers(window, lambda: "Ended" in page.state.text()))
+    until(with_answers(window, lambda: "Time is up" in page.state.text()))
     record = read_settle_record(campaign)
     so_far, batch = record.batches
     assert record.ending is Ending.TIME
