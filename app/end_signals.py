@@ -141,10 +141,18 @@ class EndSignals:
             return
         # It was raised where Python drops what is raised, in a destructor or a callback, and would be lost; so it would
         # be here, which is such a place too.
-        self._ending_since_s = -_ONE_PRESS_S
-        later = threading.Timer(_DROPPED_S, _interrupt_main_thread)
-        later.daemon = True
-        later.start()
+        self._ending_since_s, returning = -_ONE_PRESS_S, threading.Event()
+
+        def press_again() -> None:
+            # On a busy computer this thread may run before the one that started it goes on here.
+            returning.wait()
+            time.sleep(_DROPPED_S)
+            _interrupt_main_thread()
+
+        try:
+            threading.Thread(target=press_again, daemon=True).start()
+        finally:
+            returning.set()
 
 
 def _interrupt_main_thread() -> None:

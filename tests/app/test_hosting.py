@@ -203,10 +203,20 @@ class PressingAsItGoes:
         threading.Event().wait(0.1)
 
 
-def test_a_ctrl_c_that_meets_a_destructor_is_not_lost() -> None:
+@pytest.mark.parametrize("held_up_s", [0.0, 0.3])
+def test_a_ctrl_c_that_meets_a_destructor_is_not_lost(monkeypatch: pytest.MonkeyPatch, held_up_s: float) -> None:
+    start = threading.Thread.start
+
+    def start_held_up(thread: threading.Thread) -> None:
+        """Let the new thread run for a while before this one goes on, as a busy computer may."""
+        start(thread)
+        time.sleep(held_up_s)
+
+    monkeypatch.setattr(threading.Thread, "start", start_held_up)
+
     def work() -> None:
         PressingAsItGoes()
-        time.sleep(30)
+        time.sleep(10)
 
     with EndSignals() as signals, pytest.raises(KeyboardInterrupt):
         work()

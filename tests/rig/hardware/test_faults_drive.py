@@ -61,7 +61,10 @@ def test_what_the_drive_or_its_cable_does_ends_the_run(
     assert not ended.stage.enabled
     assert_kept(run, seen)
     assert_reported(fault, ended, run)
-    assert "mm after the stop" in next(event.message for event in run.events if event.kind == "stopped")
+    stopped = [event.message for event in run.events if event.kind == "stopped"]
+    # A drive stops by itself at an alarm, of which a busy program may hear only then.
+    assert stopped or halt is Halt.ALARM
+    assert all("mm after the stop" in message for message in stopped)
     if then is not None:
         then(faulty_rig, ended.folder)
 
