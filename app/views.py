@@ -197,11 +197,18 @@ class PlanForm(Form):
 
 
 def known_plans(lab: Path | None = None) -> dict[str, str]:
-    """Return the descriptions of plans by file or shipped name: the lab's, then the shipped ones of other names."""
+    """Return descriptions of plans, or their mistakes, by file or shipped name: the lab's, then other shipped ones."""
     own = {} if lab is None else config.lab_plans(lab)
     shipped = [name for name in config.shipped_files("plan") if name not in own]
-    names = (*map(str, own.values()), *shipped)
-    return {name: str(config.find_table("plan", name)[0].get("description", "")) for name in names}
+    return {name: _description(name) for name in (*map(str, own.values()), *shipped)}
+
+
+def _description(plan: str) -> str:
+    """Return a plan's description, or its mistake."""
+    try:
+        return str(config.find_table("plan", plan)[0].get("description", ""))
+    except config.SettingsError as error:
+        return str(error)
 
 
 def plan_form(name_or_path: str) -> PlanForm:

@@ -419,16 +419,19 @@ def shipped_files(kind: str) -> dict[str, Traversable]:
 
 
 def lab_plans(lab: Path) -> dict[str, Path]:
-    """Return the plans in a lab folder and its folder `plans` by name: the files that have steps."""
+    """Return the plans in a lab folder and its folder `plans` by name: the files that have steps or cannot be read.
+
+    A file with a mistake is still the plan of its name: a shipped one in its place would move the stage otherwise.
+    """
     files = (path for folder in (lab, lab / "plans") for path in sorted(folder.glob("*.toml")))
-    return {path.stem: path for path in files if _has_steps(path)}
+    return {path.stem: path for path in files if _may_be_plan(path)}
 
 
-def _has_steps(path: Path) -> bool:
+def _may_be_plan(path: Path) -> bool:
     try:
         return "steps" in read_toml(path)
     except SettingsError:
-        return False
+        return True
 
 
 def find_table(kind: str, name_or_path: str, beside: Path | None = None) -> tuple[Table, str]:

@@ -114,6 +114,8 @@ def find_command(
     """
     from dragrig.api import run_query
 
+    if date and (since or until):
+        raise click.UsageError("--date is a single day; leave out --since and --until", click.get_current_context())
     query = run_query(specimen, kind, operator, since or date, until or date, marked)
     found, hint = _ask_runs(folder, lambda listing: _found_or_hint(listing, query))
     if as_json:

@@ -363,7 +363,7 @@ def _draw_excess_map(axes: Axes, cells: Sequence[PhaseCell], rows: Sequence[tupl
     axes.set_yticks(range(len(rows)), [", ".join(row) for row in rows], fontsize=TEXT_PT)
     axes.tick_params(length=0)
     axes.grid(visible=False)
-    axes.set_title("Excess in standard deviations of what is expected")
+    axes.set_title("Excess over noise and scatter of repeats, in standard deviations")
 
 
 def _sd_text(value: float) -> str:

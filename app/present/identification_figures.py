@@ -148,7 +148,7 @@ def _identified_text(parameter: ParameterEstimate, fit: JointFit) -> str:
 
 
 SESSION_TIME = re.compile(r"^\d{8}-\d{6}-")
-"""What names of run files begin with, and what does not tell them apart within a session."""
+"""Begin of the names of run files, the same for all of a session."""
 
 
 def _run_names(runs: Sequence[RunResidual]) -> list[str]:

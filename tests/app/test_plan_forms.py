@@ -91,6 +91,17 @@ def test_a_plan_of_the_lab_is_found_by_its_name(tmp_path: Path, monkeypatch: pyt
         dragrig.check("shrt")
 
 
+def test_a_plan_of_the_lab_with_a_mistake_is_not_replaced_by_a_shipped_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create_lab(tmp_path)
+    (tmp_path / "drag.toml").write_text('name = "drag"\n[[steps]\nkind = "drag"\n', "utf-8")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SettingsError, match="line 2"):
+        dragrig.check("drag")
+    assert "line 2" in known_plans(tmp_path)[str(tmp_path / "drag.toml")]
+
+
 def test_a_preview_shows_the_way_and_what_forbids_it() -> None:
     session = preview_session(plan_form("drag").plan, RigSelection())
     time, position, speed = motion_curves(session.preflight.previews[0])

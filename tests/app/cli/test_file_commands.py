@@ -262,4 +262,8 @@ def test_campaigns_are_listed_and_their_runs_found(command: Command, practice: P
     last_day = max(run.header.start_time for run in runs).astimezone().date()
     assert found("--until", last_day.isoformat()) == found(), "the day named is one of those wanted"
     assert found("--until", (last_day - timedelta(days=4000)).isoformat()) == set()
+    assert found("--date", last_day.isoformat()) == {
+        run.path.name for run in runs if run.header.start_time.astimezone().date() == last_day
+    }
+    assert main(["find", "c", "--date", last_day.isoformat(), "--since", began.isoformat()]) == 2
     assert found("--specimen", "nobody") == set()
