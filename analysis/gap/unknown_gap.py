@@ -529,7 +529,7 @@ def resemblance_text(inputs: DecisionInputs) -> str:
     return f"It looks like {display_name(best.effects[0])}, which is not established: {best.not_established}."
 
 
-NOT_LOCALISABLE = "It shows in many runs together, and in no place of them alone beyond noise and repeatability."
+NOT_LOCALISABLE = "It shows in many runs together, and in no place of them alone beyond noise and scatter of repeats."
 """Of a gap that many runs show together, and none of its parts alone."""
 
 

@@ -324,7 +324,7 @@ def location_figure(where: GapLocation, name: str = "") -> Figure:
 
 def _location_title(where: GapLocation) -> str:
     if not where.present:
-        return "Means over blocks: nothing beyond noise and repeatability"
+        return "Means over blocks: nothing beyond noise and scatter of repeats"
     channel, protocol = (where.location(axis).shares for axis in ("channel", "protocol"))
     in_channel, in_runs = (max(shares, key=lambda name: shares[name]) for shares in (channel, protocol))
     if not any(location.significant for location in where.locations):

@@ -57,6 +57,7 @@ from dragrig.present import (
     set_log_x,
     significant,
     speed_figure,
+    unit_text,
 )
 from dragrig.rig import FloatArray
 from dragrig.sim_backend.friction import EQ14, TABLE1, TABLE1_STRAIN
@@ -144,7 +145,7 @@ def _identified_text(parameter: ParameterEstimate, fit: JointFit) -> str:
     if not parameter.determined:
         return "not determined"
     error = parameter.standard_error if fit.converged else None
-    return value_with_error(parameter.value, error) + ("" if parameter.unit == "1" else f" {parameter.unit}")
+    return f"{value_with_error(parameter.value, error)} {unit_text(parameter.unit)}".rstrip()
 
 
 SESSION_TIME = re.compile(r"^\d{8}-\d{6}-")

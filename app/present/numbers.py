@@ -78,7 +78,7 @@ def interval_text(quantity: "EstimatedQuantity") -> str:
 
 def unit_text(unit: str) -> str:
     """Write a unit; nothing for a pure number."""
-    return "" if unit == "1" else unit
+    return {"1": "", "deg": "°"}.get(unit, unit)
 
 
 def probability_text(probability: float) -> str:

@@ -91,7 +91,7 @@ def test_the_bins_that_have_most_stand_out() -> None:
 def test_without_a_gap_it_says_so() -> None:
     figure = drawn(None)
     message = [text.get_text() for text in texts(figure)]
-    assert "Means over blocks: nothing beyond noise and repeatability" in message
+    assert "Means over blocks: nothing beyond noise and scatter of repeats" in message
     assert message.count("no excess here") == 5
 
 

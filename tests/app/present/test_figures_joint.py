@@ -110,7 +110,7 @@ def test_no_number_stands_where_runs_say_nothing() -> None:
 
 def test_no_interval_stands_where_the_fit_did_not_converge() -> None:
     axes = panel(joint_fit_figure(replace(fit(), converged=False)), "before")
-    assert [text.get_text() for text in axes.texts] == ["1.05", "−0.2 deg"]
+    assert [text.get_text() for text in axes.texts] == ["1.05", "−0.2 °"]
     assert dots(axes) == 2
     assert all(np.ptp(line.get_xdata()) == 0 for line in axes.lines)
 
