@@ -32,6 +32,7 @@ class Photographer:
 
     def __init__(self, folder: Path, lab: Path, rig: RigSelection) -> None:
         self.application = qt_application()
+        folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.place = folder, lab.parent
         settings = QSettings(str(lab / "window.ini"), QSettings.Format.IniFormat)
         self.window = MainWindow(rig, lab, StoredSettings(settings), SilenceLimits(PATIENCE_S, PATIENCE_S))
@@ -174,7 +175,6 @@ def main(folder: Path) -> None:
             assignments=["speed_mm_s=[1,2,5,10,20,40]", "repeats=2"],
         )
         simulated = RigSelection(rig=lab / "rig.toml")
-        # The simulated sensor bears no weights; that of the doubles does.
         double = replace(simulated, backend="hardware", double=True, pace=10.0)
         for rig, pages in (
             (simulated, (run_page, lambda camera: look_page(camera, campaign),

@@ -298,8 +298,9 @@ def _location_section(diagnosis: Diagnosis) -> Section:
                 "location",
                 "A map of channels, protocols and phases; below it, shares of the excess along speed, position, "
                 "session, strain and frequency.",
-                "Above, how far each channel exceeds noise and scatter of repeats, in standard deviations, and how much "
-                "of the residual each coordinate predicts. Below, shares of the excess, in colour where significant: "
+                "Above, how far each channel exceeds noise and scatter of repeats, in standard deviations, and how "
+                "much of the residual each coordinate predicts. Below, shares of the excess, in colour where "
+                "significant: "
                 f"p-values are {PLACE_CORRECTION}.",
                 lambda: present.location_figure(diagnosis.where),
             ),
