@@ -23,8 +23,8 @@ from statistics import fmean, median
 
 ROOT = "dragrig"
 BARS: dict[str, float] = {
-    "lines": 93_693, "modules": 297, "fan-out": 3.8667, "depth": 18, "circles": 0, "used once": 0.5693,
-    "free clauses": 0.0168,
+    "lines": 93_681, "modules": 297, "fan-out": 3.8654, "depth": 18, "circles": 0, "used once": 0.5692,
+    "free clauses": 0.0162,
 }  # fmt: skip
 """What the house is at most; a test holds it, and a bar is only ever lowered."""
 PEER = "ophyd-async's core: 26 modules, median 235 lines, fan-out 2.7"

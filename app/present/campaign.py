@@ -499,7 +499,8 @@ def steady_force_answer(rows: Sequence[TableRow]) -> str:
     force_slow, force_fast = (value_with_error(end.steady_above_rest_mN, end.half_width_95_mN) for end in (slow, fast))
     at_slow, at_fast = (f"{shortest(3)(end.speed_mm_s)} mm/s" for end in (slow, fast))
     counts = sorted({end.runs if isinstance(end, SpeedMean) else end.specimens for end in (slow, fast)})
-    n = f"n = {' and '.join(map(str, counts))} {'specimens' if isinstance(slow, SpecimensMean) else 'runs'}"
+    unit = "specimen" if isinstance(slow, SpecimensMean) else "run"
+    n = f"n = {' and '.join(map(str, counts))} {unit}{'' if set(counts) == {1} else 's'}"
     if slow.half_width_95_mN is None or fast.half_width_95_mN is None:
         between = "" if slow is fast else f" and {force_fast} mN at {at_fast}"
         return f"{subject} is {force_slow} mN at {at_slow}{between} ({n}): too few to tell how sure that is."

@@ -450,7 +450,7 @@ SPEED_OFFSET_FACTOR = 1.02
 def comparison_speed_figure(comparison: Comparison) -> Figure:
     """Draw the steady forces of both sides against speed, and below them B − A.
 
-    Bars hold 95 %: above by Student's t over repeats, below of noise and run-to-run scatter.
+    Bars hold 95 %: above by Student's t over repeats, below of noise and scatter of repeats.
     """
     measured, differences = list[SteadyForces](), list[SteadyForces]()
     for (kind, (colour, marker)), way in product(KIND_MARKERS.items(), (1, -1)):

@@ -46,7 +46,7 @@ def comparison_document(comparison: Comparison) -> Document:
         "steady-force",
         "Steady force against speed of both sides, and below it their differences.",
         "Large markers are means, small ones runs; bars hold 95 %: above by Student's t over repeats, below of noise "
-        "and run-to-run scatter.",
+        "and scatter of repeats.",
         lambda: present.comparison_speed_figure(comparison),
     )
     figures = (speed,) if present.sliding_pairs(comparison) else ()

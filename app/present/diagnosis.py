@@ -283,7 +283,7 @@ def _confidence_section(diagnosis: Diagnosis, source: str) -> Section:
 
 def _location_section(diagnosis: Diagnosis) -> Section:
     basis = (
-        "Excess is what exceeds noise and run-to-run scatter once the model's own parameters fit this specimen. The "
+        "Excess is what exceeds noise and scatter of repeats once the model's own parameters fit this specimen. The "
         f"p-value of a place is the probability of so much excess there by chance, {PLACE_CORRECTION}; that of the "
         f"excess anywhere is {OVERALL_CORRECTION}."
     )

@@ -196,6 +196,8 @@ def _joint_blocks(fit: JointFit) -> tuple[Block, ...]:
     def interval(parameter: ParameterEstimate) -> str:
         return interval_text(parameter) if parameter.determined and fit.converged else ""
 
+    names = re.compile(rf"\b(?:{'|'.join(parameter.name for parameter in fit.parameters)})\b")
+    remarks = (names.sub(lambda found: parameter_symbol(found[0]), remark) for remark in fit.remarks)
     return (
         Text(_joint_fit_heading(fit)),
         Table.of(
@@ -222,7 +224,7 @@ def _joint_blocks(fit: JointFit) -> tuple[Block, ...]:
             Field("unit", "unit", lambda product: unit_text(product.unit)),
             Field("combination", "key in files", lambda product: product.name),
         ),
-        Items((*_joint_fit_warnings(fit), *fit.remarks), remarks=True),
+        Items((*_joint_fit_warnings(fit), *remarks), remarks=True),
     )
 
 

@@ -99,7 +99,7 @@ class DiagnosisResults(QWidget):
         if diagnosis.shrink is not None and view.unit == "mN":
             floor_mN = diagnosis.shrink.noise_floor_mN
             self.below.level(-floor_mN, "")
-            self.below.level(floor_mN, "noise and run-to-run scatter", at=0.85, above=True)
+            self.below.level(floor_mN, "noise and scatter of repeats", at=0.85, above=True)
         self.above.fit()
         self.below.fit()
 

@@ -151,7 +151,7 @@ class FormEditor(QWidget):
             case _ if field.kind is FieldKind.LIST or field.key in _SENTENCES:
                 editor = QPlainTextEdit(text)
                 editor.setPlaceholderText(field.empty)
-                editor.setFixedHeight(110 if field.kind is FieldKind.LIST else 62)
+                editor.setFixedHeight(110 if field.kind is FieldKind.LIST else 84)
                 editor.setTabChangesFocus(True)
                 editor.textChanged.connect(self.changed.emit)
             case _:
@@ -189,7 +189,7 @@ def _field_help(field: FormField) -> str:
     sweep = "Several values, as 1, 5.5, 20, make a run for each value." if field.sweeps else ""
     limits = f"Allowed: {field.limits}." if field.limits else ""
     default = f"Default: {field.default}." if field.default and field.kind is not FieldKind.LIST else ""
-    return " ".join(part for part in (field.help, limits, default, sweep) if part)
+    return " ".join(" ".join((field.help, limits, default, sweep)).split())
 
 
 _USUAL_CHARACTERS = "-1000.000 "

@@ -63,7 +63,7 @@ JOINT = JointFit(
     p_value=0.36,
     converged=True,
     steps=7,
-    remarks=("e1_scale and e2_scale can hardly be told apart by these runs",),
+    remarks=("stiffness_scale and dwell_scale can hardly be told apart by these runs",),
 )
 ELEMENTS = (
     quantity("E1", 3.2659, 0.0123, "kPa"),
@@ -159,7 +159,7 @@ def test_what_cannot_be_known_is_said_in_words() -> None:
     text = identification_text(WHOLE)
     assert "these runs do not determine dwell_scale" in text
     assert "outside of the 95 % interval of the prior: angle_deg" in text
-    assert "can hardly be told apart" in text
+    assert "wall stiffness × and dwell_scale can hardly be told apart" in text
     assert "hard to distinguish: η1 and E1 (correlation −0.97)" in text
     assert "001-relaxation.h5: no elements: its ramp is clipped." in text
     assert "the model leaves more than noise in 014-drag.h5" in text
