@@ -61,22 +61,15 @@ def parts_of(progress: Progress, *costs: float) -> tuple[Progress, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A measured value.
-
-    Attributes
-    ----------
-    value, standard_error
-        In the unit of the estimate's name; None where the data do not support any.
-    effective_samples
-        Number of independent samples with the same standard error.
-    reason
-        Why value or standard error is None; empty when neither is.
-    """
+    """A measured value."""
 
     value: float | None = None
     standard_error: float | None = None
+    """In the unit of the estimate's name; None where the data do not support any."""
     effective_samples: float | None = None
+    """Number of independent samples with the same standard error."""
     reason: str = ""
+    """Why value or standard error is None; empty when neither is."""
 
     @property
     def interval(self) -> tuple[float, float] | None:

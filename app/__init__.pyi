@@ -1,3 +1,4 @@
+from .api.documents import bluesky_documents as bluesky_documents
 from .api.evaluate import campaign as campaign
 from .api.evaluate import compare as compare
 from .api.evaluate import export as export

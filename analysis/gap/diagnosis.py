@@ -18,58 +18,39 @@ ALPHA = 0.05
 
 @dataclass(frozen=True, slots=True)
 class AxisBin:
-    """A bin of an axis.
-
-    Attributes
-    ----------
-    name
-        Its name; empty for numeric bins.
-    low, high
-        Its ends in the axis' unit; None for named bins.
-    share
-        Share of the excess on this axis; 0 without a gap.
-    rms
-        Root mean excess, in expected standard deviations.
-    p
-        Familywise p-value.
-    """
+    """A bin of an axis."""
 
     name: str
+    """Its name; empty for numeric bins."""
     low: float | None
     high: float | None
+    """Its ends in the axis' unit; None for named bins."""
     share: float
+    """Share of the excess on this axis; 0 without a gap."""
     rms: float
+    """Root mean excess, in expected standard deviations."""
     p: float
+    """Familywise p-value."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisLocation:
-    """Location of the excess on one axis.
-
-    Attributes
-    ----------
-    name
-        Name in the report.
-    bins
-        All bins, whose shares sum to 1 or are all 0.
-    covered_share
-        Share of the whole excess on this axis; if small, bins have no shares.
-    low, high
-        Narrowest range of adjacent bins with most of the excess; None without a gap and for named bins.
-    share
-        Share of this range.
-    p
-        p-value of the place that is said of the axis: of this range, or of the most significant named bin. Corrected
-        for all places compared on the axis.
-    """
+    """Location of the excess on one axis."""
 
     name: str
+    """Name in the report."""
     bins: tuple[AxisBin, ...]
+    """All bins, whose shares sum to 1 or are all 0."""
     covered_share: float
+    """Share of the whole excess on this axis; if small, bins have no shares."""
     low: float | None
     high: float | None
+    """Narrowest range of adjacent bins with most of the excess; None without a gap and for named bins."""
     share: float
+    """Share of this range."""
     p: float
+    """p-value of the place that is said of the axis: of this range, or of the most significant named bin. Corrected for
+    all places compared on the axis."""
 
     @property
     def significant(self) -> bool:
@@ -111,40 +92,27 @@ class PhaseCell:
 
 @dataclass(frozen=True, slots=True)
 class GapLocation:
-    """Location of a gap.
-
-    Attributes
-    ----------
-    present
-        Whether there is a gap.
-    p
-        p-value of the excess, or of its concentration in one place, corrected for all axes by Bonferroni's method.
-    rms
-        Root mean excess of all runs, in expected standard deviations.
-    locations
-        Location on each axis.
-    cells
-        Excess by channel, protocol and phase.
-    domain
-        What the residual is mainly a function of; empty without a gap.
-    domain_scores
-        Share of the residual that each domain explains in held-out runs, 0 to 1.
-    permutations, seed
-        Of the p-values.
-    runs
-        Number of runs; with one, there is no permutation and no prediction from others.
-    """
+    """Location of a gap."""
 
     present: bool
+    """Whether there is a gap."""
     p: float
+    """p-value of the excess, or of its concentration in one place, corrected for all axes by Bonferroni's method."""
     rms: float
+    """Root mean excess of all runs, in expected standard deviations."""
     locations: tuple[AxisLocation, ...]
+    """Location on each axis."""
     cells: tuple[PhaseCell, ...]
+    """Excess by channel, protocol and phase."""
     domain: str
+    """What the residual is mainly a function of; empty without a gap."""
     domain_scores: Mapping[str, float]
+    """Share of the residual that each domain explains in held-out runs, 0 to 1."""
     permutations: int
     seed: int
+    """Of the p-values."""
     runs: int = 0
+    """Number of runs; with one, there is no permutation and no prediction from others."""
 
     def location(self, name: str) -> AxisLocation:
         """Return an axis by name; raises `KeyError` for an unknown one."""
@@ -172,24 +140,16 @@ class GapLocation:
 
 @dataclass(frozen=True, slots=True)
 class NextRun:
-    """A recommended run.
-
-    Attributes
-    ----------
-    step
-        Step of a plan: kind, settings, repeats and the rest before it.
-    minutes
-        Rig time of all repeats, with rests and returns.
-    gain_bits
-        Information that it is expected to add to the runs before it; None for a motion that nothing is known of yet.
-    about
-        What it tells most of: the effects whose presence, or which of which, is open.
-    """
+    """A recommended run."""
 
     step: PlanStep
+    """Step of a plan: kind, settings, repeats and the rest before it."""
     minutes: float
+    """Rig time of all repeats, with rests and returns."""
     gain_bits: float | None
+    """Information that it is expected to add to the runs before it; None for a motion that nothing is known of yet."""
     about: tuple[str, ...] = ()
+    """What it tells most of: the effects whose presence, or which of which, is open."""
 
     @property
     def settings(self) -> Mapping[str, object]:
@@ -199,24 +159,16 @@ class NextRun:
 
 @dataclass(frozen=True, slots=True)
 class NextExperiment:
-    """Recommended runs.
-
-    Attributes
-    ----------
-    runs
-        Recommended runs, the best first.
-    compared
-        Number of candidate runs.
-    reason
-        Reason in plain words.
-    open_bits
-        Entropy of the question before these runs; None for a motion that nothing is known of yet.
-    """
+    """Recommended runs."""
 
     runs: tuple[NextRun, ...]
+    """Recommended runs, the best first."""
     compared: int
+    """Number of candidate runs."""
     reason: str
+    """Reason in plain words."""
     open_bits: float | None = None
+    """Entropy of the question before these runs; None for a motion that nothing is known of yet."""
 
     @property
     def minutes(self) -> float:
@@ -226,25 +178,17 @@ class NextExperiment:
 
 @dataclass(frozen=True, slots=True)
 class OpenCauses:
-    """What is open about which causes act on the force, sizes included that these runs cannot show.
-
-    Attributes
-    ----------
-    probabilities
-        Probability that each cause acts: ids of effects, and `unexplained`. Effects that no explanation names are left
-        out.
-    none
-        Probability that none acts.
-    surest
-        Probability of the most likely set of causes.
-    bits
-        Entropy of which set of causes acts.
-    """
+    """What is open about which causes act on the force, sizes included that these runs cannot show."""
 
     probabilities: Mapping[str, float]
+    """Probability that each cause acts: ids of effects, and `unexplained`. Effects that no explanation names are left
+    out."""
     none: float
+    """Probability that none acts."""
     surest: float
+    """Probability of the most likely set of causes."""
     bits: float
+    """Entropy of which set of causes acts."""
 
 
 class Verdict(StrEnum):
@@ -284,24 +228,16 @@ def marginal_probability(effect: str, probabilities: Mapping[str, float]) -> flo
 
 @dataclass(frozen=True, slots=True)
 class RankedHypothesis:
-    """A hypothesis with its probability.
-
-    Attributes
-    ----------
-    hypothesis
-        Id of an effect, several joined with `+`, `no_gap` or `unknown`.
-    probability
-        Probability, calibrated on simulated campaigns; a ranking sums to 1.
-    parameters
-        Fitted parameters of its effects; empty for `no_gap` and `unknown`.
-    held_out_improvement
-        Share of the excess that it explains in held-out runs; None where not evaluated.
-    """
+    """A hypothesis with its probability."""
 
     hypothesis: str
+    """Id of an effect, several joined with `+`, `no_gap` or `unknown`."""
     probability: float
+    """Probability, calibrated on simulated campaigns; a ranking sums to 1."""
     parameters: tuple[EstimatedQuantity, ...] = ()
+    """Fitted parameters of its effects; empty for `no_gap` and `unknown`."""
     held_out_improvement: float | None = None
+    """Share of the excess that it explains in held-out runs; None where not evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,36 +252,25 @@ class R2BeforeAfter:
 
 @dataclass(frozen=True, slots=True)
 class GapReduction:
-    """How far the gap closes with the effects in the simulator, on held-out runs.
-
-    Attributes
-    ----------
-    gap_before_mN, gap_after_mN
-        Rms residual without and with the effects.
-    noise_floor_mN
-        Noise at rest and scatter of repeats, fixed before any fit.
-    closed
-        `1 − (after² − floor²) / (before² − floor²)`; None without a gap to close.
-    closed_95ci
-        Bootstrap interval over runs.
-    boundary_mm_s
-        Speed boundary of the coefficients of determination; None without drag runs on both sides.
-    r2_eq15, r2_corr
-        Of steady drag forces, by Eq. 15 of the paper and as squared correlation.
-    position_um
-        Rms position error without and with the effects [µm], where `closed` is the share of that; else None.
-    """
+    """How far the gap closes with the effects in the simulator, on held-out runs."""
 
     gap_before_mN: float
     gap_after_mN: float
+    """Rms residual without and with the effects."""
     noise_floor_mN: float
+    """Noise at rest and scatter of repeats, fixed before any fit."""
     closed: float | None
+    """`1 − (after² − floor²) / (before² − floor²)`; None without a gap to close."""
     closed_95ci: tuple[float, float] | None
+    """Bootstrap interval over runs."""
     boundary_mm_s: float | None
+    """Speed boundary of the coefficients of determination; None without drag runs on both sides."""
     r2_eq15: R2BeforeAfter
     r2_corr: R2BeforeAfter
+    """Of steady drag forces, by Eq. 15 of the paper and as squared correlation."""
     runs: tuple[str, ...] = ()
     position_um: tuple[float, float] | None = None
+    """Rms position error without and with the effects [µm], where `closed` is the share of that; else None."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,24 +301,16 @@ class RunTraces:
 
 @dataclass(frozen=True, slots=True)
 class UnexplainedGap:
-    """Description of a gap, or its remainder, that no effect of the catalogue explains.
-
-    Attributes
-    ----------
-    location
-        Where it is, in sentences.
-    dependence
-        What it depends on, in sentences.
-    expression
-        Sparse expression that predicts held-out runs; empty for none.
-    held_out_share
-        Share of the excess that the expression explains there.
-    """
+    """Description of a gap, or its remainder, that no effect of the catalogue explains."""
 
     location: str
+    """Where it is, in sentences."""
     dependence: str
+    """What it depends on, in sentences."""
     expression: str = ""
+    """Sparse expression that predicts held-out runs; empty for none."""
     held_out_share: float | None = None
+    """Share of the excess that the expression explains there."""
 
 
 UNEXPLAINED, MODEL, SPECIMEN = "unexplained", "model", "specimen"
@@ -407,67 +324,47 @@ ESTABLISHED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class BudgetEntry:
-    """A part of the gap.
-
-    Attributes
-    ----------
-    cause
-        Id of an effect, `model`, `specimen` or `unexplained`.
-    channel
-        `force` or `position`.
-    share, share_95ci
-        Share of the gap in its channel on held-out runs, with its bootstrap interval over runs; None where a single run
-        gives none.
-    rms_mN
-        Root mean square of its contribution to the force; None in the position.
-    presence
-        Probability that it is there; None for the rest.
-    what
-        What the part looks like, in plain words: directions of a model, or what the unexplained rest depends on.
-    not_separable_from
-        Effects that these runs cannot tell from it, and `model` where its own laws may be in its place.
-    """
+    """A part of the gap."""
 
     cause: str
+    """Id of an effect, `model`, `specimen` or `unexplained`."""
     channel: str
+    """`force` or `position`."""
     share: float
     share_95ci: tuple[float, float] | None
+    """Share of the gap in its channel on held-out runs, with its bootstrap interval over runs; None where a single run
+    gives none."""
     rms_mN: float | None
+    """Root mean square of its contribution to the force; None in the position."""
     presence: float | None = None
+    """Probability that it is there; None for the rest."""
     what: str = ""
+    """What the part looks like, in plain words: directions of a model, or what the unexplained rest depends on."""
     not_separable_from: tuple[str, ...] = ()
+    """Effects that these runs cannot tell from it, and `model` where its own laws may be in its place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunContributions:
-    """The gap of one run and what each part of the budget adds to it, whose shares the budget states.
-
-    Attributes
-    ----------
-    unit
-        Of the gap and the parts: mN of a force, µm of a position.
-    time_s, width_s, position_mm
-        Middle and duration of `B` blocks, and the position there; shape `(B,)` each.
-    gap
-        What the model without causes leaves of the run, without what the run itself is off by; shape `(B,)`.
-    parts
-        What each named cause adds, predicted from fits to other runs where runs were held out; shape `(B,)` each.
-    acting_mN
-        Rms of a cause's own force in the run; what it adds elsewhere is what it makes the nominal parameters miss.
-        Empty in the position.
-    """
+    """The gap of one run and what each part of the budget adds to it, whose shares the budget states."""
 
     file: str
     kind: str
     label: str
     channel: str
     unit: str
+    """Of the gap and the parts: mN of a force, µm of a position."""
     time_s: FloatArray
     width_s: FloatArray
     position_mm: FloatArray
+    """Middle and duration of `B` blocks, and the position there; shape `(B,)` each."""
     gap: FloatArray
+    """What the model without causes leaves of the run, without what the run itself is off by; shape `(B,)`."""
     parts: Mapping[str, FloatArray]
+    """What each named cause adds, predicted from fits to other runs where runs were held out; shape `(B,)` each."""
     acting_mN: Mapping[str, float] = field(default_factory=dict)
+    """Rms of a cause's own force in the run; what it adds elsewhere is what it makes the nominal parameters miss. Empty
+    in the position."""
 
     def rms(self, cause: str = "") -> float:
         """Return the root mean square over time of a part, or of the gap; 0 for a part that the run lacks."""
@@ -477,29 +374,20 @@ class RunContributions:
 
 @dataclass(frozen=True, slots=True)
 class GapBudget:
-    """The gap of a campaign by causes.
-
-    Attributes
-    ----------
-    presence
-        Probability that each effect of the catalogue is there, given all else that may be there; of one that shares
-        its place with the nominal model, that either of them is.
-    entries
-        Parts of the gap, the largest first and the unexplained rest last, by channel; empty without a gap.
-    gap_mN
-        Root mean square of the force's gap above noise on the runs.
-    held_out
-        Whether shares are of runs that took no part in the fit; False for too few runs.
-    runs
-        What each part adds to each run, by channel; empty without a gap. Spectral lines, which block means average
-        out, have no part in them.
-    """
+    """The gap of a campaign by causes."""
 
     presence: Mapping[str, float]
+    """Probability that each effect of the catalogue is there, given all else that may be there; of one that shares its
+    place with the nominal model, that either of them is."""
     entries: tuple[BudgetEntry, ...]
+    """Parts of the gap, the largest first and the unexplained rest last, by channel; empty without a gap."""
     gap_mN: float
+    """Root mean square of the force's gap above noise on the runs."""
     held_out: bool
+    """Whether shares are of runs that took no part in the fit; False for too few runs."""
     runs: tuple[RunContributions, ...] = ()
+    """What each part adds to each run, by channel; empty without a gap. Spectral lines, which block means average out,
+    have no part in them."""
 
     @property
     def shared_with(self) -> Mapping[str, tuple[str, ...]]:
@@ -519,71 +407,52 @@ class GapBudget:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Diagnosis:
-    """Result of a diagnosis.
-
-    Attributes
-    ----------
-    used_for_fit, held_out
-        Files of the runs in the final fit, and of those held out in turn.
-    effects
-        Most likely effects; empty for `no_gap`, `unknown` and `open`.
-    ranking
-        Hypotheses with their probabilities; empty for `open`.
-    only_condition
-        Condition of the runs in words, as `a drag at 20 mm/s`, where there is no other; else empty.
-    likeliest
-        Of `open`: the diagnosis as if these runs could tell, for exams.
-    confusable_with
-        Effects that these runs cannot distinguish from them, excluded ones included.
-    residual_unknown
-        Whether part of the gap remains beside clearly present effects; of `open`, whether there is a gap.
-    detection_limit_mN
-        Smallest detectable effect, rms force where it acts.
-    limitations
-        What these runs cannot answer, a sentence each.
-    next_experiment
-        Runs that separate the leading hypotheses best per minute; None for no recommendation.
-    model
-        Amended model; None without named effects or for other models than the friction model.
-    decision_inputs
-        Numbers that the verdict is based on, for training.
-    budget
-        The gap by causes, with the probability that each effect is there.
-    backends
-        Where the runs come from: simulated, hardware, external.
-    open_causes
-        What is open about the causes; None for other models than the friction model, or where no run was looked for.
-    """
+    """Result of a diagnosis."""
 
     specimen: str
     nominal: str
     runs: int
     used_for_fit: tuple[str, ...]
     held_out: tuple[str, ...]
+    """Files of the runs in the final fit, and of those held out in turn."""
     left_out: tuple[Exclusion, ...]
     verdict: Verdict
     effects: tuple[str, ...]
+    """Most likely effects; empty for `no_gap`, `unknown` and `open`."""
     ranking: tuple[RankedHypothesis, ...]
+    """Hypotheses with their probabilities; empty for `open`."""
     confusable_with: tuple[str, ...]
+    """Effects that these runs cannot distinguish from them, excluded ones included."""
     residual_unknown: bool
+    """Whether part of the gap remains beside clearly present effects; of `open`, whether there is a gap."""
     detection_limit_mN: float
+    """Smallest detectable effect, rms force where it acts."""
     tolerance_mN: float
     where: GapLocation
     shrink: GapReduction | None
     unknown: UnexplainedGap | None = None
     model: ModelSettings | None = None
+    """Amended model; None without named effects or for other models than the friction model."""
     traces: tuple[RunTraces, ...] = ()
     limitations: tuple[str, ...] = ()
+    """What these runs cannot answer, a sentence each."""
     remarks: tuple[str, ...] = ()
     calibration: str = ""
     decision_inputs: DecisionInputs | None = None
+    """Numbers that the verdict is based on, for training."""
     timings_s: Mapping[str, float] = field(default_factory=dict)
     next_experiment: NextExperiment | None = None
+    """Runs that separate the leading hypotheses best per minute; None for no recommendation."""
     budget: GapBudget | None = None
+    """The gap by causes, with the probability that each effect is there."""
     backends: tuple[str, ...] = ()
+    """Where the runs come from: simulated, hardware, external."""
     open_causes: OpenCauses | None = None
+    """What is open about the causes; None for other models than the friction model, or where no run was looked for."""
     only_condition: str = ""
+    """Condition of the runs in words, as `a drag at 20 mm/s`, where there is no other; else empty."""
     likeliest: "Diagnosis | None" = None
+    """Of `open`: the diagnosis as if these runs could tell, for exams."""
 
     def __repr__(self) -> str:
         verdict = NAMES_WITHOUT_EFFECT.get(self.verdict.value) or " and ".join(self.effects)

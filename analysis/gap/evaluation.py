@@ -79,21 +79,15 @@ class PromiseVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RelativeEffectSize:
-    """The size of an effect in fresh runs, relative to the size that the model promises.
-
-    Attributes
-    ----------
-    low, high
-        95 % interval, over whole runs.
-    d_prime
-        Detectability of the promised effect in these runs, the specimen's parameters and run factors being unknown.
-    """
+    """The size of an effect in fresh runs, relative to the size that the model promises."""
 
     effect: str
     size: float
     low: float
     high: float
+    """95 % interval, over whole runs."""
     d_prime: float
+    """Detectability of the promised effect in these runs, the specimen's parameters and run factors being unknown."""
 
     @property
     def verdict(self) -> PromiseVerdict:
@@ -106,39 +100,28 @@ class RelativeEffectSize:
 
 @dataclass(frozen=True, slots=True)
 class ModelEvaluation:
-    """What fresh runs say of an amended model.
-
-    Attributes
-    ----------
-    promised, promised_95ci
-        Share of the gap that the diagnosis promised to close, from held-out runs; None where it gave none.
-    achieved, achieved_95ci
-        Share of the gap that the model closes in these runs, as a share of the gap or, where there is none, of the
-        smallest gap that counts; negative where the model is worse than without its effects. None for an effect that
-        acts beside the averages of the force (hum).
-    sizes
-        Relative size of each effect.
-    explained
-        Share of chi-square beyond noise that the effects explain, the specimen's parameters and each run's own factors
-        fitted under their priors without the effects and with them; None where chi-square shows no gap that matters.
-    traces
-        Each run beside what the model says without and with the effects.
-    backends
-        Where the runs come from.
-    diagnosed_runs
-        Runs that were left out because they took part in the diagnosis.
-    """
+    """What fresh runs say of an amended model."""
 
     reduction: GapReduction
     promised: float | None
     promised_95ci: tuple[float, float] | None
+    """Share of the gap that the diagnosis promised to close, from held-out runs; None where it gave none."""
     achieved: float | None
     achieved_95ci: tuple[float, float] | None
+    """Share of the gap that the model closes in these runs, as a share of the gap or, where there is none, of the
+    smallest gap that counts; negative where the model is worse than without its effects. None for an effect that acts
+    beside the averages of the force (hum)."""
     explained: float | None
+    """Share of chi-square beyond noise that the effects explain, the specimen's parameters and each run's own factors
+    fitted under their priors without the effects and with them; None where chi-square shows no gap that matters."""
     sizes: tuple[RelativeEffectSize, ...]
+    """Relative size of each effect."""
     traces: tuple[RunTraces, ...] = ()
+    """Each run beside what the model says without and with the effects."""
     backends: tuple[str, ...] = ()
+    """Where the runs come from."""
     diagnosed_runs: int = 0
+    """Runs that were left out because they took part in the diagnosis."""
 
     @property
     def verdict(self) -> PromiseVerdict:
@@ -220,27 +203,19 @@ def without_diagnosed(selection: RunSelection, model: ModelSettings) -> RunSelec
 
 @dataclass(frozen=True, eq=False)
 class ForceEvaluation:
-    """Fresh runs linearised about the amended model, and the force of each effect in them at several sizes.
-
-    Attributes
-    ----------
-    effects
-        Effects that act on the average force.
-    grids
-        Relative sizes at which each effect is tried, 0 and 1 among them.
-    forces
-        Block means of the force of all effects in each run, each effect in turn at the sizes of its grid and the others
-        as promised, shape `(S, B)`.
-    promised_forces
-        The same with all effects as promised, shape `(B,)`.
-    """
+    """Fresh runs linearised about the amended model, and the force of each effect in them at several sizes."""
 
     study: Study
     amended: Design
     effects: tuple[ActiveEffect, ...]
+    """Effects that act on the average force."""
     grids: tuple[tuple[float, ...], ...]
+    """Relative sizes at which each effect is tried, 0 and 1 among them."""
     forces: tuple[tuple[FloatArray, ...], ...]
+    """Block means of the force of all effects in each run, each effect in turn at the sizes of its grid and the others
+    as promised, shape `(S, B)`."""
     promised_forces: tuple[FloatArray, ...]
+    """The same with all effects as promised, shape `(B,)`."""
 
     @classmethod
     def of(cls, selection: RunSelection, model: ModelSettings) -> "ForceEvaluation":

@@ -15,21 +15,14 @@ from dragrig.sim_backend.effects import Effect, catalogue, confusable_effects, s
 
 @dataclass(frozen=True, slots=True)
 class NonparametricLaw:
-    """A fit of the force as any smooth function of one coordinate.
-
-    Attributes
-    ----------
-    name
-        The coordinate.
-    chi2
-        Minus twice the log evidence: chi-square plus the Occam factor of the free values.
-    change_mN
-        Rms force of the law where it acts.
-    """
+    """A fit of the force as any smooth function of one coordinate."""
 
     name: Annotated[str, Field(alias="law")]
+    """The coordinate."""
     chi2: Annotated[float, Field(alias="squares")]
+    """Minus twice the log evidence: chi-square plus the Occam factor of the free values."""
     change_mN: Annotated[float, Field(alias="changed_mN")]
+    """Rms force of the law where it acts."""
 
 
 EXCHANGE = "exchange of the specimen"
@@ -42,46 +35,31 @@ MANY_LOOKALIKES = 20
 
 @dataclass(frozen=True, slots=True)
 class HypothesisSummary:
-    """Numbers of a hypothesis that the verdict uses.
-
-    Attributes
-    ----------
-    effects
-        Ids of its effects, in the order of selection.
-    chi2, chi2_with_form_error
-        Chi-square without and with form error of the effects.
-    change_mN
-        Rms change of the prediction, nominal parameters refitted, where it changes.
-    periodic
-        Whether one of the effects is periodic in session time, so that its phase may be lost between runs.
-    llr
-        Log likelihood ratio of the last effect; beside others with their form error (`inflate_by_form_error`).
-    chi2_without
-        Chi-square without the last effect, with the same form error.
-    laws
-        Best nonparametric laws in place of the last of several effects.
-    excess_elsewhere
-        Excess chi-square in runs without any force of the effects, in standard deviations of chance.
-    at_limit
-        Whether an effect has its largest possible size.
-    untried_lookalikes
-        Number of effects that could not be tried with this nominal model and may look alike in these runs.
-    not_established
-        Why these runs do not establish its effects although they fit, half a sentence; empty where they may.
-    """
+    """Numbers of a hypothesis that the verdict uses."""
 
     effects: tuple[str, ...]
+    """Ids of its effects, in the order of selection."""
     chi2: Annotated[float, Field(alias="plain")]
     chi2_with_form_error: Annotated[float, Field(alias="flexible")]
+    """Chi-square without and with form error of the effects."""
     change_mN: Annotated[float, Field(alias="changed_mN")]
+    """Rms change of the prediction, nominal parameters refitted, where it changes."""
     periodic: bool = False
+    """Whether one of the effects is periodic in session time, so that its phase may be lost between runs."""
     llr: Annotated[float, Field(alias="gain")] = 0.0
+    """Log likelihood ratio of the last effect; beside others with their form error (`inflate_by_form_error`)."""
     chi2_without: Annotated[float, Field(alias="left")] = 0.0
+    """Chi-square without the last effect, with the same form error."""
     laws: tuple[NonparametricLaw, ...] = ()
+    """Best nonparametric laws in place of the last of several effects."""
     excess_elsewhere: Annotated[float, Field(alias="elsewhere")] = 0.0
+    """Excess chi-square in runs without any force of the effects, in standard deviations of chance."""
     at_limit: bool = False
+    """Whether an effect has its largest possible size."""
     untried_lookalikes: Annotated[int, Field(alias="untold")] = 0
+    """Number of effects that could not be tried with this nominal model and may look alike in these runs."""
     not_established: str = ""
+    """Why these runs do not establish its effects although they fit, half a sentence; empty where they may."""
 
     @property
     def lookalikes(self) -> int:
@@ -91,45 +69,31 @@ class HypothesisSummary:
 
 @dataclass(frozen=True, slots=True)
 class DecisionInputs:
-    """All numbers that a verdict is based on.
-
-    Attributes
-    ----------
-    block_count, chi2
-        Number of blocks of the force, and chi-square of the nominal model.
-    hypotheses
-        Hypotheses that were fitted to the force.
-    mains_llr, line_llr
-        Log likelihood ratios of spectral lines at the mains frequency and elsewhere.
-    position
-        Effects by the model class of the position error, with their held-out shares, the best first.
-    has_position_error
-        Whether the position deviates from the command.
-    excluded
-        Effects left out of the search.
-    laws
-        Nonparametric laws beside the nominal model, the best first.
-    moves_astray
-        Whether the stage itself deviates, not only its record.
-    competition
-        Probability that each cause is there by the competition of causes, unnamed ones included; empty where it was not
-        judged.
-    by_model
-        Probability by the same that the nominal model's own laws are in the place of an effect.
-    """
+    """All numbers that a verdict is based on."""
 
     block_count: Annotated[int, Field(alias="blocks")]
     chi2: Annotated[float, Field(alias="squares")]
+    """Number of blocks of the force, and chi-square of the nominal model."""
     hypotheses: Annotated[tuple[HypothesisSummary, ...], Field(alias="tried")] = ()
+    """Hypotheses that were fitted to the force."""
     mains_llr: Annotated[float, Field(alias="mains_gain")] = 0.0
     line_llr: Annotated[float, Field(alias="line_gain")] = 0.0
+    """Log likelihood ratios of spectral lines at the mains frequency and elsewhere."""
     position: tuple[tuple[str, float], ...] = ()
+    """Effects by the model class of the position error, with their held-out shares, the best first."""
     has_position_error: Annotated[bool, Field(alias="strays")] = False
+    """Whether the position deviates from the command."""
     excluded: Annotated[tuple[str, ...], Field(alias="without")] = ()
+    """Effects left out of the search."""
     laws: Annotated[tuple[NonparametricLaw, ...], Field(alias="nameless")] = ()
+    """Nonparametric laws beside the nominal model, the best first."""
     moves_astray: bool = False
+    """Whether the stage itself deviates, not only its record."""
     competition: Mapping[str, float] = field(default_factory=dict)
+    """Probability that each cause is there by the competition of causes, unnamed ones included; empty where it was not
+    judged."""
     by_model: Mapping[str, float] = field(default_factory=dict)
+    """Probability by the same that the nominal model's own laws are in the place of an effect."""
 
     @property
     def excess(self) -> float:
@@ -190,33 +154,23 @@ class PresenceWeights(BaseModel):
 
 
 class VerdictCalibration(BaseModel):
-    """What is learnt from campaigns whose hidden effects are known, with its origin. No number is of a single effect.
-
-    Attributes
-    ----------
-    version
-        Version of file format and features.
-    command
-        Command that made it.
-    seeds, cases
-        Seeds and number of the training campaigns.
-    gate
-        Probability that a gap exists.
-    weights
-        Weight of each feature; features not named have weight 0.
-    presence
-        How classifier and competition decide together whether an effect is there.
-    """
+    """What is learnt from campaigns with known hidden effects, with its origin. No number is of a single effect."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: int
+    """Version of file format and features."""
     command: str
+    """Command that made it."""
     seeds: tuple[int, ...]
     cases: int
+    """Seeds and number of the training campaigns."""
     gate: GapGate
+    """Probability that a gap exists."""
     weights: Mapping[str, float]
+    """Weight of each feature; features not named have weight 0."""
     presence: PresenceWeights
+    """How classifier and competition decide together whether an effect is there."""
 
     @property
     def with_hand_set_weights(self) -> "VerdictCalibration":

@@ -27,25 +27,17 @@ SETTINGS_SEARCHED = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatternOdds:
-    """In which of `C` campaigns a cause is, as log posterior odds against its absence from all.
-
-    Attributes
-    ----------
-    everywhere, some
-        In all of them, and in at least two but not all; -inf where that cannot be.
-    single
-        In one campaign alone, shape `(C,)`.
-    members
-        Probability that it is in each campaign, given that it is in some, shape `(C,)`.
-    scale
-        Its most likely scale.
-    """
+    """In which of `C` campaigns a cause is, as log posterior odds against its absence from all."""
 
     everywhere: float
     some: float
+    """In all of them, and in at least two but not all; -inf where that cannot be."""
     single: FloatArray
+    """In one campaign alone, shape `(C,)`."""
     members: FloatArray
+    """Probability that it is in each campaign, given that it is in some, shape `(C,)`."""
     scale: float
+    """Its most likely scale."""
 
     @property
     def total(self) -> float:
@@ -60,25 +52,17 @@ class PatternOdds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedInformation:
-    """Information of all campaigns on one cause for one scale and spread.
-
-    Attributes
-    ----------
-    gram, moment
-        Of the shared mean, shapes `(C, k, k)` and `(C, k)`, own deviations integrated out.
-    constant
-        Log evidence that does not depend on the mean, shape `(C,)`.
-    mean_variance
-        Prior variance of the mean.
-    direction
-        Direction in which the mean must be positive, shape `(k,)`; None for either sign.
-    """
+    """Information of all campaigns on one cause for one scale and spread."""
 
     gram: FloatArray
     moment: FloatArray
+    """Of the shared mean, shapes `(C, k, k)` and `(C, k)`, own deviations integrated out."""
     constant: FloatArray
+    """Log evidence that does not depend on the mean, shape `(C,)`."""
     mean_variance: float
+    """Prior variance of the mean."""
     direction: FloatArray | None
+    """Direction in which the mean must be positive, shape `(k,)`; None for either sign."""
 
     @classmethod
     def of(

@@ -37,66 +37,44 @@ POOLED_KINDS = (CauseKind.EFFECT, CauseKind.LAW, CauseKind.MODEL)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedColumns:
-    """Columns of a cause that mean the same in every campaign.
-
-    Attributes
-    ----------
-    name
-        Id of an effect, or the coordinate of a free law.
-    kind
-        Kind of the cause.
-    numbers
-        Numbers of the `n` variants or functions that act in this campaign, shape `(n,)`.
-    rows
-        Their rows in the information, shape `(n,)`.
-    form_rows
-        Rows of the directions in which the form may differ, at scale 1, shape `(r,)`.
-    sizes_mN
-        Root mean square of each at its default size where it acts, shape `(n,)`.
-    one_signed
-        Whether its size is known to be positive.
-    scales
-        Possible scales.
-    forms
-        At each scale, log Bayes factor of all forms of an effect beyond that of these columns; the same length.
-    elsewhere
-        How much likelier the cause becomes by the campaign's other sets of causes; negative where these explain the
-        same.
-    chi2
-        Sum of squares of the residual beside which `elsewhere` holds.
-    """
+    """Columns of a cause that mean the same in every campaign."""
 
     name: str
+    """Id of an effect, or the coordinate of a free law."""
     kind: CauseKind
+    """Kind of the cause."""
     numbers: IndexArray
+    """Numbers of the `n` variants or functions that act in this campaign, shape `(n,)`."""
     rows: IndexArray
+    """Their rows in the information, shape `(n,)`."""
     form_rows: IndexArray
+    """Rows of the directions in which the form may differ, at scale 1, shape `(r,)`."""
     sizes_mN: FloatArray
+    """Root mean square of each at its default size where it acts, shape `(n,)`."""
     one_signed: bool
+    """Whether its size is known to be positive."""
     scales: tuple[float, ...]
+    """Possible scales."""
     forms: tuple[float, ...] = ()
+    """At each scale, log Bayes factor of all forms of an effect beyond that of these columns; the same length."""
     elsewhere: float = 0.0
+    """How much likelier the cause becomes by the campaign's other sets of causes; negative where these explain the
+    same."""
     chi2: float = 0.0
+    """Sum of squares of the residual beside which `elsewhere` holds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceEvidence:
-    """Information of one campaign on all shared columns.
-
-    Attributes
-    ----------
-    contexts
-        Products of residual (first) and columns, whitened, beside nuisances and some set of the campaign's own causes,
-        shape `(1 + C, 1 + C)` each.
-    columns
-        The columns of each cause.
-    context_of
-        Number of the context in which each cause is looked at: beside its likely companions.
-    """
+    """Information of one campaign on all shared columns."""
 
     contexts: tuple[FloatArray, ...]
+    """Products of residual (first) and columns, whitened, beside nuisances and some set of the campaign's own causes,
+    shape `(1 + C, 1 + C)` each."""
     columns: Mapping[str, SharedColumns]
+    """The columns of each cause."""
     context_of: Mapping[str, int]
+    """Number of the context in which each cause is looked at: beside its likely companions."""
 
     def information_for(self, name: str) -> FloatArray:
         """Return the information beside the likely companions of a cause."""
@@ -144,24 +122,16 @@ def force_evidence(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WeighedSets:
-    """The sets of causes that a campaign weighed, whose effects are its own strong ones but for one in question.
-
-    Attributes
-    ----------
-    own
-        Log odds of the sets that have strong effects alone.
-    log_odds
-        The same values, shape `(S,)`.
-    own_with
-        Of the sets in `own`, the numbers of those that have a cause, by its name.
-    beside
-        Of the sets that have a cause, all else that is in them and their log odds, by its name.
-    """
+    """The sets of causes that a campaign weighed, whose effects are its own strong ones but for one in question."""
 
     own: Mapping[CauseSet, float]
+    """Log odds of the sets that have strong effects alone."""
     log_odds: FloatArray
+    """The same values, shape `(S,)`."""
     own_with: Mapping[str, Sequence[int]]
+    """Of the sets in `own`, the numbers of those that have a cause, by its name."""
     beside: Mapping[str, Sequence[tuple[CauseSet, float]]]
+    """Of the sets that have a cause, all else that is in them and their log odds, by its name."""
 
     @classmethod
     def of(cls, competition: Competition, presence: Presence, strong: set[str]) -> "_WeighedSets":

@@ -199,24 +199,16 @@ def _projected_out(campaign: ForceEvidence, name: str, scale: float) -> ForceEvi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PooledCause:
-    """A cause in several campaigns.
-
-    Attributes
-    ----------
-    odds
-        In which it is, beside all other causes that are there.
-    evidence
-        The evidence of all campaigns beside those.
-    probability
-        That it is in any, its lookalikes in its place considered.
-    confusable_with
-        Causes that may be there in its place.
-    """
+    """A cause in several campaigns."""
 
     odds: PatternOdds
+    """In which it is, beside all other causes that are there."""
     evidence: PooledForce
+    """The evidence of all campaigns beside those."""
     probability: float
+    """That it is in any, its lookalikes in its place considered."""
     confusable_with: tuple[str, ...]
+    """Causes that may be there in its place."""
 
 
 Alone = Mapping[str, FloatArray]
@@ -225,22 +217,15 @@ Alone = Mapping[str, FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class Credibility:
-    """How much is believed of the log odds that pooling gives.
-
-    Attributes
-    ----------
-    first
-        Log odds of each cause beside no other.
-    alone
-        Probability that each effect is there, from each campaign alone.
-    stage_strays
-        Whether the stage strays from its command in some campaign. Its errors resemble effects on the force, in all
-        campaigns alike: only an effect that some campaign alone tells from them is believed.
-    """
+    """How much is believed of the log odds that pooling gives."""
 
     first: Mapping[str, float]
+    """Log odds of each cause beside no other."""
     alone: Alone
+    """Probability that each effect is there, from each campaign alone."""
     stage_strays: bool
+    """Whether the stage strays from its command in some campaign. Its errors resemble effects on the force, in all
+    campaigns alike: only an effect that some campaign alone tells from them is believed."""
 
     def log_odds(self, name: str, odds: PatternOdds, evidence: PooledForce, chosen: Mapping[str, PatternOdds]) -> float:
         """Return the log odds that a cause is there, beside the chosen ones."""

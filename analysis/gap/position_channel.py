@@ -629,28 +629,19 @@ loops of 20 to 70 Hz."""
 
 @dataclass(frozen=True, slots=True)
 class Yielding:
-    """How far a stage gives way to the force, as every position loop does: no gap where the motion is the recorded one.
-
-    Attributes
-    ----------
-    channel
-        The force that it gives way to: of the sensor, or of the motor.
-    held_out_share
-        Share of the weighted squares of the position errors, in held-out runs.
-    most_mm
-        Largest way in any run.
-    um_per_N, lag_s
-        Way per force, and how late it is in the mean.
-    left
-        The runs with the errors that are left.
-    """
+    """How far a stage gives way to the force, as position loops do: no gap where the motion is the recorded one."""
 
     channel: str
+    """The force that it gives way to: of the sensor, or of the motor."""
     held_out_share: float
+    """Share of the weighted squares of the position errors, in held-out runs."""
     most_mm: float
+    """Largest way in any run."""
     um_per_N: float
     lag_s: float
+    """Way per force, and how late it is in the mean."""
     left: tuple[PositionErrors, ...]
+    """The runs with the errors that are left."""
 
 
 def stage_yielding(runs: Sequence[PositionErrors]) -> Yielding | None:

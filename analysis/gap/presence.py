@@ -156,21 +156,14 @@ class Cause:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VariantSpan:
-    """Variants of an effect, or functions of a law, in terms of the first `k` columns of a cause.
-
-    Attributes
-    ----------
-    variants
-        Their numbers among the variants of the effect, shape `(n,)`.
-    mixing
-        Coefficients of the columns that make up each variant at its default size, shape `(n, k)`.
-    sizes_mN
-        Root mean square of each variant at its default size where it acts, shape `(n,)`.
-    """
+    """Variants of an effect, or functions of a law, in terms of the first `k` columns of a cause."""
 
     variants: IndexArray
+    """Their numbers among the variants of the effect, shape `(n,)`."""
     mixing: FloatArray
+    """Coefficients of the columns that make up each variant at its default size, shape `(n, k)`."""
     sizes_mN: FloatArray
+    """Root mean square of each variant at its default size where it acts, shape `(n,)`."""
 
 
 CauseSet = tuple[tuple[int, int], ...]
@@ -208,18 +201,12 @@ class ForceCompetition(Competition):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeriodicColumns:
-    """All variants of a periodic effect, two of each period, at their default sizes.
-
-    Attributes
-    ----------
-    columns
-        Their columns, shape `(n,)`, those of a period one after the other.
-    sizes_mN
-        Root mean square of each where it acts, shape `(n,)`.
-    """
+    """All variants of a periodic effect, two of each period, at their default sizes."""
 
     columns: IndexArray
+    """Their columns, shape `(n,)`, those of a period one after the other."""
     sizes_mN: FloatArray
+    """Root mean square of each where it acts, shape `(n,)`."""
 
 
 class ColumnStore:

@@ -35,27 +35,19 @@ class Where(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PopulationSize:
-    """The size of an effect in the campaigns that have it.
-
-    Attributes
-    ----------
-    parameter, unit
-        Of the effect's size.
-    mean, standard_error
-        Over the campaigns that have it.
-    spread
-        Standard deviation between campaigns, beyond their errors.
-    campaigns
-        Size in each campaign with its standard error; None where these runs do not show it. All other shapes are those
-        that fit all campaigns best.
-    """
+    """The size of an effect in the campaigns that have it."""
 
     parameter: str
     unit: str
+    """Of the effect's size."""
     mean: float
     standard_error: float
+    """Over the campaigns that have it."""
     spread: float
+    """Standard deviation between campaigns, beyond their errors."""
     campaigns: tuple[tuple[float, float] | None, ...]
+    """Size in each campaign with its standard error; None where these runs do not show it. All other shapes are those
+    that fit all campaigns best."""
 
     @property
     def interval_95(self) -> tuple[float, float]:
@@ -66,39 +58,26 @@ class PopulationSize:
 
 @dataclass(frozen=True, slots=True)
 class PooledEffect:
-    """An effect in several campaigns.
-
-    Attributes
-    ----------
-    effect
-        Its id.
-    of_rig
-        Whether it belongs to the rig; else to the gut.
-    probability
-        That it is in any campaign.
-    where
-        In which campaigns it most likely is, if in any.
-    where_probabilities
-        Of each pattern, if it is in any.
-    presence
-        Probability that it is in each campaign.
-    alone
-        The same from each campaign alone.
-    size
-        None where no campaign shows any.
-    confusable_with
-        Effects that these campaigns cannot tell from it.
-    """
+    """An effect in several campaigns."""
 
     effect: str
+    """Its id."""
     of_rig: bool
+    """Whether it belongs to the rig; else to the gut."""
     probability: float
+    """That it is in any campaign."""
     where: Where
+    """In which campaigns it most likely is, if in any."""
     where_probabilities: Mapping[Where, float]
+    """Of each pattern, if it is in any."""
     presence: tuple[float, ...]
+    """Probability that it is in each campaign."""
     alone: tuple[float, ...]
+    """The same from each campaign alone."""
     size: PopulationSize | None
+    """None where no campaign shows any."""
     confusable_with: tuple[str, ...] = ()
+    """Effects that these campaigns cannot tell from it."""
 
     @property
     def established(self) -> bool:
@@ -117,45 +96,32 @@ class PooledEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignEvidence:
-    """The evidence of one campaign, alone and to be pooled.
-
-    Attributes
-    ----------
-    source, specimen, runs
-        Folder, specimen, and number of runs.
-    verdict, effects, probability
-        Of its diagnosis alone; NaN for an open verdict.
-    presence
-        Probability that each effect is there, from this campaign alone.
-    force
-        Its evidence on the force.
-    line_sizes
-        Sizes and standard errors of effects that are found in position or spectrum, by id.
-    hum_log_odds
-        Of hum of any size: below the tolerance it is no gap of one campaign, and yet the rig's.
-    left_out
-        Runs that were not used.
-    remarks
-        Of the choice of runs.
-    only_condition
-        Condition of the runs in words where they have no other; else empty.
-    """
+    """The evidence of one campaign, alone and to be pooled."""
 
     source: str
     specimen: str
     runs: int
+    """Folder, specimen, and number of runs."""
     verdict: Verdict
     effects: tuple[str, ...]
     probability: float
+    """Of its diagnosis alone; NaN for an open verdict."""
     presence: Mapping[str, float]
+    """Probability that each effect is there, from this campaign alone."""
     force: ForceEvidence
+    """Its evidence on the force."""
     line_sizes: Mapping[str, tuple[float, float]]
+    """Sizes and standard errors of effects that are found in position or spectrum, by id."""
     hum_log_odds: float = -np.inf
+    """Of hum of any size: below the tolerance it is no gap of one campaign, and yet the rig's."""
     backends: tuple[str, ...] = ()
     nominal: str = ""
     left_out: tuple[Exclusion, ...] = ()
+    """Runs that were not used."""
     remarks: tuple[str, ...] = ()
+    """Of the choice of runs."""
     only_condition: str = ""
+    """Condition of the runs in words where they have no other; else empty."""
 
 
 @single_blas_thread()
@@ -198,24 +164,16 @@ def campaign_evidence(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PooledDiagnosis:
-    """The diagnosis of several campaigns of one rig together.
-
-    Attributes
-    ----------
-    campaigns
-        The evidence of each alone.
-    effects
-        All effects that were looked for, the most probable first.
-    unnamed
-        Probability of each shared deviation without a name, of the model or a free law, those above one half.
-    remarks
-        Remarks on the choice of campaigns and runs.
-    """
+    """The diagnosis of several campaigns of one rig together."""
 
     campaigns: tuple[CampaignEvidence, ...]
+    """The evidence of each alone."""
     effects: tuple[PooledEffect, ...]
+    """All effects that were looked for, the most probable first."""
     unnamed: Mapping[str, float]
+    """Probability of each shared deviation without a name, of the model or a free law, those above one half."""
     remarks: tuple[str, ...] = ()
+    """Remarks on the choice of campaigns and runs."""
 
     @property
     def only_condition(self) -> str:

@@ -195,42 +195,29 @@ class DiagnosisOptions:
 
 @dataclass(frozen=True, eq=False)
 class WeighedCauses:
-    """The causes that may act in one campaign, and how likely each is.
-
-    Attributes
-    ----------
-    selection
-        Its runs, their known motion corrected.
-    study
-        The runs as the nominal model predicts them; hum is no part of the noise.
-    search
-        Effects on the force that were fitted.
-    position
-        What competes for the errors of the position.
-    lines, faint_lines
-        Strongest spectral lines of the rests: none below the tolerance, and of any size.
-    inputs
-        What the judgement is made of.
-    judgement
-        Verdict and presence by classifier and competition.
-    causes
-        What competes for the gap in the force.
-    timings_s
-        Time of each part so far.
-    """
+    """The causes that may act in one campaign, and how likely each is."""
 
     selection: RunSelection
+    """Its runs, their known motion corrected."""
     nominal: NominalModel
     options: DiagnosisOptions
     study: Study
+    """The runs as the nominal model predicts them; hum is no part of the noise."""
     search: ForceSearchResult
+    """Effects on the force that were fitted."""
     position: PositionAnalysis
+    """What competes for the errors of the position."""
     lines: SpectralLines
     faint_lines: SpectralLines
+    """Strongest spectral lines of the rests: none below the tolerance, and of any size."""
     inputs: DecisionInputs
+    """What the judgement is made of."""
     judgement: Judgement
+    """Verdict and presence by classifier and competition."""
     causes: CausesOfGap
+    """What competes for the gap in the force."""
     timings_s: Mapping[str, float]
+    """Time of each part so far."""
 
     @cached_property
     def fit(self) -> HypothesisFit | None:

@@ -45,23 +45,16 @@ _PREDICTION_PROBABILITIES = (0.025, 0.5, 0.975)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecimenFit:
-    """The identification of one campaign for a population.
-
-    Attributes
-    ----------
-    source
-        The campaign's folder.
-    specimen
-        Its specimen; campaigns with the same one count as one specimen.
-    rig, sensor
-        The rig that the runs state: its name, and serial numbers of the force sensor.
-    """
+    """The identification of one campaign for a population."""
 
     source: str
+    """The campaign's folder."""
     specimen: str
+    """Its specimen; campaigns with the same one count as one specimen."""
     identification: Identification
     rig: str = ""
     sensor: str = ""
+    """The rig that the runs state: its name, and serial numbers of the force sensor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,34 +71,25 @@ class SpecimenValue:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PopulationParameter:
-    """A parameter over specimens, or of the rig.
-
-    Attributes
-    ----------
-    mean
-        Of the population (of a positive parameter the median), or the rig's value. Of two specimens, whose spread
-        nobody knows, it has neither error nor interval: both are NaN.
-    determined
-        Whether the campaigns narrowed it.
-    spread
-        Standard deviation between specimens with its 95 % interval, in the parameter's unit; None for a parameter of
-        the rig, and where specimens are too few.
-    spread_p
-        Probability of an apparent spread as large where there is none; of a parameter of the rig, of such a difference
-        between campaigns; of two specimens, of such a difference in any of the parameters that are compared.
-    next_specimen
-        Holds the value of a further specimen with 95 % probability; None as `spread`.
-    """
+    """A parameter over specimens, or of the rig."""
 
     name: str
     unit: str
     meaning: str
     of_rig: bool
     mean: EstimatedQuantity
+    """Of the population (of a positive parameter the median), or the rig's value. Of two specimens, whose spread nobody
+    knows, it has neither error nor interval: both are NaN."""
     determined: bool
+    """Whether the campaigns narrowed it."""
     spread: EstimatedQuantity | None
+    """Standard deviation between specimens with its 95 % interval, in the parameter's unit; None for a parameter of the
+    rig, and where specimens are too few."""
     spread_p: float | None
+    """Probability of an apparent spread as large where there is none; of a parameter of the rig, of such a difference
+    between campaigns; of two specimens, of such a difference in any of the parameters that are compared."""
     next_specimen: tuple[float, float] | None
+    """Holds the value of a further specimen with 95 % probability; None as `spread`."""
     specimens: tuple[SpecimenValue, ...]
 
     @property

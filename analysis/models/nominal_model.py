@@ -22,48 +22,32 @@ from dragrig.rig import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A quantity of a nominal model that runs determine, with its prior.
-
-    Attributes
-    ----------
-    name, unit
-        As in settings; a unit of `1` for none.
-    nominal
-        Value before any run.
-    prior_sd
-        Standard deviation of the prior: of the value itself, or relative to it when `positive`.
-    positive
-        Whether the value must be above 0; its prior is then lognormal, with median `nominal`.
-    meaning
-        A few words for tables.
-    of_rig
-        Whether it belongs to the rig, so that it is the same for every specimen measured on it.
-    """
+    """A quantity of a nominal model that runs determine, with its prior."""
 
     name: str
     unit: str
+    """As in settings; a unit of `1` for none."""
     nominal: float
+    """Value before any run."""
     prior_sd: float
+    """Standard deviation of the prior: of the value itself, or relative to it when `positive`."""
     positive: bool = True
+    """Whether the value must be above 0; its prior is then lognormal, with median `nominal`."""
     meaning: str = ""
+    """A few words for tables."""
     of_rig: bool = False
+    """Whether it belongs to the rig, so that it is the same for every specimen measured on it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """A part of the prediction that differs from run to run.
-
-    Attributes
-    ----------
-    name, sd
-        The differing part, and its size: one standard deviation.
-    unit
-        `1` where the part differs by a factor, `sd` being relative; another where so much of it is added.
-    """
+    """A part of the prediction that differs from run to run."""
 
     name: str
     sd: float
+    """The differing part, and its size: one standard deviation."""
     unit: str = "1"
+    """`1` where the part differs by a factor, `sd` being relative; another where so much of it is added."""
 
     @property
     def usual(self) -> float:

@@ -109,25 +109,17 @@ def read_note(path: Path) -> str:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Campaign:
-    """The runs of a folder, in the order in which each specimen lived through them.
-
-    Attributes
-    ----------
-    runs
-        Sorted by specimen, start time and order.
-    marks
-        People's marks of bad runs, by the path of the run.
-    unreadable
-        Files that are foreign or damaged, with the error of each.
-    recordings
-        Runs that are being recorded or were cut off; `recover` finishes them.
-    """
+    """The runs of a folder, in the order in which each specimen lived through them."""
 
     folder: Path
     runs: tuple[RunInfo, ...]
+    """Sorted by specimen, start time and order."""
     marks: Mapping[Path, RunMark]
+    """People's marks of bad runs, by the path of the run."""
     unreadable: tuple[tuple[Path, RunFileError], ...] = ()
+    """Files that are foreign or damaged, with the error of each."""
     recordings: tuple[Path, ...] = ()
+    """Runs that are being recorded or were cut off; `recover` finishes them."""
 
     def __repr__(self) -> str:
         kinds = ", ".join(f"{count} {kind}" for kind, count in Counter(run.kind for run in self.runs).items())

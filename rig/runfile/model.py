@@ -203,7 +203,7 @@ class Run:
         """Return the samples as a table by time, names with their units: force_mN, position_mm, …, and the phase."""
         import pandas as pd
 
-        columns = {f"{name}_{units.replace('/', '_')}": values for name, (values, units) in self._columns().items()}
+        columns = {f"{name}_{units.replace('/', '_')}": values for name, (values, units) in self.columns().items()}
         phases = pd.Categorical(_NAMES[self.trace.phase], categories=list(PHASE_NAMES))
         return pd.DataFrame({**columns, "phase": phases}, index=pd.Index(self.trace.time, name="time_s"))
 
@@ -221,7 +221,7 @@ class Run:
             raise ImportError("xarray is not installed here: pip install xarray.") from error
 
         header = self.info.header
-        columns = self._columns().items()
+        columns = self.columns().items()
         groups = {"protocol": header.protocol, "capsule": header.capsule, "specimen": header.specimen}
         known = {f"{group}_{key}": value for group, values in groups.items() for key, value in values.items()}
         return xr.Dataset(
@@ -230,7 +230,7 @@ class Run:
             {**known, "run_id": header.run_id, "kind": self.info.kind, "start_time": header.start_time.isoformat()},
         )
 
-    def _columns(self) -> dict[str, tuple[AnyFloatArray, str]]:
+    def columns(self) -> dict[str, tuple[AnyFloatArray, str]]:
         """Return every quantity with its unit, the filtered ones as `force_filtered`."""
         trace, filtered = self.trace, self.filtered
         columns = {name: (values, trace.units.get(name, "")) for name, values in trace.channels.items()}

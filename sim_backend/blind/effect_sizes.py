@@ -171,30 +171,20 @@ def effect_size(campaign: BlindCampaign, directions: NuisanceDirections | None =
 
 @dataclass(frozen=True, slots=True)
 class HiddenShare:
-    """The contribution of a hidden cause to the runs, all others there: the plant's own budget.
-
-    Attributes
-    ----------
-    cause
-        Id of an effect, `specimen` where it was exchanged and no file says so, or `model` for a wrong nominal model.
-    channel
-        `force` or `position`. A cause of the position adds nothing to the force, which follows the measured position.
-    run_rms
-        Root mean square in each run [mN; mm in the position].
-    rms
-        The same over all runs, each counting alike.
-    refitted_rms
-        The same once the specimen, within its prior, and each run's zero offset have been fitted.
-    share
-        Of the sum of the squares of `refitted_rms` in its channel.
-    """
+    """The contribution of a hidden cause to the runs, all others there: the plant's own budget."""
 
     cause: str
+    """Id of an effect, `specimen` where it was exchanged and no file says so, or `model` for a wrong nominal model."""
     channel: str
+    """`force` or `position`. A cause of the position adds nothing to the force, which follows the measured position."""
     run_rms: tuple[float, ...]
+    """Root mean square in each run [mN; mm in the position]."""
     rms: float
+    """The same over all runs, each counting alike."""
     refitted_rms: float
+    """The same once the specimen, within its prior, and each run's zero offset have been fitted."""
     share: float
+    """Of the sum of the squares of `refitted_rms` in its channel."""
 
 
 def hidden_shares(campaign: BlindCampaign, directions: NuisanceDirections | None = None) -> tuple[HiddenShare, ...]:

@@ -34,16 +34,11 @@ _MAX_RATE_HZ = 25_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AntiAliasFilter:
-    """The filter from `factor` samples of the card to a recorded one; with a factor of 1 nothing is filtered.
-
-    Attributes
-    ----------
-    taps
-        Shape `(2 * WINGS * factor + 1,)`, symmetric, with the sum 1.
-    """
+    """The filter from `factor` samples of the card to a recorded one; with a factor of 1 nothing is filtered."""
 
     factor: int
     taps: FloatArray
+    """Shape `(2 * WINGS * factor + 1,)`, symmetric, with the sum 1."""
 
     @classmethod
     def of(cls, factor: int) -> "AntiAliasFilter":

@@ -18,19 +18,13 @@ POINTS = 129
 
 @dataclass(frozen=True, slots=True)
 class RandomLaw:
-    """A drawn function of one coordinate, by its values at equal distances.
-
-    Attributes
-    ----------
-    values
-        At u = 0 … 1; a periodic law has its first value again at the end.
-    course
-        `smooth` is monotone between neighbouring values (PCHIP) and constant beyond the ends; `periodic` has period 1;
-        `steps` holds each value up to the next.
-    """
+    """A drawn function of one coordinate, by its values at equal distances."""
 
     values: tuple[float, ...]
+    """At u = 0 … 1; a periodic law has its first value again at the end."""
     course: Literal["smooth", "periodic", "steps"] = "smooth"
+    """`smooth` is monotone between neighbouring values (PCHIP) and constant beyond the ends; `periodic` has period 1;
+    `steps` holds each value up to the next."""
 
     def __call__(self, u: Floats | float) -> Floats:
         """Return the function at `u`, of the shape of `u`."""
