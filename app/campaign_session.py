@@ -25,6 +25,7 @@ from dragrig.config import (
     reason_of,
 )
 from dragrig.hosted_session import SessionOperator, SessionOptions, begins_at, run_session
+from dragrig.notification import Notifier
 from dragrig.rig import (
     Campaign,
     CampaignProgress,
@@ -403,7 +404,8 @@ def _run_campaign(
     for difference in setup.differences:
         options.tell(f"{difference}.")
     state = SessionState(plan=setup.plan.name, backend=setup.backend, double=setup.double)
-    publisher = StatePublisher(observer, observer, folder, state)
+    notifier = Notifier(setup.rig_folder, options.tell)
+    publisher = StatePublisher(observer, observer, folder, state, notifier.prompting)
     status, reason = RunStatus.FAILED.value, "the program ended it"
     mirror, report = None, None
     try:
@@ -423,6 +425,7 @@ def _run_campaign(
                 for file in sorted(folder.glob(pattern)):
                     mirror.submit(file)
             report = mirror.close()
+        notifier.ended(folder.name, status, reason)
     return Made(folder, session, report)
 
 

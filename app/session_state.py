@@ -3,7 +3,7 @@
 import contextlib
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -131,8 +131,16 @@ class StatePublisher:
     of writing do not disturb the session.
     """
 
-    def __init__(self, operator: Operator, observer: SessionObserver, folder: Path, state: SessionState) -> None:
+    def __init__(
+        self,
+        operator: Operator,
+        observer: SessionObserver,
+        folder: Path,
+        state: SessionState,
+        prompting: Callable[[str], contextlib.AbstractContextManager[None]],
+    ) -> None:
         self._operator, self._observer, self._folder = operator, observer, folder
+        self._prompting = prompting
         self._state = state
         self._runs: tuple[PlannedRun, ...] = ()
         self._started = self._prepared = False
@@ -147,7 +155,8 @@ class StatePublisher:
     def ask(self, prompt: Prompt) -> Answer:
         """Publish the prompt while it is open."""
         self._publish("asking", said=prompt.text)
-        answer = self._operator.ask(prompt)
+        with self._prompting(prompt.text):
+            answer = self._operator.ask(prompt)
         self._publish("between", said="")
         return answer
 

@@ -17,6 +17,7 @@ import tomli_w
 
 from dragrig.config import (
     CALIBRATION_FILE,
+    NOTIFICATION_FILE,
     RIG_FILE,
     UNSTATED,
     Calibration,
@@ -25,6 +26,7 @@ from dragrig.config import (
     DragrigError,
     EffectSettings,
     FrictionModelSettings,
+    NotificationSettings,
     OutputError,
     Plan,
     PlanError,
@@ -687,7 +689,7 @@ def _keys_of(kind: str) -> frozenset[str]:
 
 
 def create_lab(folder: Path) -> tuple[Path, ...]:
-    """Make a lab folder: rig settings to edit, an empty calibration history and the data root.
+    """Make a lab folder: settings of rig and notification to edit, an empty calibration history, the data root.
 
     Returns
     -------
@@ -701,16 +703,18 @@ def create_lab(folder: Path) -> tuple[Path, ...]:
     if (around := rig_file_of(folder.absolute().parent)) is not None:
         raise OutputError(f"{folder}: lies in the lab {around.parent}; use that one, or name a folder outside of it.")
     rig = find_settings(RigSettings, "rig", "bench")
-    rig_file, history, root = folder / RIG_FILE, folder / CALIBRATION_FILE, folder / rig.data.root
-    for existing in (path for path in (rig_file, history) if path.exists()):
+    history, root = folder / CALIBRATION_FILE, folder / rig.data.root
+    settings = {folder / RIG_FILE: rig, folder / NOTIFICATION_FILE: NotificationSettings()}
+    for existing in (path for path in (*settings, history) if path.exists()):
         raise OutputError(f"{existing}: exists already and is not changed; name another folder.")
     try:
         root.mkdir(parents=True, exist_ok=True)
-        with history.open("x", encoding="utf-8"), rig_file.open("x", encoding="utf-8", newline="\n") as text:
-            text.write(commented_toml(rig))
+        history.touch()
+        for file, values in settings.items():
+            file.write_text(commented_toml(values), encoding="utf-8", newline="\n")
     except OSError as error:
         raise OutputError(f"{folder}: no lab folder can be made here ({error.strerror}); name another.") from error
-    return rig_file, history, root
+    return *settings, history, root
 
 
 def commented_toml(settings: Settings) -> str:

@@ -29,6 +29,7 @@ from .lab import CALIBRATION_FILE as CALIBRATION_FILE
 from .lab import COMMISSIONING_FILE as COMMISSIONING_FILE
 from .lab import CONTACT_FILE as CONTACT_FILE
 from .lab import DEFAULT_DATA_ROOT as DEFAULT_DATA_ROOT
+from .lab import NOTIFICATION_FILE as NOTIFICATION_FILE
 from .lab import RIG_FILE as RIG_FILE
 from .lab import data_root_of as data_root_of
 from .lab import read_text as read_text
@@ -52,6 +53,7 @@ from .rig import GuardSettings as GuardSettings
 from .rig import HardwareSettings as HardwareSettings
 from .rig import MotorSettings as MotorSettings
 from .rig import NoiseSettings as NoiseSettings
+from .rig import NotificationSettings as NotificationSettings
 from .rig import RigCheck as RigCheck
 from .rig import RigSettings as RigSettings
 from .rig import StageSettings as StageSettings

@@ -7,6 +7,8 @@ RIG_FILE = "rig.toml"
 CALIBRATION_FILE = "calibration.jsonl"
 CONTACT_FILE = "contact.toml"
 COMMISSIONING_FILE = "commissioning.toml"
+NOTIFICATION_FILE = "notification.toml"
+"""May hold passwords, so that no run file has its content."""
 DEFAULT_DATA_ROOT = "runs"
 
 

@@ -515,6 +515,19 @@ class ContactPoint(Settings):
     operator: str = ""
 
 
+class NotificationSettings(Settings):
+    """How a person is told that a session ended or tripped, or that a prompt waits."""
+
+    after_s: float = Field(default=60.0, ge=0, le=86_400)
+    """Prompts that are answered sooner and sessions that end sooner are not told."""
+    desktop: bool = False
+    """Notification of the desktop, with its sound (needs desktop-notifier)."""
+    command: tuple[str, ...] = ()
+    """A program with its arguments; title and text of the message are two further ones."""
+    addresses: tuple[str, ...] = ()
+    """E-mail and messengers as addresses of Apprise, such as mailtos://user:password@example.org (needs apprise)."""
+
+
 @dataclass(frozen=True, slots=True)
 class RigCheck:
     """Result of one check of the rig."""

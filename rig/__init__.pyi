@@ -88,7 +88,7 @@ from .programme import specimen_remark as specimen_remark
 from .protocols import RunProtocol as RunProtocol
 from .protocols import StrokeProtocol as StrokeProtocol
 from .protocols import protocol_kinds as protocol_kinds
-from .protocols.strokes import ReturnProtocol as ReturnProtocol
+from .protocols.kinds import ReturnProtocol as ReturnProtocol
 from .reading import Reading as Reading
 from .runfile.campaigns import Campaign as Campaign
 from .runfile.campaigns import RunMark as RunMark

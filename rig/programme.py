@@ -38,7 +38,7 @@ from dragrig.rig.devices import (
 )
 from dragrig.rig.profile import MotionProfile
 from dragrig.rig.protocols import MAX_RUNS, RunProtocol, expand_sweep
-from dragrig.rig.protocols.strokes import ReturnProtocol
+from dragrig.rig.protocols.kinds import ReturnProtocol
 from dragrig.rig.runfile import existing_folder, free_bytes
 from dragrig.rig.stops import RunOn, Stops, run_on_remark
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.api.evaluate import load
-from dragrig.rig import PHASE_NAMES, Run, RunStatus
+from dragrig.rig import PHASE_NAMES, Run, RunStatus, read_run
 
 if TYPE_CHECKING:
     from event_model import ComposeDescriptor, DataKey
@@ -47,7 +46,7 @@ def bluesky_documents(run: Run | str | Path) -> Documents:
     except ImportError as error:
         raise ImportError("event-model is not installed here: pip install event-model.") from error
 
-    run = run if isinstance(run, Run) else load(run)
+    run = run if isinstance(run, Run) else read_run(Path(run))
     info, header, trace = run.info, run.info.header, run.trace
     begun_s = header.start_time.timestamp()
     groups = {"sample": header.specimen, "protocol": header.protocol, "capsule": header.capsule, "checks": info.checks}
@@ -83,7 +82,12 @@ def _stream(
     shown: str,
 ) -> Documents:
     """Yield the descriptor of a stream and its event pages; `shown` is the column that a plot begins with."""
-    keys = {column: _data_key(column, values, units) for column, (values, units) in columns.items()}
+    keys: dict[str, DataKey] = {}
+    for column, (values, units) in columns.items():
+        dtype: Literal["string", "number"] = "string" if values.dtype.kind == "U" else "number"
+        keys[column] = {"source": f"dragrig:{column}", "dtype": dtype, "dtype_numpy": values.dtype.str, "shape": []}
+        if units:
+            keys[column]["units"] = units
     stream = compose(name, keys, {"rig": {"fields": [shown]}}, object_keys={"rig": [*keys]}, time=float(times[0]))
     yield "descriptor", stream.descriptor_doc
     for begin in range(0, len(times), _ROWS):
@@ -91,16 +95,3 @@ def _stream(
         data = {column: values[rows].tolist() for column, (values, _) in columns.items()}
         at_s = times[rows].tolist()
         yield "event_page", stream.compose_event_page(data, dict.fromkeys(data, at_s), time=at_s)
-
-
-def _data_key(column: str, values: npt.NDArray[np.generic], units: str) -> "DataKey":
-    text = values.dtype.kind == "U"
-    key: DataKey = {
-        "source": f"dragrig:{column}",
-        "dtype": "string" if text else "number",
-        "dtype_numpy": values.dtype.str,
-        "shape": [],
-    }
-    if units:
-        key["units"] = units
-    return key

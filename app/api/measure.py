@@ -8,6 +8,7 @@ from threading import Event as Signal
 from typing import TYPE_CHECKING, Unpack
 
 from dragrig.config import OutputError
+from dragrig.notification import check_notification
 from dragrig.rig import (
     Preflight,
     RigCheck,
@@ -81,6 +82,7 @@ def _rig_findings(setup: RigSetup) -> Iterator[RigCheck]:
             if quantity in calibrations or (backend.needs_hands and not setup.double):
                 yield check_calibration(quantity, calibrations.get(quantity), rig, backend.clock.now())
         yield from backend.examine()
+    yield from check_notification(setup.rig_folder)
 
 
 def check(plan: PlanLike, *, out: str | Path | None = None, **choices: Unpack[SetupChoices]) -> Preflight:

@@ -1,4 +1,4 @@
-"""Kinds of run: a validated description that yields its motion. Each module of this package defines one."""
+"""Kinds of run: a validated description that yields its motion. Every subclass in this package is one."""
 
 import json
 from abc import abstractmethod
@@ -22,7 +22,7 @@ MAX_RUNS = 10_000
 class RunProtocol(Settings):
     """A kind of run as a value: its parameters, and the motion that follows from them.
 
-    A new kind is one module of this package with one subclass, which is discovered by itself.
+    A new kind is a subclass in a module of this package, and is discovered by itself.
     """
 
     kind: ClassVar[str]

@@ -39,7 +39,7 @@ def test_no_lab_is_made_in_a_lab(tmp_path: Path) -> None:
     assert list((tmp_path / "lab" / "runs").iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["rig.toml", "calibration.jsonl"])
+@pytest.mark.parametrize("name", ["rig.toml", "notification.toml", "calibration.jsonl"])
 def test_init_writes_over_nothing(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / name).write_text("mine", "utf-8")
     assert main(["init", str(tmp_path)]) == 2

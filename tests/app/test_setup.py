@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dragrig.config.errors import DragrigError, PlanError, SettingsError
 from dragrig.config.specimen import SPECIMEN_FACTS
-from dragrig.rig.protocols.strokes import DragProtocol
+from dragrig.rig.protocols.kinds import DragProtocol
 from dragrig.setup import Setup, resolve
 from property_tests import examples
 

@@ -9,9 +9,7 @@ from dragrig.config.rig import RigSettings
 from dragrig.config.specimen import Specimen
 from dragrig.rig.devices import Block, Contact
 from dragrig.rig.profile import AnyFloatArray, MotionProfile
-from dragrig.rig.protocols.motion import MotionProtocol, Move
-from dragrig.rig.protocols.relaxation import RelaxationProtocol
-from dragrig.rig.protocols.strokes import DragProtocol
+from dragrig.rig.protocols.kinds import DragProtocol, MotionProtocol, Move, RelaxationProtocol
 from dragrig.rig.reading import BlockExtremes, CheckReport, RunChecks, SetpointSampler
 from property_tests import thorough
 

@@ -11,9 +11,7 @@ ENGINE = (
     "unaided_engine",
     "dragrig.engine_host.server",
     "dragrig.sim_backend.devices.simulated_backend",
-    "dragrig.rig.protocols.strokes",
-    "dragrig.rig.protocols.relaxation",
-    "dragrig.rig.protocols.motion",
+    "dragrig.rig.protocols.kinds",
     "filelock",
     "dragrig.analysis.measures",
 )

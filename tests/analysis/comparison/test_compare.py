@@ -36,7 +36,7 @@ from dragrig.config.errors import AnalysisError, RunFileError
 from dragrig.present.campaign_figures import comparison_figure, comparison_speed_figure
 from dragrig.present.comparison import comparison_document
 from dragrig.rig import mark_bad
-from dragrig.rig.protocols.motion import MotionProtocol
+from dragrig.rig.protocols.kinds import MotionProtocol
 from dragrig.rig.runfile import read_run
 from dragrig.rig.runfile.model import Run, RunStatus
 from places import CAMPAIGN, copied_runs

@@ -20,7 +20,7 @@ from dragrig.config.errors import AnalysisError, DragrigError, OutputError, Plan
 from dragrig.config.friction_model import FrictionModelSettings
 from dragrig.config.plan import PlanStep
 from dragrig.rig.protocols import protocol_kinds
-from dragrig.rig.protocols.strokes import DragProtocol
+from dragrig.rig.protocols.kinds import DragProtocol
 from dragrig.setup import StepChoices, create_lab
 from places import ROOT
 

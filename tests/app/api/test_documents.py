@@ -12,7 +12,7 @@ from event_model import DocumentNames, schema_validators
 
 import dragrig
 from dragrig.config.errors import RunFileError
-from dragrig.rig.protocols.strokes import DragProtocol
+from dragrig.rig.protocols.kinds import DragProtocol
 from dragrig.rig.runfile.model import RunEvent, RunStatus
 
 DRAG = DragProtocol(speed_mm_s=10, travel_mm=15, hold_s=0.5)

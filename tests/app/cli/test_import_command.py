@@ -14,7 +14,7 @@ import dragrig
 from dragrig.analysis.models.experiment import Experiment
 from dragrig.cli import main
 from dragrig.config.errors import AnalysisError
-from dragrig.rig.protocols.strokes import DragProtocol
+from dragrig.rig.protocols.kinds import DragProtocol
 
 DRAG = {"speed_mm_s": 2, "travel_mm": 4, "accel_mm_s2": 400, "rest_s": 0, "hold_s": 0}
 KNOWN = ("--kind", "drag", *(word for key, value in DRAG.items() for word in ("--set", f"{key}={value}")))
