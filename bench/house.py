@@ -23,8 +23,8 @@ from statistics import fmean, median
 
 ROOT = "dragrig"
 BARS: dict[str, float] = {
-    "lines": 93_681, "modules": 297, "fan-out": 3.8654, "depth": 18, "circles": 0, "used once": 0.5692,
-    "free clauses": 0.0162,
+    "lines": 93_541, "modules": 297, "fan-out": 3.8654, "depth": 18, "circles": 0, "used once": 0.5692,
+    "free clauses": 0.0160,
 }  # fmt: skip
 """What the house is at most; a test holds it, and a bar is only ever lowered."""
 PEER = "ophyd-async's core: 26 modules, median 235 lines, fan-out 2.7"

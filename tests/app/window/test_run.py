@@ -267,7 +267,7 @@ def test_a_trip_is_shown_with_its_reason_and_keeps_the_queue_waiting_until_a_but
     careful: MainWindow, until: Until
 ) -> None:
     window = careful
-    assert window.notices.trip.isVisible()
+    until(window.notices.trip.isVisible)
     assert "path clear, hands out, e-stop in reach" in window.notices.trip_text.text()
     press(window.reset)
     until(lambda: not window.notices.trip.isVisible())
