@@ -64,8 +64,9 @@ class Estimate:
     """A measured value."""
 
     value: float | None = None
-    standard_error: float | None = None
     """In the unit of the estimate's name; None where the data do not support any."""
+    standard_error: float | None = None
+    """In the same unit; None likewise."""
     effective_samples: float | None = None
     """Number of independent samples with the same standard error."""
     reason: str = ""

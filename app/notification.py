@@ -17,9 +17,10 @@ if TYPE_CHECKING:
     from desktop_notifier.sync import DesktopNotifierSync
 
 Channels: TypeAlias = Mapping[str, Callable[[str, str], object]]
-"""What sends a title and a text, by a name that holds no password."""
+"""Functions that send a title and a text, by names without passwords."""
 _SENDING_S = 15.0
 """A mail server that does not answer keeps a program no longer from its end."""
+_SILENT = logging.NullHandler()
 
 
 class Notifier:
@@ -105,7 +106,7 @@ def open_channels(lab: Path | None) -> tuple[float, Channels]:
 
             channels["desktop"] = partial(show, DesktopNotifierSync("dragrig"))
         if settings.command:
-            channels[settings.command[0]] = partial(execute, settings.command)
+            channels[f"command {settings.command[0]}"] = partial(execute, settings.command)
         for number, address in enumerate(settings.addresses):
             from apprise import Apprise
 
@@ -113,12 +114,12 @@ def open_channels(lab: Path | None) -> tuple[float, Channels]:
             if not service.add(address):
                 example = "mailtos://user:password@example.org"
                 raise SettingsError(f"{file}: addresses[{number}] is no address that Apprise knows, such as {example}.")
-            channels[service.urls(privacy=True)[0].partition("?")[0]] = partial(post, service)
+            # Numbered: two addresses may be the same but for what is hidden.
+            channels[f"addresses[{number}] {service.urls(privacy=True)[0].partition('?')[0]}"] = partial(post, service)
     except ImportError as error:
         raise SettingsError(f'{file}: needs {error.name}: pip install "dragrig[notification]".') from error
-    # They log failures that are told here, with passwords and tracebacks.
-    for library in ("apprise", "desktop_notifier"):
-        logging.getLogger(library).setLevel(logging.CRITICAL)
+    # It logs a failure, which is told here, with its traceback; without any handler, on standard error.
+    logging.getLogger("desktop_notifier").addHandler(_SILENT)
     return settings.after_s, channels
 
 
@@ -133,8 +134,12 @@ def show(desktop: "DesktopNotifierSync", title: str, text: str) -> None:
 
 
 def execute(command: tuple[str, ...], title: str, text: str) -> None:
-    """Run a program with title and text as its last arguments; raises `OSError` where it fails."""
-    done = subprocess.run([*command, title, text], stdin=subprocess.DEVNULL, capture_output=True, check=False)
+    """Run a program with title and text as its last arguments; raises `OSError` where it fails.
+
+    It is killed after twice the time that anybody waits for it (`TimeoutExpired`).
+    """
+    nothing, longest_s = subprocess.DEVNULL, 2 * _SENDING_S
+    done = subprocess.run([*command, title, text], stdin=nothing, capture_output=True, check=False, timeout=longest_s)
     if done.returncode:
         said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         raise OSError(f"it ended with code {done.returncode}" + f": {said}" * bool(said))

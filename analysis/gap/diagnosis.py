@@ -23,8 +23,9 @@ class AxisBin:
     name: str
     """Its name; empty for numeric bins."""
     low: float | None
+    """Lower end in the axis' unit; None for named bins."""
     high: float | None
-    """Its ends in the axis' unit; None for named bins."""
+    """Upper end."""
     share: float
     """Share of the excess on this axis; 0 without a gap."""
     rms: float
@@ -44,8 +45,9 @@ class AxisLocation:
     covered_share: float
     """Share of the whole excess on this axis; if small, bins have no shares."""
     low: float | None
+    """Begin of the narrowest range of adjacent bins with most of the excess; None without a gap, for named bins."""
     high: float | None
-    """Narrowest range of adjacent bins with most of the excess; None without a gap and for named bins."""
+    """End of that range."""
     share: float
     """Share of this range."""
     p: float
@@ -109,8 +111,9 @@ class GapLocation:
     domain_scores: Mapping[str, float]
     """Share of the residual that each domain explains in held-out runs, 0 to 1."""
     permutations: int
+    """Number of those that the p-values rest on."""
     seed: int
-    """Of the p-values."""
+    """Of the permutations."""
     runs: int = 0
     """Number of runs; with one, there is no permutation and no prediction from others."""
 
@@ -255,8 +258,9 @@ class GapReduction:
     """How far the gap closes with the effects in the simulator, on held-out runs."""
 
     gap_before_mN: float
+    """Rms residual without the effects."""
     gap_after_mN: float
-    """Rms residual without and with the effects."""
+    """Rms residual with them."""
     noise_floor_mN: float
     """Noise at rest and scatter of repeats, fixed before any fit."""
     closed: float | None
@@ -266,8 +270,9 @@ class GapReduction:
     boundary_mm_s: float | None
     """Speed boundary of the coefficients of determination; None without drag runs on both sides."""
     r2_eq15: R2BeforeAfter
+    """Of steady drag forces, by Eq. 15 of the paper."""
     r2_corr: R2BeforeAfter
-    """Of steady drag forces, by Eq. 15 of the paper and as squared correlation."""
+    """The same as squared correlation."""
     runs: tuple[str, ...] = ()
     position_um: tuple[float, float] | None = None
     """Rms position error without and with the effects [µm], where `closed` is the share of that; else None."""
@@ -331,9 +336,9 @@ class BudgetEntry:
     channel: str
     """`force` or `position`."""
     share: float
+    """Share of the gap in its channel on held-out runs."""
     share_95ci: tuple[float, float] | None
-    """Share of the gap in its channel on held-out runs, with its bootstrap interval over runs; None where a single run
-    gives none."""
+    """Bootstrap interval over runs; None where a single run gives none."""
     rms_mN: float | None
     """Root mean square of its contribution to the force; None in the position."""
     presence: float | None = None
@@ -355,9 +360,11 @@ class RunContributions:
     unit: str
     """Of the gap and the parts: mN of a force, µm of a position."""
     time_s: FloatArray
+    """Middle of `B` blocks, shape `(B,)`."""
     width_s: FloatArray
+    """Their duration, shape `(B,)`."""
     position_mm: FloatArray
-    """Middle and duration of `B` blocks, and the position there; shape `(B,)` each."""
+    """Position there, shape `(B,)`."""
     gap: FloatArray
     """What the model without causes leaves of the run, without what the run itself is off by; shape `(B,)`."""
     parts: Mapping[str, FloatArray]
@@ -413,8 +420,9 @@ class Diagnosis:
     nominal: str
     runs: int
     used_for_fit: tuple[str, ...]
+    """Files of the runs in the final fit."""
     held_out: tuple[str, ...]
-    """Files of the runs in the final fit, and of those held out in turn."""
+    """Files of the runs that were held out in turn."""
     left_out: tuple[Exclusion, ...]
     verdict: Verdict
     effects: tuple[str, ...]

@@ -84,8 +84,9 @@ class RelativeEffectSize:
     effect: str
     size: float
     low: float
+    """Lower end of the 95 % interval, over whole runs."""
     high: float
-    """95 % interval, over whole runs."""
+    """Upper end."""
     d_prime: float
     """Detectability of the promised effect in these runs, the specimen's parameters and run factors being unknown."""
 
@@ -104,13 +105,13 @@ class ModelEvaluation:
 
     reduction: GapReduction
     promised: float | None
-    promised_95ci: tuple[float, float] | None
     """Share of the gap that the diagnosis promised to close, from held-out runs; None where it gave none."""
+    promised_95ci: tuple[float, float] | None
     achieved: float | None
-    achieved_95ci: tuple[float, float] | None
     """Share of the gap that the model closes in these runs, as a share of the gap or, where there is none, of the
     smallest gap that counts; negative where the model is worse than without its effects. None for an effect that acts
     beside the averages of the force (hum)."""
+    achieved_95ci: tuple[float, float] | None
     explained: float | None
     """Share of chi-square beyond noise that the effects explain, the specimen's parameters and each run's own factors
     fitted under their priors without the effects and with them; None where chi-square shows no gap that matters."""

@@ -40,8 +40,8 @@ class HypothesisSummary:
     effects: tuple[str, ...]
     """Ids of its effects, in the order of selection."""
     chi2: Annotated[float, Field(alias="plain")]
+    """Chi-square without form error of the effects."""
     chi2_with_form_error: Annotated[float, Field(alias="flexible")]
-    """Chi-square without and with form error of the effects."""
     change_mN: Annotated[float, Field(alias="changed_mN")]
     """Rms change of the prediction, nominal parameters refitted, where it changes."""
     periodic: bool = False
@@ -72,13 +72,15 @@ class DecisionInputs:
     """All numbers that a verdict is based on."""
 
     block_count: Annotated[int, Field(alias="blocks")]
+    """Number of blocks of the force."""
     chi2: Annotated[float, Field(alias="squares")]
-    """Number of blocks of the force, and chi-square of the nominal model."""
+    """Chi-square of the nominal model."""
     hypotheses: Annotated[tuple[HypothesisSummary, ...], Field(alias="tried")] = ()
     """Hypotheses that were fitted to the force."""
     mains_llr: Annotated[float, Field(alias="mains_gain")] = 0.0
+    """Log likelihood ratio of a spectral line at the mains frequency."""
     line_llr: Annotated[float, Field(alias="line_gain")] = 0.0
-    """Log likelihood ratios of spectral lines at the mains frequency and elsewhere."""
+    """Log likelihood ratio of a line elsewhere."""
     position: tuple[tuple[str, float], ...] = ()
     """Effects by the model class of the position error, with their held-out shares, the best first."""
     has_position_error: Annotated[bool, Field(alias="strays")] = False
@@ -163,8 +165,9 @@ class VerdictCalibration(BaseModel):
     command: str
     """Command that made it."""
     seeds: tuple[int, ...]
+    """Seeds of the training campaigns."""
     cases: int
-    """Seeds and number of the training campaigns."""
+    """Their number."""
     gate: GapGate
     """Probability that a gap exists."""
     weights: Mapping[str, float]

@@ -30,8 +30,9 @@ class PatternOdds:
     """In which of `C` campaigns a cause is, as log posterior odds against its absence from all."""
 
     everywhere: float
+    """In all of them."""
     some: float
-    """In all of them, and in at least two but not all; -inf where that cannot be."""
+    """In at least two but not all; -inf where that cannot be."""
     single: FloatArray
     """In one campaign alone, shape `(C,)`."""
     members: FloatArray
@@ -55,8 +56,9 @@ class SharedInformation:
     """Information of all campaigns on one cause for one scale and spread."""
 
     gram: FloatArray
+    """Of the shared mean, shape `(C, k, k)`, own deviations integrated out."""
     moment: FloatArray
-    """Of the shared mean, shapes `(C, k, k)` and `(C, k)`, own deviations integrated out."""
+    """The same, shape `(C, k)`."""
     constant: FloatArray
     """Log evidence that does not depend on the mean, shape `(C,)`."""
     mean_variance: float

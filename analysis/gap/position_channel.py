@@ -638,8 +638,9 @@ class Yielding:
     most_mm: float
     """Largest way in any run."""
     um_per_N: float
+    """Way per force."""
     lag_s: float
-    """Way per force, and how late it is in the mean."""
+    """Mean delay of the way after the force."""
     left: tuple[PositionErrors, ...]
     """The runs with the errors that are left."""
 

@@ -38,11 +38,11 @@ class PopulationSize:
     """The size of an effect in the campaigns that have it."""
 
     parameter: str
+    """Name of the effect's size."""
     unit: str
-    """Of the effect's size."""
     mean: float
-    standard_error: float
     """Over the campaigns that have it."""
+    standard_error: float
     spread: float
     """Standard deviation between campaigns, beyond their errors."""
     campaigns: tuple[tuple[float, float] | None, ...]
@@ -99,13 +99,15 @@ class CampaignEvidence:
     """The evidence of one campaign, alone and to be pooled."""
 
     source: str
+    """Its folder."""
     specimen: str
     runs: int
-    """Folder, specimen, and number of runs."""
+    """Number of runs."""
     verdict: Verdict
+    """Of its diagnosis alone, as are effects and probability."""
     effects: tuple[str, ...]
     probability: float
-    """Of its diagnosis alone; NaN for an open verdict."""
+    """NaN for an open verdict."""
     presence: Mapping[str, float]
     """Probability that each effect is there, from this campaign alone."""
     force: ForceEvidence

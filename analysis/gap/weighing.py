@@ -208,8 +208,9 @@ class WeighedCauses:
     position: PositionAnalysis
     """What competes for the errors of the position."""
     lines: SpectralLines
+    """Strongest spectral lines of the rests, none below the tolerance."""
     faint_lines: SpectralLines
-    """Strongest spectral lines of the rests: none below the tolerance, and of any size."""
+    """Strongest lines of any size."""
     inputs: DecisionInputs
     """What the judgement is made of."""
     judgement: Judgement

@@ -53,8 +53,9 @@ class SpecimenFit:
     """Its specimen; campaigns with the same one count as one specimen."""
     identification: Identification
     rig: str = ""
+    """Name of the rig that the runs state."""
     sensor: str = ""
-    """The rig that the runs state: its name, and serial numbers of the force sensor."""
+    """Serial numbers of its force sensor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -50,26 +50,18 @@ DRIVE_PARAMETERS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredLoad:
-    """A measured force, the sensor's zero included, averaged over windows that end where the motion changes.
-
-    Attributes
-    ----------
-    changes_s
-        Times at which the motion changes, from the first sample to the last.
-    step_s, noise_mN
-        Of the samples.
-    time_s, impulse_mNs
-        Running integral of the force, shape `(N,)`; empty without a load.
-    lost_s, range_mN
-        Times of missing samples, around which the uncertainty is the range of the force.
-    """
+    """A measured force, the sensor's zero included, averaged over windows that end where the motion changes."""
 
     changes_s: FloatArray
+    """Times at which the motion changes, from the first sample to the last."""
     step_s: float
+    """Between samples."""
     time_s: FloatArray
     impulse_mNs: FloatArray
+    """Running integral of the force, shape `(N,)`; empty without a load."""
     noise_mN: float = 0.0
     range_mN: float = 0.0
+    """Range of the force: the uncertainty around missing samples."""
     lost_s: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod

@@ -25,8 +25,9 @@ class Parameter:
     """A quantity of a nominal model that runs determine, with its prior."""
 
     name: str
+    """As in settings."""
     unit: str
-    """As in settings; a unit of `1` for none."""
+    """`1` for none."""
     nominal: float
     """Value before any run."""
     prior_sd: float
@@ -44,8 +45,9 @@ class Variation:
     """A part of the prediction that differs from run to run."""
 
     name: str
+    """The differing part."""
     sd: float
-    """The differing part, and its size: one standard deviation."""
+    """Its size: one standard deviation."""
     unit: str = "1"
     """`1` where the part differs by a factor, `sd` being relative; another where so much of it is added."""
 

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from dragrig.rig import PHASE_NAMES, Run, RunStatus, read_run
+from dragrig.rig import Run, RunStatus, read_run
 
 if TYPE_CHECKING:
     from event_model import ComposeDescriptor, DataKey
@@ -19,7 +19,7 @@ _EXIT_STATUS: Mapping[RunStatus, Literal["success", "abort"]] = {
     RunStatus.ABORTED: "abort",
 }
 
-Documents = Iterator[tuple[str, Mapping[str, object]]]
+Documents: TypeAlias = Iterator[tuple[str, Mapping[str, object]]]
 
 
 def bluesky_documents(run: Run | str | Path) -> Documents:
@@ -61,15 +61,14 @@ def bluesky_documents(run: Run | str | Path) -> Documents:
     }
     composed = compose_run(uid=header.run_id, time=begun_s, metadata=facts)
     yield "start", composed.start_doc
-    phases = np.array(PHASE_NAMES)[trace.phase]
-    samples = {**run.columns(), "phase": (phases, "")}
-    yield from _stream(composed.compose_descriptor, "primary", begun_s + trace.time, samples, trace.signal)
+    samples = {**run.columns(), "phase": (trace.phase_names, "")}
+    yield from _stream(composed.compose_descriptor, "primary", begun_s, trace.time, samples, trace.signal)
     if run.events:
         times = np.array([event.time_s for event in run.events])
         messages = {
             name: (np.array([getattr(event, name) for event in run.events]), "") for name in ("kind", "message")
         }
-        yield from _stream(composed.compose_descriptor, "events", begun_s + times, messages, "message")
+        yield from _stream(composed.compose_descriptor, "events", begun_s, times, messages, "message")
     ended = info.end_time.timestamp() if info.end_time is not None else begun_s + info.samples / header.sample_rate_hz
     yield "stop", composed.compose_stop(_EXIT_STATUS.get(info.status, "fail"), info.reason, time=ended)
 
@@ -77,21 +76,22 @@ def bluesky_documents(run: Run | str | Path) -> Documents:
 def _stream(
     compose: "ComposeDescriptor",
     name: str,
-    times: npt.NDArray[np.float64],
+    begun_s: float,
+    times_s: npt.NDArray[np.float64],
     columns: Mapping[str, tuple[npt.NDArray[np.generic], str]],
     shown: str,
 ) -> Documents:
-    """Yield the descriptor of a stream and its event pages; `shown` is the column that a plot begins with."""
+    """Yield the descriptor of a stream and its event pages, none without rows; a plot begins with `shown`."""
     keys: dict[str, DataKey] = {}
     for column, (values, units) in columns.items():
         dtype: Literal["string", "number"] = "string" if values.dtype.kind == "U" else "number"
         keys[column] = {"source": f"dragrig:{column}", "dtype": dtype, "dtype_numpy": values.dtype.str, "shape": []}
         if units:
             keys[column]["units"] = units
-    stream = compose(name, keys, {"rig": {"fields": [shown]}}, object_keys={"rig": [*keys]}, time=float(times[0]))
+    stream = compose(name, keys, {"rig": {"fields": [shown]}}, object_keys={"rig": [*keys]}, time=begun_s)
     yield "descriptor", stream.descriptor_doc
-    for begin in range(0, len(times), _ROWS):
+    for begin in range(0, len(times_s), _ROWS):
         rows = slice(begin, begin + _ROWS)
         data = {column: values[rows].tolist() for column, (values, _) in columns.items()}
-        at_s = times[rows].tolist()
+        at_s = (begun_s + times_s[rows]).tolist()
         yield "event_page", stream.compose_event_page(data, dict.fromkeys(data, at_s), time=at_s)

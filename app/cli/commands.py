@@ -19,7 +19,10 @@ A command `touch-off` is `touch_off_command` of its module.
 SECTIONS: Sections = {
     "Measure": {
         "demo": ("measure_commands", "Run a short programme on the simulated rig: run files, CSV, figures."),
-        "init": ("measure_commands", "Make a lab folder: rig settings, data root, calibration history."),
+        "init": (
+            "measure_commands",
+            "Make a lab folder: settings of rig and notification, data root, calibration history.",
+        ),
         "check": ("measure_commands", "Check a plan, or the rig's devices; nothing moves."),
         "home": ("stage_commands", "Find the stage's origin."),
         "jog": ("stage_commands", "Move the stage by a distance."),

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 @click.argument("folder", metavar="[DIR]", default=".", type=click.Path(path_type=Path))
 @options.quiet
 def init_command(folder: Path) -> None:
-    """Make a lab folder: rig settings, data root, calibration history.
+    """Make a lab folder: settings of rig and notification, data root, calibration history.
 
     Every command called in or below it takes its rig from there.
     """
@@ -70,7 +70,8 @@ def check_command(
 
     With PLAN: every run with its range, speed and duration, and each limit that it violates.
 
-    Without: limits, calibrations and every device in turn, each ok or FAILED; exit code 5 when one failed.
+    Without: limits, calibrations, every device in turn, and a message in each way that notification.toml names, each ok
+    or FAILED; exit code 5 when one failed.
 
     With --live, signal by signal: push the carriage, press the sensor, press each switch; volts, counts and switches
     are shown as they change. Then its stops are taken away from the drive: at a standstill, and, unless skipped, at

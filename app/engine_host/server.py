@@ -84,15 +84,6 @@ class RequestReceiver:
     """Receives requests on its own thread: aborts and answers act at once, the others come in order from `next`.
 
     An abort applies to all requests received before it, and to none received later.
-
-    Attributes
-    ----------
-    gone
-        Set once the client is gone, or wants the host to end.
-    stands
-        Whether the stage stands, for the moment, though the work can be aborted; set by whoever does it.
-    pause
-        Set to have the session wait for a person before its next run.
     """
 
     def __init__(
@@ -111,8 +102,11 @@ class RequestReceiver:
         self._abort_reason = ""
         self._answers: dict[int, queue.Queue[Answer]] = {}
         self.gone = Signal()
+        """Set once the client is gone, or wants the host to end."""
         self.pause = Signal()
+        """Set to have the session wait for a person before its next run."""
         self.stands = False
+        """Whether the stage stands, for the moment, though the work can be aborted; set by whoever does it."""
         Thread(target=self._receive_all, name="receiver", daemon=True).start()
 
     def next(self, within_s: float | None = None) -> messages.Request | None:

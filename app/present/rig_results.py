@@ -69,7 +69,7 @@ def rig_check_document(checks: "Sequence[RigCheck]") -> Document:
     failed = [check.name for check in checks if not check.passed]
     return Document(
         title="Check of the rig",
-        answer=f"The rig is not ready: {', '.join(failed)}." if failed else "The rig is ready: every check passed.",
+        answer=f"Failed: {', '.join(failed)}." if failed else "The rig is ready: every check passed.",
         sections=(_checks_section("check", checks),),
         data=[attributes_json(check, "detail", name="what", passed="fine") for check in checks],
     )

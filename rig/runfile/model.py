@@ -147,6 +147,11 @@ class Trace:
     units: Mapping[str, str]
 
     @property
+    def phase_names(self) -> np.ndarray[tuple[int], np.dtype[np.str_]]:
+        """Name of the phase of each sample."""
+        return np.array(PHASE_NAMES)[self.phase]
+
+    @property
     def force(self) -> AnyFloatArray:
         """Measured force [mN], as calibrated, never filtered."""
         return self.channels[self.signal]
@@ -204,7 +209,7 @@ class Run:
         import pandas as pd
 
         columns = {f"{name}_{units.replace('/', '_')}": values for name, (values, units) in self.columns().items()}
-        phases = pd.Categorical(_NAMES[self.trace.phase], categories=list(PHASE_NAMES))
+        phases = pd.Categorical(self.trace.phase_names, categories=list(PHASE_NAMES))
         return pd.DataFrame({**columns, "phase": phases}, index=pd.Index(self.trace.time, name="time_s"))
 
     def to_xarray(self) -> "xr.Dataset":
@@ -226,7 +231,7 @@ class Run:
         known = {f"{group}_{key}": value for group, values in groups.items() for key, value in values.items()}
         return xr.Dataset(
             {name: ("time", values, {"units": units} if units else {}) for name, (values, units) in columns},
-            {"time": ("time", self.trace.time, {"units": "s"}), "phase": ("time", _NAMES[self.trace.phase])},
+            {"time": ("time", self.trace.time, {"units": "s"}), "phase": ("time", self.trace.phase_names)},
             {**known, "run_id": header.run_id, "kind": self.info.kind, "start_time": header.start_time.isoformat()},
         )
 
@@ -240,6 +245,3 @@ class Run:
                 f"{name}_filtered": (values, filtered.units.get(name, "")) for name, values in filtered.channels.items()
             }
         return columns
-
-
-_NAMES = np.array(PHASE_NAMES)

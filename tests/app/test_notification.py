@@ -5,6 +5,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from email import message_from_bytes
@@ -31,7 +32,6 @@ with Path(sys.argv[1]).open("a", encoding="utf-8") as log:
 """
 # Apprise loads a module that Python 3.11 and 3.12 announce the end of.
 pytestmark = pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")
-DBUS = shutil.which("dbus-run-session")
 
 
 @pytest.fixture
@@ -98,6 +98,15 @@ def test_a_prompt_that_waits_and_the_end_of_a_session_are_told(lab: Path, monkey
     assert ended == "dragrig: monday complete | Every run of the session is made."
 
 
+def test_an_answered_prompt_is_told_no_later(lab: Path) -> None:
+    settle_for(lab, f"after_s = 600\n{logging_command(lab)}\n")
+    before = set(threading.enumerate())
+    with Notifier(lab, pytest.fail).prompting("Lay a specimen"):
+        assert set(threading.enumerate()) > before
+    until(lambda: not set(threading.enumerate()) - before, within_s=60)
+    assert told(lab) == []
+
+
 def test_a_trip_is_told_with_its_cause(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(lab)
     settle_for(lab, f"after_s = 0.0\n{logging_command(lab)}\n")
@@ -125,6 +134,16 @@ def test_a_letter_reaches_a_mail_server(lab: Path, mail: tuple[Controller, Mailb
     assert "anna@lab.org" in letter["To"]
 
 
+def test_addresses_that_differ_in_hidden_parts_alone_are_all_sent_to(
+    lab: Path, mail: tuple[Controller, Mailbox]
+) -> None:
+    controller, mailbox = mail
+    address = f"mailto://127.0.0.1:{controller.port}/anna@lab.org?smtp=127.0.0.1&mode=insecure&from="
+    settle_for(lab, f'addresses = ["{address}rig@lab.org", "{address}other@lab.org"]')
+    assert [check.passed for check in check_notification(lab)] == [True, True]
+    assert len(mailbox.letters) == 2
+
+
 def test_failures_are_told_without_a_password_and_end_nothing(lab: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(lab)
     address = "mailto://user:secret@localhost:1?smtp=127.0.0.1&mode=insecure&from=rig@lab.org&to=anna@lab.org"
@@ -135,7 +154,7 @@ def test_failures_are_told_without_a_password_and_end_nothing(lab: Path, monkeyp
     said: list[str] = []
     Notifier(lab, said.append).ended("monday", "complete", "")
     by_program, by_mail = sorted(said, key=lambda sentence: "mailto" in sentence)
-    assert by_program == f"No notification by {sys.executable}: it ended with code 1: no line."
+    assert by_program == f"No notification by command {sys.executable}: it ended with code 1: no line."
     assert by_mail.endswith("the server did not take it.")
     files = b"".join(path.read_bytes() for path in (lab / "runs" / "monday").iterdir())
     assert b"secret" not in files
@@ -186,14 +205,15 @@ asyncio.run(main())
 """
 
 
-@pytest.mark.skipif(DBUS is None, reason="a desktop's bus is Linux's alone, and here there is none")
+@pytest.mark.skipif(shutil.which("dbus-run-session") is None, reason="needs Linux, and its package dbus")
 def test_a_desktop_shows_it_with_a_sound(lab: Path) -> None:
     settle_for(lab, "desktop = true")
-    command = [str(DBUS), "--", sys.executable, "-c", DESKTOP, str(lab)]
+    command = ["dbus-run-session", "--", sys.executable, "-c", DESKTOP, str(lab)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "True [('dragrig', 'dragrig: a trial', ['sound-name', 'urgency'])]"
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="Windows always has a desktop")
 def test_where_no_desktop_is_the_check_says_so(lab: Path) -> None:
     settle_for(lab, "desktop = true")
     bare = {name: value for name, value in os.environ.items() if name not in {"DBUS_SESSION_BUS_ADDRESS", "DISPLAY"}}

@@ -97,26 +97,19 @@ class NoiseLimits:
         Noise with the sensor alive, from the calibration in force; 0 where it is not known.
     rate_hz
         Samples per second that the card takes of the input.
-
-    Attributes
-    ----------
-    bin_samples
-        Samples in a mean.
-    converter_V
-        The converter's own noise in the means.
-    least_V
-        Noise of the means below which the sensor is dead; 0 where that is not known.
-    least_sample_V
-        Noise from sample to sample below which the input repeats itself.
     """
 
     def __init__(self, rig: RigSettings, alive_uV: float, rate_hz: float) -> None:
         force = rig.hardware.card.force
         converter_V = _CONVERTER_NOISE_STEPS * 2 * force.range_V / 2**rig.force_sensor.bits
         self.bin_samples = max(int(_BIN_S * rate_hz + 1e-6), 1)
+        """Samples in a mean."""
         self.converter_V = converter_V / sqrt(self.bin_samples)
+        """The converter's own noise in the means."""
         self.least_sample_V = _REPEAT_SHARE * converter_V
+        """Noise from sample to sample below which the input repeats itself."""
         self.least_V = 1e-6 * force.least_noise_uV
+        """Noise of the means below which the sensor is dead; 0 where that is not known."""
         if not self.least_V and 1e-6 * alive_uV >= _MIN_LIVE_RATIO * self.converter_V:
             self.least_V = sqrt(1e-6 * alive_uV * self.converter_V)
 

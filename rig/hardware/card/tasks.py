@@ -257,28 +257,22 @@ class SampledTasks:
     ----------
     rate_hz
         Samples per second that are asked of the card.
-
-    Attributes
-    ----------
-    analog
-        Volts, force first, then the further inputs in the settings' order.
-    encoder
-        Position in metres since the counter's start.
-    timing
-        The clocks as they are.
     """
 
     def __init__(self, connection: Connection, rig: RigSettings, rate_hz: float) -> None:
         card = connection.card
         with ExitStack() as stack:
             self.encoder = _encoder_input(connection, stack, rig, rate_hz)
+            """Position in metres since the counter's start."""
             task = stack.enter_context(connection.task("analog inputs"))
             self.analog = _analog_input(task, connection, (card.force, *card.inputs), rate_hz, card.buffer_s)
+            """Volts, force first, then the further inputs in the settings' order."""
             self.analog.commit()
             self.encoder.commit()
             # A driver need not know the convert clock of a card that converts its only input once a sample.
             conversion_s = 1.0 / float(task.timing.ai_conv_rate) if card.inputs else 0.0
             self.timing = ScanTiming(float(task.timing.samp_clk_rate), conversion_s)
+            """The clocks as they are."""
             self._tasks = stack.pop_all()
 
     def start(self, start_clock: Callable[[Callable[[], None]], None]) -> None:

@@ -20,23 +20,15 @@ AttributeValue = int | float | bool | str
 
 
 class CardError(Exception):
-    """A DAQmx call that fails.
-
-    Attributes
-    ----------
-    code
-        The negative status; one of `nidaqmx.error_codes.DAQmxErrors`.
-    message
-        A sentence like NI's.
-    samples
-        How many samples per channel were read, or written, all the same.
-    """
+    """A DAQmx call that fails, with a sentence like NI's."""
 
     def __init__(self, code: int, message: str, samples: int = 0) -> None:
         super().__init__(message)
         self.code = int(code)
+        """The negative status, of `nidaqmx.error_codes.DAQmxErrors`."""
         self.message = message
         self.samples = samples
+        """Samples per channel that were read, or written, all the same."""
 
 
 class Attribute(IntEnum):

@@ -76,6 +76,14 @@ def test_a_file_gives_the_documents_of_its_run(tmp_path: Path) -> None:
         next(dragrig.bluesky_documents(tmp_path / "none.h5"))
 
 
+def test_a_run_without_a_sample_has_its_documents_too(run: dragrig.Run) -> None:
+    trace = run.trace
+    empty = {name: values[:0] for name, values in trace.channels.items()}
+    nothing = replace(trace, time=trace.time[:0], command=trace.command[:0], phase=trace.phase[:0], channels=empty)
+    found = documents_of(replace(run, info=replace(run.info, samples=0), trace=nothing, events=(), filtered=None))
+    assert [name for name, documents in found.items() for _ in documents] == ["start", "descriptor", "stop"]
+
+
 def test_without_event_model_a_sentence_says_how_to_get_it(run: dragrig.Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "event_model", None)
     with pytest.raises(ImportError, match="pip install event-model"):
